@@ -1,0 +1,75 @@
+"""The command line: one module a verb, imported only when it is called."""
+
+import importlib
+import os
+import signal
+import sys
+
+import click
+
+from vcu_gateway.errors import GatewayError
+
+_VERBS = {
+    "run": "run the gateway on the bus",
+    "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
+    "demo": "gateway and simulated vehicle together, with a live table",
+    "decode": "decode a recording to JSON lines or CSV",
+    "check-config": "check a configuration file",
+    "schema": "print the JSON Schema of the configuration, for editors",
+    "dbc": "generate the DBC and the protocol page, or check that they are current",
+    "version": "print the versions that matter for a bug report",
+}
+
+_EPILOG = """\b
+Exit codes: 0 done, 1 a check answered no, 2 wrong command line, 65 wrong file contents,
+66 unreadable file, 69 bus or part not available, 70 bug in this program, 78 wrong
+configuration. A first look: vcu-gateway demo"""
+
+
+class _Verbs(click.Group):
+    """Knows every verb's name and help without importing it."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        del ctx
+        return list(_VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        del ctx
+        if cmd_name not in _VERBS:
+            return None
+        module = importlib.import_module(f"vcu_gateway.cli.{cmd_name.replace('-', '_')}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        del ctx
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_VERBS.items()))
+
+
+@click.group(cls=_Verbs, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+def group() -> None:
+    """Vehicle-control-unit gateway for a two-motor electric vehicle on Linux SocketCAN.
+
+    It decodes what the battery, the inertial unit, the steering and wheel sensors and both
+    motor controllers send, and sends each controller one command frame every 50 ms.
+    """
+
+
+def main() -> None:
+    """Entry point: every expected failure is a line on stderr and an exit code."""
+    try:
+        group.main(standalone_mode=False, prog_name="vcu-gateway")
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except click.exceptions.Abort:
+        sys.exit(128 + signal.SIGINT)
+    except GatewayError as error:
+        for problem in error.problems:
+            click.echo(f"error: {problem}", err=True)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        # The reader of our output is gone (`| head`); nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)

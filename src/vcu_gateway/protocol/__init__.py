@@ -1,0 +1,15 @@
+"""The protocol's way: definition file -> model -> DBC -> model."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+_DATA = Path(__file__).parents[1] / "data"
+
+DEFAULT_ALIASES: Mapping[int, str] = MappingProxyType({0x08F02DE2: "IMU_Attitude"})
+"""Further identifiers that are received as a message, unless configured (PROTOCOL.md E3)."""
+
+
+def packaged(name: str) -> Path:
+    """A file that ships with the program: vcu.dbc, vcu.yaml or gateway.yaml."""
+    return _DATA / name
