@@ -1,0 +1,83 @@
+"""J1939 identifiers: their fields and what makes two of them the same message."""
+
+from typing import NamedTuple
+
+ID_MASK = 0x1FFF_FFFF
+"""29 bits; anything above is a flag of SocketCAN, not an identifier (PROTOCOL.md E2)."""
+
+MATCH_MASK = 0x03FF_FFFF
+"""All but the priority: a receiver tells messages apart by PGN and source (PROTOCOL.md E1)."""
+
+PDU2_FIRST_PF = 240
+"""From this PDU format on, PS belongs to the group number instead of being a destination."""
+
+GLOBAL_ADDRESS = 0xFF
+"""The destination that stands for every node."""
+
+
+class Identifier(NamedTuple):
+    """The fields of a 29-bit identifier.
+
+    priority 0..7 (0 wins), extended_data_page 0..1, data_page 0..1, pdu_format,
+    pdu_specific and source_address 0..255.
+    """
+
+    priority: int
+    extended_data_page: int
+    data_page: int
+    pdu_format: int
+    pdu_specific: int
+    source_address: int
+
+    @property
+    def destination_address(self) -> int | None:
+        """The addressed node, or None for a broadcast (PDU2)."""
+        return self.pdu_specific if self.pdu_format < PDU2_FIRST_PF else None
+
+    @property
+    def pgn(self) -> int:
+        """Parameter group number, 18 bits; without the destination for PDU1."""
+        page = self.extended_data_page << 17 | self.data_page << 16
+        specific = 0 if self.pdu_format < PDU2_FIRST_PF else self.pdu_specific
+        return page | self.pdu_format << 8 | specific
+
+    @property
+    def can_id(self) -> int:
+        """The identifier on the wire."""
+        return (
+            self.priority << 26
+            | self.extended_data_page << 25
+            | self.data_page << 24
+            | self.pdu_format << 16
+            | self.pdu_specific << 8
+            | self.source_address
+        )
+
+
+def parse(can_id: int) -> Identifier:
+    """Split a 29-bit identifier; ValueError beyond 29 bits."""
+    if not 0 <= can_id <= ID_MASK:
+        raise ValueError(f"identifier {can_id:#x} does not fit 29 bits")
+    return Identifier(
+        priority=can_id >> 26 & 0x7,
+        extended_data_page=can_id >> 25 & 1,
+        data_page=can_id >> 24 & 1,
+        pdu_format=can_id >> 16 & 0xFF,
+        pdu_specific=can_id >> 8 & 0xFF,
+        source_address=can_id & 0xFF,
+    )
+
+
+def match_key(can_id: int) -> int:
+    """What identifies a message whatever its priority."""
+    return can_id & MATCH_MASK
+
+
+def group_key(can_id: int) -> int:
+    """What identifies a message whatever its priority and sender."""
+    return can_id & MATCH_MASK & ~0xFF
+
+
+def with_priority(can_id: int, priority: int) -> int:
+    """The same message at another priority, 0..7."""
+    return match_key(can_id) | (priority & 0x7) << 26

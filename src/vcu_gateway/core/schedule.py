@@ -1,0 +1,96 @@
+"""Deadlines on a fixed grid: skip what was missed, never make it up.
+
+All integers, so that 200 days of uptime are as exact as the first second.
+"""
+
+from dataclasses import dataclass
+
+LATENESS_BOUNDS_NS = tuple(
+    microseconds * 1_000
+    for microseconds in (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 25_000)
+)
+"""Upper bounds of the lateness histogram's bins; the last bin is open."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One point of the grid that is due.
+
+    Attributes:
+        index: number of the grid point since the origin.
+        deadline_ns: when it should have been; lateness_ns: how long ago that was.
+        skipped: grid points missed immediately before this one.
+    """
+
+    index: int
+    deadline_ns: int
+    lateness_ns: int
+    skipped: int
+
+
+class Schedule:
+    """The grid origin_ns + n * period_ns, walked without bursts.
+
+    A tick more than half a period late is skipped too: its frame would come closer than
+    half a period to the next one.
+    """
+
+    def __init__(self, origin_ns: int, period_ns: int) -> None:
+        if period_ns <= 0:
+            raise ValueError(f"period_ns must be above 0, not {period_ns}")
+        self.origin_ns = origin_ns
+        self.period_ns = period_ns
+        self.next_index = 0
+        self.ticks = 0
+        self.skipped = 0
+        self.lateness_counts = [0] * (len(LATENESS_BOUNDS_NS) + 1)
+        self._pending_skips = 0
+
+    @property
+    def next_deadline_ns(self) -> int:
+        """When the next tick is due."""
+        return self.origin_ns + self.next_index * self.period_ns
+
+    def due(self, now_ns: int) -> Tick | None:
+        """The tick to do now, or None; a missed one is counted and passed over."""
+        late_ns = now_ns - self.next_deadline_ns
+        if late_ns < 0:
+            return None
+        missed = (late_ns + self.period_ns // 2) // self.period_ns
+        self.next_index += missed
+        self.skipped += missed
+        self._pending_skips += missed
+        if now_ns < self.next_deadline_ns:
+            return None
+        return self._take(now_ns)
+
+    def _take(self, now_ns: int) -> Tick:
+        deadline_ns = self.next_deadline_ns
+        tick = Tick(self.next_index, deadline_ns, now_ns - deadline_ns, self._pending_skips)
+        self.next_index += 1
+        self.ticks += 1
+        self._pending_skips = 0
+        self.lateness_counts[lateness_bin(tick.lateness_ns)] += 1
+        return tick
+
+
+def lateness_bin(lateness_ns: int) -> int:
+    """Index of the histogram's bin for this lateness."""
+    for index, bound_ns in enumerate(LATENESS_BOUNDS_NS):
+        if lateness_ns <= bound_ns:
+            return index
+    return len(LATENESS_BOUNDS_NS)
+
+
+def lateness_at(counts: list[int], share: float) -> int | None:
+    """Upper bound, ns, of the bin that holds this share (0..1) of all ticks.
+
+    None where nothing was counted or the share lies in the open bin.
+    """
+    total = sum(counts)
+    reached = 0
+    for bound_ns, count in zip(LATENESS_BOUNDS_NS, counts, strict=False):
+        reached += count
+        if total and reached >= share * total:
+            return bound_ns
+    return None
