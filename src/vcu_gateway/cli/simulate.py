@@ -1,0 +1,148 @@
+"""`vcu-gateway simulate`: the vehicle's other nodes, on a bus."""
+
+import contextlib
+import logging
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+
+import click
+
+from vcu_gateway import simulator
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.simulator.play import Listener, Played, open_bus, open_log, play
+
+_HELP = """Play the vehicle: BMS, IMU, ARD2 and both motor controllers.
+
+Sends every cyclic message at its period and answers each command frame with the controller's
+Status2. The vehicle obeys the commands: it accelerates, brakes, recovers energy, drains its
+battery and warms up. A controller that hears no command for 500 ms goes to zero torque.
+
+Meant for a bench or a virtual bus; on a bus with the real nodes both would send the same
+identifiers.
+
+\b
+A virtual CAN bus:       ip link add dev vcan0 type vcan && ip link set vcan0 up
+Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
+"""
+
+
+@click.command("simulate", help=_HELP)
+@click.option("--interface", default="socketcan", show_default=True, help="python-can's name.")
+@click.option("--channel", default="vcan0", show_default=True, help="Which bus of it.")
+@click.option(
+    "--duration",
+    "duration_s",
+    metavar="SECONDS",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Stop by itself; otherwise Ctrl-C or SIGTERM.",
+)
+@click.option(
+    "--soc",
+    "soc_pct",
+    type=click.FloatRange(0, 100),
+    default=80.0,
+    show_default=True,
+    help="State of charge to begin with, %.",
+)
+@click.option(
+    "--battery-speedup",
+    type=click.FloatRange(0, 10_000),
+    default=1.0,
+    show_default=True,
+    help="Charge flows so many times as fast as it really would.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
+@click.option(
+    "--log",
+    "log_path",
+    metavar="FILE",
+    type=click.Path(dir_okay=False, writable=True, path_type=Path),
+    help="Write what is sent and received as a candump log; an old FILE is replaced.",
+)
+def command(
+    interface: str,
+    channel: str,
+    duration_s: float | None,
+    soc_pct: float,
+    battery_speedup: float,
+    seed: int,
+    log_path: Path | None,
+) -> None:
+    """Run until the duration is over or a signal comes."""
+    # What python-can logs of a failure comes as our error as well.
+    logging.getLogger("can").addHandler(logging.NullHandler())
+    nodes = simulator.build(
+        Codec(dbc.load(packaged("vcu.dbc"))),
+        time.monotonic_ns(),
+        soc_pct=soc_pct,
+        battery_speedup=battery_speedup,
+        seed=seed,
+    )
+    with (
+        _stopped_by_signals() as stop,
+        open_bus(interface, channel, nodes.command_ids) as bus,
+        _log(log_path, channel) as log,
+    ):
+        click.echo(
+            f"playing BMS, IMU, ARD2, PCU1 and PCU2 on {interface} {channel}:"
+            f" {len(nodes.cyclic_messages)} cyclic messages, Status2 answers each command;"
+            " Ctrl-C ends it",
+            err=True,
+        )
+        played = play(bus, nodes, stop=stop, duration_s=duration_s, log=log, note=_note)
+    click.echo(summary(played), err=True)
+
+
+def summary(played: Played) -> str:
+    """What was done, in one line."""
+    parts = [f"played {played.duration_s:.1f} s", f"sent {_counted(played.sent)}"]
+    parts.append(f"received {_counted(played.received)}")
+    if played.lost:
+        parts.append(f"not taken by the bus {_counted(played.lost)}")
+    return "; ".join(parts)
+
+
+def _counted(counts: dict[str, int]) -> str:
+    each = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
+    return f"{sum(counts.values())} ({each})" if counts else "0"
+
+
+def _note(text: str) -> None:
+    click.echo(text, err=True)
+
+
+@contextlib.contextmanager
+def _log(path: Path | None, channel: str) -> Iterator[Listener | None]:
+    if path is None:
+        yield None
+        return
+    try:
+        writer = open_log(path, channel)
+    except OSError as error:
+        raise click.BadParameter(f"cannot write it: {error}", param_hint="--log") from error
+    with writer:
+        yield writer
+
+
+@contextlib.contextmanager
+def _stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set; the old handlers come back afterwards."""
+    stop = threading.Event()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        stop.set()
+
+    before = {
+        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,175 @@
+"""The nodes on the bus: who sends which frame when."""
+
+import heapq
+import itertools
+import random
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from vcu_gateway.core.codec import Codec, MessageCodec, Reason
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.schedule import Schedule
+from vcu_gateway.simulator.signals import Source, sources
+from vcu_gateway.simulator.vehicle import Vehicle
+
+ANSWER_DELAY_NS = 1_000_000
+"""From a command to the controller's Status2."""
+
+_GATEWAY_NODE = "VCU"
+_NS_PER_MS = 1_000_000
+# Successive messages start so far apart: one frame at 250 kbit/s takes 0.6 ms.
+_PHASE_NS = 1_000_000
+
+
+class OutFrame(NamedTuple):
+    """A frame to send.
+
+    Attributes:
+        can_id: 29-bit identifier; data: eight bytes, unless a transform made it others.
+        message: its name in the protocol.
+        due_ns: when it leaves.
+    """
+
+    can_id: int
+    data: bytes
+    message: str
+    due_ns: int
+
+
+Transform = Callable[[OutFrame], Iterable[OutFrame]]
+"""What may happen to a frame between its node and the bus.
+
+Nothing returned is a lost frame (or a silent node), two are a duplicate, other data a frozen,
+overridden or corrupted one, a later due_ns a delayed one.
+"""
+
+
+@dataclass(slots=True)
+class _Sender:
+    """One message with what it says and how often it has said it."""
+
+    codec: MessageCodec
+    source: Source
+    count: int = 0
+
+    def frame(self, due_ns: int) -> OutFrame:
+        """The next frame of this message."""
+        data = self.codec.encode(self.source(self.count))
+        self.count += 1
+        return OutFrame(self.codec.spec.can_id, data, self.codec.spec.name, due_ns)
+
+
+class Nodes:
+    """BMS, IMU, ARD2 and both motor controllers.
+
+    Cyclic messages leave on fixed grids with the protocol's periods; a grid point missed by
+    more than half a period is skipped. A controller's Status2 answers each command and is
+    never sent otherwise.
+
+    Attributes:
+        vehicle: what the nodes measure and move; `due` and `receive` advance it.
+    """
+
+    def __init__(
+        self,
+        codec: Codec,
+        vehicle: Vehicle,
+        noise: random.Random,
+        transforms: Sequence[Transform] = (),
+    ) -> None:
+        """Start the grids at vehicle.start_ns; each frame passes the transforms in turn.
+
+        ValueError where the protocol has a message that the simulator cannot fill.
+        """
+        self._codec = codec
+        self.vehicle = vehicle
+        self._transforms = tuple(transforms)
+        self._senders = _senders(codec, sources(vehicle, noise))
+        self._controllers = {f"VCU_{name}_Command": name for name in vehicle.motors}
+        answers = {_answer(controller) for controller in vehicle.motors}
+        self._grids = _grids(
+            [sender for name, sender in self._senders.items() if name not in answers],
+            vehicle.start_ns,
+        )
+        self._answers: deque[tuple[int, _Sender]] = deque()
+        self._outgoing: list[tuple[int, int, OutFrame]] = []
+        self._sequence = itertools.count()
+
+    @property
+    def cyclic_messages(self) -> tuple[str, ...]:
+        """Names of the messages that are sent by themselves."""
+        return tuple(sender.codec.spec.name for _, sender in self._grids)
+
+    @property
+    def command_ids(self) -> tuple[int, ...]:
+        """Identifiers of the commands that the controllers listen to."""
+        return tuple(self._codec.by_name[name].spec.can_id for name in self._controllers)
+
+    def receive(self, can_id: int, data: bytes | bytearray, now_ns: int) -> str | None:
+        """Take in an extended data frame; the command's name, None where it is no command."""
+        found = self._codec.find(Frame(can_id, data, now_ns))
+        if isinstance(found, Reason) or found.spec.name not in self._controllers:
+            return None
+        controller = self._controllers[found.spec.name]
+        values = dict(zip(found.spec.signal_names, found.decode(data).values, strict=True))
+        self.vehicle.command(controller, values, now_ns)
+        answer = self._senders[_answer(controller)]
+        self._answers.append((now_ns + ANSWER_DELAY_NS, answer))
+        return found.spec.name
+
+    def next_due_ns(self) -> int:
+        """When `due` has something again."""
+        next_ns = min(schedule.next_deadline_ns for schedule, _ in self._grids)
+        if self._answers:
+            next_ns = min(next_ns, self._answers[0][0])
+        if self._outgoing:
+            next_ns = min(next_ns, self._outgoing[0][0])
+        return next_ns
+
+    def due(self, now_ns: int) -> list[OutFrame]:
+        """The frames to send now, the earliest due first."""
+        self.vehicle.advance(now_ns)
+        for schedule, sender in self._grids:
+            tick = schedule.due(now_ns)
+            if tick is not None:
+                self._hand_over(sender.frame(tick.deadline_ns))
+        while self._answers and self._answers[0][0] <= now_ns:
+            due_ns, sender = self._answers.popleft()
+            self._hand_over(sender.frame(due_ns))
+        return list(self._leaving(now_ns))
+
+    def _hand_over(self, frame: OutFrame) -> None:
+        frames: Iterable[OutFrame] = (frame,)
+        for transform in self._transforms:
+            frames = [changed for each in frames for changed in transform(each)]
+        for each in frames:
+            heapq.heappush(self._outgoing, (each.due_ns, next(self._sequence), each))
+
+    def _leaving(self, now_ns: int) -> Iterable[OutFrame]:
+        while self._outgoing and self._outgoing[0][0] <= now_ns:
+            yield heapq.heappop(self._outgoing)[2]
+
+
+def _senders(codec: Codec, known: Mapping[str, Source]) -> dict[str, _Sender]:
+    spoken = [m for m in codec.protocol.messages if m.sender != _GATEWAY_NODE]
+    unknown = [message.name for message in spoken if message.name not in known]
+    if unknown:
+        raise ValueError(f"the simulator does not know what to send in {', '.join(unknown)}")
+    return {m.name: _Sender(codec.by_name[m.name], known[m.name]) for m in spoken}
+
+
+def _answer(controller: str) -> str:
+    return f"{controller}_Status2"
+
+
+def _grids(senders: Iterable[_Sender], start_ns: int) -> list[tuple[Schedule, _Sender]]:
+    """A schedule for every message that has a period, in the protocol's order."""
+    grids: list[tuple[Schedule, _Sender]] = []
+    for sender in senders:
+        period_ms = sender.codec.spec.period_ms
+        if period_ms is not None:
+            first_ns = start_ns + len(grids) * _PHASE_NS
+            grids.append((Schedule(first_ns, period_ms * _NS_PER_MS), sender))
+    return grids

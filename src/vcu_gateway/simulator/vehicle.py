@@ -1,0 +1,151 @@
+"""One plausible moving vehicle: two motors, a battery, and the road under them.
+
+Axes as in ISO 8855: x forwards, y left, z up; a positive steering angle turns left.
+"""
+
+import math
+from collections.abc import Mapping
+
+from vcu_gateway.simulator.battery import Battery
+from vcu_gateway.simulator.motor import Motor, order_of
+
+LEFT, RIGHT = "PCU1", "PCU2"
+"""The controllers, by the rear wheel that their motor drives."""
+
+STEP_NS = 10_000_000
+_STEP_S = STEP_NS / 1e9
+_CATCH_UP_NS = 1_000_000_000
+
+_AMBIENT_C = 25.0
+_MASS_KG = 350.0
+_WHEEL_RADIUS_M = 0.28
+_GEAR_RATIO = 9.0
+_WHEELBASE_M, _TRACK_M = 1.6, 1.1
+_ROLLING_RESISTANCE_N = 50.0
+_AIR_DRAG_N_PER_M2_S2 = 0.42
+_FRICTION_BRAKE_N = 2_500.0
+_AUXILIARY_POWER_W = 60.0
+_RPM_PER_M_S = 30 / math.pi * _GEAR_RATIO / _WHEEL_RADIUS_M
+
+_WIGGLE_DEG, _WIGGLE_PERIOD_S = 12.0, 8.0
+_STEERING_LIMIT_DEG, _STEERING_RATIO = 45.0, 10.0
+_LANE_KEEPING = 0.5  # degrees of steering against each degree of heading
+_LANE_KEEPING_SPEED_M_S = 2.0
+
+_ROLL_DEG_PER_M_S2, _PITCH_DEG_PER_M_S2 = 0.6, -0.5
+_BODY_LAG_S = 0.2
+
+
+class Vehicle:
+    """The vehicle at one instant; `advance` moves it on, in steps of STEP_NS.
+
+    The steps lie on a grid from start_ns on, so that what happens depends on the commands
+    and their times and not on how often `advance` is called.
+
+    Attributes:
+        speed_m_s: signed, positive forwards; acceleration_m_s2: its change.
+        steering_deg: at the steering wheel, -45..45.
+        yaw_rate_deg_s, roll_rate_deg_s, pitch_rate_deg_s, heading_deg, roll_deg, pitch_deg:
+            motion and attitude of the body; the driver keeps the heading near 0.
+        motors: by controller name.
+    """
+
+    def __init__(
+        self, start_ns: int, *, soc_pct: float = 80.0, battery_speedup: float = 1.0
+    ) -> None:
+        """Stand still at start_ns; battery_speedup makes the charge drain visibly in a demo."""
+        self.start_ns = start_ns
+        self.speed_m_s = 0.0
+        self.acceleration_m_s2 = 0.0
+        self.steering_deg = 0.0
+        self.yaw_rate_deg_s = self.roll_rate_deg_s = self.pitch_rate_deg_s = 0.0
+        self.heading_deg = self.roll_deg = self.pitch_deg = 0.0
+        self.motors = {LEFT: Motor(_AMBIENT_C), RIGHT: Motor(_AMBIENT_C)}
+        self.battery = Battery(soc_pct, _AMBIENT_C, battery_speedup)
+        self._stepped_ns = start_ns
+
+    def command(self, controller: str, values: Mapping[str, float], now_ns: int) -> None:
+        """Give a controller its command's physical values; KeyError for an unknown one."""
+        self.advance(now_ns)
+        self.motors[controller].command(order_of(values), now_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """Move on to now_ns; beyond a second of catching up, the time is left out."""
+        missed_steps = (now_ns - self._stepped_ns - _CATCH_UP_NS) // STEP_NS
+        self._stepped_ns += max(0, missed_steps) * STEP_NS
+        while self._stepped_ns + STEP_NS <= now_ns:
+            self._stepped_ns += STEP_NS
+            self._step(self._stepped_ns)
+
+    @property
+    def lateral_acceleration_m_s2(self) -> float:
+        """Positive in a left turn."""
+        return self.speed_m_s * math.radians(self.yaw_rate_deg_s)
+
+    @property
+    def left_speed_m_s(self) -> float:
+        """Speed of the left wheels, slower in a left turn."""
+        return self.speed_m_s - self._half_difference_m_s
+
+    @property
+    def right_speed_m_s(self) -> float:
+        """Speed of the right wheels, faster in a left turn."""
+        return self.speed_m_s + self._half_difference_m_s
+
+    @property
+    def _half_difference_m_s(self) -> float:
+        return math.radians(self.yaw_rate_deg_s) * _TRACK_M / 2
+
+    def _step(self, now_ns: int) -> None:
+        self._steer((now_ns - self.start_ns) / 1e9)
+        self._drive(now_ns)
+        self._roll_on()
+        self._lean()
+
+    def _steer(self, elapsed_s: float) -> None:
+        """A gentle wiggle, and the driver's hand against drifting off."""
+        wiggle_deg = _WIGGLE_DEG * math.sin(2 * math.pi * elapsed_s / _WIGGLE_PERIOD_S)
+        rolling = _within(self.speed_m_s / _LANE_KEEPING_SPEED_M_S, 1.0)
+        correction_deg = _LANE_KEEPING * self.heading_deg * rolling
+        self.steering_deg = _within(wiggle_deg - correction_deg, _STEERING_LIMIT_DEG)
+        road_wheel_rad = math.radians(self.steering_deg / _STEERING_RATIO)
+        self.yaw_rate_deg_s = math.degrees(self.speed_m_s * math.tan(road_wheel_rad) / _WHEELBASE_M)
+        self.heading_deg += self.yaw_rate_deg_s * _STEP_S
+
+    def _drive(self, now_ns: int) -> None:
+        available_w = math.inf if self.battery.discharge_relay_closed else 0.0
+        wheels = {LEFT: self.left_speed_m_s, RIGHT: self.right_speed_m_s}
+        for name, motor in self.motors.items():
+            motor.step(now_ns, wheels[name] * _RPM_PER_M_S, available_w, _STEP_S)
+        drawn_w = sum(motor.power_w for motor in self.motors.values())
+        self.battery.step(drawn_w + _AUXILIARY_POWER_W, _STEP_S)
+
+    def _roll_on(self) -> None:
+        before_m_s = self.speed_m_s
+        torque_nm = sum(motor.torque_nm for motor in self.motors.values())
+        push_n = torque_nm * _GEAR_RATIO / _WHEEL_RADIUS_M
+        pushed_m_s = before_m_s + push_n / _MASS_KG * _STEP_S
+        # Friction holds back and never turns the motion round.
+        held_back_m_s = self._resistance_n() / _MASS_KG * _STEP_S
+        rest_m_s = max(0.0, abs(pushed_m_s) - held_back_m_s)
+        self.speed_m_s = math.copysign(rest_m_s, pushed_m_s)
+        self.acceleration_m_s2 = (self.speed_m_s - before_m_s) / _STEP_S
+
+    def _resistance_n(self) -> float:
+        """Rolling, air, and the foot brake: the pedal that the controllers are told."""
+        pedal_pct = max(motor.order.brake_pct for motor in self.motors.values())
+        air_n = _AIR_DRAG_N_PER_M2_S2 * self.speed_m_s**2
+        return _ROLLING_RESISTANCE_N + air_n + _FRICTION_BRAKE_N * pedal_pct / 100
+
+    def _lean(self) -> None:
+        """The body leans out of a turn and squats, with a little lag."""
+        roll_to_deg = _ROLL_DEG_PER_M_S2 * self.lateral_acceleration_m_s2
+        pitch_to_deg = _PITCH_DEG_PER_M_S2 * self.acceleration_m_s2
+        self.roll_rate_deg_s = (roll_to_deg - self.roll_deg) / _BODY_LAG_S
+        self.pitch_rate_deg_s = (pitch_to_deg - self.pitch_deg) / _BODY_LAG_S
+        self.roll_deg += self.roll_rate_deg_s * _STEP_S
+        self.pitch_deg += self.pitch_rate_deg_s * _STEP_S
+
+
+def _within(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
