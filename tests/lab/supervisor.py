@@ -1,0 +1,149 @@
+"""One command with a vcan0, from its start to its exit status; nothing of it stays behind."""
+
+import contextlib
+import os
+import selectors
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+
+TIMED_OUT, FAILED = 124, 125  # as timeout(1) has them
+GRACE_S = 3  # between asking the command to end and killing it
+NEVER = float("inf")
+
+
+def say(message):
+    print(f"lab: {message}", file=sys.stderr, flush=True)
+
+
+class Supervisor:
+    """Runs one process group, passes signals and output on, and keeps its time.
+
+    job is a directory that goes when the supervisor ends, timeout_s its time in seconds or None.
+    """
+
+    def __init__(self, job, timeout_s):
+        self.job = job
+        self.ask_at = time.monotonic() + timeout_s if timeout_s else NEVER
+        self.kill_at = NEVER
+        self.cause = None  # the exit status that we are the cause of
+        self.asked = deque()  # signals that we were sent
+        self.process = self.undertaker = self.control = None
+        self.pumps = {}  # file descriptor to read: where that goes, None for the guest's console
+        self.console = deque(maxlen=50)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, lambda number, _frame: self.asked.append(number))
+
+    def start(self, argv, **options):
+        options.setdefault("stdin", subprocess.DEVNULL)
+        self.process = subprocess.Popen(argv, start_new_session=True, **options)
+        # Should this process be killed, its end of the undertaker's pipe closes.
+        bury = 'read -r _; kill -s KILL -- "-$1"; rm -rf -- "$2"'
+        self.undertaker = subprocess.Popen(
+            ["sh", "-c", bury, "sh", str(self.process.pid), self.job],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def start_guest(self, argv, memory_directory, interactive):
+        (out, out_w), (err, err_w), (log, log_w) = os.pipe(), os.pipe(), os.pipe()
+        (control_r, self.control), (keys_r, keys) = os.pipe(), os.pipe()
+        self.pumps = {out: 1, err: 2, log: None, **({0: keys} if interactive else {})}
+        consoles = [
+            f"con0=fd:{control_r},fd:1",
+            f"con1=fd:{keys_r},fd:{out_w}",
+            f"con2=null,fd:{err_w}",
+        ]
+        self.start(
+            [*argv, *consoles],
+            stdout=log_w,
+            stderr=log_w,
+            pass_fds=(out_w, err_w, control_r, keys_r),
+            env={**os.environ, "TMPDIR": memory_directory},
+        )
+        for fd in (out_w, err_w, log_w):
+            os.close(fd)
+
+    def watch(self):
+        """Passes output on, live, until all has ended; returns the exit status."""
+        with selectors.DefaultSelector() as selector:
+            ended = os.pidfd_open(self.process.pid)
+            for fd in (ended, *self.pumps):
+                selector.register(fd, selectors.EVENT_READ)
+            while selector.get_map().keys() - {0}:
+                for key, _ in selector.select(0.1):
+                    if key.fd == ended:
+                        self.kill()  # what is left of its process group
+                    if key.fd == ended or not self.pump(key.fd, self.pumps[key.fd]):
+                        selector.unregister(key.fd)
+                self.keep_time()
+        return self.status()
+
+    def pump(self, source, sink):
+        """Passes on what has come; False at the end."""
+        data = os.read(source, 1 << 16)
+        if sink is None:
+            self.console.append(data)
+            return bool(data)
+        left = memoryview(data)
+        while left:
+            with contextlib.suppress(BlockingIOError):  # the caller's pipe may be non-blocking
+                left = left[os.write(sink, left) :]
+        return bool(data)
+
+    def keep_time(self):
+        now = time.monotonic()
+        if now >= self.ask_at:
+            self.ask_at, self.cause = NEVER, TIMED_OUT
+            say("timed out")
+            self.ask(signal.SIGTERM)
+        while self.asked:
+            if self.cause:  # told twice: no more patience
+                self.kill_at = now
+            self.cause = self.cause or 128 + self.asked[0]
+            self.ask(self.asked.popleft())
+        if now >= self.kill_at:
+            self.kill()
+
+    def ask(self, number):
+        """Passes a signal on to the command, which has a little time to end."""
+        self.kill_at = min(self.kill_at, time.monotonic() + GRACE_S)
+        if self.control:
+            os.write(self.control, signal.Signals(number).name.removeprefix("SIG").encode() + b"\n")
+        else:
+            self.kill(number)
+
+    def kill(self, number=signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, number)
+
+    def status(self):
+        status = self.guest_status() if self.control else self.process.wait()
+        if self.cause == TIMED_OUT or status is None:
+            return self.cause or self.guest_died()
+        return status if status >= 0 else 128 - status
+
+    def guest_status(self):
+        with contextlib.suppress(FileNotFoundError):
+            return int((self.job / "status").read_text())
+        return None
+
+    def guest_died(self):
+        say("the guest died; the end of its console:")
+        log = b"".join(self.console).decode("utf-8", "replace").replace("\r", "")
+        sys.stderr.write("".join(log.splitlines(keepends=True)[-25:]))
+        return FAILED
+
+    def end(self):
+        for process in filter(None, (self.process, self.undertaker)):
+            with contextlib.suppress(ProcessLookupError):
+                for _ in range(50):  # helpers outlive the guest by some milliseconds
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait()
+                    time.sleep(0.01)
+        shutil.rmtree(self.job, ignore_errors=True)
