@@ -1,7 +1,17 @@
-"""What the operator asks of the motors."""
+"""What the operator asks of the motors: bounded, finite, with a time to live and one owner."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+CONTROLLERS = ("PCU1", "PCU2")
+
+BENCH_SOURCE = "bench"
+"""Owner of the static demand of a test bench; no other source may use the name."""
+
+_NS_PER_MS = 1_000_000
 
 
 class PowerMode(IntEnum):
@@ -27,3 +37,163 @@ class ControllerDemand:
     regen_brake: bool = False
     speed_limit_rpm: float = 12000.0
     power_limit_w: float = 60000.0
+
+
+RANGES: Mapping[str, tuple[float, float]] = {
+    "throttle_pct": (0.0, 100.0),
+    "brake_pct": (0.0, 100.0),
+    "speed_limit_rpm": (0.0, 12000.0),
+    "power_limit_w": (0.0, 60000.0),
+}
+"""Lowest and highest value of each quantity of a demand."""
+
+NOTHING = ControllerDemand(power_mode=PowerMode.SAFETY)
+"""No demand: no torque."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """One request of one source for both controllers.
+
+    Attributes:
+        source: who asks, a name.
+        sequence: number of the request, rising within a source.
+        ttl_ms: how long it counts; None for ever (the bench demand alone).
+        controllers: what is asked of each controller, by name.
+    """
+
+    source: str
+    sequence: int
+    ttl_ms: int | None
+    controllers: Mapping[str, ControllerDemand]
+
+
+class Refusal(Enum):
+    """Why a request was refused; the values are stable words for machines."""
+
+    NOT_FINITE = "not_finite"
+    OUT_OF_RANGE = "out_of_range"
+    CONTROLLER_MISSING = "controller_missing"
+    TTL_OUT_OF_RANGE = "ttl_out_of_range"
+    NAME_RESERVED = "name_reserved"
+    OTHER_OWNER = "other_owner"
+    OLD_SEQUENCE = "old_sequence"
+    NOT_ALLOWED_NOW = "not_allowed_now"
+
+
+class Answer(NamedTuple):
+    """The answer to a request: granted, or why not, as a code and a sentence."""
+
+    granted: bool
+    refusal: Refusal | None = None
+    sentence: str = ""
+
+
+GRANTED = Answer(granted=True)
+
+
+def refused(refusal: Refusal, sentence: str) -> Answer:
+    """An answer that says no."""
+    return Answer(False, refusal, sentence)
+
+
+def fault_of(demand: Demand, ttl_max_ms: int) -> Answer:
+    """Whether the values can be meant at all; the encoder never meets one that cannot."""
+    for controller in CONTROLLERS:
+        if controller not in demand.controllers:
+            sentence = f"the demand says nothing of {controller}"
+            return refused(Refusal.CONTROLLER_MISSING, sentence)
+        answer = _fault_of_values(controller, demand.controllers[controller])
+        if not answer.granted:
+            return answer
+    if demand.ttl_ms is not None and not 0 < demand.ttl_ms <= ttl_max_ms:
+        sentence = f"ttl_ms must be 1 to {ttl_max_ms}, not {demand.ttl_ms}"
+        return refused(Refusal.TTL_OUT_OF_RANGE, sentence)
+    return GRANTED
+
+
+def _fault_of_values(controller: str, asked: ControllerDemand) -> Answer:
+    for name, (low, high) in RANGES.items():
+        value = getattr(asked, name)
+        if not math.isfinite(value):
+            return refused(Refusal.NOT_FINITE, f"{controller} {name} is {value}")
+        if not low <= value <= high:
+            sentence = f"{controller} {name} must be {low:g} to {high:g}, not {value:g}"
+            return refused(Refusal.OUT_OF_RANGE, sentence)
+    return GRANTED
+
+
+class DemandDesk:
+    """Takes demands in and knows the one that counts.
+
+    A source owns the desk while its demand is fresh; meanwhile only a source of higher
+    priority takes it over. The last sequence number of the owner is kept until another
+    source owns the desk or the owner releases it, so that an old request cannot come back.
+    """
+
+    def __init__(self, bench_demand: ControllerDemand | None) -> None:
+        self._current: Demand | None = None
+        self._received_ns = 0
+        if bench_demand is not None:
+            both = dict.fromkeys(CONTROLLERS, bench_demand)
+            self._current = Demand(BENCH_SOURCE, 0, None, both)
+
+    def offer(
+        self, demand: Demand, priorities: Mapping[str, int], ttl_max_ms: int, now_ns: int
+    ) -> Answer:
+        """Take a demand, or say why not; a refused one changes nothing."""
+        if demand.source == BENCH_SOURCE or demand.ttl_ms is None:
+            return refused(Refusal.NAME_RESERVED, f"{BENCH_SOURCE} is the configured bench demand")
+        answer = fault_of(demand, ttl_max_ms)
+        if not answer.granted:
+            return answer
+        answer = self._right_of(demand, priorities, now_ns)
+        if answer.granted:
+            self._current, self._received_ns = demand, now_ns
+        return answer
+
+    def _right_of(self, demand: Demand, priorities: Mapping[str, int], now_ns: int) -> Answer:
+        owner = self._current
+        if owner is None:
+            return GRANTED
+        if owner.source == demand.source:
+            if demand.sequence > owner.sequence:
+                return GRANTED
+            sentence = f"sequence {demand.sequence} is not above {owner.sequence}"
+            return refused(Refusal.OLD_SEQUENCE, sentence)
+        higher = priorities.get(demand.source, 0) > priorities.get(owner.source, 0)
+        if higher or not self.fresh(now_ns):
+            return GRANTED
+        return refused(Refusal.OTHER_OWNER, f"{owner.source} owns the demand")
+
+    def release(self, source: str) -> Answer:
+        """Give the desk up; refused for any other than its owner."""
+        if self._current is None or self._current.source != source:
+            return refused(Refusal.OTHER_OWNER, f"{source} does not own the demand")
+        self._current = None
+        return GRANTED
+
+    @property
+    def current(self) -> Demand | None:
+        """The last demand taken, fresh or not; None before the first."""
+        return self._current
+
+    def age_ns(self, now_ns: int) -> int | None:
+        """Time since the demand was taken; None without one and for the bench demand."""
+        if self._current is None or self._current.ttl_ms is None:
+            return None
+        return now_ns - self._received_ns
+
+    def fresh(self, now_ns: int) -> bool:
+        """True while the demand counts: younger than or as old as its time to live."""
+        if self._current is None:
+            return False
+        if self._current.ttl_ms is None:
+            return True
+        return 0 <= now_ns - self._received_ns <= self._current.ttl_ms * _NS_PER_MS
+
+    def asked(self, now_ns: int) -> Mapping[str, ControllerDemand]:
+        """What is asked of each controller now; nothing where no demand is fresh."""
+        if self._current is None or not self.fresh(now_ns):
+            return dict.fromkeys(CONTROLLERS, NOTHING)
+        return self._current.controllers

@@ -1,0 +1,33 @@
+"""Options that several verbs share."""
+
+import os
+from pathlib import Path
+
+import click
+
+from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.protocol import packaged
+
+DEFAULT_CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
+
+config_option = click.option(
+    "-c",
+    "--config",
+    "config_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help=f"Configuration; default: {DEFAULT_CONFIG}.",
+)
+
+
+def resolve_config(given: Path | None, default: Path = DEFAULT_CONFIG) -> Path:
+    """The file to read; ConfigError, saying what to do, where none is given or in its place."""
+    if given is not None:
+        return given
+    if os.path.lexists(default):
+        return default
+    remedy = (
+        f"give one with -c FILE, or begin with the example:"
+        f" sudo install -D -m 644 {packaged('gateway.yaml')} {default}"
+    )
+    raise ConfigError(Problem("there is no configuration file", str(default), remedy))

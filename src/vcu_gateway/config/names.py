@@ -1,0 +1,73 @@
+"""Do the configuration's messages exist in the protocol?"""
+
+from collections.abc import Iterator
+
+from vcu_gateway.config.findings import Finding, problems
+from vcu_gateway.config.model import Config
+from vcu_gateway.config.shape import did_you_mean
+from vcu_gateway.core import j1939
+from vcu_gateway.core.freshness import deadlines
+from vcu_gateway.core.intake import OWN_NODE
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.errors import Problem
+
+_NS_PER_MS = 1_000_000
+_SWITCH_OFF = "this alias is the default; write `aliases: {}` for none"
+
+
+def check_against(config: Config, protocol: ProtocolSpec) -> list[Problem]:
+    """What the configuration says of messages that the protocol does not have; empty if good."""
+    found = [
+        *_aliases(config, protocol),
+        *_freshness(config, protocol),
+        *_required(config, protocol),
+    ]
+    return problems(found, config.source.file, config.source.lines)
+
+
+def _aliases(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+    names = [message.name for message in protocol.messages]
+    taken = {j1939.match_key(message.can_id): message.name for message in protocol.messages}
+    for identifier, name in config.protocol.aliases.items():
+        path = ("protocol", "aliases", identifier)
+        key = j1939.match_key(identifier)
+        if name not in names:
+            is_default = "aliases" not in config.protocol.model_fields_set
+            remedy = _SWITCH_OFF if is_default else _nearest(name, names)
+            yield Finding(path, _no_message(name), remedy)
+        elif key in taken:
+            what = f"stands for {taken[key]} already (the priority does not count)"
+            yield Finding(path, what, "remove it")
+        taken.setdefault(key, name)
+
+
+def _freshness(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+    messages = {message.name: message for message in protocol.messages}
+    stale_after_ms = config.freshness.stale_after_ms
+    late_after_ms = config.freshness.late_after_ms
+    for key, ages_ms in (("stale_after_ms", stale_after_ms), ("late_after_ms", late_after_ms)):
+        for name in ages_ms.keys() - messages.keys():
+            path = ("freshness", key, name)
+            yield Finding(path, _no_message(name), _nearest(name, list(messages)))
+    for name in late_after_ms.keys() & messages.keys():
+        stale_ns = deadlines(messages[name], {}, stale_after_ms).stale_after_ns
+        if late_after_ms[name] * _NS_PER_MS > stale_ns:
+            what = f"must be at most {stale_ns // _NS_PER_MS} ms, not {late_after_ms[name]}"
+            remedy = f"{name} is stale by then"
+            yield Finding(("freshness", "late_after_ms", name), what, remedy)
+
+
+def _required(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+    names = [message.name for message in protocol.received_by(OWN_NODE)]
+    for index, name in enumerate(config.safety.required_messages):
+        if name not in names:
+            path = ("safety", "required_messages", index)
+            yield Finding(path, f'the gateway receives no message "{name}"', _nearest(name, names))
+
+
+def _no_message(name: str) -> str:
+    return f'the protocol has no message "{name}"'
+
+
+def _nearest(name: str, names: list[str]) -> str:
+    return did_you_mean(name, names) or f"its messages are {', '.join(names)}"

@@ -1,0 +1,180 @@
+"""What the model refuses, said in plain words with a remedy."""
+
+import difflib
+import re
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from vcu_gateway.config.findings import Finding, shown
+from vcu_gateway.config.kinds import REFUSED
+from vcu_gateway.config.model import Config
+from vcu_gateway.yaml_lines import Path
+
+_UNITS = {
+    "bit_s": "bit/s",
+    "bytes": "bytes",
+    "ms": "ms",
+    "pct": "%",
+    "pct_per_s": "%/s",
+    "w_per_s": "W/s",
+    "rpm": "rpm",
+    "w": "W",
+}
+_KEY = "[key]"
+_MOST_FINDINGS = 500
+_KEY_AND_VALUE = "write `key: value`, with a space after the colon"
+_SWITCH_WORDS = {"yes": "true", "on": "true", "no": "false", "off": "false"}
+_STARTS_LIKE_NUMBER = re.compile(r"\s*[-+]?\.?[0-9]")
+
+
+def findings(error: ValidationError) -> Iterator[Finding]:
+    """A finding for each thing that pydantic refused; the rest of very many is counted."""
+    refused = error.errors(include_url=False)
+    for details in refused[:_MOST_FINDINGS]:
+        yield _finding(details)
+    if rest := refused[_MOST_FINDINGS:]:
+        yield Finding(rest[0]["loc"], f"from here on {len(rest)} more errors, not shown")
+
+
+def unit(name: str) -> str:
+    """The unit that a key's name ends in, as people write it; empty where there is none."""
+    ends = (text for suffix, text in _UNITS.items() if name.endswith(f"_{suffix}"))
+    return next(ends, "")
+
+
+def _finding(details: ErrorDetails) -> Finding:
+    path, kind = details["loc"], details["type"]
+    if kind in ("extra_forbidden", "invalid_key"):
+        return Finding(path, "unknown key", _remedy_for_unknown(path))
+    field = _field(path)
+    if kind == "missing":
+        return Finding(path, "is missing", _lower_first(field.description if field else None))
+    requirement = _requirement(details, field) if path else "must hold sections such as `bus:`"
+    if path[-1:] == (_KEY,):
+        return Finding(path[:-1], f"the key {requirement}", _own_remedy(details))
+    what = f"{requirement}, not {shown(details['input'])}"
+    return Finding(path, what, _own_remedy(details) or _remedy(details, field))
+
+
+def _field(path: Path) -> FieldInfo | None:
+    """The field that a path leads to; None where it leads into a mapping or nowhere."""
+    model: type[BaseModel] | None = Config
+    field = None
+    for name in path:
+        if model is None:
+            return None
+        field = model.model_fields.get(str(name))
+        model = section_of(field)
+    return field
+
+
+def section_of(field: FieldInfo | None) -> type[BaseModel] | None:
+    """The section that a field holds (or may hold), if any."""
+    candidates = (field.annotation, *typing.get_args(field.annotation)) if field else ()
+    return next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+
+
+def _unit_at(path: Path) -> str:
+    """The unit of a key, and of every value in it where it is a mapping."""
+    return next((text for name in path if (text := unit(str(name)))), "")
+
+
+def _requirement(details: ErrorDetails, field: FieldInfo | None) -> str:
+    context: Mapping[str, Any] = details.get("ctx", {})
+    written_unit = _unit_at(details["loc"])
+    after = f" {written_unit}" if written_unit else ""
+    in_unit = f" in {written_unit}" if written_unit else ""
+    wordings: dict[str, Callable[[], str]] = {
+        REFUSED: lambda: str(context["requirement"]),
+        "int_type": lambda: f"must be a whole number{in_unit}",
+        "float_type": lambda: f"must be a number{in_unit}",
+        "finite_number": lambda: f"must be a finite number{in_unit}",
+        "bool_type": lambda: "must be true or false",
+        "string_type": lambda: "must be text",
+        "path_type": lambda: "must be the path of a file",
+        "string_too_short": lambda: "must not be empty",
+        "literal_error": lambda: f"must be one of {', '.join(_choices(field))}",
+        "greater_than_equal": lambda: f"must be at least {_number(context['ge'])}{after}",
+        "less_than_equal": lambda: f"must be at most {_number(context['le'])}{after}",
+        "dict_type": lambda: "must be a mapping, key: value in each line",
+        "model_type": lambda: "must be a section with keys below it",
+    }
+    return wordings[details["type"]]() if details["type"] in wordings else details["msg"]
+
+
+def _number(limit: float) -> str:
+    return str(int(limit)) if float(limit).is_integer() else str(limit)
+
+
+def _choices(field: FieldInfo | None) -> tuple[str, ...]:
+    return tuple(map(str, typing.get_args(field.annotation))) if field else ()
+
+
+def _own_remedy(details: ErrorDetails) -> str:
+    return str(details.get("ctx", {}).get("remedy", ""))
+
+
+def _remedy(details: ErrorDetails, field: FieldInfo | None) -> str:
+    value, kind = details["input"], details["type"]
+    if value is None:
+        return _remedy_for_empty(kind, field)
+    if kind in ("string_type", "path_type") and isinstance(value, int | float):
+        return "put it in quotes"
+    if not isinstance(value, str):
+        return ""
+    if kind == "bool_type" and value.lower() in _SWITCH_WORDS:
+        return f"write {_SWITCH_WORDS[value.lower()]}"
+    if kind in ("int_type", "float_type") and _STARTS_LIKE_NUMBER.match(value):
+        return "write the plain number, without quotes, unit or leading zeros"
+    if kind == "literal_error":
+        return did_you_mean(value, _choices(field))
+    return _KEY_AND_VALUE if kind == "model_type" else ""
+
+
+def _remedy_for_empty(kind: str, field: FieldInfo | None) -> str:
+    if kind == "model_type":
+        return "remove the line, or write keys below it"
+    if kind == "dict_type":
+        return "write {} for none, or remove the line for the default"
+    if field is None or field.is_required():
+        return ""
+    return f"remove the line for the default, which is {shown(field.default)}"
+
+
+def _remedy_for_unknown(path: Path) -> str:
+    *parents, key = path
+    field = _field(tuple(parents))
+    known = Config if not parents else section_of(field)
+    names = tuple(known.model_fields) if known else ()
+    if ":" in str(key):
+        return _KEY_AND_VALUE
+    if near := did_you_mean(str(key), names):
+        return near
+    elsewhere = [place for place in _places(Config, "") if place.endswith(f".{key}")]
+    if elsewhere:
+        return f'did you mean "{elsewhere[0]}"?'
+    return f"the keys here are {', '.join(names)}"
+
+
+def _places(model: type[BaseModel], prefix: str) -> Iterator[str]:
+    """The full name of every key that there is."""
+    for name, field in model.model_fields.items():
+        yield prefix + name
+        section = section_of(field)
+        if section is not None:
+            yield from _places(section, f"{prefix}{name}.")
+
+
+def did_you_mean(word: str, known: typing.Iterable[str]) -> str:
+    """The question with the nearest known word; empty where none is near."""
+    nearest = difflib.get_close_matches(word, tuple(known), n=1)
+    return f'did you mean "{nearest[0]}"?' if nearest else ""
+
+
+def _lower_first(text: str | None) -> str:
+    return text[0].lower() + text[1:].removesuffix(".") if text else ""
