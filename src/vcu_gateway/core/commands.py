@@ -1,11 +1,21 @@
-"""The physical values of a command frame; forgetting something yields zero torque."""
+"""Demand and limits -> the physical values of each command frame.
+
+Torque is earned: every command starts from ZERO_TORQUE, and `Commander.active` alone turns a
+permission into a number.
+"""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from vcu_gateway.core.demand import ControllerDemand, PowerMode
+from vcu_gateway.core.causes import Effect
+from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
+from vcu_gateway.core.settings import Settings
 
-CONTROLLERS = ("PCU1", "PCU2")
+_NS_PER_S = 1_000_000_000
+_OVERRIDE_THROTTLE_PCT = 25.0
+_OVERRIDE_BRAKE_PCT = 5.0
+_OVERRIDE_RELEASE_PCT = 5.0
+_FULL_PCT = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,16 +53,204 @@ def message_name(controller: str) -> str:
     return f"VCU_{controller}_Command"
 
 
-def from_demand(
-    demand: ControllerDemand, speed_limit_max_rpm: float, power_limit_max_w: float
-) -> Command:
-    """The command that grants a demand in full, within the configured maxima."""
-    return Command(
-        power_mode=demand.power_mode,
-        motor_reverse=demand.motor_reverse,
-        regen_brake=demand.regen_brake,
-        throttle_pct=demand.throttle_pct,
-        brake_pct=demand.brake_pct,
-        speed_limit_rpm=min(demand.speed_limit_rpm, speed_limit_max_rpm),
-        power_limit_w=min(demand.power_limit_w, power_limit_max_w),
-    )
+@dataclass(frozen=True, slots=True)
+class Ramps:
+    """The limits of one controller on their way: power in W, brake in %."""
+
+    power_w: float
+    brake_pct: float
+
+
+class Commander:
+    """Both controllers' commands, from one tick to the next.
+
+    Attributes:
+        last: the commands of the tick before.
+        override_latched: brake over throttle holds until the demanded throttle is released.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._last_ns: int | None = None
+        self.last: dict[str, Command] = {
+            name: Command(speed_limit_rpm=settings.speed_limit_max_rpm) for name in CONTROLLERS
+        }
+        self._before = dict(self.last)
+        self.override_latched = False
+        self._ramps = dict.fromkeys(CONTROLLERS, Ramps(settings.power_limit_max_w, _FULL_PCT))
+
+    def reverse_pending(self, asked: Mapping[str, ControllerDemand]) -> bool:
+        """True where a controller's asked direction is not the applied one."""
+        return any(
+            asked[name].motor_reverse is not self.last[name].motor_reverse for name in CONTROLLERS
+        )
+
+    def safe(self, settings: Settings, power_cut: bool, now_ns: int) -> Mapping[str, Command]:
+        """ZERO_TORQUE or POWER_CUT for both; directions stay as they were applied."""
+        return self._decided(
+            {
+                name: Command(
+                    motor_reverse=last.motor_reverse,
+                    power_cut=power_cut,
+                    speed_limit_rpm=settings.speed_limit_max_rpm,
+                )
+                for name, last in self.last.items()
+            },
+            now_ns,
+        )
+
+    def settle(
+        self,
+        asked: Mapping[str, ControllerDemand] | None,
+        effects: frozenset[Effect],
+        slow: bool,
+        settings: Settings,
+        now_ns: int,
+    ) -> Mapping[str, Command]:
+        """ZERO_TORQUE in STANDBY: a direction may change, and limits move on meanwhile.
+
+        `asked` is None without a fresh demand. `slow` is True where both motors' speeds are
+        known, fresh and below the change speed.
+        """
+        self._move_ramps(effects, settings, now_ns)
+        if asked is not None:
+            self._note_override(asked)
+            if slow and self._standing():
+                self.last = {
+                    name: replace(last, motor_reverse=asked[name].motor_reverse)
+                    for name, last in self.last.items()
+                }
+        return self.safe(settings, False, now_ns)
+
+    def _standing(self) -> bool:
+        """True where neither motor was given throttle last."""
+        return all(last.throttle_pct == 0 for last in self.last.values())
+
+    def active(
+        self,
+        asked: Mapping[str, ControllerDemand],
+        effects: frozenset[Effect],
+        slow: bool,
+        settings: Settings,
+        now_ns: int,
+    ) -> Mapping[str, Command]:
+        """The demand in ACTIVE, through override, direction interlock, limits and slew."""
+        self._note_override(asked)
+        self._move_ramps(effects, settings, now_ns)
+        pending = self.reverse_pending(asked)
+        change = pending and slow and self._standing()
+        rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s(now_ns, settings)
+        return self._decided(
+            {
+                name: self._granted(
+                    name,
+                    asked[name],
+                    effects,
+                    settings,
+                    reverse=asked[name].motor_reverse if change else self.last[name].motor_reverse,
+                    throttle_max_pct=(
+                        0.0
+                        if pending or self.override_latched
+                        else self.last[name].throttle_pct + rise_pct
+                    ),
+                )
+                for name in CONTROLLERS
+            },
+            now_ns,
+        )
+
+    def _granted(
+        self,
+        name: str,
+        asked: ControllerDemand,
+        effects: frozenset[Effect],
+        settings: Settings,
+        *,
+        reverse: bool,
+        throttle_max_pct: float,
+    ) -> Command:
+        ramps = self._ramps[name]
+        return Command(
+            power_mode=strictest_mode(asked.power_mode, effects),
+            motor_reverse=reverse,
+            regen_brake=asked.regen_brake and Effect.REGEN_OFF not in effects,
+            throttle_pct=min(asked.throttle_pct, throttle_max_pct),
+            brake_pct=min(asked.brake_pct, ramps.brake_pct),
+            speed_limit_rpm=min(asked.speed_limit_rpm, settings.speed_limit_max_rpm),
+            power_limit_w=min(asked.power_limit_w, ramps.power_w, settings.power_limit_max_w),
+        )
+
+    def _decided(self, commands: dict[str, Command], now_ns: int) -> Mapping[str, Command]:
+        self._before = self.last
+        self.last, self._last_ns = commands, now_ns
+        return commands
+
+    def replaced(self, settings: Settings) -> Mapping[str, Command]:
+        """ZERO_TORQUE instead of this tick's commands, in the directions of the tick before."""
+        self.last = {
+            name: Command(
+                motor_reverse=before.motor_reverse, speed_limit_rpm=settings.speed_limit_max_rpm
+            )
+            for name, before in self._before.items()
+        }
+        return self.last
+
+    def not_sent(self, controller: str) -> None:
+        """The bus did not take this command: the one before it still counts."""
+        self.last = {**self.last, controller: self._before[controller]}
+
+    def _note_override(self, asked: Mapping[str, ControllerDemand]) -> None:
+        """Brake over throttle: latched by either controller's demand, released by both."""
+        if any(
+            one.throttle_pct > _OVERRIDE_THROTTLE_PCT and one.brake_pct > _OVERRIDE_BRAKE_PCT
+            for one in asked.values()
+        ):
+            self.override_latched = True
+        elif all(one.throttle_pct < _OVERRIDE_RELEASE_PCT for one in asked.values()):
+            self.override_latched = False
+
+    def _elapsed_s(self, now_ns: int, settings: Settings) -> float:
+        """Time since the last command, at most one period: a late tick earns no more."""
+        if self._last_ns is None:
+            return 0.0
+        elapsed_ns = now_ns - self._last_ns
+        return min(max(elapsed_ns, 0), settings.period_ns) / _NS_PER_S
+
+    def _move_ramps(self, effects: frozenset[Effect], settings: Settings, now_ns: int) -> None:
+        """Limits go to their targets along their slews, REGEN_OFF at once.
+
+        A falling limit starts from what is really commanded, so that it bites in this tick.
+        """
+        elapsed_s = self._elapsed_s(now_ns, settings)
+        power_max_w = settings.power_limit_max_w
+        power_w, brake_pct = power_max_w, _FULL_PCT
+        if Effect.POWER_LIMIT in effects:
+            power_w = min(settings.derated_power_w, power_max_w)
+        if Effect.REGEN_LIMIT in effects:
+            brake_pct = settings.regen_limit_pct
+        for name, last in self.last.items():
+            ramps = self._ramps[name]
+            self._ramps[name] = Ramps(
+                moved(ramps.power_w, last.power_limit_w, power_w,
+                      settings.power_slew_w_per_s * elapsed_s),
+                0.0 if Effect.REGEN_OFF in effects else
+                moved(ramps.brake_pct, last.brake_pct, brake_pct,
+                      settings.regen_slew_pct_per_s * elapsed_s),
+            )  # fmt: skip
+
+
+def moved(limit: float, commanded: float, target: float, step: float) -> float:
+    """A limit one step nearer to its target; it falls from what is commanded at the most."""
+    if target >= limit:
+        return min(target, limit + step)
+    return max(target, min(limit, commanded) - step)
+
+
+def strictest_mode(asked: PowerMode, effects: frozenset[Effect]) -> PowerMode:
+    """The asked mode as far as the effects allow; SAFETY is the strictest of all."""
+    if asked is PowerMode.SAFETY:
+        return asked
+    if Effect.POWER_LIMIT in effects:
+        return PowerMode.ECO
+    if Effect.TURBO_OFF in effects:
+        return min(asked, PowerMode.NORMAL)
+    return asked

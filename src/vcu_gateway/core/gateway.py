@@ -1,124 +1,338 @@
-"""The machine without a bus: frames and time in, command frames and events out."""
+"""The machine without a bus: frames, requests and time in, command frames and events out.
 
+`Gateway.intake` belongs to the receiving thread, everything else to the ticking thread.
+"""
+
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from vcu_gateway.core import commands, freshness, j1939
-from vcu_gateway.core.codec import Codec, MessageCodec, Reason
-from vcu_gateway.core.commands import CONTROLLERS, Command
-from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.state import Snapshot, Store
+from vcu_gateway.core import freshness, permission, rules, why
+from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Finding
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.commands import Command, Commander
+from vcu_gateway.core.demand import (
+    BENCH_SOURCE,
+    CONTROLLERS,
+    GRANTED,
+    Answer,
+    Demand,
+    DemandDesk,
+    Refusal,
+    refused,
+)
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.intake import OWN_NODE, Intake
+from vcu_gateway.core.link import Link, LinkState
+from vcu_gateway.core.output import OutFrame, Output
+from vcu_gateway.core.permission import Asked
+from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
+from vcu_gateway.core.startup import Listening, Qualification
+from vcu_gateway.core.state import Snapshot
+from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
+from vcu_gateway.core.why import Why
+from vcu_gateway.core.world import World
 
-_OWN_NODE = "VCU"
-_DEFAULT_PERIOD_MS = 50
+_STOPPING_TICKS = 3
 _NS_PER_MS = 1_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What the configuration tells the core.
+class TickResult(NamedTuple):
+    """What one tick decided, all of it from one snapshot.
 
     Attributes:
-        late_after_ms, stale_after_ms: overrides by message name.
-        transmit_priority: J1939 priority of the command frames, 0..7.
-        bench_demand: static demand for both controllers on a test bench; None on a vehicle.
+        frames: one for each controller; none while listening before talking.
+        finished: STOPPING has sent what it must.
     """
 
-    late_after_ms: Mapping[str, int] = field(default_factory=dict)
-    stale_after_ms: Mapping[str, int] = field(default_factory=dict)
-    transmit_priority: int = 0
-    speed_limit_max_rpm: float = 12000.0
-    power_limit_max_w: float = 60000.0
-    bench_demand: ControllerDemand | None = None
-
-
-class OutFrame(NamedTuple):
-    """A command frame to send at once: 29-bit identifier and eight bytes."""
-
-    message: str
-    can_id: int
-    data: bytes
-
-
-class TickResult(NamedTuple):
-    """What one tick decided, all of it from one snapshot."""
-
     snapshot: Snapshot
+    mode: Mode
     commands: Mapping[str, Command]
     frames: tuple[OutFrame, ...]
+    events: tuple[Event, ...]
+    why: Why
+    finished: bool
 
 
 class Gateway:
-    """Receives frames on one thread, ticks on another; no lock between them.
+    """Receives on one thread through `intake`; ticks and answers requests on another."""
 
-    Counters are written by the receiving thread alone and read by any.
-
-    Attributes:
-        rejected: frames not decoded, by reason.
-        confirmed: own command frames that came back because they had left, by message.
-        foreign_commands: command identifiers seen from another sender, by message.
-    """
-
-    def __init__(self, codec: Codec, settings: Settings) -> None:
+    def __init__(self, codec: Codec, settings: Settings, now_ns: int) -> None:
         self.codec = codec
-        self._settings = settings
-        received = codec.protocol.received_by(_OWN_NODE)
-        stale_after_ns = {
+        self.settings = settings
+        deadlines = {
             message.name: freshness.deadlines(
                 message, settings.late_after_ms, settings.stale_after_ms
-            ).stale_after_ns
-            for message in received
+            )
+            for message in codec.protocol.received_by(OWN_NODE)
         }
-        self.store = Store(received, stale_after_ns)
-        self._outgoing = {
-            controller: self._outgoing_codec(controller) for controller in CONTROLLERS
-        }
-        self._own_names = {message.spec.name for message, _ in self._outgoing.values()}
-        self.rejected = dict.fromkeys(Reason, 0)
-        self.confirmed = dict.fromkeys(self._own_names, 0)
-        self.foreign_commands = dict.fromkeys(self._own_names, 0)
+        self._late_after_ns = {name: d.late_after_ns for name, d in deadlines.items()}
+        stale_after_ns = {name: d.stale_after_ns for name, d in deadlines.items()}
+        self.intake = Intake(codec, stale_after_ns, now_ns)
+        self.output = Output(codec, settings)
+        self.desk = DemandDesk(settings.bench_demand)
+        self.causes = Causes()
+        self.supervisor = Supervisor(now_ns)
+        self._commander = Commander(settings)
+        self._listening = Listening(now_ns, settings.listen_before_talk_ms)
+        self._qualification = Qualification()
+        self._lost: Link | None = None
+        self._foreign_before = 0
+        self._emergency_stop = False
+        self._terminate = False
+        self._blocked_by_gate: str | None = None
+        self._auto_arm_left = settings.auto_arm and settings.bench_demand is not None
+        self._last_tick_ns: int | None = None
+        self._stopping_ticks = 0
+        self._events: list[Event] = []
+        self._snapshot = self.intake.store.snapshot(now_ns)
 
-    def _outgoing_codec(self, controller: str) -> tuple[MessageCodec, int]:
-        codec = self.codec.by_name[commands.message_name(controller)]
-        can_id = j1939.with_priority(codec.spec.can_id, self._settings.transmit_priority)
-        return codec, can_id
+    # What the shell tells.
+
+    def link_lost(self, now_ns: int) -> None:
+        """The interface is down or gone."""
+        if self._lost is None:
+            self._lost = Link(LinkState.LOST, now_ns)
+
+    def link_opened(self, now_ns: int) -> None:
+        """The interface was opened, again or for the first time; nothing is received yet."""
+        self._lost = None
+        self.intake.link = Link(LinkState.UP, now_ns)
+        self._listening.again(now_ns)
 
     @property
-    def period_ns(self) -> int:
-        """The commands' period, from the protocol."""
-        codec, _ = self._outgoing[CONTROLLERS[0]]
-        return (codec.spec.period_ms or _DEFAULT_PERIOD_MS) * _NS_PER_MS
+    def link(self) -> Link:
+        """What is known of the bus."""
+        return self._lost or self.intake.link
 
-    def receive(self, frame: Frame) -> None:
-        """Take in one frame; a frame that is not decoded is counted and changes nothing."""
-        found = self.codec.find(frame)
-        if isinstance(found, Reason):
-            self.rejected[found] += 1
-            return
-        name = found.spec.name
-        if name in self._own_names:
-            (self.confirmed if frame.own_echo else self.foreign_commands)[name] += 1
-            return
-        self.store.put(name, found.decode(frame.data), frame.arrival_ns)
+    def sent(self, frame: OutFrame, ok: bool, now_ns: int) -> None:
+        """Whether the bus took a frame of the last tick."""
+        if ok:
+            self.output.note_sent(frame, now_ns)
+        else:
+            self._commander.not_sent(frame.controller)
+
+    # Requests.
+
+    def offer(self, demand: Demand, now_ns: int) -> Answer:
+        """Take a demand of a source, or say why not."""
+        settings, before = self.settings, self.desk.current
+        answer = self.desk.offer(demand, settings.priorities, settings.ttl_max_ms, now_ns)
+        if answer.granted and (before is None or before.source != demand.source):
+            self._events.append(Event("demand_owner", Severity.INFO, {"source": demand.source}))
+        return answer
+
+    def arm(self, now_ns: int) -> Answer:
+        """Ask for ACTIVE; granted in STANDBY where nothing speaks against it."""
+        if why_not := self._against_arming(now_ns):
+            return self._refuse("arm", why_not)
+        self._apply(Stimulus.ARM, now_ns, "armed on request")
+        return GRANTED
+
+    def disarm(self, now_ns: int) -> Answer:
+        """Leave ACTIVE for STANDBY; always granted."""
+        self._apply(Stimulus.DISARM, now_ns, "disarmed on request")
+        return GRANTED
+
+    def emergency_stop(self) -> Answer:
+        """Cut the power in the next tick; always granted."""
+        self._emergency_stop = True
+        return GRANTED
+
+    def terminate(self) -> None:
+        """End: safe frames, then `finished`."""
+        self._terminate = True
+
+    def reset(self, level: FaultClass, now_ns: int) -> Answer:
+        """Leave FAULT for STANDBY; refused while anything speaks against it."""
+        if why_not := self._against_resetting(level, now_ns):
+            return self._refuse("reset", why_not)
+        self._apply(Stimulus.RESET, now_ns, f"reset at {level.value} level")
+        return GRANTED
+
+    def reload(self, settings: Settings) -> Answer:
+        """Take new settings whole or not at all; while ACTIVE only stricter limits."""
+        if names := [name for name in changed(self.settings, settings) if name in RESTART_ONLY]:
+            return self._refuse("reload", f"these need a restart: {', '.join(names)}")
+        if self.supervisor.mode is Mode.ACTIVE and (looser := loosened(self.settings, settings)):
+            sentence = f"while active, limits may only become stricter: {', '.join(looser)}"
+            return self._refuse("reload", sentence)
+        self.settings = settings
+        self.output.reload(settings)
+        return GRANTED
+
+    def _refuse(self, request: str, sentence: str) -> Answer:
+        fields = {"request": request, "sentence": sentence}
+        self._events.append(Event("request_refused", Severity.WARNING, fields))
+        return refused(Refusal.NOT_ALLOWED_NOW, sentence)
+
+    def _against_arming(self, now_ns: int) -> str:
+        asked = self._asked(now_ns)
+        pending = asked is not None and self._commander.reverse_pending(asked)
+        return permission.against_arming(self.supervisor, self.causes, asked, pending)
+
+    def _against_resetting(self, level: FaultClass, now_ns: int) -> str:
+        asked = self._asked(now_ns)
+        return permission.against_resetting(self.supervisor, self.causes, asked, level)
+
+    def _asked(self, now_ns: int) -> Asked:
+        """What is asked of each controller; None without a fresh demand.
+
+        The bench demand's throttle counts in ACTIVE only: it never changes, so it could
+        otherwise never be armed with a throttle of 0.
+        """
+        demand = self.desk.current
+        if demand is None or not self.desk.fresh(now_ns):
+            return None
+        if demand.source != BENCH_SOURCE or self.supervisor.mode is Mode.ACTIVE:
+            return demand.controllers
+        return {
+            name: dataclasses.replace(asked, throttle_pct=0.0)
+            for name, asked in demand.controllers.items()
+        }
+
+    # The tick.
 
     def tick(self, now_ns: int) -> TickResult:
         """Decide what each controller is told now; both frames come from one snapshot."""
-        snapshot = self.store.snapshot(now_ns)
-        command = self._command()
-        decided = dict.fromkeys(CONTROLLERS, command)
-        frames = tuple(self._encode(name, decided[name]) for name in CONTROLLERS)
-        return TickResult(snapshot, decided, frames)
+        snapshot = self._snapshot = self.intake.store.snapshot(now_ns)
+        world = self._world(snapshot)
+        if world.foreign_sender is not None or self._lost is not None:
+            self._listening.again(now_ns)  # without a bus nobody can be heard
+        talking = self._listening.update(now_ns)
+        hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
+        self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
+        self._supervise(snapshot, talking)
+        decided = self._decide(snapshot)
+        frames = self._frames(decided, snapshot) if talking else ()
+        self.output.sending.note_emitted(bool(frames))
+        self._last_tick_ns = now_ns
+        return self._result(snapshot, frames)
 
-    def _command(self) -> Command:
-        settings = self._settings
-        if settings.bench_demand is None:
-            return Command(speed_limit_rpm=settings.speed_limit_max_rpm)
-        return commands.from_demand(
-            settings.bench_demand, settings.speed_limit_max_rpm, settings.power_limit_max_w
+    def _world(self, snapshot: Snapshot) -> World:
+        settings, now_ns = self.settings, snapshot.now_ns
+        late_ns = 0
+        if self._last_tick_ns is not None:
+            late_ns = now_ns - self._last_tick_ns - settings.period_ns
+        emergency_stop, self._emergency_stop = self._emergency_stop, False
+        blocked, self._blocked_by_gate = self._blocked_by_gate, None
+        foreign, before = self.intake.foreign_count, self._foreign_before
+        self._foreign_before = foreign
+        return World(
+            snapshot=snapshot,
+            settings=settings,
+            late_after_ns=self._late_after_ns,
+            link=self.link,
+            history=self.output.sending.history(),
+            tick_late_ns=late_ns,
+            unconfirmed_ticks=self.output.sending.note_confirmed(self.intake.confirmed),
+            foreign_sender=self.intake.foreign_id if foreign > before else None,
+            emergency_stop=emergency_stop,
+            blocked_by_gate=blocked,
         )
 
-    def _encode(self, controller: str, command: Command) -> OutFrame:
-        codec, can_id = self._outgoing[controller]
-        return OutFrame(codec.spec.name, can_id, codec.encode(command.signals()))
+    def _supervise(self, snapshot: Snapshot, talking: bool) -> None:
+        """Give the supervisor every stimulus of this tick, the most urgent first."""
+        now_ns, required = snapshot.now_ns, self.settings.required
+        if self._terminate:
+            self._apply(Stimulus.TERMINATE, now_ns, "asked to end")
+        for held in self.causes.having(BLOCKING):
+            self._apply(_stimulus_of(held.finding), now_ns, str(held.finding))
+        if not self.desk.fresh(now_ns):
+            self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
+        if any(snapshot.stale(message) for message in required):
+            self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
+        elif talking and not any(self._qualification.missing(snapshot, self.settings)):
+            self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
+        if self._auto_arm_left and not self._against_arming(now_ns):
+            self._auto_arm_left = False
+            self._apply(Stimulus.ARM, now_ns, "armed by auto_arm on a test bench")
+
+    def _apply(self, stimulus: Stimulus, now_ns: int, reason: str) -> None:
+        before = self.supervisor.mode
+        self._events += self.supervisor.apply(stimulus, now_ns, reason)
+        if self.supervisor.mode is Mode.STARTING and before is not Mode.STARTING:
+            self._qualification.begin(self._snapshot, self.settings.required)
+
+    def _decide(self, snapshot: Snapshot) -> Mapping[str, Command]:
+        settings, now_ns, mode = self.settings, snapshot.now_ns, self.supervisor.mode
+        effects, asked = self.causes.effects(), self._asked(now_ns)
+        slow = all(
+            speed is not None and speed < settings.direction_change_rpm
+            for speed in _speeds_rpm(snapshot)
+        )
+        if mode is Mode.ACTIVE and asked is not None:
+            return self._commander.active(asked, effects, slow, settings, now_ns)
+        if mode is Mode.STANDBY:
+            return self._commander.settle(asked, effects, slow, settings, now_ns)
+        cut = self.supervisor.power_is_cut or Effect.CUT in effects
+        return self._commander.safe(settings, cut, now_ns)
+
+    def _frames(self, decided: Mapping[str, Command], snapshot: Snapshot) -> tuple[OutFrame, ...]:
+        """Encode, and let the gate look at every frame; one blocked frame stops both."""
+        now_ns, armed = snapshot.now_ns, self.supervisor.mode is Mode.ACTIVE
+        frames = self.output.encoded(decided)
+        rule = self.output.fault_of(frames, armed, _speeds_rpm(snapshot), now_ns)
+        if rule is None:
+            return frames
+        self._blocked_by_gate = rule
+        self._apply(Stimulus.LATCHING_STOP, now_ns, f"the gate blocked a frame: {rule}")
+        return self.output.encoded(self._commander.replaced(self.settings))
+
+    def _result(self, snapshot: Snapshot, frames: tuple[OutFrame, ...]) -> TickResult:
+        events, self._events = tuple(self._events), []
+        if self.supervisor.mode is Mode.STOPPING:
+            self._stopping_ticks += 1
+        enough = self._stopping_ticks >= _STOPPING_TICKS or not frames
+        return TickResult(
+            snapshot=snapshot,
+            mode=self.supervisor.mode,
+            commands=dict(self._commander.last),
+            frames=frames,
+            events=events,
+            why=self.why(snapshot.now_ns),
+            finished=self._stopping_ticks > 0 and enough,
+        )
+
+    def why(self, now_ns: int) -> Why:
+        """Mode, what blocks, what limits, the demand and what to do next."""
+        mode, latch = self.supervisor.mode, self.supervisor.latch
+        refusal = ""
+        if mode is Mode.STANDBY:
+            refusal = self._against_arming(now_ns)
+        elif mode is Mode.FAULT:
+            refusal = self._against_resetting(FaultClass.SERVICE, now_ns)
+        demand = self.desk.current
+        return Why(
+            now_ns=now_ns,
+            mode=mode,
+            latch=latch,
+            blocks=self.causes.having(BLOCKING),
+            limits=self.causes.having(LIMITING),
+            alarms=self.causes.having(frozenset({Effect.ALARM})),
+            waits=tuple(self._waits()),
+            demand_source=None if demand is None else demand.source,
+            demand_age_ns=self.desk.age_ns(now_ns),
+            demand_fresh=self.desk.fresh(now_ns),
+            next_step=why.next_step(mode, latch, refusal),
+        )
+
+    def _waits(self) -> list[str]:
+        if not self._listening.over:
+            return ["listening for another sender of our frames"]
+        if self.supervisor.mode is Mode.STARTING:
+            return list(self._qualification.missing(self._snapshot, self.settings))
+        return []
+
+
+def _stimulus_of(finding: Finding) -> Stimulus:
+    if finding.effect is Effect.CUT:
+        return Stimulus.CUT
+    return Stimulus.LATCHING_STOP if finding.latches else Stimulus.STOP
+
+
+def _speeds_rpm(snapshot: Snapshot) -> tuple[float | None, ...]:
+    """Speed of each motor; None where it is not known, stale or out of range."""
+    return tuple(
+        snapshot.reading(f"{name}_Status2", "MotorSpeed").good_value for name in CONTROLLERS
+    )

@@ -14,6 +14,9 @@ from vcu_gateway.core.spec import MessageSpec, SignalSpec
 _NS_PER_MS = 1_000_000
 _PERIOD_SMOOTHING = 8
 
+LIFE_SIGNAL = "LifeSignal"
+"""The signal that must toggle in every frame of its message, where there is one."""
+
 # Stamps come from another clock reading than the tick's; more than this ahead is no stamp.
 FUTURE_TOLERANCE_NS = 20 * _NS_PER_MS
 
@@ -36,6 +39,7 @@ class Latest(NamedTuple):
         frame_count: frames of this message so far.
         marked_count: frames with a signal out of range or saturated.
         period_ns: observed period, smoothed over about 8 frames; None before the second.
+        life_repeats: frames in a row whose life signal was that of the frame before.
     """
 
     decoded: Decoded
@@ -43,6 +47,7 @@ class Latest(NamedTuple):
     frame_count: int
     marked_count: int
     period_ns: int | None
+    life_repeats: int = 0
 
 
 class Reading(NamedTuple):
@@ -72,6 +77,11 @@ class Store:
         self._specs = {message.name: message for message in messages}
         self._stale_after_ns = dict(stale_after_ns)
         self._latest: dict[str, Latest] = {}
+        self._life_index = {
+            name: spec.signal_names.index(LIFE_SIGNAL)
+            for name, spec in self._specs.items()
+            if LIFE_SIGNAL in spec.signal_names
+        }
         self.out_of_order = 0
 
     def put(self, name: str, decoded: Decoded, arrival_ns: int) -> bool:
@@ -90,8 +100,18 @@ class Store:
             period_ns = interval_ns
         else:
             period_ns += (interval_ns - period_ns) // _PERIOD_SMOOTHING
+        repeats = 0
+        if name in self._life_index:
+            life = self._life_index[name]
+            if decoded.raws[life] == last.decoded.raws[life]:
+                repeats = last.life_repeats + 1
         self._latest[name] = Latest(
-            decoded, arrival_ns, last.frame_count + 1, last.marked_count + marked, period_ns
+            decoded,
+            arrival_ns,
+            last.frame_count + 1,
+            last.marked_count + marked,
+            period_ns,
+            repeats,
         )
         return True
 
@@ -151,6 +171,16 @@ class Snapshot:
         """All signals of a message, in the protocol's order."""
         signals = self._specs[message].signals
         return tuple(self._reading(message, i, signal) for i, signal in enumerate(signals))
+
+    def marked(self, message: str) -> tuple[tuple[str, int], ...]:
+        """Name and code of each signal out of range or saturated in the latest frame."""
+        latest = self._latest.get(message)
+        if latest is None or not latest.decoded.marks:
+            return ()
+        names, decoded = self._specs[message].signal_names, latest.decoded
+        return tuple(
+            (name, decoded.raws[i]) for i, name in enumerate(names) if decoded.marks >> i & 1
+        )
 
     def _reading(self, message: str, index: int, signal: SignalSpec) -> Reading:
         latest = self._latest.get(message)

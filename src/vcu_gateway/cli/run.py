@@ -1,0 +1,62 @@
+"""`vcu-gateway run`: the gateway on its bus."""
+
+import json
+import time
+from pathlib import Path
+
+import click
+
+from vcu_gateway import config as configuration
+from vcu_gateway import log, report, wiring
+from vcu_gateway.cli.options import config_option, resolve_config
+from vcu_gateway.daemon import Daemon
+from vcu_gateway.errors import ConfigError
+
+
+@click.command("run")
+@config_option
+@click.option(
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Stop by itself after so long; for measurements.",
+)
+@click.option(
+    "--state-out",
+    "state_path",
+    type=click.Path(dir_okay=False, writable=True, path_type=Path),
+    metavar="FILE",
+    help="Write the last state and all counters as JSON when it stops.",
+)
+def command(config_path: Path | None, duration_s: float | None, state_path: Path | None) -> None:
+    """Run the gateway: decode what the bus says, command both controllers every 50 ms.
+
+    Runs until SIGTERM or Ctrl-C. The log goes to stderr, as JSON lines unless stderr is a
+    terminal. A missing interface is waited for: the gateway opens it when it appears.
+    """
+    config = configuration.load(resolve_config(config_path))
+    protocol = wiring.load_protocol(config)
+    if problems := configuration.check_against(config, protocol):
+        raise ConfigError(*problems)
+    writer = log.configure(config.log.level, config.log.format)
+    daemon = wiring.build(config, protocol)
+    daemon.handle_signals()
+    daemon.run(duration_s)
+    if state_path is not None:
+        state_path.write_text(json.dumps(_last_state(daemon), indent=1) + "\n", encoding="utf-8")
+    writer.drain()
+
+
+def _last_state(daemon: Daemon) -> dict[str, object]:
+    snapshot = daemon.gateway.intake.store.snapshot(time.monotonic_ns())
+    return {
+        "messages": report.state(snapshot),
+        "counters": report.counters(daemon.gateway),
+        "bus": daemon.door.report(),
+        "ticks": {
+            "done": daemon.schedule.ticks,
+            "skipped": daemon.schedule.skipped,
+            "silent": daemon.silent_ticks,
+        },
+    }

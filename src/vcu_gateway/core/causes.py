@@ -1,0 +1,114 @@
+"""Causes and effects: what a rule finds, and how long it counts."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+from vcu_gateway.core.events import Event, Severity
+
+
+class Effect(Enum):
+    """What a cause does to the command (SAFETY.md, Effects)."""
+
+    ALARM = "alarm"
+    TURBO_OFF = "turbo off"
+    POWER_LIMIT = "power limit"
+    REGEN_LIMIT = "regen limit"
+    REGEN_OFF = "regen off"
+    STOP = "stop"
+    CUT = "cut"
+
+
+LIMITING = frozenset({Effect.TURBO_OFF, Effect.POWER_LIMIT, Effect.REGEN_LIMIT, Effect.REGEN_OFF})
+BLOCKING = frozenset({Effect.STOP, Effect.CUT})
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One cause with one of its effects.
+
+    Attributes:
+        cause: stable word for machines.
+        subject: the signal, message or part that it is about.
+        detail: its value, as a person reads it.
+        until_restart: the effect stays when the cause goes.
+        latches: enters FAULT from every mode, not from ACTIVE alone.
+    """
+
+    cause: str
+    subject: str
+    effect: Effect
+    detail: str = ""
+    until_restart: bool = False
+    latches: bool = False
+
+    @property
+    def key(self) -> tuple[str, str, Effect]:
+        """What makes two findings the same, whatever their detail."""
+        return self.cause, self.subject, self.effect
+
+    def __str__(self) -> str:
+        detail = f" {self.detail}" if self.detail else ""
+        return f"{self.subject}{detail}: {self.effect.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """A finding that counts, since when, and when it was last seen."""
+
+    finding: Finding
+    since_ns: int
+    seen_ns: int
+
+    def stands(self, now_ns: int) -> bool:
+        """True where the cause was seen at this very instant, not held only."""
+        return self.seen_ns == now_ns
+
+
+class Causes:
+    """Every cause that counts: seen now, or absent for less than the holding time."""
+
+    def __init__(self) -> None:
+        self._held: dict[tuple[str, str, Effect], Held] = {}
+
+    @property
+    def held(self) -> tuple[Held, ...]:
+        """All that counts, in the order of its appearance."""
+        return tuple(self._held.values())
+
+    def update(self, findings: Iterable[Finding], hold_ns: int, now_ns: int) -> list[Event]:
+        """Take in what was found now; events for what began and what ended."""
+        events = []
+        for finding in findings:
+            before = self._held.get(finding.key)
+            if before is None:
+                events.append(_event("cause_began", finding))
+            since_ns = now_ns if before is None else before.since_ns
+            self._held[finding.key] = Held(finding, since_ns, now_ns)
+        for key, held in tuple(self._held.items()):
+            absent_ns = now_ns - held.seen_ns
+            if absent_ns >= hold_ns and absent_ns > 0 and not held.finding.until_restart:
+                del self._held[key]
+                events.append(_event("cause_ended", held.finding))
+        return events
+
+    def effects(self) -> frozenset[Effect]:
+        """Every effect that counts."""
+        return frozenset(held.finding.effect for held in self._held.values())
+
+    def having(self, effects: frozenset[Effect]) -> tuple[Held, ...]:
+        """What counts with one of these effects."""
+        return tuple(held for held in self._held.values() if held.finding.effect in effects)
+
+
+def _event(name: str, finding: Finding) -> Event:
+    severity = Severity.INFO
+    if name == "cause_began":
+        severity = Severity.ERROR if finding.effect in BLOCKING else Severity.WARNING
+    fields = {
+        "cause": finding.cause,
+        "subject": finding.subject,
+        "effect": finding.effect.value,
+        "detail": finding.detail,
+    }
+    return Event(name, severity, fields)

@@ -1,0 +1,165 @@
+"""The last check on every frame, by someone who does not trust the rest.
+
+Written against the bytes of the command frame and the protocol's limits alone; it imports
+nothing of the rules, the supervisor or the commands. A frame that breaks a rule here is
+replaced by ZERO_TORQUE; the safe frame always passes.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+# Byte 1 of the command frame.
+_MODE_MASK, _MODE_SAFETY = 0b0000_1100, 0b0000_1100
+_REVERSE, _REGEN, _CUT = 0x10, 0x20, 0x80
+_UNUSED = 0b0100_0011
+
+_LENGTH = 8
+_PERCENT_PER_BIT = 0.39
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class GateLimits:
+    """What the gate holds every frame against.
+
+    Attributes:
+        allowed: identifier of the one frame of each slot; anything else is blocked.
+        throttle_slew_pct_per_s: steepest rise; a fall is always allowed.
+        period_ns: more time than this since the last frame earns no more rise.
+        direction_change_rpm: the direction changes only below this speed of both motors.
+    """
+
+    allowed: tuple[int, ...]
+    speed_limit_max_rpm: float
+    power_limit_max_w: float
+    throttle_slew_pct_per_s: float
+    direction_change_rpm: float
+    period_ns: int
+
+
+class Passed(NamedTuple):
+    """What may be sent, and why it is not what was given; None where it is."""
+
+    can_id: int
+    data: bytes
+    blocked: str | None
+
+
+@dataclass(slots=True)
+class _Sent:
+    data: bytes
+    at_ns: int
+
+
+@dataclass(slots=True)
+class Gate:
+    """Checks each slot's frame against the last one of it that was really sent.
+
+    Attributes:
+        blocked: frames replaced, by the name of the rule they broke.
+    """
+
+    limits: GateLimits
+    blocked: dict[str, int] = field(default_factory=dict)
+    _sent: dict[int, _Sent] = field(default_factory=dict)
+
+    def check(
+        self,
+        slot: int,
+        can_id: int,
+        data: bytes,
+        *,
+        armed: bool,
+        speeds_rpm: tuple[float | None, ...],
+        now_ns: int,
+    ) -> Passed:
+        """Pass the frame of a slot, or replace it.
+
+        `speeds_rpm` holds the last known speed of each motor, None where it is not known.
+        """
+        own_id = self.limits.allowed[slot]
+        sent = self._sent.get(slot)
+        reverse = bool(sent.data[0] & _REVERSE) if sent else _reverse_of(data)
+        why = self._fault(can_id == own_id, data, armed, speeds_rpm, sent, now_ns)
+        if why is None:
+            return Passed(own_id, bytes(data), None)
+        self.blocked[why] = self.blocked.get(why, 0) + 1
+        return Passed(own_id, self.zero_torque(reverse), why)
+
+    def zero_torque(self, reverse: bool) -> bytes:
+        """SAFETY.md's ZERO_TORQUE in bytes."""
+        speed = int(self.limits.speed_limit_max_rpm)
+        first = _MODE_SAFETY | (_REVERSE if reverse else 0)
+        return bytes((first, 0, 0, 0, speed & 0xFF, speed >> 8, 0, 0))
+
+    def sent(self, slot: int, data: bytes, at_ns: int) -> None:
+        """Remember the frame of a slot that has really been handed to the bus."""
+        self._sent[slot] = _Sent(bytes(data), at_ns)
+
+    def _fault(
+        self,
+        own_id: bool,
+        data: bytes,
+        armed: bool,
+        speeds_rpm: tuple[float | None, ...],
+        sent: _Sent | None,
+        now_ns: int,
+    ) -> str | None:
+        """The name of the first rule that the frame breaks."""
+        if not own_id:
+            return "identifier"
+        if len(data) != _LENGTH:
+            return "length"
+        if data[0] & _UNUSED or data[3]:
+            return "unused_bits"
+        if _word(data, 4) > self.limits.speed_limit_max_rpm:
+            return "speed_limit"
+        if self._turned(data, sent, speeds_rpm):
+            return "direction"
+        if _is_safe(data):
+            return None
+        return self._torque_fault(data, armed, sent, now_ns)
+
+    def _torque_fault(
+        self, data: bytes, armed: bool, sent: _Sent | None, now_ns: int
+    ) -> str | None:
+        if not armed:
+            return "unarmed"
+        if _word(data, 6) > self.limits.power_limit_max_w:
+            return "power_limit"
+        if data[1] > self._throttle_max_raw(sent, now_ns):
+            return "throttle_slew"
+        return None
+
+    def _turned(
+        self, data: bytes, sent: _Sent | None, speeds_rpm: tuple[float | None, ...]
+    ) -> bool:
+        """True where the direction changes although it must not."""
+        if sent is None or (data[0] ^ sent.data[0]) & _REVERSE == 0:
+            return False
+        limit_rpm = self.limits.direction_change_rpm
+        slow = all(speed is not None and speed < limit_rpm for speed in speeds_rpm)
+        return not slow or data[1] != 0 or sent.data[1] != 0
+
+    def _throttle_max_raw(self, sent: _Sent | None, now_ns: int) -> float:
+        """Highest throttle code now: the last one sent plus what the slew earned since."""
+        if sent is None:
+            return 0
+        elapsed_ns = min(max(now_ns - sent.at_ns, 0), self.limits.period_ns)
+        earned_pct = self.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
+        # Codes are rounded to the nearest: half a bit up now, half a bit down before.
+        return sent.data[1] + earned_pct / _PERCENT_PER_BIT + 1
+
+
+def _is_safe(data: bytes) -> bool:
+    """ZERO_TORQUE or POWER_CUT, in either direction."""
+    zero = not (data[1] or data[2] or data[6] or data[7] or data[0] & _REGEN)
+    return zero and data[0] & _MODE_MASK == _MODE_SAFETY
+
+
+def _word(data: bytes, index: int) -> int:
+    return data[index] | data[index + 1] << 8
+
+
+def _reverse_of(data: bytes) -> bool:
+    return bool(data and data[0] & _REVERSE)

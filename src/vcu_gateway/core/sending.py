@@ -1,0 +1,43 @@
+"""What became of our frames: sent, confirmed, and the throttles that they carried."""
+
+from collections import deque
+from collections.abc import Mapping
+
+from vcu_gateway.core.world import Sent
+
+# The throttle echo is held against one second before a Status1 that may be 1.6 s old.
+_HISTORY_FRAMES = 80
+
+
+class Sending:
+    """Book of the frames that left, one page a controller."""
+
+    def __init__(self, controllers: tuple[str, ...]) -> None:
+        self._history: dict[str, deque[Sent]] = {
+            name: deque(maxlen=_HISTORY_FRAMES) for name in controllers
+        }
+        self._confirmed_before = dict.fromkeys(controllers, 0)
+        self._missed = dict.fromkeys(controllers, 0)
+        self._emitted = False
+
+    def note_sent(self, controller: str, throttle_pct: float, at_ns: int) -> None:
+        """A frame was handed to the bus."""
+        self._history[controller].append(Sent(at_ns, throttle_pct))
+
+    def note_emitted(self, emitted: bool) -> None:
+        """Whether this tick gave frames to send at all."""
+        self._emitted = emitted
+
+    def note_confirmed(self, confirmed: Mapping[str, int]) -> int:
+        """Take the echo counts at the start of a tick; ticks in a row without an echo."""
+        for name, count in confirmed.items():
+            if count != self._confirmed_before[name]:
+                self._missed[name] = 0
+            elif self._emitted:
+                self._missed[name] += 1
+            self._confirmed_before[name] = count
+        return max(self._missed.values())
+
+    def history(self) -> Mapping[str, tuple[Sent, ...]]:
+        """The throttles of the last frames sent, oldest first, by controller."""
+        return {name: tuple(sent) for name, sent in self._history.items()}

@@ -1,0 +1,79 @@
+"""Why the gateway does what it does, as a value and as a line."""
+
+from dataclasses import dataclass
+
+from vcu_gateway.core.causes import Held
+from vcu_gateway.core.supervisor import FaultClass, Latch, Mode
+
+_NS_PER_MS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Why:
+    """One instant, explained.
+
+    Attributes:
+        blocks: causes that stop or cut; limits: causes that limit; alarms: the rest.
+        waits: conditions that are not met yet, as sentences.
+        demand_source: owner of the demand, None without one.
+        demand_age_ns: None without a demand and for the bench demand, which does not age.
+        next_step: what to do, as a sentence.
+    """
+
+    now_ns: int
+    mode: Mode
+    latch: Latch | None
+    blocks: tuple[Held, ...]
+    limits: tuple[Held, ...]
+    alarms: tuple[Held, ...]
+    waits: tuple[str, ...]
+    demand_source: str | None
+    demand_age_ns: int | None
+    demand_fresh: bool
+    next_step: str
+
+    def sentence(self) -> str:
+        """Everything in one line."""
+        parts = [self.mode.value]
+        if self.latch is not None:
+            parts.append(f"latched ({self.latch.fault_class.value}): {self.latch.reason}")
+        parts += [self._told("blocked by", self.blocks), self._told("limited by", self.limits)]
+        parts += [self._told("alarm", self.alarms), *self.waits, self._demand(), self.next_step]
+        return "; ".join(part for part in parts if part)
+
+    def _told(self, what: str, held: tuple[Held, ...]) -> str:
+        if not held:
+            return ""
+        return f"{what} " + ", ".join(self._cause(one) for one in held)
+
+    def _cause(self, held: Held) -> str:
+        since = f"for {(self.now_ns - held.since_ns) / 1e9:.1f} s"
+        gone = "" if held.stands(self.now_ns) else ", gone and held"
+        return f"{held.finding} ({since}{gone})"
+
+    def _demand(self) -> str:
+        if self.demand_source is None:
+            return "no demand"
+        if self.demand_age_ns is None:
+            return f"demand of {self.demand_source}"
+        state = "" if self.demand_fresh else ", expired"
+        return f"demand of {self.demand_source} {self.demand_age_ns // _NS_PER_MS} ms old{state}"
+
+    def signature(self) -> tuple[object, ...]:
+        """What a person would call the same answer: all but ages and values."""
+        keys = tuple(held.finding.key for held in self.blocks + self.limits + self.alarms)
+        return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
+
+
+def next_step(mode: Mode, latch: Latch | None, refusal: str) -> str:
+    """What to do now; `refusal` is why arming or resetting would be refused, or empty."""
+    if mode is Mode.FAULT:
+        level = "service " if latch and latch.fault_class is FaultClass.SERVICE else ""
+        return f"first: {refusal}; then reset" if refusal else f"{level}reset"
+    if mode is Mode.STANDBY:
+        return f"before arming: {refusal}" if refusal else "arm"
+    return {
+        Mode.STARTING: "wait",
+        Mode.ACTIVE: "drive; disarm to end",
+        Mode.STOPPING: "the gateway is ending",
+    }[mode]

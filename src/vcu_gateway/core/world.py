@@ -1,0 +1,43 @@
+"""All that the rules may look at: the snapshot, and facts that no message carries."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from vcu_gateway.core.link import Link
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.state import Snapshot
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """The throttle of one command frame that was sent."""
+
+    at_ns: int
+    throttle_pct: float
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """One instant.
+
+    Attributes:
+        late_after_ns: by message name.
+        history: the last throttles sent to each controller, oldest first.
+        tick_late_ns: how long after its period this tick comes.
+        unconfirmed_ticks: ticks in a row whose frames did not come back from the bus.
+        foreign_sender: identifier of a command that another node sent since the last tick.
+        emergency_stop: requested since the last tick.
+        blocked_by_gate: what the gate blocked in the last tick.
+    """
+
+    snapshot: Snapshot
+    settings: Settings
+    late_after_ns: Mapping[str, int]
+    link: Link
+    history: Mapping[str, tuple[Sent, ...]] = field(default_factory=dict)
+    tick_late_ns: int = 0
+    period_ns: int = 50_000_000
+    unconfirmed_ticks: int = 0
+    foreign_sender: int | None = None
+    emergency_stop: bool = False
+    blocked_by_gate: str | None = None

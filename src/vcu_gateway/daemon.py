@@ -1,0 +1,172 @@
+"""The running program: threads, signals, the 50 ms loop and its end."""
+
+import gc
+import signal
+import sys
+import time
+from collections.abc import Callable
+from types import FrameType
+
+import structlog
+
+from vcu_gateway.bus.door import Door
+from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
+from vcu_gateway.errors import UnavailableError
+from vcu_gateway.log import log_event
+
+_SWITCH_INTERVAL_S = 0.0005
+_COLLECT_EVERY_TICKS = 1200
+_NS_PER_S = 1_000_000_000
+_NS_PER_MS = 1_000_000
+
+log = structlog.get_logger()
+
+Observer = Callable[[Tick, TickResult], None]
+
+
+class Daemon:
+    """Gateway and bus, ticked on the calling thread until `stop` or the end of `run`.
+
+    Attributes:
+        schedule: every tick accounted for: ticks done, ticks skipped, lateness.
+        silent_ticks: ticks that sent nothing, listening before talking.
+    """
+
+    def __init__(
+        self,
+        gateway: Gateway,
+        door: Door,
+        reopen_ms: int,
+        observer: Observer | None = None,
+    ) -> None:
+        self.gateway = gateway
+        self.door = door
+        self.schedule = Schedule(time.monotonic_ns(), gateway.settings.period_ns)
+        self._reopen_ns = reopen_ms * _NS_PER_MS
+        self._next_open_ns = 0
+        self._was_open = False
+        self._told_lost: str | None = None
+        self._observer = observer
+        self._stopping: str | None = None
+        self._finished = False
+        self.silent_ticks = 0
+        self._told_why: tuple[object, ...] = ()
+
+    def stop(self, why: str) -> None:
+        """Send safe frames, then end the loop."""
+        self._stopping = self._stopping or why
+
+    def handle_signals(self) -> None:
+        """SIGTERM and SIGINT end the loop; only in the main thread."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        self.stop(signal.Signals(number).name)
+
+    def run(self, duration_s: float | None = None) -> None:
+        """Tick every period until stopped, or for `duration_s` seconds; then end safely."""
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # collected below, right after a tick, when nothing is due
+        self._try_to_open()
+        schedule = self.schedule = Schedule(time.monotonic_ns(), self.schedule.period_ns)
+        end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * _NS_PER_S)
+        try:
+            while not self._finished:
+                self._sleep_until(schedule.next_deadline_ns)
+                tick = schedule.due(time.monotonic_ns())
+                if tick is None:
+                    continue
+                if end_ns is not None and tick.deadline_ns >= end_ns:
+                    self.stop("duration reached")
+                self._tick(tick)
+        finally:
+            gc.enable()
+            gc.unfreeze()
+            self.door.close()
+        self._log_end()
+
+    @staticmethod
+    def _sleep_until(deadline_ns: int) -> None:
+        left_ns = deadline_ns - time.monotonic_ns()
+        if left_ns > 0:
+            time.sleep(left_ns / _NS_PER_S)
+
+    def _tick(self, tick: Tick) -> None:
+        gateway = self.gateway
+        if self._stopping is not None:
+            gateway.terminate()
+        now_ns = time.monotonic_ns()
+        result = gateway.tick(now_ns)
+        for frame in result.frames:
+            gateway.sent(frame, self.door.send(frame), now_ns)
+        # The frames have left; what follows has the rest of the period.
+        self._finished = result.finished
+        self.silent_ticks += not result.frames
+        self._tell(tick, result)
+        if self._observer is not None:
+            self._observer(tick, result)
+        self._mind_the_link(now_ns)
+        if tick.index % _COLLECT_EVERY_TICKS == _COLLECT_EVERY_TICKS - 1:
+            gc.collect()
+
+    def _tell(self, tick: Tick, result: TickResult) -> None:
+        """Log what happened in this tick; most ticks have nothing to tell."""
+        if tick.skipped:
+            late_ms = tick.lateness_ns / _NS_PER_MS
+            log.warning("ticks_skipped", skipped=tick.skipped, late_ms=late_ms)
+        for event in result.events:
+            log_event(event)
+        signature = result.why.signature()
+        if signature != self._told_why:
+            self._told_why = signature
+            log.info("why", sentence=result.why.sentence())
+
+    def _mind_the_link(self, now_ns: int) -> None:
+        if self.door.is_open or self._stopping is not None:
+            return
+        self.gateway.link_lost(now_ns)
+        if self._was_open:
+            self._was_open = False
+            log.error("link_lost", reason=self.door.lost)
+        if now_ns >= self._next_open_ns:
+            self._next_open_ns = now_ns + self._reopen_ns
+            self._try_to_open()
+
+    def _try_to_open(self) -> None:
+        try:
+            self.door.open()
+        except UnavailableError as error:
+            self.gateway.link_lost(time.monotonic_ns())
+            if str(error) != self._told_lost:
+                self._told_lost = str(error)
+                log.error("link_unavailable", reason=str(error))
+        else:
+            self._was_open, self._told_lost = True, None
+            self.gateway.link_opened(time.monotonic_ns())
+            log.info("link_open")
+
+    def _log_end(self) -> None:
+        schedule = self.schedule
+        log.info(
+            "stopped",
+            reason=self._stopping,
+            mode=self.gateway.supervisor.mode.value,
+            elapsed_s=round((time.monotonic_ns() - schedule.origin_ns) / _NS_PER_S, 3),
+            ticks=schedule.ticks,
+            skipped=schedule.skipped,
+            silent_ticks=self.silent_ticks,
+            sent_frames=self.door.counters.sent,
+            unsent_frames=self.door.counters.refused,
+            lateness_p50_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.5)),
+            lateness_p99_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.99)),
+            receiver_bugs=self.door.counters.receiver_bugs,
+        )
+
+
+def _microseconds(duration_ns: int | None) -> int | None:
+    return None if duration_ns is None else duration_ns // 1000

@@ -1,0 +1,81 @@
+"""Configuration -> the parts of the program, put together."""
+
+import dataclasses
+import time
+from pathlib import Path
+
+from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.config import BenchDemand, Config
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.demand import ControllerDemand, PowerMode
+from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.daemon import Daemon, Observer
+from vcu_gateway.protocol import dbc, packaged
+
+
+def load_protocol(config: Config) -> ProtocolSpec:
+    """The configured DBC, or the packaged one, with the configured aliases."""
+    path = config.protocol.dbc
+    spec = dbc.load(packaged("vcu.dbc") if path is None else Path(path))
+    return dataclasses.replace(spec, aliases=config.protocol.aliases)
+
+
+def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = None) -> Daemon:
+    """Gateway, bus door and tick loop of this configuration; the bus is not opened yet."""
+    codec = Codec(protocol)
+    gateway = Gateway(codec, settings(config), time.monotonic_ns())
+    door = Door(bus_settings(config), codec.identifiers(), gateway.intake.receive)
+    return Daemon(gateway, door, reopen_ms=config.bus.reopen_ms, observer=observer)
+
+
+def settings(config: Config) -> Settings:
+    """What the core is told."""
+    limits, safety, demand = config.limits, config.safety, config.bench.demand
+    return Settings(
+        late_after_ms=config.freshness.late_after_ms,
+        stale_after_ms=config.freshness.stale_after_ms,
+        transmit_priority=config.protocol.transmit_priority,
+        required=safety.required_messages,
+        listen_before_talk_ms=safety.listen_before_talk_ms,
+        qualify_frames=safety.qualify_frames,
+        clear_hold_ms=safety.clear_hold_ms,
+        speed_limit_max_rpm=limits.speed_limit_max_rpm,
+        power_limit_max_w=limits.power_limit_max_w,
+        derated_power_w=limits.derated_power_w,
+        regen_limit_pct=limits.regen_limit_pct,
+        throttle_slew_pct_per_s=limits.throttle_slew_pct_per_s,
+        power_slew_w_per_s=limits.power_slew_w_per_s,
+        regen_slew_pct_per_s=limits.regen_slew_pct_per_s,
+        direction_change_rpm=limits.direction_change_rpm,
+        ttl_max_ms=config.demand.ttl_max_ms,
+        priorities=config.demand.priorities,
+        expect_echo=config.bus.interface != "udp_multicast",
+        bench_demand=None if demand is None else _bench_demand(demand),
+        auto_arm=config.bench.auto_arm,
+    )
+
+
+def bus_settings(config: Config) -> BusSettings:
+    """What the bus door is told."""
+    bus = config.bus
+    return BusSettings(
+        interface=bus.interface,
+        channel=bus.channel,
+        kernel_filters=bus.kernel_filters,
+        gather_s=bus.gather_ms / 1000,
+        receive_buffer_bytes=bus.receive_buffer_bytes,
+    )
+
+
+def _bench_demand(demand: BenchDemand) -> ControllerDemand:
+    return ControllerDemand(
+        throttle_pct=demand.throttle_pct,
+        brake_pct=demand.brake_pct,
+        power_mode=PowerMode[demand.power_mode.upper()],
+        motor_reverse=demand.motor_reverse,
+        regen_brake=demand.regen_brake,
+        speed_limit_rpm=demand.speed_limit_rpm,
+        power_limit_w=demand.power_limit_w,
+    )

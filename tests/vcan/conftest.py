@@ -1,0 +1,161 @@
+"""A real vcan0, the real program, and a recorder that is a process of its own."""
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+HERE = Path(__file__).parent
+CHANNEL = "vcan0"
+PATIENCE_S = 20.0
+EXTENDED = 0b100
+COMMANDS = (0x0008A7D0, 0x0008A8D0)
+
+
+def can_is_missing() -> str | None:
+    """Why this machine cannot run these tests, or None."""
+    try:
+        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
+            bus.bind((CHANNEL,))
+    except (OSError, AttributeError) as error:
+        return f"no {CHANNEL} here: {error}; `make test-vcan` runs these in the lab"
+    return None
+
+
+@pytest.fixture(scope="session", autouse=True)
+def a_real_vcan0():
+    why = can_is_missing()
+    if why and (os.environ.get("CI") or os.environ.get("VCU_REQUIRE_CAN")):
+        pytest.exit(why, returncode=1)
+    if why:
+        pytest.skip(why)
+
+
+class Recorded(NamedTuple):
+    """One frame as the recorder's socket saw it: kernel stamp, wall clock."""
+
+    stamp_ns: int
+    flags: int
+    can_id: int
+    data: bytes
+
+
+@dataclass
+class Process:
+    """A child with its output in files, so that no full pipe ever stops it."""
+
+    popen: subprocess.Popen[bytes]
+    out: Path
+    err: Path
+
+    def stop(self, number: int = signal.SIGTERM, patience_s: float = PATIENCE_S) -> int:
+        if self.popen.poll() is None:
+            self.popen.send_signal(number)
+        return self.popen.wait(patience_s)
+
+    def log(self) -> list[dict[str, object]]:
+        lines = self.err.read_text().splitlines()
+        return [json.loads(line) for line in lines if line.startswith("{")]
+
+    def logged(self, event: str) -> dict[str, object]:
+        return next(entry for entry in self.log() if entry["event"] == event)
+
+
+@dataclass
+class Stand:
+    """Starts processes on the bus and ends them with the test."""
+
+    folder: Path
+    children: list[Process] = field(default_factory=list)
+
+    def start(self, name: str, *command: str) -> Process:
+        out, err = self.folder / f"{name}.out", self.folder / f"{name}.err"
+        with out.open("wb") as stdout, err.open("wb") as stderr:
+            popen = subprocess.Popen(
+                command, stdout=stdout, stderr=stderr, stdin=subprocess.DEVNULL
+            )
+        child = Process(popen, out, err)
+        self.children.append(child)
+        return child
+
+    def gateway(self, config: str = "", *options: str) -> Process:
+        """`vcu-gateway run` on vcan0 with this text added to the configuration."""
+        path = self.folder / "gateway.yaml"
+        path.write_text(f"bus: {{channel: {CHANNEL}}}\n{config}")
+        return self.start("gateway", *program("run", "-c", str(path), *options))
+
+    def record(self) -> "Recording":
+        path = self.folder / "recording"
+        child = self.start(
+            "recorder", sys.executable, str(HERE / "recorder.py"), CHANNEL, str(path)
+        )
+        wait_until(lambda: child.out.read_text() == "ready\n", "the recorder")
+        return Recording(child, path)
+
+    def replay(self, log: Path) -> Process:
+        return self.start("replay", sys.executable, str(HERE / "replay.py"), CHANNEL, str(log))
+
+
+@dataclass
+class Recording:
+    process: Process
+    path: Path
+
+    def frames(self) -> list[Recorded]:
+        """Everything recorded so far."""
+        frames = []
+        for line in self.path.read_text().splitlines(keepends=True):
+            if line.endswith("\n"):
+                stamp, can_id, data = line.rstrip("\n").split(",")
+                flagged = int(can_id, 16)
+                flags, can_id = flagged >> 29, flagged & 0x1FFF_FFFF
+                frames.append(Recorded(int(stamp), flags, can_id, bytes.fromhex(data)))
+        return frames
+
+    def commands(self) -> list[Recorded]:
+        return [f for f in self.frames() if f.flags == EXTENDED and f.can_id in COMMANDS]
+
+    def wait_for(self, condition: Callable[[list[Recorded]], bool], what: str) -> list[Recorded]:
+        wait_until(lambda: condition(self.frames()), what)
+        return self.frames()
+
+
+def program(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "vcu_gateway", *arguments]
+
+
+def wait_until(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+    """Poll until true; the test fails, saying what was waited for, after patience_s."""
+    deadline = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {patience_s} s in vain for {what}"
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def ended_after(stand: Stand) -> Iterator[Stand]:
+    """A stand whose children do not outlive the block."""
+    try:
+        yield stand
+    finally:
+        for child in stand.children:
+            if child.popen.poll() is None:
+                child.popen.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                child.popen.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[Stand]:
+    with ended_after(Stand(tmp_path)) as stand:
+        yield stand
