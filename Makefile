@@ -1,0 +1,50 @@
+# `make demo` and `make test` do all their own set-up on a fresh Debian or Ubuntu machine.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.set-up
+LAB := tests/lab/lab
+
+.PHONY: help setup demo test test-quick test-vcan lint nightly bench lock dist clean
+
+help:  ## show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(STAMP)  ## build .venv with the program and its tools
+
+$(STAMP): pyproject.toml requirements.lock requirements-dev.lock scripts/setup
+	@scripts/setup $(PYTHON) $(VENV)
+	@touch $@
+
+demo: setup  ## gateway and simulated vehicle with a live table, without hardware
+	@$(BIN)/vcu-gateway demo
+
+test: setup lint test-quick test-vcan  ## everything: lint, types, tests, tests on a real vcan0
+
+test-quick: setup  ## the tests that need no CAN
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest --ignore=tests/vcan --ignore=tests/lab
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
+	$(BIN)/coverage report --format=total | sed 's/.*/all rooms together: & % covered/'
+
+test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
+	$(LAB) install
+	$(BIN)/pytest tests/lab
+	$(LAB) run --timeout 900 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest tests/vcan
+
+lint: setup  ## style, types, import contracts, generated files
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/vcu-gateway dbc --check
+
+bench: setup  ## compare with the naive way; writes docs/benchmarks.md
+	$(BIN)/python -m bench
+
+lock: setup  ## resolve and hash the dependencies again
+	scripts/lock $(BIN)
+
+clean:  ## remove what was built
+	rm -rf $(VENV) build dist .coverage* .mypy_cache .ruff_cache .pytest_cache .hypothesis
