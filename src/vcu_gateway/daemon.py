@@ -7,20 +7,16 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
-import structlog
-
 from vcu_gateway.bus.door import Door
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.log import log_event
+from vcu_gateway.log import log, log_event
 
 _SWITCH_INTERVAL_S = 0.0005
 _COLLECT_EVERY_TICKS = 1200
 _NS_PER_S = 1_000_000_000
 _NS_PER_MS = 1_000_000
-
-log = structlog.get_logger()
 
 Observer = Callable[[Tick, TickResult], None]
 

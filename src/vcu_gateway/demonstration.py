@@ -20,6 +20,8 @@ from vcu_gateway.simulator.play import open_bus, play
 from vcu_gateway.view import Picture, render
 
 _REOPEN_MS = 200
+_ROOMY_LINES = 34
+_PLAIN_COLUMNS = 120
 
 
 class Demonstration:
@@ -65,18 +67,21 @@ class Demonstration:
             self._vehicle_bus.shutdown()
 
     def show_live(self, done: threading.Event, every_s: float) -> None:
-        """Keep one table in place on the terminal until done."""
-        with Live(auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
+        """Fill the terminal with the picture until done, and leave the last one behind."""
+        console = Console()
+        with Live(console=console, screen=True, auto_refresh=False) as live:
             while not done.wait(every_s):
-                live.update(self.picture(), refresh=True)
+                roomy = console.height >= _ROOMY_LINES
+                live.update(self.picture(roomy), refresh=True)
+        console.print(self.picture())
 
     def show_plain(self, done: threading.Event, every_s: float) -> None:
-        """Print a table now and then, for a pipe or a file."""
-        console = Console(width=120)
+        """Print the picture now and then, for a pipe or a file."""
+        console = Console(width=_PLAIN_COLUMNS)
         while not done.wait(every_s):
             console.print(Group(self.picture(), Text()))
 
-    def picture(self) -> RenderableType:
+    def picture(self, roomy: bool = True) -> RenderableType:
         """What is known now."""
         result = self._latest
         if result is None:
@@ -93,7 +98,8 @@ class Demonstration:
                 rejected={r.value: n for r, n in self._gateway.intake.rejected.items()},
                 refused=self._door.counters.refused,
                 dropped=self._door.dropped,
-            )
+            ),
+            roomy,
         )
 
     def summary(self) -> str:

@@ -13,6 +13,10 @@ _QUEUE_LINES = 1000
 _FLUSH_S = 1.0
 
 
+log = structlog.get_logger()
+"""The program's log: log.info("event_name", field=value)."""
+
+
 class QueuedWriter:
     """A file-like object that hands lines to a writing thread and never blocks.
 
@@ -103,4 +107,4 @@ def log_event(event: Event) -> None:
         Severity.ERROR: "error",
         Severity.CRITICAL: "critical",
     }[event.severity]
-    getattr(structlog.get_logger(), name)(event.name, **event.fields)
+    getattr(log, name)(event.name, **event.fields)

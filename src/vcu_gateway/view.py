@@ -55,23 +55,25 @@ class Picture:
     dropped: int | None = None
 
 
-def render(picture: Picture) -> RenderableType:
-    """The picture for a terminal of any width from 80 columns."""
+def render(picture: Picture, roomy: bool = True) -> RenderableType:
+    """The picture for a terminal from 80 x 24 on; one line a message unless it is roomy."""
     return Group(
         Text(picture.title, style="bold", no_wrap=True, overflow="ellipsis"),
         Text(picture.why.sentence(), style=_MODE_STYLES[picture.why.mode]),
-        _received(picture.snapshot),
+        Text(),
         _sent(picture),
         _health(picture),
+        Text(),
+        _received(picture.snapshot, roomy),
     )
 
 
-def _received(snapshot: Snapshot) -> Table:
+def _received(snapshot: Snapshot, roomy: bool) -> Table:
     table = Table(expand=True, pad_edge=False, box=None, header_style="dim", padding=(0, 1))
     table.add_column("received", no_wrap=True, width=18)
     table.add_column("age ms", justify="right", no_wrap=True, width=6)
     table.add_column("Hz", justify="right", no_wrap=True, width=5)
-    table.add_column("signals (an enumeration only where it is not 0)", ratio=1)
+    table.add_column("signals", ratio=1, no_wrap=not roomy, overflow="ellipsis")
     for message in snapshot.messages:
         latest = snapshot.latest(message.name)
         period_ns = latest.period_ns if latest else None
@@ -91,7 +93,9 @@ def _age(age_ns: int | None) -> str:
 def _signals(readings: tuple[Reading, ...]) -> Text:
     text = Text()
     prefix = common_prefix([reading.name for reading in readings])
-    shown = [reading for reading in readings if _worth_showing(reading)]
+    # Quantities first, then what is not at its code 0: that is what a person looks for.
+    shown = [one for one in readings if one.unit and one.value is not None]
+    shown += [one for one in readings if not one.unit and (one.raw or _marked(one))]
     for index, reading in enumerate(shown):
         name = reading.name.removeprefix(prefix) or reading.name
         text.append(f"{'  ' if index else ''}{name} ", style="dim")
@@ -112,11 +116,8 @@ def common_prefix(names: list[str]) -> str:
     return shortest[:length]
 
 
-def _worth_showing(reading: Reading) -> bool:
-    if reading.value is None:
-        return False
-    quantity = bool(reading.unit)
-    return quantity or bool(reading.raw) or reading.quality is Quality.OUT_OF_RANGE
+def _marked(reading: Reading) -> bool:
+    return reading.quality is Quality.OUT_OF_RANGE
 
 
 def _value(reading: Reading) -> str:

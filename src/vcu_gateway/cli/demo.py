@@ -44,10 +44,11 @@ def command(duration_s: float | None, throttle_pct: float, battery_speedup: floa
     process; the first line says which. No hardware is touched.
     """
     try:
-        from vcu_gateway import demonstration
+        from vcu_gateway import demonstration, log
     except ImportError as error:
         remedy = "install the extra: pip install 'vcu-gateway[tui]'"
         raise UnavailableError(Problem(f"the live table needs {error.name}", "", remedy)) from error
+    log.configure("error", "console")
     real = vcan0_is_up()
     where = "vcan0" if real else "python-can's virtual bus (no vcan0 is up)"
     demo = demonstration.Demonstration(

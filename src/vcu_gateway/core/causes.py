@@ -102,9 +102,7 @@ class Causes:
 
 
 def _event(name: str, finding: Finding) -> Event:
-    severity = Severity.INFO
-    if name == "cause_began":
-        severity = Severity.ERROR if finding.effect in BLOCKING else Severity.WARNING
+    severity = Severity.WARNING if name == "cause_began" else Severity.INFO
     fields = {
         "cause": finding.cause,
         "subject": finding.subject,
