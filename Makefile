@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
 
-.PHONY: help setup demo test test-quick test-vcan lint nightly bench lock dist clean
+.PHONY: help setup demo test test-quick test-vcan lint nightly mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -23,7 +23,7 @@ test: setup lint test-quick test-vcan  ## everything: lint, types, tests, tests 
 
 test-quick: setup  ## the tests that need no CAN
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest --ignore=tests/vcan --ignore=tests/lab
+	$(BIN)/coverage run -m pytest -m 'not slow' --ignore=tests/vcan --ignore=tests/lab
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
 	$(BIN)/coverage report --format=total | sed 's/.*/all rooms together: & % covered/'
@@ -31,7 +31,12 @@ test-quick: setup  ## the tests that need no CAN
 test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	$(LAB) install
 	$(BIN)/pytest tests/lab
-	$(LAB) run --timeout 900 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest tests/vcan
+	$(LAB) run --timeout 900 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest -m 'not slow' tests/vcan
+
+nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
+	HYPOTHESIS_PROFILE=nightly $(BIN)/pytest --ignore=tests/vcan --ignore=tests/lab
+	$(LAB) install
+	$(LAB) run --timeout 1800 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest -s tests/vcan
 
 lint: setup  ## style, types, import contracts, generated files
 	$(BIN)/ruff format --check .

@@ -87,7 +87,6 @@ def configure(
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.WriteLoggerFactory(writer),  # type: ignore[arg-type]
-        cache_logger_on_first_use=True,
     )
     return writer
 

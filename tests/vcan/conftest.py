@@ -76,6 +76,7 @@ class Stand:
     """Starts processes on the bus and ends them with the test."""
 
     folder: Path
+    channel: str = CHANNEL
     children: list[Process] = field(default_factory=list)
 
     def start(self, name: str, *command: str) -> Process:
@@ -89,21 +90,31 @@ class Stand:
         return child
 
     def gateway(self, config: str = "", *options: str) -> Process:
-        """`vcu-gateway run` on vcan0 with this text added to the configuration."""
+        """`vcu-gateway run` on the channel with this text added to the configuration."""
         path = self.folder / "gateway.yaml"
-        path.write_text(f"bus: {{channel: {CHANNEL}}}\n{config}")
+        path.write_text(f"bus: {{channel: {self.channel}}}\n{config}")
         return self.start("gateway", *program("run", "-c", str(path), *options))
 
     def record(self) -> "Recording":
         path = self.folder / "recording"
         child = self.start(
-            "recorder", sys.executable, str(HERE / "recorder.py"), CHANNEL, str(path)
+            "recorder", sys.executable, str(HERE / "recorder.py"), self.channel, str(path)
         )
         wait_until(lambda: child.out.read_text() == "ready\n", "the recorder")
         return Recording(child, path)
 
     def replay(self, log: Path) -> Process:
-        return self.start("replay", sys.executable, str(HERE / "replay.py"), CHANNEL, str(log))
+        script = str(HERE / "replay.py")
+        return self.start("replay", sys.executable, script, self.channel, str(log))
+
+    def vehicle(self, scenario: str = "") -> Process:
+        """`vcu-gateway simulate` on the channel, broken by this scenario."""
+        options = ["--channel", self.channel]
+        if scenario:
+            path = self.folder / "scenario.yaml"
+            path.write_text(scenario)
+            options += ["--scenario", str(path)]
+        return self.start("vehicle", *program("simulate", *options))
 
 
 @dataclass
@@ -130,6 +141,12 @@ class Recording:
         return self.frames()
 
 
+def ip(*arguments: str) -> None:
+    """Configure interfaces, as root or through sudo."""
+    sudo = [] if os.geteuid() == 0 else ["sudo"]
+    subprocess.run([*sudo, "ip", *arguments], check=True)
+
+
 def program(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "vcu_gateway", *arguments]
 
@@ -153,6 +170,24 @@ def ended_after(stand: Stand) -> Iterator[Stand]:
                 child.popen.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 child.popen.wait(PATIENCE_S)
+
+
+FIGURES = pytest.StashKey[list[str]]()
+
+
+@pytest.fixture
+def figures(request: pytest.FixtureRequest) -> list[str]:
+    """Lines that are printed at the end of the run, passed or not."""
+    return request.config.stash.setdefault(FIGURES, [])
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    if lines := config.stash.get(FIGURES, []):
+        terminalreporter.section("measured on the bus")
+        for line in lines:
+            terminalreporter.line(line)
 
 
 @pytest.fixture

@@ -1,0 +1,113 @@
+"""The command line as a newcomer meets it, and the README's promises."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+VERBS = ["run", "simulate", "demo", "decode", "check-config", "schema", "dbc", "version"]
+
+
+def vcu(*arguments: str, timeout_s: float = 60) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "vcu_gateway", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, cwd=ROOT)
+
+
+def test_the_help_names_every_verb_and_the_exit_codes():
+    done = vcu("--help")
+    assert done.returncode == 0
+    for verb in VERBS:
+        assert re.search(rf"^  {verb}  +\w", done.stdout, re.MULTILINE), verb
+    assert re.search(r"78 wrong\s+configuration", done.stdout)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself(verb):
+    done = vcu(verb, "--help")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"Usage: vcu-gateway {verb} ")
+    assert len(done.stdout.splitlines()) >= 5
+
+
+def test_a_wrong_verb_or_option_is_exit_2_with_a_hint():
+    assert vcu("fly").returncode == 2
+    done = vcu("run", "--confg", "x")
+    assert done.returncode == 2
+    assert "--config" in done.stderr
+
+
+def test_a_broken_configuration_is_exit_78_and_one_line_an_error(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_text("bus:\n  chanel: can0\n  reopen_ms: 1\n")
+    done = vcu("run", "-c", str(path))
+    assert done.returncode == 78
+    assert done.stdout == ""
+    first, second = done.stderr.splitlines()
+    assert first == f'error: {path}:2: bus.chanel: unknown key; did you mean "channel"?'
+    assert second.startswith(f"error: {path}:3: bus.reopen_ms: must be at least 50 ms, not 1")
+
+
+def test_the_gateway_runs_on_the_virtual_bus_and_writes_its_state(tmp_path):
+    config, state = tmp_path / "gateway.yaml", tmp_path / "state.json"
+    config.write_text("bus: {interface: virtual, channel: alone}\n")
+    done = vcu("run", "-c", str(config), "--duration", "1.5", "--state-out", str(state))
+    assert done.returncode == 0, done.stderr
+    found = json.loads(state.read_text())
+    ticks = found["ticks"]
+    assert ticks["done"] + ticks["skipped"] == 33
+    assert found["bus"]["sent"] == 2 * (ticks["done"] - ticks["silent"])
+    assert found["messages"]["BMS_Status"]["signals"]["SOC"]["quality"] == "never"
+    events = [json.loads(line)["event"] for line in done.stderr.splitlines()]
+    assert events[0] == "link_open"
+    assert events[-1] == "stopped"
+
+
+def test_the_demo_shows_live_values_without_hardware():
+    done = vcu("demo", "--duration", "5")
+    assert done.returncode == 0, done.stderr
+    assert "active; demand of bench" in done.stdout
+    assert re.search(r"PCU1_Status2 +\d+ +2\d\.\d|PCU1_Status2 +\d+ +19\.\d", done.stdout)
+    assert re.search(r"MotorSpeed [1-9]\d* *\n? *rpm|MotorSpeed [1-9]", done.stdout)
+
+
+def readme_commands() -> list[str]:
+    """Every command of the README that needs no root, no CAN and no make."""
+    blocks = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines()]
+    return [
+        line.removeprefix(".venv/bin/")
+        for line in lines
+        if line.startswith(".venv/bin/vcu-gateway") and not re.search(r"vcan0|bench-vcan0", line)
+    ]
+
+
+@pytest.mark.parametrize("line", readme_commands())
+def test_the_commands_of_the_readme_work_in_its_words(line, tmp_path):
+    arguments = shlex.split(line.removeprefix("vcu-gateway "))
+    arguments = [str(tmp_path / "out") if word == "decoded.jsonl" else word for word in arguments]
+    done = vcu(*arguments)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_readme_has_commands_and_its_links_lead_somewhere():
+    assert len(readme_commands()) >= 5
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_starting_imports_nothing_that_the_first_tick_does_not_need():
+    heavy = ("simulator", "view", "recording", "demonstration", "protocol.definition")
+    code = f"""
+import sys, vcu_gateway.cli.run
+print([name for name in {heavy} if "vcu_gateway." + name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout == "[]\n"

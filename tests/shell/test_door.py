@@ -1,0 +1,167 @@
+"""The bus door on python-can's virtual bus: frames in, frames out, failures told once."""
+
+import threading
+import time
+import uuid
+
+import can
+import pytest
+
+from vcu_gateway.bus.door import BusSettings, Door, kernel_filters
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.output import OutFrame
+from vcu_gateway.errors import UnavailableError
+
+PATIENCE_S = 5.0
+COMMAND = OutFrame("PCU1", 0x0008A7D0, bytes.fromhex("0c000000e02e0000"))
+
+
+class Inbox:
+    """Collects frames and wakes whoever waits for a number of them."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+        self._changed = threading.Condition()
+
+    def __call__(self, frame: Frame) -> None:
+        with self._changed:
+            self.frames.append(frame)
+            self._changed.notify_all()
+
+    def wait_for(self, count: int) -> list[Frame]:
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.frames) >= count, PATIENCE_S)
+        return self.frames
+
+
+@pytest.fixture
+def channel():
+    return f"door-{uuid.uuid4()}"
+
+
+@pytest.fixture
+def inbox():
+    return Inbox()
+
+
+@pytest.fixture
+def door(channel, inbox):
+    settings = BusSettings("virtual", channel)
+    door = Door(settings, [0x1808D0F4, 0x0008A7D0], inbox)
+    door.open()
+    yield door
+    door.close()
+
+
+@pytest.fixture
+def other(channel, door):
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        yield bus
+
+
+def test_a_frame_of_ours_arrives_with_a_monotonic_stamp(door, other, inbox):
+    before_ns = time.monotonic_ns()
+    other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(range(8))))
+    (frame,) = inbox.wait_for(1)
+    assert (frame.can_id, bytes(frame.data)) == (0x1808D0F4, bytes(range(8)))
+    assert frame.extended
+    assert (frame.remote, frame.error, frame.own_echo) == (False, False, False)
+    # The virtual bus stamps with the wall clock, whose float has a resolution of 0.2 us.
+    assert before_ns - 1_000_000 <= frame.arrival_ns <= time.monotonic_ns()
+
+
+def test_only_our_identifiers_pass_the_filters_at_any_priority(door, other, inbox):
+    for can_id in (0x18FECA15, 0x0808D0F4, 0x1808D0F5, 0x1808D0F4):
+        other.send(can.Message(arbitration_id=can_id, data=bytes(8)))
+    other.send(can.Message(arbitration_id=0x0F4, is_extended_id=False, data=bytes(8)))
+    other.send(can.Message(arbitration_id=0x0008A7D0, data=bytes(8)))
+    frames = inbox.wait_for(3)
+    assert [frame.can_id for frame in frames] == [0x0808D0F4, 0x1808D0F4, 0x0008A7D0]
+
+
+def test_the_filters_mask_the_priority_out_and_demand_the_extended_flag():
+    assert kernel_filters([0x1808D0F4, 0x0808D0F4]) == [
+        {"can_id": 0x0008D0F4, "can_mask": 0x03FFFFFF, "extended": True}
+    ]
+
+
+def test_a_sent_frame_is_on_the_bus_and_comes_back_as_our_own_echo(door, other, inbox):
+    assert door.send(COMMAND)
+    seen = other.recv(PATIENCE_S)
+    assert (seen.arbitration_id, bytes(seen.data), seen.is_extended_id) == (
+        COMMAND.can_id,
+        COMMAND.data,
+        True,
+    )
+    (frame,) = inbox.wait_for(1)
+    assert frame.own_echo
+    assert door.counters.sent == 1
+
+
+def test_the_same_frame_of_another_node_is_no_echo(door, other, inbox):
+    other.send(can.Message(arbitration_id=COMMAND.can_id, data=COMMAND.data))
+    (frame,) = inbox.wait_for(1)
+    assert not frame.own_echo
+
+
+def test_sending_on_a_closed_door_is_refused_and_counted(door):
+    door.close()
+    assert not door.send(COMMAND)
+    assert not door.is_open
+    assert door.counters.refused == {"closed": 1}
+    door.close()  # a second time does nothing
+
+
+def test_a_door_can_be_opened_again(door, other, inbox):
+    door.open()
+    assert door.is_open
+    other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
+    inbox.wait_for(1)
+
+
+def test_a_bug_in_the_receiver_costs_its_frame_and_nothing_else(channel):
+    inbox, bugs = Inbox(), [RuntimeError("bug"), None]
+
+    def receive(frame: Frame) -> None:
+        if error := bugs.pop(0):
+            raise error
+        inbox(frame)
+
+    door = Door(BusSettings("virtual", channel), [0x1808D0F4], receive)
+    door.open()
+    with can.Bus(interface="virtual", channel=channel) as other:
+        for _ in range(2):
+            other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
+        inbox.wait_for(1)
+    assert door.is_open
+    assert (door.counters.received, door.counters.receiver_bugs) == (2, 1)
+    assert door.counters.last_bug == "RuntimeError('bug')"
+    door.close()
+
+
+def test_a_failed_bus_is_told_as_lost_and_nothing_is_raised(channel, inbox):
+    door = Door(BusSettings("virtual", channel), [0x1808D0F4], inbox)
+    door.open()
+    listener = door._listener()
+    listener.on_error(can.CanOperationError("Failed to receive: Network is down", 100))
+    assert door.lost == "Failed to receive: Network is down [Error Code 100]"
+    assert not door.send(COMMAND)
+    door.close()
+
+
+def test_an_interface_that_is_not_there_is_explained_with_what_to_do(inbox):
+    door = Door(BusSettings("socketcan", "nocan9"), [0x1808D0F4], inbox)
+    with pytest.raises(UnavailableError, match="cannot open socketcan nocan9") as caught:
+        door.open()
+    (problem,) = caught.value.problems
+    assert problem.remedy.startswith(("this kernel has no CAN", "for a bench: ip link add"))
+    assert not door.is_open
+
+
+def test_the_report_has_every_counter_as_plain_data(door):
+    door.send(COMMAND)
+    report = door.report()
+    assert report["sent"] == 1
+    assert set(report) == {
+        "received", "sent", "refused", "receiver_bugs", "last_bug", "dropped", "lost",
+    }  # fmt: skip
