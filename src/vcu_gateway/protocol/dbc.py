@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cantools
 from cantools.database import Database, Message, Node, Signal
@@ -15,7 +15,9 @@ from cantools.database.namedsignalvalue import NamedSignalValue
 from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
-from vcu_gateway.protocol.definition import Definition
+
+if TYPE_CHECKING:  # the daemon reads a DBC and never the definition
+    from vcu_gateway.protocol.definition import Definition
 
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG"]
 _SATURATED = "VcuSaturatedRaw"
@@ -24,7 +26,7 @@ _NOT_SATURATED = -1
 _Definitions = OrderedDict[str, Any]
 
 
-def write(definition: Definition) -> str:
+def write(definition: "Definition") -> str:
     """The DBC of a definition, the same text every time."""
     spec = definition.spec
     definitions = _attribute_definitions()
@@ -84,6 +86,7 @@ def _message(message: MessageSpec, definitions: _Definitions) -> Message:
         strict=True,
         protocol="j1939",
         cycle_time=message.period_ms,
+        sort_signals=None,
     )
 
 
