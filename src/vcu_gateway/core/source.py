@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, SignalSpec
 
 _STRUCT_CODES = {8: "B", 16: "H", 32: "I", 64: "Q"}
+_EXACT_FLOAT_BITS = 53
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,22 +42,27 @@ def plan(message: MessageSpec) -> Layout:
         for i, signal in enumerate(signals)
         if (code := _struct_code(signal, order))
     }
-    rest = [i for i in range(len(signals)) if i not in {i for i, _ in whole.values()}]
-    bytes_of = {i: {position // 8 for position in signals[i].bit_positions()} for i in rest}
+    held = {i for i, _ in whole.values()}
+    bytes_of = {
+        i: {position // 8 for position in signal.bit_positions()}
+        for i, signal in enumerate(signals)
+        if i not in held
+    }
     byte_of = {i: min(touched) for i, touched in bytes_of.items() if len(touched) == 1}
-    parts, fields, covered = [">" if order == "big" else "<"], [], 0
+    codes, fields, free_from = [">" if order == "big" else "<"], [], 0
     for byte in range(FRAME_LENGTH_BYTES):
         if byte in whole:
             index, code = whole[byte]
             fields.append(f"r{index}")
-            parts.append(code)
-            covered = byte + signals[index].length_bits // 8
+            codes.append(code)
+            free_from = byte + signals[index].length_bits // 8
         elif byte in byte_of.values():
             fields.append(f"b{byte}")
-            parts.append("B")
-        elif byte >= covered:
-            parts.append("x")
-    return Layout("".join(parts), tuple(fields), byte_of, frozenset(rest) - byte_of.keys())
+            codes.append("B")
+        elif byte >= free_from:
+            codes.append("x")
+    crossing = frozenset(bytes_of.keys() - byte_of.keys())
+    return Layout("".join(codes), tuple(fields), byte_of, crossing)
 
 
 def _struct_code(signal: SignalSpec, order: str) -> str | None:
@@ -198,10 +204,19 @@ def _saturating_lines(index: int, signal: SignalSpec) -> list[str]:
         scaled += f" / {_plain(signal.factor)!r}"
     if (low, high) == (0, 1):
         return [f"        {raw} = 1 if {scaled} > 0.5 else 0"]
+    above, below = _limit(signal, low), _limit(signal, high)
+    # round() calls the same method, after a search that costs as much again.
+    inside, outside = "x.__round__()", f"{high} if x >= {below} else {low}"
     return [
         f"        x = {scaled}",
-        f"        {raw} = round(x) if {low} < x < {high} else {high} if x >= {high} else {low}",
+        f"        {raw} = {inside} if {above} < x < {below} else {outside}",
     ]
+
+
+def _limit(signal: SignalSpec, raw: int) -> float:
+    """A code to compare with: quantities come as floats, and like is compared with like faster."""
+    exact = signal.length_bits <= _EXACT_FLOAT_BITS
+    return float(raw) if exact and not signal.names else raw
 
 
 def _pack_line(signals: tuple[SignalSpec, ...], layout: Layout) -> str:

@@ -11,6 +11,7 @@ from vcu_gateway.protocol.rows import ByteOrder, File, MessageRow, SignalRow, pa
 from vcu_gateway.yaml_lines import LineMap
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}")
+_NO_IDENTIFIER = -1
 _NO_NAME = "is no DBC name (letters, digits, _, at most 32)"
 
 _At = tuple[str | int, ...]
@@ -74,28 +75,29 @@ class Builder:
         can_id = self._identifier(key, row, node)
         message = MessageSpec(
             name=name,
-            can_id=can_id or 0,
+            can_id=can_id,
             sender=row.sender.replace("{node}", node),
             receivers=tuple(party.replace("{node}", node) for party in row.receivers),
             period_ms=row.period_ms,
             signals=tuple(self._signals(key, row)),
             comment=row.comment,
         )
-        if self._check_parties(message, key) and can_id is not None:
+        if self._check_parties(message, key) and can_id != _NO_IDENTIFIER:
             self._check_addresses(message, key)
         self._check_overlap(message.signals, key)
         return message
 
-    def _identifier(self, key: str, row: MessageRow, node: str) -> int | None:
+    def _identifier(self, key: str, row: MessageRow, node: str) -> int:
         address = f"{self._addresses[node]:02X}" if node else ""
         try:
             can_id = int(row.id.replace("{address}", address), 16)
         except ValueError:
             self._refuse(f"{row.id!r} is no hexadecimal number", "messages", key, "id")
-            return None
+            return _NO_IDENTIFIER
         if not 0 <= can_id <= j1939.ID_MASK:
-            self._refuse(f"0x{can_id:08X} does not fit 29 bits", "messages", key, "id")
-        return can_id & j1939.ID_MASK
+            self._refuse(f"{row.id} does not fit 29 bits", "messages", key, "id")
+            return _NO_IDENTIFIER
+        return can_id
 
     def _check_parties(self, message: MessageSpec, key: str) -> bool:
         parties = dict.fromkeys(message.receivers, "receivers") | {message.sender: "sender"}
@@ -204,6 +206,8 @@ class Builder:
         for other in others:
             if other.name == message.name:
                 self._refuse(f"the name {message.name} stands twice", "messages", key)
+            if message.can_id == _NO_IDENTIFIER:
+                continue
             if j1939.match_key(other.can_id) == j1939.match_key(message.can_id):
                 taken = f"0x{message.can_id:08X} is taken by {other.name}"
                 self._refuse(f"{taken} (priority does not count)", "messages", key, "id")

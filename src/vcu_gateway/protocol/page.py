@@ -26,7 +26,7 @@ def _lines(definition: Definition) -> Iterator[str]:
     )
     yield from ("", "## Nodes", "", "| node | address | |", "| --- | --- | --- |")
     for name, address in spec.nodes.items():
-        yield f"| {name} | 0x{address:02X} ({address}) | {definition.node_comments[name]} |"
+        yield _row(name, f"0x{address:02X} ({address})", definition.node_comments[name])
     yield from ("", "## Messages", "")
     yield "| message | identifier | in the source | priority | PGN | from → to | period ms |"
     yield "| --- | --- | --- | --- | --- | --- | --- |"
@@ -44,37 +44,49 @@ def _lines(definition: Definition) -> Iterator[str]:
         yield f"- **{number} {title}.** {decision}"
 
 
+def _row(*cells: str) -> str:
+    """A row of a table; a bar inside a cell would end the cell."""
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
 def _message_row(message: MessageSpec, note: MessageNote) -> str:
     identifier = j1939.parse(message.can_id)
-    printed = note.source_id or "the same"
-    return (
-        f"| [{message.name}](#{message.name.lower()}) | 0x{message.can_id:08X} | {printed} "
-        f"| {identifier.priority} | {identifier.pgn} (0x{identifier.pgn:05X}) "
-        f"| {message.sender} → {', '.join(message.receivers)} | {message.period_ms or '—'} |"
+    return _row(
+        f"[{message.name}](#{message.name.lower()})",
+        f"0x{message.can_id:08X}",
+        note.source_id or "the same",
+        str(identifier.priority),
+        f"{identifier.pgn} (0x{identifier.pgn:05X})",
+        f"{message.sender} → {', '.join(message.receivers)}",
+        str(message.period_ms or "—"),
     )
 
 
 def _message_section(message: MessageSpec, note: MessageNote) -> Iterator[str]:
     yield from ("", f"## {message.name}", "")
-    yield message.comment + "."
-    yield ""
+    if message.comment:
+        yield from (message.comment + ".", "")
     yield "| signal | bits | factor | offset | unit | range | in the source | meaning |"
     yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
     for signal in message.signals:
         yield _signal_row(signal, note.signals[signal.name])
     for bits, why in note.reserved.items():
-        yield f"| (reserved) | {bits} | | | | | | {why} |"
+        yield _row("(reserved)", bits, "", "", "", "", "", why)
 
 
 def _signal_row(signal: SignalSpec, note: SignalNote) -> str:
     signedness = " signed" if signal.signed else ""
     meaning = [f"{code} {signal.names[code]}: {text}" for code, text in note.meanings.items()]
     extra = signal.comment.removeprefix(note.source_term).removeprefix("; ")
-    return (
-        f"| {signal.name} | {note.bits}{signedness} | {_number(signal.factor)} "
-        f"| {_number(signal.offset)} | {signal.unit} "
-        f"| {_number(signal.minimum)}…{_number(signal.maximum)} | {note.source_term} "
-        f"| {'<br>'.join([*meaning, *([extra] if extra else [])])} |"
+    return _row(
+        signal.name,
+        note.bits + signedness,
+        _number(signal.factor),
+        _number(signal.offset),
+        signal.unit,
+        f"{_number(signal.minimum)}…{_number(signal.maximum)}",
+        note.source_term,
+        "<br>".join([*meaning, *([extra] if extra else [])]),
     )
 
 

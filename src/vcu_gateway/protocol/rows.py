@@ -12,7 +12,7 @@ _BYTE_BITS = 8
 
 
 def _hexadecimal(identifier: object) -> object:
-    return hex(identifier) if type(identifier) is int else identifier
+    return f"0x{identifier:08X}" if type(identifier) is int else identifier
 
 
 # YAML reads a printed identifier as a number, and one with {address} in it as text.

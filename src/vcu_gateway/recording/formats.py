@@ -1,0 +1,83 @@
+"""The formats that python-can reads, as frames."""
+
+from collections.abc import Iterator
+from typing import IO, Any
+
+import can.io
+from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
+
+from vcu_gateway.core import j1939
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.recording.complaints import Complaints, Verdict
+from vcu_gateway.recording.lines import Lines
+from vcu_gateway.recording.recorded import Recorded
+
+Content = Lines | IO[bytes] | str
+"""The lines of a text format, the open file of a binary one, or the name of a database."""
+
+_NS_PER_S = 1e9
+
+
+def suffixes() -> tuple[str, ...]:
+    """Of every format that python-can reads."""
+    return tuple(sorted(can.io.MESSAGE_READERS))
+
+
+def is_text(suffix: str) -> bool:
+    """Whether this format is read line by line."""
+    return issubclass(can.io.MESSAGE_READERS[suffix], TextIOMessageReader)
+
+
+def is_binary(suffix: str) -> bool:
+    """Whether this format is read from an open file of bytes."""
+    return issubclass(can.io.MESSAGE_READERS[suffix], BinaryIOMessageReader)
+
+
+def frames(suffix: str, content: Content, complaints: Complaints) -> Iterator[Recorded]:
+    """Every frame; ends with an error at the first damage, as python-can cannot go on."""
+    messages = _messages(suffix, content)
+    place = 0
+    while True:
+        try:
+            message = next(messages, None)
+        except Exception as error:
+            # Any bytes went into somebody else's parser: its errors have no family.
+            place = content.number if isinstance(content, Lines) else place + 1
+            raise complaints.failure(place, error) from error
+        if message is None:
+            return
+        place = content.number if isinstance(content, Lines) else place + 1
+        if recorded := _recorded(message, place, complaints):
+            yield recorded
+
+
+def _messages(suffix: str, content: Content) -> Iterator[can.Message]:
+    reader_type: Any = can.io.MESSAGE_READERS[suffix]
+    with reader_type(content) as reader:
+        yield from reader
+
+
+def _recorded(message: can.Message, place: int, complaints: Complaints) -> Recorded | None:
+    try:
+        # A database holds whatever somebody put into its columns.
+        arrival_ns = round(float(message.timestamp) * _NS_PER_S)
+        can_id = int(message.arbitration_id)
+    except (TypeError, ValueError, OverflowError):
+        what = f"time {message.timestamp!r} or identifier {message.arbitration_id!r} is no number"
+        complaints.damaged(place, what)
+        return None
+    error = message.is_error_frame
+    if not error and can_id & j1939.ID_MASK != can_id:
+        error = True
+        if complaints.flagged(place, can_id) is Verdict.UNREADABLE:
+            return None
+    frame = Frame(
+        can_id & j1939.ID_MASK,
+        bytes(message.data),
+        arrival_ns,
+        message.is_extended_id,
+        message.is_remote_frame,
+        error,
+    )
+    channel = None if message.channel is None else str(message.channel)
+    return Recorded(frame, channel, place, message.is_fd)

@@ -1,0 +1,156 @@
+"""Opens a recording by its name."""
+
+import gzip
+import importlib.util
+import io
+import os
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import PurePath
+from types import TracebackType
+from typing import IO, cast
+
+from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
+from vcu_gateway.recording import candump
+from vcu_gateway.recording.complaints import Complaints
+from vcu_gateway.recording.lines import Lines
+from vcu_gateway.recording.recorded import Recorded
+
+STANDARD_INPUT = "-"
+"""The name that stands for candump text on standard input."""
+
+_CANDUMP = ".log"
+_GZIP = ".gz"
+_MF4 = ".mf4"
+
+
+class Recording:
+    """One recording, read once from beginning to end, and closed by `with`.
+
+    Attributes:
+        name: the file's, for people.
+        size_bytes: as stored; 0 where nobody knows.
+        live: frames may still come while it is read.
+        complaints: what could not be read so far.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        stored: IO[bytes],
+        suffix: str,
+        packed: bool,
+        report: Callable[[Problem], None],
+        *,
+        live: bool = False,
+    ) -> None:
+        self.name = name
+        self.size_bytes = 0 if live else os.fstat(stored.fileno()).st_size
+        self.live = live
+        self._stored = stored
+        self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
+        self._suffix = suffix
+        self._lines = self._counted() if self._is_text() else None
+        self.complaints = Complaints(self._where, report)
+
+    def _is_text(self) -> bool:
+        if self._suffix == _CANDUMP:
+            return True
+        from vcu_gateway.recording import formats
+
+        return formats.is_text(self._suffix)
+
+    def _counted(self) -> Lines:
+        # Bytes that are no text make their line a damaged one, not the file unreadable.
+        return Lines(io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace"))
+
+    def _where(self, position: int) -> str:
+        between = ":" if self._lines else ", frame "
+        return f"{self.name}{between}{position}"
+
+    def __enter__(self) -> "Recording":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        del kind, error, trace
+        if not self.live:
+            self._stored.close()
+
+    def __iter__(self) -> Iterator[Recorded]:
+        if self._lines is not None and self._suffix == _CANDUMP:
+            return self._candump(self._lines)
+        from vcu_gateway.recording import formats
+
+        content: formats.Content = self._plain
+        if self._lines is not None:
+            content = self._lines
+        elif not formats.is_binary(self._suffix):
+            content = self.name
+        return formats.frames(self._suffix, content, self.complaints)
+
+    def _candump(self, lines: Lines) -> Iterator[Recorded]:
+        try:
+            yield from candump.frames(lines, self.complaints)
+        except (OSError, EOFError, zlib.error) as error:
+            raise self.complaints.failure(lines.number, error) from error
+
+    def share_read(self) -> float | None:
+        """How much of the file was read, 0..1; None where nobody knows."""
+        if not self.size_bytes or self._stored.closed:
+            return None
+        return min(1.0, self._stored.tell() / self.size_bytes)
+
+
+def open_recording(name: str, report: Callable[[Problem], None]) -> Recording:
+    """Open a recording; `report` is given every complaint that is worth telling.
+
+    Raises MissingInputError where it cannot be read or nobody knows its format,
+    UnavailableError where that format needs a package that is not installed. Iterating
+    raises DataError where the contents are damaged beyond reading on.
+    """
+    if name == STANDARD_INPUT:
+        return _standard_input(report)
+    path = PurePath(name)
+    packed = path.suffix.lower() == _GZIP
+    suffix = PurePath(path.stem if packed else path).suffix.lower()
+    try:
+        stored = open(name, "rb")  # noqa: SIM115 - the recording closes it
+    except OSError as error:
+        problem = Problem(f"cannot be read: {error.strerror or error}", name)
+        raise MissingInputError(problem) from error
+    try:
+        _check_format(name, suffix, packed)
+        return Recording(name, stored, suffix, packed, report)
+    except BaseException:
+        stored.close()
+        raise
+
+
+def _standard_input(report: Callable[[Problem], None]) -> Recording:
+    # Python has none where the caller closed it.
+    if sys.stdin is None:
+        raise MissingInputError(Problem("is closed", "standard input"))
+    return Recording("standard input", sys.stdin.buffer, _CANDUMP, False, report, live=True)
+
+
+def _check_format(name: str, suffix: str, packed: bool) -> None:
+    if suffix == _CANDUMP:
+        return
+    from vcu_gateway.recording import formats
+
+    known = formats.suffixes()
+    if suffix not in known:
+        what = f"{suffix} is no known format" if suffix else "has no suffix to tell its format"
+        remedy = f"known are {', '.join(known)}, and most of them with .gz; candump text is .log"
+        raise MissingInputError(Problem(what, name, remedy))
+    if packed and not formats.is_text(suffix) and not formats.is_binary(suffix):
+        raise MissingInputError(Problem(f"{suffix} cannot be read packed", name, "gunzip it first"))
+    if suffix == _MF4 and importlib.util.find_spec("asammdf") is None:
+        remedy = "pip install 'vcu-gateway[mf4]'"
+        raise UnavailableError(Problem("reading .mf4 needs the package asammdf", name, remedy))
