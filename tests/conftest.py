@@ -1,13 +1,20 @@
 """What every room of the tests starts from."""
 
 import dataclasses
+import os
 from collections.abc import Mapping
 
 import pytest
+from hypothesis import settings
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
+
+# HYPOTHESIS_PROFILE=nightly: as many examples as a night has room for.
+settings.register_profile("ordinary", deadline=None, print_blob=True)
+settings.register_profile("nightly", max_examples=1200, deadline=None, print_blob=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ordinary"))
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ from types import FrameType
 
 from vcu_gateway.bus.door import Door
 from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.output import OutFrame
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.log import log, log_event
@@ -27,6 +28,7 @@ class Daemon:
     Attributes:
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.
         silent_ticks: ticks that sent nothing, listening before talking.
+        late_frames: frames not sent because the process was held up after deciding them.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class Daemon:
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
+        self.late_frames = 0
         self._told_why: tuple[object, ...] = ()
 
     def stop(self, why: str) -> None:
@@ -99,7 +102,7 @@ class Daemon:
         now_ns = time.monotonic_ns()
         result = gateway.tick(now_ns)
         for frame in result.frames:
-            gateway.sent(frame, self.door.send(frame), now_ns)
+            gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
         # The frames have left; what follows has the rest of the period.
         self._finished = result.finished
         self.silent_ticks += not result.frames
@@ -109,6 +112,16 @@ class Daemon:
         self._mind_the_link(now_ns)
         if tick.index % _COLLECT_EVERY_TICKS == _COLLECT_EVERY_TICKS - 1:
             gc.collect()
+
+    def _send_in_time(self, frame: OutFrame, tick: Tick) -> bool:
+        """Send, unless the process was held up since the tick: what it decided is old by now.
+
+        More than half a period late, it would also come too close to the next one.
+        """
+        if time.monotonic_ns() - tick.deadline_ns > self.schedule.period_ns // 2:
+            self.late_frames += 1
+            return False
+        return self.door.send(frame)
 
     def _tell(self, tick: Tick, result: TickResult) -> None:
         """Log what happened in this tick; most ticks have nothing to tell."""
@@ -158,6 +171,7 @@ class Daemon:
             silent_ticks=self.silent_ticks,
             sent_frames=self.door.counters.sent,
             unsent_frames=self.door.counters.refused,
+            late_frames=self.late_frames,
             lateness_p50_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.5)),
             lateness_p99_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.99)),
             receiver_bugs=self.door.counters.receiver_bugs,

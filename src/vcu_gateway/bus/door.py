@@ -139,22 +139,22 @@ class Door:
         """Send now or not at all; False, and counted, where the interface did not take it."""
         bus = self._bus
         if bus is None or self.lost is not None:
-            self._refuse("closed")
-            return False
+            return self.withhold("closed")
         try:
             if isinstance(bus, DrainingSocketcanBus):
                 bus.send_now(frame.can_id, frame.data)
             else:
                 bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data))
         except (OSError, can.CanError) as error:
-            self._refuse(_errno_name(error))
-            return False
+            return self.withhold(_errno_name(error))
         self.counters.sent += 1
         return True
 
-    def _refuse(self, why: str) -> None:
+    def withhold(self, why: str) -> bool:
+        """Count a frame that is not sent, by its reason; False."""
         refused = self.counters.refused
         refused[why] = refused.get(why, 0) + 1
+        return False
 
     def close(self) -> None:
         """Stop receiving, then close; nothing happens where it is closed already."""

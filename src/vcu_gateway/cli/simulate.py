@@ -15,12 +15,15 @@ from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator.play import Listener, Played, open_bus, open_log, play
+from vcu_gateway.simulator.scenario import Scenario, Start
+from vcu_gateway.simulator.scenario import load as load_scenario
 
 _HELP = """Play the vehicle: BMS, IMU, ARD2 and both motor controllers.
 
 Sends every cyclic message at its period and answers each command frame with the controller's
 Status2. The vehicle obeys the commands: it accelerates, brakes, recovers energy, drains its
 battery and warms up. A controller that hears no command for 500 ms goes to zero torque.
+A scenario breaks it: docs/simulator.md lists the faults, config/scenarios/ holds ready ones.
 
 Meant for a bench or a virtual bus; on a bus with the real nodes both would send the same
 identifiers.
@@ -42,18 +45,23 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
     help="Stop by itself; otherwise Ctrl-C or SIGTERM.",
 )
 @click.option(
+    "--scenario",
+    "scenario_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="What breaks when; each step is told on stderr.",
+)
+@click.option(
     "--soc",
     "soc_pct",
     type=click.FloatRange(0, 100),
-    default=80.0,
-    show_default=True,
+    show_default="the scenario's, else 80",
     help="State of charge to begin with, %.",
 )
 @click.option(
     "--battery-speedup",
     type=click.FloatRange(0, 10_000),
-    default=1.0,
-    show_default=True,
+    show_default="the scenario's, else 1",
     help="Charge flows so many times as fast as it really would.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
@@ -68,20 +76,27 @@ def command(
     interface: str,
     channel: str,
     duration_s: float | None,
-    soc_pct: float,
-    battery_speedup: float,
+    scenario_path: Path | None,
+    soc_pct: float | None,
+    battery_speedup: float | None,
     seed: int,
     log_path: Path | None,
 ) -> None:
     """Run until the duration is over or a signal comes."""
     # What python-can logs of a failure comes as our error as well.
     logging.getLogger("can").addHandler(logging.NullHandler())
+    codec = Codec(dbc.load(packaged("vcu.dbc")))
+    scenario = Scenario(Start(), ())
+    if scenario_path is not None:
+        scenario = load_scenario(scenario_path, codec.protocol)
+    start, start_ns = scenario.start, time.monotonic_ns()
     nodes = simulator.build(
-        Codec(dbc.load(packaged("vcu.dbc"))),
-        time.monotonic_ns(),
-        soc_pct=soc_pct,
-        battery_speedup=battery_speedup,
+        codec,
+        start_ns,
+        soc_pct=start.soc_pct if soc_pct is None else soc_pct,
+        battery_speedup=start.battery_speedup if battery_speedup is None else battery_speedup,
         seed=seed,
+        faults=scenario.faults(codec, start_ns, _note),
     )
     with (
         _stopped_by_signals() as stop,

@@ -4,7 +4,7 @@ import difflib
 import re
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -12,8 +12,9 @@ from pydantic_core import ErrorDetails
 
 from vcu_gateway.config.findings import Finding, shown
 from vcu_gateway.config.kinds import REFUSED
-from vcu_gateway.config.model import Config
 from vcu_gateway.yaml_lines import Path
+
+_Model = TypeVar("_Model", bound=BaseModel)
 
 _UNITS = {
     "bit_s": "bit/s",
@@ -24,6 +25,7 @@ _UNITS = {
     "w_per_s": "W/s",
     "rpm": "rpm",
     "w": "W",
+    "s": "s",
 }
 _KEY = "[key]"
 _MOST_FINDINGS = 500
@@ -32,11 +34,24 @@ _SWITCH_WORDS = {"yes": "true", "on": "true", "no": "false", "off": "false"}
 _STARTS_LIKE_NUMBER = re.compile(r"\s*[-+]?\.?[0-9]")
 
 
-def findings(error: ValidationError) -> Iterator[Finding]:
+def validated(
+    model: type[_Model], value: Any, context: Mapping[str, Any] | None = None
+) -> tuple[_Model | None, list[Finding]]:
+    """The value as this model, or None and what it refuses.
+
+    `context` is what the model's own validators are told.
+    """
+    try:
+        return model.model_validate(value, context=context), []
+    except ValidationError as error:
+        return None, list(_findings(error, model))
+
+
+def _findings(error: ValidationError, root: type[BaseModel]) -> Iterator[Finding]:
     """A finding for each thing that pydantic refused; the rest of very many is counted."""
     refused = error.errors(include_url=False)
     for details in refused[:_MOST_FINDINGS]:
-        yield _finding(details)
+        yield _finding(details, root)
     if rest := refused[_MOST_FINDINGS:]:
         yield Finding(rest[0]["loc"], f"from here on {len(rest)} more errors, not shown")
 
@@ -47,11 +62,11 @@ def unit(name: str) -> str:
     return next(ends, "")
 
 
-def _finding(details: ErrorDetails) -> Finding:
+def _finding(details: ErrorDetails, root: type[BaseModel]) -> Finding:
     path, kind = details["loc"], details["type"]
     if kind in ("extra_forbidden", "invalid_key"):
-        return Finding(path, "unknown key", _remedy_for_unknown(path))
-    field = _field(path)
+        return Finding(path, "unknown key", _remedy_for_unknown(path, root))
+    field = _field(path, root)
     if kind == "missing":
         return Finding(path, "is missing", _lower_first(field.description if field else None))
     requirement = _requirement(details, field) if path else "must hold sections such as `bus:`"
@@ -61,9 +76,9 @@ def _finding(details: ErrorDetails) -> Finding:
     return Finding(path, what, _own_remedy(details) or _remedy(details, field))
 
 
-def _field(path: Path) -> FieldInfo | None:
+def _field(path: Path, root: type[BaseModel]) -> FieldInfo | None:
     """The field that a path leads to; None where it leads into a mapping or nowhere."""
-    model: type[BaseModel] | None = Config
+    model: type[BaseModel] | None = root
     field = None
     for name in path:
         if model is None:
@@ -102,6 +117,7 @@ def _requirement(details: ErrorDetails, field: FieldInfo | None) -> str:
         "greater_than_equal": lambda: f"must be at least {_number(context['ge'])}{after}",
         "less_than_equal": lambda: f"must be at most {_number(context['le'])}{after}",
         "dict_type": lambda: "must be a mapping, key: value in each line",
+        "list_type": lambda: "must be a list, - item in each line",
         "model_type": lambda: "must be a section with keys below it",
     }
     return wordings[details["type"]]() if details["type"] in wordings else details["msg"]
@@ -146,16 +162,16 @@ def _remedy_for_empty(kind: str, field: FieldInfo | None) -> str:
     return f"remove the line for the default, which is {shown(field.default)}"
 
 
-def _remedy_for_unknown(path: Path) -> str:
+def _remedy_for_unknown(path: Path, root: type[BaseModel]) -> str:
     *parents, key = path
-    field = _field(tuple(parents))
-    known = Config if not parents else section_of(field)
+    field = _field(tuple(parents), root)
+    known = root if not parents else section_of(field)
     names = tuple(known.model_fields) if known else ()
     if ":" in str(key):
         return _KEY_AND_VALUE
     if near := did_you_mean(str(key), names):
         return near
-    elsewhere = [place for place in _places(Config, "") if place.endswith(f".{key}")]
+    elsewhere = [place for place in _places(root, "") if place.endswith(f".{key}")]
     if elsewhere:
         return f'did you mean "{elsewhere[0]}"?'
     return f"the keys here are {', '.join(names)}"

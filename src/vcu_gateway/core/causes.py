@@ -1,7 +1,7 @@
 """Causes and effects: what a rule finds, and how long it counts."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from vcu_gateway.core.events import Event, Severity
@@ -83,8 +83,13 @@ class Causes:
             before = self._held.get(finding.key)
             if before is None:
                 events.append(_event("cause_began", finding))
-            since_ns = now_ns if before is None else before.since_ns
-            self._held[finding.key] = Held(finding, since_ns, now_ns)
+                self._held[finding.key] = Held(finding, now_ns, now_ns)
+                continue
+            # A lower code of the same signal does not end what stays until restart.
+            stays = before.finding.until_restart or finding.until_restart
+            self._held[finding.key] = Held(
+                replace(finding, until_restart=stays), before.since_ns, now_ns
+            )
         for key, held in tuple(self._held.items()):
             absent_ns = now_ns - held.seen_ns
             if absent_ns >= hold_ns and absent_ns > 0 and not held.finding.until_restart:

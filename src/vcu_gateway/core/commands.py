@@ -86,17 +86,17 @@ class Commander:
 
     def safe(self, settings: Settings, power_cut: bool, now_ns: int) -> Mapping[str, Command]:
         """ZERO_TORQUE or POWER_CUT for both; directions stay as they were applied."""
-        return self._decided(
-            {
-                name: Command(
-                    motor_reverse=last.motor_reverse,
-                    power_cut=power_cut,
-                    speed_limit_rpm=settings.speed_limit_max_rpm,
-                )
-                for name, last in self.last.items()
-            },
-            now_ns,
-        )
+        return self._decided(self._zero_torque(settings, power_cut), now_ns)
+
+    def _zero_torque(self, settings: Settings, power_cut: bool) -> dict[str, Command]:
+        return {
+            name: Command(
+                motor_reverse=last.motor_reverse,
+                power_cut=power_cut,
+                speed_limit_rpm=settings.speed_limit_max_rpm,
+            )
+            for name, last in self.last.items()
+        }
 
     def settle(
         self,
@@ -112,14 +112,15 @@ class Commander:
         known, fresh and below the change speed.
         """
         self._move_ramps(effects, settings, now_ns)
+        commands = self._zero_torque(settings, power_cut=False)
         if asked is not None:
             self._note_override(asked)
             if slow and self._standing():
-                self.last = {
-                    name: replace(last, motor_reverse=asked[name].motor_reverse)
-                    for name, last in self.last.items()
+                commands = {
+                    name: replace(command, motor_reverse=asked[name].motor_reverse)
+                    for name, command in commands.items()
                 }
-        return self.safe(settings, False, now_ns)
+        return self._decided(commands, now_ns)
 
     def _standing(self) -> bool:
         """True where neither motor was given throttle last."""
@@ -184,14 +185,10 @@ class Commander:
         self.last, self._last_ns = commands, now_ns
         return commands
 
-    def replaced(self, settings: Settings) -> Mapping[str, Command]:
-        """ZERO_TORQUE instead of this tick's commands, in the directions of the tick before."""
-        self.last = {
-            name: Command(
-                motor_reverse=before.motor_reverse, speed_limit_rpm=settings.speed_limit_max_rpm
-            )
-            for name, before in self._before.items()
-        }
+    def replaced(self, settings: Settings, power_cut: bool = False) -> Mapping[str, Command]:
+        """A safe command instead of this tick's, in the directions of the tick before."""
+        self.last = self._before
+        self.last = self._zero_torque(settings, power_cut)
         return self.last
 
     def not_sent(self, controller: str) -> None:

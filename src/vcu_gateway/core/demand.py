@@ -114,13 +114,21 @@ def fault_of(demand: Demand, ttl_max_ms: int) -> Answer:
 
 def _fault_of_values(controller: str, asked: ControllerDemand) -> Answer:
     for name, (low, high) in RANGES.items():
-        value = getattr(asked, name)
+        value = _as_float(getattr(asked, name))
         if not math.isfinite(value):
             return refused(Refusal.NOT_FINITE, f"{controller} {name} is {value}")
         if not low <= value <= high:
             sentence = f"{controller} {name} must be {low:g} to {high:g}, not {value:g}"
             return refused(Refusal.OUT_OF_RANGE, sentence)
     return GRANTED
+
+
+def _as_float(value: float) -> float:
+    """The value, or infinity for an int beyond every float."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
 
 
 class DemandDesk:

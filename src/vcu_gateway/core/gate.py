@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 # Byte 1 of the command frame.
 _MODE_MASK, _MODE_SAFETY = 0b0000_1100, 0b0000_1100
-_REVERSE, _REGEN, _CUT = 0x10, 0x20, 0x80
+_REVERSE, _REGEN = 0x10, 0x20
 _UNUSED = 0b0100_0011
 
 _LENGTH = 8

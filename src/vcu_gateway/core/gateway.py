@@ -35,6 +35,7 @@ from vcu_gateway.core.world import World
 
 _STOPPING_TICKS = 3
 _NS_PER_MS = 1_000_000
+_LISTENING = "listening for another sender of our frames"
 
 
 class TickResult(NamedTuple):
@@ -117,6 +118,9 @@ class Gateway:
     def offer(self, demand: Demand, now_ns: int) -> Answer:
         """Take a demand of a source, or say why not."""
         settings, before = self.settings, self.desk.current
+        if not self.desk.fresh(now_ns):
+            # It expired between two ticks: a new one does not continue the drive.
+            self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
         answer = self.desk.offer(demand, settings.priorities, settings.ttl_max_ms, now_ns)
         if answer.granted and (before is None or before.source != demand.source):
             self._events.append(Event("demand_owner", Severity.INFO, {"source": demand.source}))
@@ -167,11 +171,15 @@ class Gateway:
         return refused(Refusal.NOT_ALLOWED_NOW, sentence)
 
     def _against_arming(self, now_ns: int) -> str:
+        if not self._listening.over:
+            return _LISTENING
         asked = self._asked(now_ns)
         pending = asked is not None and self._commander.reverse_pending(asked)
         return permission.against_arming(self.supervisor, self.causes, asked, pending)
 
     def _against_resetting(self, level: FaultClass, now_ns: int) -> str:
+        if not self._listening.over:
+            return _LISTENING
         asked = self._asked(now_ns)
         return permission.against_resetting(self.supervisor, self.causes, asked, level)
 
@@ -225,6 +233,7 @@ class Gateway:
             link=self.link,
             history=self.output.sending.history(),
             tick_late_ns=late_ns,
+            period_ns=settings.period_ns,
             unconfirmed_ticks=self.output.sending.note_confirmed(self.intake.confirmed),
             foreign_sender=self.intake.foreign_id if foreign > before else None,
             emergency_stop=emergency_stop,
@@ -251,6 +260,8 @@ class Gateway:
     def _apply(self, stimulus: Stimulus, now_ns: int, reason: str) -> None:
         before = self.supervisor.mode
         self._events += self.supervisor.apply(stimulus, now_ns, reason)
+        if stimulus is Stimulus.DISARM or self.supervisor.mode is Mode.FAULT:
+            self._auto_arm_left = False  # a reset never leads to ACTIVE by itself
         if self.supervisor.mode is Mode.STARTING and before is not Mode.STARTING:
             self._qualification.begin(self._snapshot, self.settings.required)
 
@@ -265,8 +276,11 @@ class Gateway:
             return self._commander.active(asked, effects, slow, settings, now_ns)
         if mode is Mode.STANDBY:
             return self._commander.settle(asked, effects, slow, settings, now_ns)
-        cut = self.supervisor.power_is_cut or Effect.CUT in effects
-        return self._commander.safe(settings, cut, now_ns)
+        return self._commander.safe(settings, self._power_is_cut, now_ns)
+
+    @property
+    def _power_is_cut(self) -> bool:
+        return self.supervisor.power_is_cut or Effect.CUT in self.causes.effects()
 
     def _frames(self, decided: Mapping[str, Command], snapshot: Snapshot) -> tuple[OutFrame, ...]:
         """Encode, and let the gate look at every frame; one blocked frame stops both."""
@@ -277,7 +291,7 @@ class Gateway:
             return frames
         self._blocked_by_gate = rule
         self._apply(Stimulus.LATCHING_STOP, now_ns, f"the gate blocked a frame: {rule}")
-        return self.output.encoded(self._commander.replaced(self.settings))
+        return self.output.encoded(self._commander.replaced(self.settings, self._power_is_cut))
 
     def _result(self, snapshot: Snapshot, frames: tuple[OutFrame, ...]) -> TickResult:
         events, self._events = tuple(self._events), []
@@ -319,7 +333,7 @@ class Gateway:
 
     def _waits(self) -> list[str]:
         if not self._listening.over:
-            return ["listening for another sender of our frames"]
+            return [_LISTENING]
         if self.supervisor.mode is Mode.STARTING:
             return list(self._qualification.missing(self._snapshot, self.settings))
         return []

@@ -5,7 +5,7 @@ Everything here is written by the receiving thread alone and read by any.
 
 from collections.abc import Mapping
 
-from vcu_gateway.core import commands
+from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.frame import Frame
@@ -31,6 +31,10 @@ class Intake:
         self._codec = codec
         self.store = Store(codec.protocol.received_by(OWN_NODE), stale_after_ns)
         self._controller_of = {commands.message_name(name): name for name in CONTROLLERS}
+        self._controller_by_key = {
+            j1939.match_key(codec.by_name[message].spec.can_id): name
+            for message, name in self._controller_of.items()
+        }
         self.rejected = dict.fromkeys(Reason, 0)
         self.confirmed = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_commands = dict.fromkeys(CONTROLLERS, 0)
@@ -38,7 +42,7 @@ class Intake:
         self.link = Link(LinkState.UP, now_ns)
 
     def receive(self, frame: Frame) -> None:
-        """Take in one frame; a frame that is not decoded is counted and changes nothing."""
+        """Take in one frame; one that is not decoded is counted and changes no message."""
         found = self._codec.find(frame)
         if isinstance(found, Reason):
             self._reject(found, frame)
@@ -53,6 +57,11 @@ class Intake:
         self.rejected[reason] += 1
         if reason is Reason.ERROR:
             self.link = after_error_frame(self.link, frame.can_id, frame.data, frame.arrival_ns)
+        elif frame.extended and not frame.own_echo:
+            # Another sender of our identifiers is one whatever it sends in them.
+            controller = self._controller_by_key.get(j1939.match_key(frame.can_id))
+            if controller is not None:
+                self._receive_command(controller, frame)
 
     def _receive_command(self, controller: str, frame: Frame) -> None:
         if frame.own_echo:

@@ -50,10 +50,11 @@ def after_error_frame(link: Link, can_id: int, data: bytes | bytearray, at_ns: i
 
 
 def _after_controller_byte(link: Link, bits: int, at_ns: int) -> Link:
+    state = link.state
     if bits & _PASSIVE_BITS:
-        return link.moved(LinkState.PASSIVE, at_ns)
-    if bits & _WARNING_BITS:
-        return link.moved(LinkState.WARNING, at_ns)
-    if bits & _ACTIVE_BIT:
+        state = LinkState.PASSIVE
+    elif bits & _WARNING_BITS:
+        state = LinkState.WARNING
+    elif bits & _ACTIVE_BIT:
         return link.moved(LinkState.UP, at_ns)
-    return link
+    return link if link.state is LinkState.BUS_OFF else link.moved(state, at_ns)

@@ -171,7 +171,7 @@ def link_down(world: World) -> Iterator[Finding]:
     since_ns = world.snapshot.now_ns - link.since_ns
     passive = link.state is LinkState.PASSIVE and since_ns > _PASSIVE_MAX_NS
     if passive or link.state in (LinkState.BUS_OFF, LinkState.LOST):
-        yield Finding("link", "bus", Effect.STOP, link.state.value)
+        yield Finding("link", "link", Effect.STOP, link.state.value)
 
 
 def foreign_sender(world: World) -> Iterator[Finding]:

@@ -32,7 +32,8 @@ class Schedule:
     """The grid origin_ns + n * period_ns, walked without bursts.
 
     A tick more than half a period late is skipped too: its frame would come closer than
-    half a period to the next one.
+    half a period to the next one. So is one that comes less than half a period after the
+    frames before it really left (`left`): the machine may stall between deciding and sending.
     """
 
     def __init__(self, origin_ns: int, period_ns: int) -> None:
@@ -45,6 +46,7 @@ class Schedule:
         self.skipped = 0
         self.lateness_counts = [0] * (len(LATENESS_BOUNDS_NS) + 1)
         self._pending_skips = 0
+        self._earliest_ns = origin_ns
 
     @property
     def next_deadline_ns(self) -> int:
@@ -56,13 +58,26 @@ class Schedule:
         late_ns = now_ns - self.next_deadline_ns
         if late_ns < 0:
             return None
-        missed = (late_ns + self.period_ns // 2) // self.period_ns
-        self.next_index += missed
-        self.skipped += missed
-        self._pending_skips += missed
+        self._skip((late_ns + self.period_ns // 2) // self.period_ns)
         if now_ns < self.next_deadline_ns:
             return None
+        if now_ns < self._earliest_ns:
+            self._skip(1)
+            return None
         return self._take(now_ns)
+
+    def too_late(self, tick: Tick, now_ns: int) -> bool:
+        """True where what was decided in this tick is too old to be sent now."""
+        return now_ns - tick.deadline_ns >= self.period_ns // 2
+
+    def left(self, now_ns: int) -> None:
+        """The frames of the tick have left by now; the next ones keep their distance."""
+        self._earliest_ns = now_ns + self.period_ns // 2
+
+    def _skip(self, points: int) -> None:
+        self.next_index += points
+        self.skipped += points
+        self._pending_skips += points
 
     def _take(self, now_ns: int) -> Tick:
         deadline_ns = self.next_deadline_ns

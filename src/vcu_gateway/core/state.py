@@ -162,10 +162,10 @@ class Snapshot:
     def reading(self, message: str, signal: str) -> Reading:
         """One signal; KeyError where the protocol has none of that name."""
         spec = self._specs[message]
-        index = spec.signal_names.index(signal) if signal in spec.signal_names else -1
-        if index < 0:
-            raise KeyError(f"{message} has no signal {signal}")
-        return self._reading(message, index, spec.signals[index])
+        for index, one in enumerate(spec.signals):
+            if one.name == signal:
+                return self._reading(message, index, one)
+        raise KeyError(f"{message} has no signal {signal}")
 
     def readings(self, message: str) -> tuple[Reading, ...]:
         """All signals of a message, in the protocol's order."""

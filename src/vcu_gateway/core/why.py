@@ -69,7 +69,7 @@ def next_step(mode: Mode, latch: Latch | None, refusal: str) -> str:
     """What to do now; `refusal` is why arming or resetting would be refused, or empty."""
     if mode is Mode.FAULT:
         level = "service " if latch and latch.fault_class is FaultClass.SERVICE else ""
-        return f"first: {refusal}; then reset" if refusal else f"{level}reset"
+        return f"first: {refusal}; then {level}reset" if refusal else f"{level}reset"
     if mode is Mode.STANDBY:
         return f"before arming: {refusal}" if refusal else "arm"
     return {

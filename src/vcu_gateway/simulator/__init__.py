@@ -1,14 +1,15 @@
 """The simulated vehicle: everything on the bus but the gateway.
 
 `motor`, `battery` and `vehicle` are the physics, `signals` says what each message tells of
-them, `nodes` when it is sent; all of these are pure. `play` puts them on a bus.
+them, `nodes` when it is sent, `faults` what can break; all of these are pure. `scenario` reads
+from a file what breaks when, and `play` puts everything on a bus.
 """
 
 import random
 from collections.abc import Sequence
 
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.simulator.nodes import Nodes, Transform
+from vcu_gateway.simulator.nodes import Fault, Nodes, Transform
 from vcu_gateway.simulator.vehicle import Vehicle
 
 
@@ -20,8 +21,9 @@ def build(
     battery_speedup: float = 1.0,
     seed: int = 0,
     transforms: Sequence[Transform] = (),
+    faults: Sequence[Fault] = (),
 ) -> Nodes:
     """All nodes of a vehicle that stands still at start_ns; the seed decides the noise."""
     vehicle = Vehicle(start_ns, soc_pct=soc_pct, battery_speedup=battery_speedup)
     noise = random.Random(seed)  # noqa: S311 - noise, not a secret
-    return Nodes(codec, vehicle, noise, transforms)
+    return Nodes(codec, vehicle, noise, transforms, faults)

@@ -90,6 +90,8 @@ class Motor:
         torque_nm: signed, positive pushes the vehicle forwards.
         power_w: taken from the battery; negative while it regenerates.
         controller_c, motor_c: temperatures.
+        ignores_commands: it goes on with the order that it obeys, without a time-out.
+        turned_round: it takes forwards for reverse and reverse for forwards.
     """
 
     def __init__(self, ambient_c: float) -> None:
@@ -99,6 +101,8 @@ class Motor:
         self.power_w = 0.0
         self.controller_c = ambient_c
         self.motor_c = ambient_c
+        self.ignores_commands = False
+        self.turned_round = False
         self._ambient_c = ambient_c
         self._told = Order()
         self._told_at_ns: int | None = None
@@ -141,7 +145,11 @@ class Motor:
 
     def _obeyed(self, now_ns: int) -> Order:
         """The order as far as the time-out and the temperatures let it pass."""
+        if self.ignores_commands:
+            return self.order
         told = self._told
+        if self.turned_round:
+            told = told._replace(reverse=not told.reverse)
         if self._told_at_ns is None or now_ns - self._told_at_ns > COMMAND_TIMEOUT_NS:
             return Order(reverse=told.reverse)
         level = self.temperature_protect_level

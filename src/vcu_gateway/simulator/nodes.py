@@ -6,7 +6,7 @@ import random
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from vcu_gateway.core.codec import Codec, MessageCodec, Reason
 from vcu_gateway.core.frame import Frame
@@ -46,6 +46,19 @@ overridden or corrupted one, a later due_ns a delayed one.
 """
 
 
+class Fault(Protocol):
+    """Something that is broken for a while."""
+
+    def next_due_ns(self) -> int:
+        """When `due` has something to do; far in the future where nothing is left."""
+
+    def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[OutFrame]:
+        """Break or mend the vehicle, and send what no node of it sends."""
+
+    def transform(self, frame: OutFrame) -> Iterable[OutFrame]:
+        """As a `Transform`."""
+
+
 @dataclass(slots=True)
 class _Sender:
     """One message with what it says and how often it has said it."""
@@ -78,14 +91,16 @@ class Nodes:
         vehicle: Vehicle,
         noise: random.Random,
         transforms: Sequence[Transform] = (),
+        faults: Sequence[Fault] = (),
     ) -> None:
-        """Start the grids at vehicle.start_ns; each frame passes the transforms in turn.
+        """Start the grids at vehicle.start_ns; each frame passes transforms and faults in turn.
 
         ValueError where the protocol has a message that the simulator cannot fill.
         """
         self._codec = codec
         self.vehicle = vehicle
-        self._transforms = tuple(transforms)
+        self._faults = tuple(faults)
+        self._transforms = (*transforms, *(fault.transform for fault in faults))
         self._senders = _senders(codec, sources(vehicle, noise))
         self._controllers = {f"VCU_{name}_Command": name for name in vehicle.motors}
         answers = {_answer(controller) for controller in vehicle.motors}
@@ -113,6 +128,7 @@ class Nodes:
         if isinstance(found, Reason) or found.spec.name not in self._controllers:
             return None
         controller = self._controllers[found.spec.name]
+        self._advance(now_ns)
         values = dict(zip(found.spec.signal_names, found.decode(data).values, strict=True))
         self.vehicle.command(controller, values, now_ns)
         answer = self._senders[_answer(controller)]
@@ -122,6 +138,7 @@ class Nodes:
     def next_due_ns(self) -> int:
         """When `due` has something again."""
         next_ns = min(schedule.next_deadline_ns for schedule, _ in self._grids)
+        next_ns = min((next_ns, *(fault.next_due_ns() for fault in self._faults)))
         if self._answers:
             next_ns = min(next_ns, self._answers[0][0])
         if self._outgoing:
@@ -130,7 +147,7 @@ class Nodes:
 
     def due(self, now_ns: int) -> list[OutFrame]:
         """The frames to send now, the earliest due first."""
-        self.vehicle.advance(now_ns)
+        self._advance(now_ns)
         for schedule, sender in self._grids:
             tick = schedule.due(now_ns)
             if tick is not None:
@@ -138,7 +155,18 @@ class Nodes:
         while self._answers and self._answers[0][0] <= now_ns:
             due_ns, sender = self._answers.popleft()
             self._hand_over(sender.frame(due_ns))
-        return list(self._leaving(now_ns))
+        leaving = list(self._leaving(now_ns))
+        for frame in leaving:
+            if frame.message in self._controllers:  # the controllers hear an intruder too
+                self.receive(frame.can_id, frame.data, now_ns)
+        return leaving
+
+    def _advance(self, now_ns: int) -> None:
+        """Move the vehicle on, and break and mend what is due on the way."""
+        for fault in self._faults:
+            for frame in fault.due(self.vehicle, now_ns):
+                self._hand_over(frame)
+        self.vehicle.advance(now_ns)
 
     def _hand_over(self, frame: OutFrame) -> None:
         frames: Iterable[OutFrame] = (frame,)

@@ -1,0 +1,67 @@
+"""Names in a scenario: nodes, messages, signals and controllers that the protocol has."""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, ValidationInfo
+
+from vcu_gateway.config import shape
+from vcu_gateway.config.kinds import refusal
+from vcu_gateway.core.demand import CONTROLLERS
+from vcu_gateway.core.intake import OWN_NODE
+from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
+
+PROTOCOL = "protocol"
+"""Key of the validation's context; it holds the ProtocolSpec that names must be in."""
+
+
+def protocol_of(info: ValidationInfo) -> ProtocolSpec:
+    """The protocol that came with the validation."""
+    protocol: ProtocolSpec = (info.context or {})[PROTOCOL]
+    return protocol
+
+
+def _one_of(name: str, known: list[str], what: str) -> str:
+    if name not in known:
+        near = shape.did_you_mean(name, known)
+        raise refusal(f"must be {what}", near or f"these are {', '.join(known)}")
+    return name
+
+
+def _spoken(info: ValidationInfo) -> dict[str, list[str]]:
+    """What every node but the gateway sends: message names by node."""
+    protocol = protocol_of(info)
+    nodes = [node for node in protocol.nodes if node != OWN_NODE]
+    return {node: [message.name for message in protocol.sent_by(node)] for node in nodes}
+
+
+def _node_or_message(name: str, info: ValidationInfo) -> str:
+    spoken = _spoken(info)
+    messages = [message for names in spoken.values() for message in names]
+    return _one_of(name, [*spoken, *messages], "a node or a message that it sends")
+
+
+def _signal(name: str, info: ValidationInfo) -> str:
+    protocol = protocol_of(info)
+    messages = [message for names in _spoken(info).values() for message in names]
+    message, _, signal = name.partition(".")
+    if message not in messages:
+        nearest = shape.did_you_mean(message, messages)
+        remedy = nearest or f"the messages are {', '.join(messages)}"
+        raise refusal("must be MESSAGE.SIGNAL, such as BMS_Status.SOC", remedy)
+    _one_of(signal, list(protocol.message(message).signal_names), f"a signal of {message}")
+    return name
+
+
+def _controller(name: str) -> str:
+    return _one_of(name, list(CONTROLLERS), "a motor controller")
+
+
+Target = Annotated[str, AfterValidator(_node_or_message)]
+SignalName = Annotated[str, AfterValidator(_signal)]
+Controller = Annotated[str, AfterValidator(_controller)]
+
+
+def signal_spec(signal: str, protocol: ProtocolSpec) -> SignalSpec:
+    """The signal of this full name."""
+    message, _, name = signal.partition(".")
+    return protocol.message(message).signal(name)

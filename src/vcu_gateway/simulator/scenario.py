@@ -1,0 +1,105 @@
+"""A scenario: what breaks when, read from a file as strictly as the configuration."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from vcu_gateway.config import document, shape, text
+from vcu_gateway.config.findings import Finding, problems, shown
+from vcu_gateway.config.kinds import Section
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.simulator.faults import Spell, Told
+from vcu_gateway.simulator.names import PROTOCOL
+from vcu_gateway.simulator.steps import FAULTS, Step
+from vcu_gateway.yaml_lines import Path as KeyPath
+
+_NS_PER_S = 1_000_000_000
+_EXAMPLE = "{at_s: 10, fault: silence, of: BMS}"
+
+
+class Start(Section):
+    """The vehicle at the beginning."""
+
+    soc_pct: float = Field(default=80.0, ge=0, le=100, description="State of charge.")
+    battery_speedup: float = Field(
+        default=1.0,
+        ge=0,
+        le=10_000,
+        description="Charge flows so many times as fast as it really would.",
+    )
+
+
+class _File(Section):
+    """A scenario as it is written; its steps are looked at one by one."""
+
+    start: Start = Start()
+    steps: list[Any] = Field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """How the vehicle starts and what breaks when."""
+
+    start: Start
+    steps: tuple[Step, ...]
+
+    def faults(self, codec: Codec, start_ns: int, tell: Told = lambda _: None) -> list[Spell]:
+        """What `Nodes` takes; `tell` hears when each step begins and ends."""
+        return [_spell(step, codec, start_ns, tell) for step in self.steps]
+
+
+def _spell(step: Step, codec: Codec, start_ns: int, tell: Told) -> Spell:
+    begin_ns = start_ns + round(step.at_s * _NS_PER_S)
+    end_ns = None if step.for_s is None else begin_ns + round(step.for_s * _NS_PER_S)
+    return Spell(step.told(), step.broken(codec), begin_ns, end_ns, tell)
+
+
+def load(path: Path, protocol: ProtocolSpec) -> Scenario:
+    """Read a scenario; ConfigError names everything that is wrong with it."""
+    return parse(text.read(path), str(path), protocol)
+
+
+def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
+    """As `load`, from text; `where` is the file that errors name."""
+    read = document.read(contents)
+    if read.is_yaml and not isinstance(read.value, dict):
+        remedy = f"write `steps:` and below it lines such as `- {_EXAMPLE}`"
+        raise ConfigError(Problem("is no scenario", where, remedy))
+    outline, found = shape.validated(_File, read.value if read.is_yaml else {})
+    steps: list[Step] = []
+    written = read.value.get("steps") if read.is_yaml else None
+    for index, value in enumerate(written if isinstance(written, list) else ()):
+        step, wrong = _step(value, ("steps", index), protocol)
+        found += wrong
+        steps += [step] if step else []
+    known = {finding.path for finding in read.findings}
+    found = [*read.findings, *(finding for finding in found if finding.path not in known)]
+    if outline is None or found:
+        raise ConfigError(*problems(found, where, read.lines))
+    return Scenario(outline.start, tuple(steps))
+
+
+def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[Finding]]:
+    """One step, or what is wrong with it."""
+    if wrong := list(_without_fault(value, at)):
+        return None, wrong
+    step, refused = shape.validated(FAULTS[value["fault"]], value, {PROTOCOL: protocol})
+    return step, [finding._replace(path=(*at, *finding.path)) for finding in refused]
+
+
+def _without_fault(value: Any, at: KeyPath) -> Iterator[Finding]:
+    """Why it cannot be told which fault is meant; nothing where it can."""
+    names = ", ".join(FAULTS)
+    if not isinstance(value, dict):
+        yield Finding(at, f"must be a step such as {_EXAMPLE}, not {shown(value)}")
+    elif "fault" not in value:
+        yield Finding(at, "has no fault", f"add `fault:` and one of {names}")
+    elif not isinstance(value["fault"], str) or value["fault"] not in FAULTS:
+        near = shape.did_you_mean(str(value["fault"]), FAULTS)
+        what = f"must be one of {names}, not {shown(value['fault'])}"
+        yield Finding((*at, "fault"), what, near)

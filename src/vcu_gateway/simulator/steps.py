@@ -1,0 +1,246 @@
+"""What a step of a scenario can say: a class for each fault, `FAULTS` is the whole list."""
+
+from collections.abc import Mapping
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from vcu_gateway.config.kinds import Section, refusal
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.commands import message_name
+from vcu_gateway.core.demand import CONTROLLERS, PowerMode
+from vcu_gateway.core.spec import SignalSpec
+from vcu_gateway.simulator import faults
+from vcu_gateway.simulator.faults import Fault
+from vcu_gateway.simulator.names import (
+    Controller,
+    SignalName,
+    Target,
+    protocol_of,
+    signal_spec,
+)
+from vcu_gateway.simulator.nodes import Transform
+
+_LONGEST_S = 86_400
+_NS_PER_MS = 1_000_000
+
+
+class Step(Section):
+    """One fault from `at_s` on, seconds after the start."""
+
+    at_s: float = Field(ge=0, le=_LONGEST_S, description="When it begins.")
+    for_s: float | None = Field(
+        default=None, ge=0.001, le=_LONGEST_S, description="How long it lasts; without it, on."
+    )
+    fault: str
+
+    def broken(self, codec: Codec) -> Fault:
+        """The fault itself."""
+        return self._fault(codec)
+
+    def _fault(self, codec: Codec) -> Fault:
+        raise NotImplementedError
+
+    def told(self) -> str:
+        """The fault and its parameters, for a person."""
+        given = self.model_dump(exclude={"at_s", "for_s", "fault"}, exclude_unset=True)
+        return " ".join([self.fault, *(f"{key} {value}" for key, value in given.items())])
+
+
+class _FrameStep(Step):
+    """A fault of frames: all of them, or those of one node or message, or a share of them."""
+
+    of: Target | None = Field(default=None, description="A node or message; without it, all.")
+    share_pct: float = Field(default=100.0, ge=0, le=100, description="How many of the frames.")
+    seed: int = Field(default=0, description="Of the chance.")
+
+    def _fault(self, codec: Codec) -> Fault:
+        transform = faults.sometimes(self.share_pct, self.seed, self._transform())
+        if self.of is None:
+            return Fault(transform)
+        sent = [message.name for message in codec.protocol.sent_by(self.of)]
+        return Fault(faults.only(sent or [self.of], transform))
+
+    def _transform(self) -> Transform:
+        raise NotImplementedError
+
+
+class Silence(_FrameStep):
+    """Nothing is sent."""
+
+    of: Target = Field(description="A node or message.")
+
+    def _transform(self) -> Transform:
+        return faults.lost
+
+
+class Drop(_FrameStep):
+    """A share of the frames is lost."""
+
+    share_pct: float = Field(ge=0, le=100, description="How many of the frames.")
+
+    def _transform(self) -> Transform:
+        return faults.lost
+
+
+class Delay(_FrameStep):
+    """Frames come later."""
+
+    delay_ms: int = Field(ge=1, le=60_000, description="How much later.")
+
+    def _transform(self) -> Transform:
+        return faults.delayed(self.delay_ms)
+
+
+class Duplicate(_FrameStep):
+    """Every frame comes twice."""
+
+    def _transform(self) -> Transform:
+        return faults.doubled
+
+
+class Corrupt(_FrameStep):
+    """Bits are wrong."""
+
+    flip_bits: int = Field(default=1, ge=1, le=64, description="How many of a frame.")
+
+    def _transform(self) -> Transform:
+        # Which frames and which bits are two chances; one seed must not tie them together.
+        return faults.corrupted(self.flip_bits, self.seed + 1)
+
+
+class Shorten(_FrameStep):
+    """Frames carry too few bytes."""
+
+    length_bytes: int = Field(ge=0, le=7, description="How many are left.")
+
+    def _transform(self) -> Transform:
+        return faults.shortened(self.length_bytes)
+
+
+class Set(Step):
+    """A signal says something else."""
+
+    signal: SignalName = Field(description="MESSAGE.SIGNAL.")
+    raw: int | None = Field(default=None, description="The code on the wire.")
+    value: float | None = Field(default=None, description="Or the value in the signal's unit.")
+
+    @field_validator("raw")
+    @classmethod
+    def _fits_the_bits(cls, raw: int | None, info: ValidationInfo) -> int | None:
+        if raw is not None and "signal" in info.data:
+            spec = signal_spec(info.data["signal"], protocol_of(info))
+            if not spec.raw_lowest <= raw <= spec.raw_highest:
+                raise refusal(f"must be a code of {spec.raw_lowest} to {spec.raw_highest}")
+        return raw
+
+    @field_validator("value")
+    @classmethod
+    def _instead_of_raw(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if "raw" not in info.data or "signal" not in info.data:
+            return value  # wrong already
+        if value is None and info.data["raw"] is None:
+            raise refusal("or raw must be given", "add one of them")
+        if value is None:
+            return None
+        if info.data["raw"] is not None:
+            raise refusal("must not stand beside raw", "keep one of them")
+        spec = signal_spec(info.data["signal"], protocol_of(info))
+        if not spec.raw_lowest <= _code(spec, value) <= spec.raw_highest:
+            ends = sorted(
+                raw * spec.factor + spec.offset for raw in (spec.raw_lowest, spec.raw_highest)
+            )
+            raise refusal(f"must be {ends[0]:g} to {ends[1]:g} {spec.unit}".rstrip())
+        return value
+
+    def _fault(self, codec: Codec) -> Fault:
+        spec = signal_spec(self.signal, codec.protocol)
+        raw = _code(spec, self.value) if self.raw is None and self.value is not None else self.raw
+        return _of_signal(self.signal, faults.overridden(spec, raw or 0))
+
+
+def _code(spec: SignalSpec, value: float) -> int:
+    return round((value - spec.offset) / spec.factor)
+
+
+def _of_signal(signal: str, transform: Transform) -> Fault:
+    return Fault(faults.only([signal.partition(".")[0]], transform))
+
+
+class Freeze(Step):
+    """A signal keeps what it says first."""
+
+    signal: SignalName = Field(description="MESSAGE.SIGNAL, such as BMS_Status.LifeSignal.")
+
+    def _fault(self, codec: Codec) -> Fault:
+        return _of_signal(self.signal, faults.frozen(signal_spec(self.signal, codec.protocol)))
+
+
+class _ControllerStep(Step):
+    """A fault of one controller or both."""
+
+    controller: Controller | None = Field(default=None, description="Without it, both.")
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Which are meant."""
+        return CONTROLLERS if self.controller is None else (self.controller,)
+
+
+class WrongDirection(_ControllerStep):
+    """Forwards is reverse and reverse is forwards, and the speed is counted below 0."""
+
+    def _fault(self, codec: Codec) -> Fault:
+        messages = [f"{name}_Status2" for name in self.controllers]
+        speed = codec.protocol.message(messages[0]).signal("MotorSpeed")
+        return Fault(
+            faults.only(messages, faults.negated(speed)), faults.turned_round(self.controllers)
+        )
+
+
+class IgnoreCommands(_ControllerStep):
+    """What was obeyed last is obeyed on."""
+
+    throttle_pct: float | None = Field(
+        default=None, ge=0, le=100, description="Of the order obeyed; without it, as it was."
+    )
+
+    def _fault(self, codec: Codec) -> Fault:
+        del codec
+        return Fault(change=faults.ignoring(self.controllers, self.throttle_pct))
+
+
+class ForeignSender(Step):
+    """Another node commands a controller too."""
+
+    controller: Controller = Field(description="The one that is commanded.")
+    period_ms: int = Field(default=50, ge=1, le=60_000, description="Between two frames.")
+    throttle_pct: float = Field(default=0.0, ge=0, le=100, description="What it asks for.")
+
+    def _fault(self, codec: Codec) -> Fault:
+        command = codec.by_name[message_name(self.controller)]
+        asked = {"PowerMode": PowerMode.NORMAL, "Throttle": self.throttle_pct}
+        limits = {"SpeedLimit": 12_000, "PowerLimit": 60_000}
+        return Fault(
+            intruder=faults.Intruder(
+                command.spec.can_id,
+                command.encode({**asked, **limits}),
+                command.spec.name,
+                self.period_ms * _NS_PER_MS,
+            )
+        )
+
+
+FAULTS: Mapping[str, type[Step]] = {
+    "silence": Silence,
+    "drop": Drop,
+    "delay": Delay,
+    "duplicate": Duplicate,
+    "corrupt": Corrupt,
+    "shorten": Shorten,
+    "set": Set,
+    "freeze": Freeze,
+    "wrong_direction": WrongDirection,
+    "ignore_commands": IgnoreCommands,
+    "foreign_sender": ForeignSender,
+}
+"""Every fault that a step can name."""

@@ -1,0 +1,287 @@
+"""Demands: what is refused at the door, who owns the desk, and for how long one counts."""
+
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcu_gateway.core.demand import (
+    BENCH_SOURCE,
+    CONTROLLERS,
+    GRANTED,
+    NOTHING,
+    RANGES,
+    ControllerDemand,
+    Demand,
+    DemandDesk,
+    PowerMode,
+    Refusal,
+    fault_of,
+    refused,
+)
+
+MS = 1_000_000
+TTL_MAX_MS = 1000
+PRIORITIES = {"remote": 5, "driver": 5, "supervisor": 10}
+IDLE = ControllerDemand()
+
+
+def demand(source="driver", sequence=1, ttl_ms=200, controllers=None, **asked):
+    both = dict.fromkeys(CONTROLLERS, ControllerDemand(**asked))
+    return Demand(source, sequence, ttl_ms, both if controllers is None else controllers)
+
+
+@pytest.fixture
+def desk():
+    return DemandDesk(None)
+
+
+def offer(desk, *args, now_ns=0, priorities=PRIORITIES, **kwargs):
+    return desk.offer(demand(*args, **kwargs), priorities, TTL_MAX_MS, now_ns)
+
+
+# Values.
+
+
+@pytest.mark.parametrize("name", RANGES)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 10**400, -(10**400)])
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_a_value_that_is_not_finite_is_refused_by_name(desk, name, value, controller):
+    controllers = dict.fromkeys(CONTROLLERS, IDLE)
+    controllers[controller] = dataclasses.replace(IDLE, **{name: value})
+    answer = offer(desk, controllers=controllers)
+    shown = {10**400: "inf", -(10**400): "inf"}.get(value, f"{value}")
+    assert answer == (False, Refusal.NOT_FINITE, f"{controller} {name} is {shown}")
+    assert desk.current is None
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [
+        ("throttle_pct", 0, 100),
+        ("brake_pct", 0, 100),
+        ("speed_limit_rpm", 0, 12_000),
+        ("power_limit_w", 0, 60_000),
+    ],
+)
+def test_the_range_ends_exactly_at_its_limits(desk, name, low, high):
+    for sequence, value in enumerate((low, high, float(low), float(high), -0.0)):
+        assert offer(desk, sequence=sequence, **{name: value}) == GRANTED
+    for value in (low - 1, math.nextafter(low, -1), math.nextafter(high, math.inf), high + 1):
+        answer = offer(desk, sequence=9, **{name: value})
+        assert answer.refusal is Refusal.OUT_OF_RANGE
+        sentence = f"PCU1 {name} must be {low:g} to {high:g}, not {value:g}"
+        assert (answer.granted, answer.sentence) == (False, sentence)
+    assert desk.current.sequence == 4
+
+
+@given(
+    asked=st.builds(
+        ControllerDemand,
+        **dict.fromkeys(RANGES, st.floats() | st.integers()),
+    )
+)
+def test_only_finite_values_inside_their_ranges_are_taken(asked):
+    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, asked)), TTL_MAX_MS)
+    inside = all(low <= getattr(asked, name) <= high for name, (low, high) in RANGES.items())
+    assert answer.granted is inside
+    assert (answer.refusal is None) is inside
+
+
+@pytest.mark.parametrize("missing", CONTROLLERS)
+def test_a_demand_without_one_of_the_controllers_is_refused(desk, missing):
+    controllers = {name: IDLE for name in CONTROLLERS if name != missing}
+    answer = offer(desk, controllers=controllers)
+    assert not answer.granted
+    assert answer.refusal is Refusal.CONTROLLER_MISSING
+    assert missing in answer.sentence
+
+
+def test_the_second_controllers_values_are_checked_as_well_as_the_firsts(desk):
+    wrong = dataclasses.replace(IDLE, brake_pct=101)
+    for name in CONTROLLERS:
+        controllers = dict.fromkeys(CONTROLLERS, IDLE) | {name: wrong}
+        assert offer(desk, controllers=controllers).sentence.startswith(f"{name} brake_pct")
+
+
+@pytest.mark.parametrize("ttl_ms", [1, 2, TTL_MAX_MS - 1, TTL_MAX_MS])
+def test_a_time_to_live_up_to_the_maximum_is_taken(desk, ttl_ms):
+    assert offer(desk, ttl_ms=ttl_ms) == GRANTED
+
+
+@pytest.mark.parametrize("ttl_ms", [0, -1, TTL_MAX_MS + 1, math.inf, math.nan])
+def test_any_other_time_to_live_is_refused(desk, ttl_ms):
+    answer = offer(desk, ttl_ms=ttl_ms)
+    sentence = f"ttl_ms must be 1 to {TTL_MAX_MS}, not {ttl_ms}"
+    assert answer == (False, Refusal.TTL_OUT_OF_RANGE, sentence)
+
+
+def test_a_demand_that_never_ends_is_taken_from_the_configuration_only(desk):
+    for wrong in (demand(ttl_ms=None), demand(source=BENCH_SOURCE)):
+        answer = desk.offer(wrong, PRIORITIES, TTL_MAX_MS, 0)
+        sentence = "bench is the configured bench demand"
+        assert answer == (False, Refusal.NAME_RESERVED, sentence)
+    assert desk.current is None
+    assert fault_of(demand(ttl_ms=None), TTL_MAX_MS) == GRANTED
+
+
+def test_a_refusal_is_never_granted():
+    assert refused(Refusal.OLD_SEQUENCE, "why") == (False, Refusal.OLD_SEQUENCE, "why")
+    assert GRANTED == (True, None, "")
+
+
+# Sequence.
+
+
+@pytest.mark.parametrize(("sequence", "taken"), [(8, True), (7, False), (6, False), (10**30, True)])
+@pytest.mark.parametrize("now_ns", [0, 10_000 * MS])
+def test_only_a_higher_sequence_number_replaces_ones_own_demand(desk, sequence, taken, now_ns):
+    offer(desk, sequence=7)
+    answer = offer(desk, sequence=sequence, throttle_pct=9, now_ns=now_ns)
+    assert answer.granted is taken
+    assert desk.current.sequence == (sequence if taken else 7)
+    if not taken:
+        sentence = f"sequence {sequence} is not above 7"
+        assert answer == (False, Refusal.OLD_SEQUENCE, sentence)
+
+
+def test_a_refused_demand_does_not_prolong_the_one_before(desk):
+    offer(desk, sequence=7, ttl_ms=200)
+    assert not offer(desk, sequence=7, now_ns=100 * MS).granted
+    assert not offer(desk, sequence=8, throttle_pct=math.nan, now_ns=100 * MS).granted
+    assert desk.age_ns(200 * MS) == 200 * MS
+    assert not desk.fresh(200 * MS + 1)
+
+
+# Ownership.
+
+
+@pytest.mark.parametrize(
+    ("owner", "other", "taken"),
+    [
+        ("driver", "remote", False),  # equal priorities
+        ("driver", "supervisor", True),
+        ("supervisor", "driver", False),
+        ("driver", "unlisted", False),  # not listed means 0
+        ("unlisted", "driver", True),
+        ("unlisted", "stranger", False),
+    ],
+)
+def test_another_source_takes_a_fresh_desk_over_by_priority_only(desk, owner, other, taken):
+    offer(desk, owner, sequence=50)
+    answer = offer(desk, other, sequence=1, now_ns=200 * MS)
+    assert answer.granted is taken
+    assert desk.current.source == (other if taken else owner)
+    if not taken:
+        assert answer == (False, Refusal.OTHER_OWNER, f"{owner} owns the demand")
+
+
+def test_any_source_takes_the_desk_over_when_its_demand_has_expired(desk):
+    offer(desk, "supervisor", sequence=50, ttl_ms=200)
+    assert offer(desk, "unlisted", now_ns=200 * MS).refusal is Refusal.OTHER_OWNER
+    assert offer(desk, "unlisted", now_ns=200 * MS + 1) == GRANTED
+    assert desk.current.source == "unlisted"
+
+
+def test_a_new_owner_begins_with_any_sequence_number(desk):
+    offer(desk, "driver", sequence=1000)
+    assert offer(desk, "remote", sequence=-3, now_ns=201 * MS) == GRANTED
+
+
+def test_the_owner_gives_the_desk_up_and_begins_anew(desk):
+    offer(desk, "driver", sequence=1000)
+    assert desk.release("driver") == GRANTED
+    assert desk.current is None
+    assert not desk.fresh(0)
+    assert desk.age_ns(0) is None
+    assert offer(desk, "driver", sequence=1) == GRANTED
+
+
+def test_nobody_else_gives_the_desk_up(desk):
+    refusal = (False, Refusal.OTHER_OWNER, "remote does not own the demand")
+    assert desk.release("remote") == refusal
+    offer(desk, "driver")
+    assert desk.release("remote") == refusal
+    assert desk.current.source == "driver"
+
+
+# Time to live.
+
+
+@pytest.mark.parametrize("ttl_ms", [1, 200, 1000])
+def test_a_demand_counts_until_exactly_its_time_to_live(desk, ttl_ms):
+    start_ns = 5_000 * MS
+    offer(desk, ttl_ms=ttl_ms, throttle_pct=30, now_ns=start_ns)
+    end_ns = start_ns + ttl_ms * MS
+    assert desk.fresh(start_ns)
+    assert desk.fresh(end_ns)
+    assert not desk.fresh(end_ns + 1)
+    assert desk.asked(end_ns)["PCU1"].throttle_pct == 30
+    assert desk.asked(end_ns + 1) == {"PCU1": NOTHING, "PCU2": NOTHING}
+    assert desk.age_ns(end_ns + 1) == ttl_ms * MS + 1
+
+
+def test_a_demand_from_the_future_does_not_count(desk):
+    offer(desk, now_ns=10 * MS)
+    assert desk.fresh(10 * MS)
+    assert not desk.fresh(10 * MS - 1)
+    assert desk.asked(0)["PCU2"] == NOTHING
+
+
+def test_a_new_demand_counts_from_its_own_arrival(desk):
+    offer(desk, sequence=1, now_ns=0)
+    offer(desk, sequence=2, now_ns=150 * MS)
+    assert desk.fresh(350 * MS)
+    assert not desk.fresh(350 * MS + 1)
+
+
+def test_without_a_demand_nothing_is_asked(desk):
+    assert desk.current is None
+    assert not desk.fresh(0)
+    assert desk.age_ns(0) is None
+    assert desk.asked(0) == {"PCU1": NOTHING, "PCU2": NOTHING}
+    assert NOTHING.throttle_pct == NOTHING.brake_pct == 0
+    assert NOTHING.power_mode is PowerMode.SAFETY
+    assert NOTHING.regen_brake is NOTHING.motor_reverse is False
+
+
+# The bench demand.
+
+
+def test_the_bench_demand_counts_for_ever_and_has_no_age():
+    bench = ControllerDemand(throttle_pct=12)
+    desk = DemandDesk(bench)
+    assert desk.fresh(-(10**15))
+    assert desk.fresh(10**18)
+    assert desk.age_ns(10**18) is None
+    assert desk.asked(10**18) == {"PCU1": bench, "PCU2": bench}
+    assert (desk.current.source, desk.current.ttl_ms) == (BENCH_SOURCE, None)
+
+
+def test_the_bench_demand_gives_way_to_a_higher_priority_only():
+    desk = DemandDesk(IDLE)
+    assert offer(desk, "unlisted").refusal is Refusal.OTHER_OWNER
+    assert offer(desk, "driver") == GRANTED
+
+
+def test_the_defaults_of_a_demand_ask_for_no_torque():
+    assert dataclasses.asdict(ControllerDemand()) == {
+        "throttle_pct": 0.0,
+        "brake_pct": 0.0,
+        "power_mode": PowerMode.ECO,
+        "motor_reverse": False,
+        "regen_brake": False,
+        "speed_limit_rpm": 12_000.0,
+        "power_limit_w": 60_000.0,
+    }
+
+
+def test_the_power_modes_are_the_codes_on_the_wire():
+    assert {mode.name: mode.value for mode in PowerMode} == {
+        "ECO": 0,
+        "NORMAL": 1,
+        "TURBO": 2,
+        "SAFETY": 3,
+    }

@@ -1,0 +1,397 @@
+"""The gate, on bytes: nothing here is built by the rooms that it does not trust."""
+
+import ast
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vcu_gateway.core import gate as gate_module
+from vcu_gateway.core.gate import Gate, GateLimits
+
+MS = 1_000_000
+PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0
+SPEED_MAX_RPM, POWER_MAX_W = 6000, 30_000
+LIMITS = GateLimits(
+    allowed=(PCU1_ID, PCU2_ID),
+    speed_limit_max_rpm=SPEED_MAX_RPM,
+    power_limit_max_w=POWER_MAX_W,
+    throttle_slew_pct_per_s=100.0,
+    direction_change_rpm=50.0,
+    period_ns=50 * MS,
+)
+STANDING = (0.0, 0.0)
+ZERO_TORQUE = bytes.fromhex("0c00000070170000")
+ZERO_TORQUE_REVERSE = bytes.fromhex("1c00000070170000")
+POWER_CUT = bytes.fromhex("8c00000070170000")
+POWER_CUT_REVERSE = bytes.fromhex("9c00000070170000")
+SAFE_FRAMES = [ZERO_TORQUE, ZERO_TORQUE_REVERSE, POWER_CUT, POWER_CUT_REVERSE]
+
+
+def frame(first=0x04, throttle=0, brake=0, *, b4=0, speed=SPEED_MAX_RPM, power=POWER_MAX_W):
+    """Bytes of a command: `first` 0x04 is power mode 1, forward, no regeneration."""
+    return bytes((first, throttle, brake, b4, speed & 255, speed >> 8, power & 255, power >> 8))
+
+
+@pytest.fixture
+def gate():
+    """A gate that has seen one zero-torque frame leave for each controller, at 0."""
+    gate = Gate(LIMITS)
+    gate.sent(0, ZERO_TORQUE, 0)
+    gate.sent(1, ZERO_TORQUE, 0)
+    return gate
+
+
+def check(gate, data, *, slot=0, can_id=None, armed=True, speeds=STANDING, now_ns=50 * MS):
+    can_id = (PCU1_ID, PCU2_ID)[slot] if can_id is None else can_id
+    return gate.check(slot, can_id, data, armed=armed, speeds_rpm=speeds, now_ns=now_ns)
+
+
+def assert_passes(gate, data, **facts):
+    passed = check(gate, data, **facts)
+    assert passed == ((PCU1_ID, PCU2_ID)[facts.get("slot", 0)], data, None)
+    assert gate.blocked == {}
+
+
+def assert_blocked(gate, rule, data, *, instead=ZERO_TORQUE, **facts):
+    passed = check(gate, data, **facts)
+    assert passed == ((PCU1_ID, PCU2_ID)[facts.get("slot", 0)], instead, rule)
+    assert gate.blocked == {rule: 1}
+
+
+# Identifier and length.
+
+
+@pytest.mark.parametrize("slot", [0, 1])
+def test_the_identifier_of_its_slot_passes(gate, slot):
+    assert_passes(gate, frame(), slot=slot)
+
+
+@pytest.mark.parametrize(
+    ("slot", "can_id"),
+    [
+        (0, PCU2_ID),
+        (1, PCU1_ID),
+        (0, PCU1_ID | 1 << 26),
+        (0, PCU1_ID + 1),
+        (0, PCU1_ID - 1),
+        (0, 0),
+        (1, 0x1808D0F4),
+    ],
+)
+def test_any_other_identifier_is_blocked_and_the_slots_own_is_used(gate, slot, can_id):
+    assert_blocked(gate, "identifier", frame(), slot=slot, can_id=can_id)
+
+
+def test_even_the_safe_frame_needs_the_identifier_of_its_slot(gate):
+    assert_blocked(gate, "identifier", POWER_CUT, can_id=PCU2_ID)
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 9, 64])
+def test_any_length_but_eight_is_blocked(gate, length):
+    assert_blocked(gate, "length", (ZERO_TORQUE * 8)[:length])
+
+
+# Bits that are not used.
+
+
+@pytest.mark.parametrize(
+    ("bit", "data"),
+    [
+        ("b1.0", frame(0x05)),
+        ("b1.1", frame(0x06)),
+        ("b1.6", frame(0x44)),
+        *((f"b4.{bit}", frame(b4=1 << bit)) for bit in range(8)),
+        ("safe b1.0", bytes([ZERO_TORQUE[0] | 1]) + ZERO_TORQUE[1:]),
+    ],
+)
+def test_a_bit_that_is_not_used_is_blocked(gate, bit, data):
+    assert_blocked(gate, "unused_bits", data)
+
+
+@pytest.mark.parametrize("first", [0x00, 0x04, 0x08, 0x0C, 0x20, 0x80])
+def test_every_bit_that_is_used_passes(gate, first):
+    assert_passes(gate, frame(first))
+
+
+# Ranges and maxima.
+
+
+@pytest.mark.parametrize("speed", [0, 1, SPEED_MAX_RPM - 1, SPEED_MAX_RPM])
+def test_a_speed_limit_up_to_the_maximum_passes(gate, speed):
+    assert_passes(gate, frame(speed=speed))
+
+
+@pytest.mark.parametrize("speed", [SPEED_MAX_RPM + 1, 12_000, 0xFFFF])
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_speed_limit_above_the_maximum_is_blocked(gate, speed, armed):
+    assert_blocked(gate, "speed_limit", frame(speed=speed), armed=armed)
+
+
+def test_a_safe_frame_with_a_speed_limit_above_the_maximum_is_replaced_by_the_right_one(gate):
+    assert_blocked(gate, "speed_limit", bytes.fromhex("0c00000071170000"))
+
+
+@pytest.mark.parametrize("power", [0, 1, POWER_MAX_W])
+def test_a_power_limit_up_to_the_maximum_passes(gate, power):
+    assert_passes(gate, frame(power=power))
+
+
+@pytest.mark.parametrize("power", [POWER_MAX_W + 1, 60_000, 0xFFFF])
+def test_a_power_limit_above_the_maximum_is_blocked(gate, power):
+    assert_blocked(gate, "power_limit", frame(power=power))
+
+
+# Unarmed means zero torque.
+
+
+@pytest.mark.parametrize(
+    ("field", "data"),
+    [
+        ("eco", bytes.fromhex("0000000070170000")),
+        ("normal", bytes.fromhex("0400000070170000")),
+        ("turbo", bytes.fromhex("0800000070170000")),
+        ("regeneration", bytes.fromhex("2c00000070170000")),
+        ("throttle", bytes.fromhex("0c01000070170000")),
+        ("brake", bytes.fromhex("0c00010070170000")),
+        ("power, low byte", bytes.fromhex("0c00000070170100")),
+        ("power, high byte", bytes.fromhex("0c00000070170001")),
+    ],
+)
+def test_unarmed_one_field_beyond_the_safe_frame_is_blocked(gate, field, data):
+    assert_blocked(gate, "unarmed", data, armed=False)
+
+
+@pytest.mark.parametrize("data", [ZERO_TORQUE, POWER_CUT, bytes.fromhex("0c00000000000000")])
+def test_unarmed_a_safe_frame_passes(gate, data):
+    assert_passes(gate, data, armed=False)
+
+
+# Slew.
+
+
+@pytest.mark.parametrize(
+    ("before", "elapsed_ns", "highest"),
+    [
+        (0, 0, 1),  # nothing earned: half a bit of rounding now, half a bit before
+        (0, 25 * MS, 7),  # 2.5 % are 6.4 codes
+        (0, 50 * MS, 13),  # 5 % are 12.8 codes
+        (100, 50 * MS, 113),
+        (240, 50 * MS, 253),
+        (0, 51 * MS, 13),  # more than a period earns no more
+        (0, 10_000 * MS, 13),
+        (100, -1 * MS, 101),  # time that goes backwards earns nothing
+        (100, -10_000 * MS, 101),
+    ],
+)
+def test_the_throttle_rises_by_the_slew_since_the_last_frame_sent(before, elapsed_ns, highest):
+    at_ns = 1_000_000 * MS
+    for throttle, blocked in ((highest, None), (highest + 1, "throttle_slew")):
+        gate = Gate(LIMITS)
+        gate.sent(0, frame(throttle=before), at_ns)
+        assert check(gate, frame(throttle=throttle), now_ns=at_ns + elapsed_ns).blocked == blocked
+
+
+def test_a_whole_code_earned_exactly_is_allowed():
+    limits = GateLimits((PCU1_ID,), SPEED_MAX_RPM, POWER_MAX_W, 39.0, 50.0, 10 * MS)
+    gate = Gate(limits)
+    gate.sent(0, frame(throttle=10), 0)
+    assert check(gate, frame(throttle=12), now_ns=10 * MS).blocked is None
+    assert check(gate, frame(throttle=13), now_ns=10 * MS).blocked == "throttle_slew"
+
+
+@pytest.mark.parametrize("throttle", [0, 1, 100, 199, 200])
+def test_the_throttle_falls_or_stays_at_any_time(throttle):
+    gate = Gate(LIMITS)
+    gate.sent(0, frame(throttle=200), 0)
+    assert_passes(gate, frame(throttle=throttle), now_ns=0)
+
+
+def test_a_frame_that_was_not_sent_earns_no_rise(gate):
+    assert_passes(gate, frame(throttle=13), now_ns=50 * MS)
+    assert_blocked(gate, "throttle_slew", frame(throttle=26), now_ns=100 * MS)
+
+
+def test_each_slot_has_its_own_last_frame(gate):
+    gate.sent(1, frame(throttle=13), 50 * MS)
+    assert_passes(gate, frame(throttle=26), slot=1, now_ns=100 * MS)
+    assert_blocked(gate, "throttle_slew", frame(throttle=26), slot=0, now_ns=100 * MS)
+
+
+def test_before_the_first_frame_left_only_a_throttle_of_zero_passes():
+    assert check(Gate(LIMITS), frame(throttle=0)).blocked is None
+    assert check(Gate(LIMITS), frame(throttle=1)).blocked == "throttle_slew"
+
+
+def test_a_stricter_slew_counts_at_once(gate):
+    gate.limits = GateLimits((PCU1_ID, PCU2_ID), SPEED_MAX_RPM, POWER_MAX_W, 10.0, 50.0, 50 * MS)
+    assert_passes(gate, frame(throttle=2))
+    assert_blocked(gate, "throttle_slew", frame(throttle=3))
+
+
+# Direction.
+
+
+@pytest.mark.parametrize(
+    "speeds", [(0.0, 0.0), (49.9, 49.9), (49.9, 0.0), (math.nextafter(50, 0), 49)]
+)
+@pytest.mark.parametrize("data", [frame(0x14), ZERO_TORQUE_REVERSE, POWER_CUT_REVERSE])
+def test_the_direction_changes_while_both_motors_are_slow(gate, speeds, data):
+    assert_passes(gate, data, speeds=speeds)
+
+
+@pytest.mark.parametrize(
+    "speeds", [(50.0, 0.0), (0.0, 50.0), (50.1, 50.1), (None, 0.0), (0.0, None), (None, None)]
+)
+@pytest.mark.parametrize("data", [frame(0x14), ZERO_TORQUE_REVERSE, POWER_CUT_REVERSE])
+@pytest.mark.parametrize("armed", [True, False])
+def test_the_direction_stays_while_a_motor_is_not_known_to_be_slow(gate, speeds, data, armed):
+    assert_blocked(gate, "direction", data, speeds=speeds, armed=armed)
+
+
+def test_the_direction_does_not_change_together_with_throttle(gate):
+    assert_blocked(gate, "direction", frame(0x14, throttle=1))
+
+
+def test_the_direction_does_not_change_right_after_throttle():
+    gate = Gate(LIMITS)
+    gate.sent(0, frame(throttle=1), 0)
+    assert_blocked(gate, "direction", frame(0x14))
+
+
+@pytest.mark.parametrize("speeds", [(6000.0, 6000.0), (None, None)])
+@pytest.mark.parametrize("first", [0x04, 0x14])
+def test_the_direction_that_was_sent_passes_at_any_speed(speeds, first):
+    gate = Gate(LIMITS)
+    gate.sent(0, frame(first, throttle=50), 0)
+    assert_passes(gate, frame(first, throttle=50), speeds=speeds)
+
+
+def test_a_change_that_did_not_leave_is_still_a_change(gate):
+    assert_passes(gate, frame(0x14), speeds=STANDING)
+    assert_blocked(gate, "direction", frame(0x14), speeds=(50.0, 50.0))
+
+
+# Blocked frames.
+
+
+@pytest.mark.parametrize(
+    ("last_sent", "instead"),
+    [
+        (frame(0x04, throttle=77), ZERO_TORQUE),
+        (frame(0x14, throttle=77), ZERO_TORQUE_REVERSE),
+        (POWER_CUT_REVERSE, ZERO_TORQUE_REVERSE),
+    ],
+)
+@pytest.mark.parametrize("asked", [frame(0x04, power=0xFFFF), frame(0x14, power=0xFFFF)])
+def test_instead_goes_zero_torque_in_the_direction_of_the_last_frame_sent(
+    last_sent, instead, asked
+):
+    gate = Gate(LIMITS)
+    gate.sent(0, last_sent, 0)
+    passed = check(gate, asked, speeds=(3000.0, 3000.0))
+    assert passed.blocked is not None
+    assert passed.data == instead
+
+
+@pytest.mark.parametrize(
+    ("asked", "instead"),
+    [(frame(0x14, 9), ZERO_TORQUE_REVERSE), (frame(0x04, 9), ZERO_TORQUE), (b"", ZERO_TORQUE)],
+)
+def test_before_the_first_frame_the_direction_asked_for_is_kept(asked, instead):
+    passed = check(Gate(LIMITS), asked)
+    assert (passed.data, passed.blocked is None) == (instead, False)
+
+
+def test_every_blocked_frame_is_counted_by_its_rule(gate):
+    for data in (frame(power=0xFFFF), frame(power=0xFFFF), frame(throttle=99), b"", frame()):
+        check(gate, data)
+    check(gate, frame(throttle=99), slot=1)
+    assert gate.blocked == {"power_limit": 2, "throttle_slew": 2, "length": 1}
+
+
+def test_zero_torque_carries_the_maximum_speed_and_the_direction(gate):
+    assert gate.zero_torque(reverse=False) == ZERO_TORQUE
+    assert gate.zero_torque(reverse=True) == ZERO_TORQUE_REVERSE
+    gate.limits = GateLimits((PCU1_ID,), 12_000, POWER_MAX_W, 1.0, 50.0, 1)
+    assert gate.zero_torque(reverse=False) == bytes.fromhex("0c000000e02e0000")
+    gate.limits = GateLimits((PCU1_ID,), 0x0DFF, POWER_MAX_W, 1.0, 50.0, 1)
+    assert gate.zero_torque(reverse=False) == bytes.fromhex("0c000000ff0d0000")
+
+
+def test_what_passes_is_a_copy_that_nobody_can_change(gate):
+    data = bytearray(frame())
+    passed = check(gate, data)
+    gate.sent(0, data, 0)
+    data[1] = 255
+    assert passed.data == frame()
+    assert_blocked(gate, "throttle_slew", frame(throttle=100))
+
+
+# Whatever happened before.
+
+LAST_SENT = st.none() | st.builds(
+    frame,
+    st.sampled_from([0x00, 0x04, 0x08, 0x0C, 0x14, 0x34, 0x8C]),
+    st.integers(0, 255),
+    st.integers(0, 255),
+    speed=st.integers(0, SPEED_MAX_RPM),
+    power=st.integers(0, POWER_MAX_W),
+)
+SPEEDS = st.tuples(*[st.none() | st.floats(0, 6000)] * 2)
+TIMES_NS = st.integers(-(10**12), 10**15)
+
+
+def gate_after(last_sent):
+    gate = Gate(LIMITS)
+    if last_sent is not None:
+        gate.sent(0, last_sent, 0)
+    return gate
+
+
+@given(last_sent=LAST_SENT, armed=st.booleans(), speeds=SPEEDS, now_ns=TIMES_NS, cut=st.booleans())
+def test_the_safe_frame_always_passes(last_sent, armed, speeds, now_ns, cut):
+    gate = gate_after(last_sent)
+    data = bytearray(gate.zero_torque(bool(last_sent and last_sent[0] & 0x10)))
+    data[0] |= 0x80 if cut else 0
+    assert_passes(gate, bytes(data), armed=armed, speeds=speeds, now_ns=now_ns)
+
+
+@given(
+    last_sent=LAST_SENT,
+    data=st.binary(max_size=12) | LAST_SENT.filter(bool),
+    armed=st.booleans(),
+    speeds=SPEEDS,
+    now_ns=TIMES_NS,
+    can_id=st.sampled_from([PCU1_ID, PCU2_ID]) | st.integers(0, 2**29 - 1),
+)
+def test_whatever_comes_in_what_goes_out_would_pass_and_carries_torque_only_when_armed(
+    last_sent, data, armed, speeds, now_ns, can_id
+):
+    gate = gate_after(last_sent)
+    passed = check(gate, data, can_id=can_id, armed=armed, speeds=speeds, now_ns=now_ns)
+    assert (passed.can_id, len(passed.data)) == (PCU1_ID, 8)
+    again = check(gate, passed.data, armed=armed, speeds=speeds, now_ns=now_ns)
+    assert again.blocked is None
+    if not armed or passed.blocked:
+        first, throttle, brake, _, _, _, power_low, power_high = passed.data
+        assert (throttle, brake, power_low, power_high, first & 0x2C) == (0, 0, 0, 0, 0x0C)
+    if passed.blocked:
+        assert gate.blocked == {passed.blocked: 1}
+
+
+# Independence.
+
+
+def test_the_gate_knows_nothing_of_the_rooms_that_it_checks():
+    tree = ast.parse(Path(gate_module.__file__).read_text(encoding="utf-8"))
+    imported = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0
+            imported.add(node.module)
+    assert imported == {"dataclasses", "typing"}

@@ -1,0 +1,140 @@
+"""From commands to frames: the exact bytes, what the gate says of them, and the book."""
+
+import dataclasses
+
+import pytest
+
+from vcu_gateway.core.commands import Command
+from vcu_gateway.core.demand import PowerMode
+from vcu_gateway.core.output import OutFrame, Output
+from vcu_gateway.core.settings import Settings
+
+MS = 1_000_000
+PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0
+ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
+STANDING = (0.0, 0.0)
+
+
+@pytest.fixture
+def output(codec):
+    return Output(codec, Settings())
+
+
+def decided(first=None, second=None, **both):
+    return {"PCU1": first or Command(**both), "PCU2": second or Command(**both)}
+
+
+@pytest.mark.parametrize(
+    ("command", "data"),
+    [
+        (Command(), "0c000000e02e0000"),
+        (Command(power_cut=True), "8c000000e02e0000"),
+        (Command(motor_reverse=True), "1c000000e02e0000"),
+        (Command(regen_brake=True), "2c000000e02e0000"),
+        (Command(power_mode=PowerMode.ECO), "00000000e02e0000"),
+        (Command(power_mode=PowerMode.NORMAL), "04000000e02e0000"),
+        (Command(power_mode=PowerMode.TURBO), "08000000e02e0000"),
+        (Command(throttle_pct=0.39), "0c010000e02e0000"),
+        (Command(throttle_pct=100), "0cff0000e02e0000"),
+        (Command(brake_pct=39), "0c006400e02e0000"),
+        (Command(speed_limit_rpm=0x1234), "0c00000034120000"),
+        (Command(power_limit_w=0x1234), "0c000000e02e3412"),
+    ],
+)
+def test_a_command_has_exactly_these_bytes(output, command, data):
+    assert output.encoded(decided(command, command)) == (
+        OutFrame("PCU1", PCU1_ID, bytes.fromhex(data)),
+        OutFrame("PCU2", PCU2_ID, bytes.fromhex(data)),
+    )
+
+
+def test_each_controller_gets_its_own_command(output):
+    frames = output.encoded(decided(Command(), Command(power_cut=True)))
+    assert [frame.data[0] for frame in frames] == [0x0C, 0x8C]
+
+
+@pytest.mark.parametrize("priority", range(8))
+def test_the_transmit_priority_is_configuration_and_the_gate_knows_it(codec, priority):
+    output = Output(codec, Settings(transmit_priority=priority))
+    frames = output.encoded(decided())
+    assert [frame.can_id for frame in frames] == [
+        PCU1_ID | priority << 26,
+        PCU2_ID | priority << 26,
+    ]
+    assert output.fault_of(frames, False, STANDING, 0) is None
+
+
+def test_both_frames_are_shown_to_the_gate_each_in_its_slot(output):
+    good, bad = Command(power_mode=PowerMode.ECO), Command(throttle_pct=100)
+    for frames, rule in (
+        (output.encoded(decided(good, good)), None),
+        (output.encoded(decided(bad, good)), "throttle_slew"),
+        (output.encoded(decided(good, bad)), "throttle_slew"),
+        (tuple(reversed(output.encoded(decided(good, good)))), "identifier"),
+    ):
+        assert output.fault_of(frames, True, STANDING, 0) == rule
+    assert output.gate.blocked == {"throttle_slew": 2, "identifier": 2}
+
+
+def test_the_gate_is_told_whether_torque_is_allowed_and_how_fast_the_motors_turn(output):
+    frames = output.encoded(decided(power_mode=PowerMode.ECO))
+    assert output.fault_of(frames, False, STANDING, 0) == "unarmed"
+    for frame in frames:
+        output.note_sent(frame, 0)
+    turned = output.encoded(decided(motor_reverse=True))
+    assert output.fault_of(turned, True, (0.0, 50.0), 0) == "direction"
+    assert output.fault_of(turned, True, STANDING, 0) is None
+
+
+def test_a_frame_that_was_sent_is_what_the_next_one_is_held_against(output):
+    low, high = (output.encoded(decided(throttle_pct=pct)) for pct in (4.0, 8.0))
+    for frame in low[:1]:
+        output.note_sent(frame, 1_000 * MS)
+    assert output.fault_of(high[:1], True, STANDING, 1_050 * MS) is None
+    assert output.fault_of(high, True, STANDING, 1_050 * MS) == "throttle_slew"
+
+
+def test_what_was_sent_is_booked_as_the_wire_carried_it(output):
+    first, second = output.encoded(decided(throttle_pct=100))
+    output.note_sent(first, 7)
+    history = output.sending.history()
+    assert [(sent.at_ns, sent.throttle_pct) for sent in history["PCU1"]] == [
+        (7, pytest.approx(99.45))
+    ]
+    assert history["PCU2"] == ()
+    output.note_sent(second, 8)
+    assert output.sending.history()["PCU2"][0].at_ns == 8
+
+
+@pytest.mark.parametrize(
+    ("change", "command", "rule"),
+    [
+        ({"speed_limit_max_rpm": 5999}, {"speed_limit_rpm": 6000}, "speed_limit"),
+        ({"power_limit_max_w": 5999}, {"power_limit_w": 6000, "speed_limit_rpm": 0}, "power_limit"),
+        ({"throttle_slew_pct_per_s": 10}, {"throttle_pct": 4.0}, "throttle_slew"),
+        ({"direction_change_rpm": 30.0}, {"motor_reverse": True}, "direction"),
+    ],
+)
+def test_new_limits_count_from_the_next_frame_on(codec, change, command, rule):
+    output = Output(codec, Settings())
+    for frame in output.encoded(decided()):
+        output.note_sent(frame, 0)
+    frames = output.encoded(decided(**command))
+    speeds = (30.0, 30.0)
+    assert output.fault_of(frames, True, speeds, 50 * MS) is None
+    output.reload(dataclasses.replace(Settings(), **change))
+    assert output.fault_of(frames, True, speeds, 50 * MS) == rule
+
+
+def test_the_period_of_the_gate_is_the_configured_one(codec):
+    output = Output(codec, Settings(period_ns=20 * MS))
+    for frame in output.encoded(decided()):
+        output.note_sent(frame, 0)
+    frames = output.encoded(decided(throttle_pct=4.0))
+    assert output.fault_of(frames, True, STANDING, 50 * MS) == "throttle_slew"
+
+
+def test_zero_torque_of_commands_and_of_the_gate_are_the_same_bytes(output):
+    frames = output.encoded(decided())
+    assert {frame.data for frame in frames} == {ZERO_TORQUE}
+    assert output.gate.zero_torque(reverse=False) == ZERO_TORQUE

@@ -1,0 +1,108 @@
+"""Settings: the defaults of SAFETY.md, and which change is the stricter one."""
+
+import dataclasses
+
+import pytest
+
+from vcu_gateway.core.demand import ControllerDemand
+from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
+
+STRICTER_AND_LOOSER = {
+    "speed_limit_max_rpm": (11_999, 12_001),
+    "power_limit_max_w": (59_999, 60_001),
+    "derated_power_w": (9_999, 10_001),
+    "regen_limit_pct": (19.9, 20.1),
+    "throttle_slew_pct_per_s": (99.9, 100.1),
+    "direction_change_rpm": (49.9, 50.1),
+    "ttl_max_ms": (999, 1001),
+    "clear_hold_ms": (1001, 999),
+}
+
+OTHER_VALUES = {
+    "late_after_ms": {"BMS_Status": 1000},
+    "stale_after_ms": {"BMS_Status": 1000},
+    "transmit_priority": 3,
+    "required": ("BMS_Status",),
+    "period_ns": 20_000_000,
+    "listen_before_talk_ms": 2000,
+    "qualify_frames": 4,
+    "power_slew_w_per_s": 50_000.0,
+    "regen_slew_pct_per_s": 50.0,
+    "priorities": {"driver": 1},
+    "expect_echo": False,
+    "bench_demand": ControllerDemand(),
+    "auto_arm": True,
+}
+
+
+def test_the_defaults_are_safety_mds():
+    assert dataclasses.asdict(Settings()) == {
+        "late_after_ms": {},
+        "stale_after_ms": {},
+        "transmit_priority": 0,
+        "required": ("BMS_Status", "PCU1_Status2", "PCU2_Status2"),
+        "period_ns": 50_000_000,
+        "listen_before_talk_ms": 1000,
+        "qualify_frames": 3,
+        "clear_hold_ms": 1000,
+        "speed_limit_max_rpm": 12_000.0,
+        "power_limit_max_w": 60_000.0,
+        "derated_power_w": 10_000.0,
+        "regen_limit_pct": 20.0,
+        "throttle_slew_pct_per_s": 100.0,
+        "power_slew_w_per_s": 60_000.0,
+        "regen_slew_pct_per_s": 100.0,
+        "direction_change_rpm": 50.0,
+        "ttl_max_ms": 1000,
+        "priorities": {},
+        "expect_echo": True,
+        "bench_demand": None,
+        "auto_arm": False,
+    }
+
+
+def test_every_setting_is_judged_here():
+    names = {field.name for field in dataclasses.fields(Settings)}
+    assert names == STRICTER_AND_LOOSER.keys() | OTHER_VALUES.keys()
+
+
+@pytest.mark.parametrize("name", STRICTER_AND_LOOSER)
+def test_a_limit_changes_freely_towards_the_stricter_side_only(name):
+    stricter, looser = STRICTER_AND_LOOSER[name]
+    before = Settings()
+    assert loosened(before, dataclasses.replace(before, **{name: stricter})) == ()
+    assert loosened(before, dataclasses.replace(before, **{name: looser})) == (name,)
+
+
+@pytest.mark.parametrize("name", OTHER_VALUES)
+def test_whatever_has_no_stricter_side_must_stay(name):
+    before = Settings()
+    assert loosened(before, dataclasses.replace(before, **{name: OTHER_VALUES[name]})) == (name,)
+
+
+def test_nothing_changed_is_nothing_loosened():
+    assert changed(Settings(), Settings()) == ()
+    assert loosened(Settings(), Settings()) == ()
+
+
+def test_changed_names_what_differs_in_the_order_of_the_settings():
+    after = dataclasses.replace(Settings(), auto_arm=True, clear_hold_ms=1001, required=())
+    assert changed(Settings(), after) == ("required", "clear_hold_ms", "auto_arm")
+
+
+def test_every_name_that_is_loosened_is_told():
+    after = dataclasses.replace(Settings(), clear_hold_ms=1, power_limit_max_w=1, ttl_max_ms=2000)
+    assert loosened(Settings(), after) == ("clear_hold_ms", "ttl_max_ms")
+
+
+def test_what_is_read_once_at_the_start_needs_a_restart():
+    assert set(RESTART_ONLY) == {
+        "late_after_ms",
+        "stale_after_ms",
+        "transmit_priority",
+        "period_ns",
+        "listen_before_talk_ms",
+        "expect_echo",
+        "bench_demand",
+        "auto_arm",
+    }

@@ -1,0 +1,116 @@
+"""Listening before talking, and the good frames that end STARTING."""
+
+import pytest
+
+from tests.core.safety_world import CODEC, MS, PROTOCOL, data
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.startup import Listening, Qualification
+from vcu_gateway.core.state import Store
+
+
+@pytest.mark.parametrize(
+    ("after_ns", "over"), [(0, False), (1000 * MS - 1, False), (1000 * MS, True)]
+)
+def test_listening_is_over_after_its_time(after_ns, over):
+    listening = Listening(7, 1000)
+    assert not listening.over
+    assert listening.update(7 + after_ns) is over
+    assert listening.over is over
+
+
+def test_another_sender_makes_the_listening_begin_again():
+    listening = Listening(0, 1000)
+    listening.again(999 * MS)
+    assert not listening.update(1999 * MS - 1)
+    assert listening.update(1999 * MS)
+
+
+def test_once_over_listening_is_over_until_the_next_start():
+    listening = Listening(0, 1000)
+    listening.update(1000 * MS)
+    listening.again(1001 * MS)
+    assert listening.update(1001 * MS)
+
+
+class Counted:
+    """A store that is fed by hand."""
+
+    def __init__(self) -> None:
+        received = PROTOCOL.received_by("VCU")
+        self.store = Store(received, {message.name: 1600 * MS for message in received})
+        self.now_ns = 0
+        self.qualification = Qualification()
+
+    def put(self, name: str, times: int = 1, **raws: int) -> None:
+        for _ in range(times):
+            self.now_ns += MS
+            self.store.put(name, CODEC.by_name[name].decode(data(name, raws)), self.now_ns)
+
+    def missing(self, *required: str, frames: int = 3) -> list[str]:
+        settings = Settings(required=required, qualify_frames=frames)
+        return list(self.qualification.missing(self.store.snapshot(self.now_ns), settings))
+
+    def begin(self, *required: str) -> None:
+        self.qualification.begin(self.store.snapshot(self.now_ns), required)
+
+
+def test_a_message_that_never_came_is_waited_for():
+    assert Counted().missing("BMS_Status") == ["waiting for BMS_Status"]
+
+
+@pytest.mark.parametrize(
+    ("frames", "missing"),
+    [
+        (1, ["waiting for BMS_Status: 1 of 3 good frames"]),
+        (2, ["waiting for BMS_Status: 2 of 3 good frames"]),
+        (3, []),
+        (4, []),
+    ],
+)
+def test_three_good_frames_are_enough(frames, missing):
+    counted = Counted()
+    counted.put("BMS_Status", frames)
+    assert counted.missing("BMS_Status") == missing
+
+
+def test_a_frame_with_a_signal_out_of_range_is_not_a_good_one():
+    counted = Counted()
+    counted.put("BMS_Status", 2)
+    counted.put("BMS_Status", SOC=101)
+    assert counted.missing("BMS_Status") == ["waiting for BMS_Status: 2 of 3 good frames"]
+    counted.put("BMS_Status")
+    assert counted.missing("BMS_Status") == []
+
+
+def test_a_stale_message_is_waited_for_however_many_frames_came():
+    counted = Counted()
+    counted.put("BMS_Status", 5)
+    counted.now_ns += 1600 * MS
+    assert counted.missing("BMS_Status") == []
+    counted.now_ns += 1
+    assert counted.missing("BMS_Status") == ["waiting for BMS_Status"]
+
+
+def test_every_required_message_counts_for_itself():
+    counted = Counted()
+    counted.put("PCU1_Status2", 3)
+    counted.put("PCU2_Status2", 1)
+    assert counted.missing("PCU1_Status2", "PCU2_Status2", "BMS_Status") == [
+        "waiting for PCU2_Status2: 1 of 3 good frames",
+        "waiting for BMS_Status",
+    ]
+
+
+def test_the_number_of_frames_is_configuration():
+    counted = Counted()
+    counted.put("BMS_Status", 4)
+    assert counted.missing("BMS_Status", frames=5) == ["waiting for BMS_Status: 4 of 5 good frames"]
+
+
+def test_frames_from_before_starting_do_not_count():
+    counted = Counted()
+    counted.put("BMS_Status", 10)
+    counted.begin("BMS_Status", "PCU1_Status2")
+    assert counted.missing("BMS_Status") == ["waiting for BMS_Status: 0 of 3 good frames"]
+    counted.put("BMS_Status", 3)
+    assert counted.missing("BMS_Status") == []
