@@ -28,7 +28,6 @@ class Daemon:
     Attributes:
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.
         silent_ticks: ticks that sent nothing, listening before talking.
-        late_frames: frames not sent because the process was held up after deciding them.
     """
 
     def __init__(
@@ -49,7 +48,6 @@ class Daemon:
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
-        self.late_frames = 0
         self._told_why: tuple[object, ...] = ()
 
     def stop(self, why: str) -> None:
@@ -103,7 +101,8 @@ class Daemon:
         result = gateway.tick(now_ns)
         for frame in result.frames:
             gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
-        # The frames have left; what follows has the rest of the period.
+        self.schedule.left(time.monotonic_ns())
+        # What follows has the rest of the period.
         self._finished = result.finished
         self.silent_ticks += not result.frames
         self._tell(tick, result)
@@ -114,13 +113,9 @@ class Daemon:
             gc.collect()
 
     def _send_in_time(self, frame: OutFrame, tick: Tick) -> bool:
-        """Send, unless the process was held up since the tick: what it decided is old by now.
-
-        More than half a period late, it would also come too close to the next one.
-        """
-        if time.monotonic_ns() - tick.deadline_ns > self.schedule.period_ns // 2:
-            self.late_frames += 1
-            return False
+        """Send, unless the process was held up since the tick: what it decided is old by now."""
+        if self.schedule.too_late(tick, time.monotonic_ns()):
+            return self.door.withhold("late")
         return self.door.send(frame)
 
     def _tell(self, tick: Tick, result: TickResult) -> None:
@@ -171,7 +166,6 @@ class Daemon:
             silent_ticks=self.silent_ticks,
             sent_frames=self.door.counters.sent,
             unsent_frames=self.door.counters.refused,
-            late_frames=self.late_frames,
             lateness_p50_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.5)),
             lateness_p99_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.99)),
             receiver_bugs=self.door.counters.receiver_bugs,

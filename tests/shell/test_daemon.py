@@ -122,3 +122,21 @@ def test_the_garbage_collector_is_as_before_afterwards(rig):
     one.daemon.run(duration_s=0.1)
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
+
+
+def test_a_frame_is_not_sent_half_a_period_after_its_tick(rig, monkeypatch):
+    one = rig()
+    send, held_up = one.door.send, []
+
+    def held_up_once(frame):
+        taken = send(frame)
+        if not held_up:
+            held_up.append(frame.controller)
+            time.sleep(0.03)
+        return taken
+
+    monkeypatch.setattr(one.door, "send", held_up_once)
+    one.daemon.run(duration_s=1.3)
+    assert held_up == ["PCU1"]
+    assert one.door.counters.refused["late"] >= 1
+    assert [frame.arbitration_id for frame in one.heard()][:2] == [COMMANDS[0], COMMANDS[0]]

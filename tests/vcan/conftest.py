@@ -10,10 +10,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+
+# Imported for the processes that are forked from this one.
+from vcu_gateway import cli
+from vcu_gateway.cli import run, simulate  # noqa: F401
 
 HERE = Path(__file__).parent
 CHANNEL = "vcan0"
@@ -50,11 +55,39 @@ class Recorded(NamedTuple):
     data: bytes
 
 
+class Forked(ForkProcess):
+    """The program in a process of its own that need not import it first: 2 s in the lab."""
+
+    def __init__(self, arguments: list[str], stdout: int, stderr: int) -> None:
+        super().__init__(daemon=True)
+        self._arguments, self._to = arguments, (stdout, stderr)
+
+    def run(self) -> None:
+        for number, to in enumerate(self._to, start=1):
+            os.dup2(to, number)
+        sys.stdout = open(1, "w", buffering=1, closefd=False)  # noqa: SIM115
+        sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
+        sys.argv = ["vcu-gateway", *self._arguments]
+        cli.main()
+
+    def poll(self) -> int | None:
+        return self.exitcode
+
+    def wait(self, timeout: float) -> int:
+        self.join(timeout)
+        if self.exitcode is None:
+            raise subprocess.TimeoutExpired(self._arguments, timeout)
+        return self.exitcode
+
+    def send_signal(self, number: int) -> None:
+        os.kill(self.pid or 0, number)
+
+
 @dataclass
 class Process:
     """A child with its output in files, so that no full pipe ever stops it."""
 
-    popen: subprocess.Popen[bytes]
+    popen: subprocess.Popen[bytes] | Forked
     out: Path
     err: Path
 
@@ -77,14 +110,20 @@ class Stand:
 
     folder: Path
     channel: str = CHANNEL
+    forking: bool = False
     children: list[Process] = field(default_factory=list)
 
     def start(self, name: str, *command: str) -> Process:
         out, err = self.folder / f"{name}.out", self.folder / f"{name}.err"
+        popen: subprocess.Popen[bytes] | Forked
         with out.open("wb") as stdout, err.open("wb") as stderr:
-            popen = subprocess.Popen(
-                command, stdout=stdout, stderr=stderr, stdin=subprocess.DEVNULL
-            )
+            if self.forking and list(command[:3]) == program():
+                popen = Forked(list(command[3:]), stdout.fileno(), stderr.fileno())
+                popen.start()
+            else:
+                popen = subprocess.Popen(
+                    command, stdout=stdout, stderr=stderr, stdin=subprocess.DEVNULL
+                )
         child = Process(popen, out, err)
         self.children.append(child)
         return child
@@ -117,21 +156,29 @@ class Stand:
         return self.start("vehicle", *program("simulate", *options))
 
 
+def _parsed(line: str) -> Recorded:
+    stamp, can_id, data = line.split(",")
+    flagged = int(can_id, 16)
+    return Recorded(int(stamp), flagged >> 29, flagged & 0x1FFF_FFFF, bytes.fromhex(data))
+
+
 @dataclass
 class Recording:
     process: Process
     path: Path
 
+    _read_to: int = 0
+    _frames: list[Recorded] = field(default_factory=list)
+
     def frames(self) -> list[Recorded]:
-        """Everything recorded so far."""
-        frames = []
-        for line in self.path.read_text().splitlines(keepends=True):
-            if line.endswith("\n"):
-                stamp, can_id, data = line.rstrip("\n").split(",")
-                flagged = int(can_id, 16)
-                flags, can_id = flagged >> 29, flagged & 0x1FFF_FFFF
-                frames.append(Recorded(int(stamp), flags, can_id, bytes.fromhex(data)))
-        return frames
+        """Everything recorded so far; only what is new is read, polling must stay cheap."""
+        with self.path.open("rb") as recorded:
+            recorded.seek(self._read_to)
+            whole_lines = recorded.read().rpartition(b"\n")[0]
+        if whole_lines:
+            self._read_to += len(whole_lines) + 1
+            self._frames += map(_parsed, whole_lines.decode().splitlines())
+        return list(self._frames)
 
     def commands(self) -> list[Recorded]:
         return [f for f in self.frames() if f.flags == EXTENDED and f.can_id in COMMANDS]
@@ -156,7 +203,7 @@ def wait_until(condition: Callable[[], bool], what: str, patience_s: float = PAT
     deadline = time.monotonic() + patience_s
     while not condition():
         assert time.monotonic() < deadline, f"waited {patience_s} s in vain for {what}"
-        time.sleep(0.02)
+        time.sleep(0.05)
 
 
 @contextlib.contextmanager
@@ -192,5 +239,13 @@ def pytest_terminal_summary(
 
 @pytest.fixture
 def stand(tmp_path: Path) -> Iterator[Stand]:
+    """Programs are forked from this process: imported once, everything else their own."""
+    with ended_after(Stand(tmp_path, forking=True)) as stand:
+        yield stand
+
+
+@pytest.fixture
+def fresh_stand(tmp_path: Path) -> Iterator[Stand]:
+    """Programs are started as a person starts them."""
     with ended_after(Stand(tmp_path)) as stand:
         yield stand

@@ -26,7 +26,8 @@ def resident_kb(pid: int) -> int | None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(DURATION_S + 120)
-def test_every_tick_is_accounted_for_and_memory_stays_flat(stand: Stand):
+def test_every_tick_is_accounted_for_and_memory_stays_flat(fresh_stand: Stand):
+    stand = fresh_stand
     recording = stand.record()
     gateway = stand.gateway(CONFIG, "--duration", str(DURATION_S))
     stand.start("vehicle", *program("simulate", "--channel", CHANNEL))
@@ -47,7 +48,8 @@ def test_every_tick_is_accounted_for_and_memory_stays_flat(stand: Stand):
     report = gateway.logged("stopped")
     print(
         f"{report['elapsed_s']} s: {report['ticks']} ticks, {report['skipped']} skipped, "
-        f"{report['sent_frames']} frames sent, {report['unsent_frames']} not, memory {before_kb} kB then {last_kb[0]} kB, "
+        f"{report['sent_frames']} frames sent, {report['unsent_frames']} not, "
+        f"memory {before_kb} kB then {last_kb[0]} kB, "
         f"late p50 below {report['lateness_p50_below_us']} us, "
         f"p99 below {report['lateness_p99_below_us']} us"
     )

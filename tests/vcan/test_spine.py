@@ -98,9 +98,11 @@ def test_recorded_traffic_reaches_the_store_as_the_oracle_decodes_it(replayed: R
 
 
 def test_every_tick_sends_zero_torque_to_pcu1_and_then_pcu2(replayed: Replayed):
-    commands = replayed.commands
+    commands, unsent = replayed.commands, replayed.ended["unsent_frames"]
     assert len(commands) >= 80
-    assert [frame.can_id for frame in commands] == list(COMMANDS) * (len(commands) // 2)
+    if not unsent:
+        assert [frame.can_id for frame in commands] == list(COMMANDS) * (len(commands) // 2)
+    assert set(unsent) <= {"late"}, "a stall of the lab and nothing else"
     assert {frame.data for frame in commands} == {ZERO_TORQUE}
 
 
@@ -114,26 +116,26 @@ def test_the_cadence_is_50_ms_without_drift_and_never_a_burst(replayed: Replayed
         points = [round(gap / PERIOD_NS) for gap in gaps]
         drift_ns = stamps[-1] - stamps[0] - sum(points) * PERIOD_NS
         assert abs(drift_ns) < PERIOD_NS // 2
-        assert sum(points) - len(points) <= ended["skipped"]
+        unsent = sum(ended["unsent_frames"].values())
+        assert sum(points) - len(points) <= ended["skipped"] + unsent
         assert statistics.median(gaps) == pytest.approx(PERIOD_NS, rel=0.02)
-        unsent = ended["ticks"] - ended["silent_ticks"] - len(stamps)
-        assert 0 <= unsent <= ended["late_frames"]
+        assert 0 <= ended["ticks"] - ended["silent_ticks"] - len(stamps) <= unsent
 
 
 def test_it_listens_for_a_second_before_it_talks(replayed: Replayed):
     opened = datetime.fromisoformat(replayed.opened["timestamp"])
     silence_s = replayed.commands[0].stamp_ns / 1e9 - opened.timestamp()
     # The log's stamp is taken a moment after the opening.
-    assert 0.99 <= silence_s <= 1.2
+    assert 0.99 <= silence_s <= 1.1 + 0.05 * replayed.ended["skipped"]
 
 
-def test_every_tick_is_accounted_for(stand: Stand):
-    gateway = stand.gateway("", "--duration", "3")
+def test_every_tick_is_accounted_for(fresh_stand: Stand):
+    gateway = fresh_stand.gateway("", "--duration", "3")
     assert gateway.popen.wait(20) == 0
     ended = gateway.logged("stopped")
     assert ended["ticks"] + ended["skipped"] == 60 + 3, "three safe frames end it"
-    decided = 2 * (ended["ticks"] - ended["silent_ticks"])
-    assert ended["sent_frames"] + ended["late_frames"] == decided
+    unsent = sum(ended["unsent_frames"].values())
+    assert ended["sent_frames"] + unsent == 2 * (ended["ticks"] - ended["silent_ticks"])
     assert set(ended["unsent_frames"]) <= {"late"}, "a stall of the lab and nothing else"
 
 
@@ -244,9 +246,9 @@ def test_the_simulated_vehicle_answers_every_command_with_status2(stand: Stand):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_it_within_a_second_with_exit_code_0(stand: Stand, number: int):
-    recording = stand.record()
-    gateway = stand.gateway()
+def test_a_signal_ends_it_within_a_second_with_exit_code_0(fresh_stand: Stand, number: int):
+    recording = fresh_stand.record()
+    gateway = fresh_stand.gateway()
     recording.wait_for(lambda frames: len(frames) >= 4, "command frames")
     assert gateway.stop(number) == 0
     assert gateway.logged("stopped")["reason"] == signal.Signals(number).name

@@ -138,7 +138,7 @@ class Commander:
         self._note_override(asked)
         self._move_ramps(effects, settings, now_ns)
         pending = self.reverse_pending(asked)
-        change = pending and slow and self._standing()
+        change = slow and self._standing()
         rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s(now_ns, settings)
         return self._decided(
             {
