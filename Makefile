@@ -38,6 +38,9 @@ nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
 	$(LAB) install
 	$(LAB) run --timeout 1800 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest -s tests/vcan
 
+mutants: setup  ## change the safety core on purpose: every mistake must turn a test red
+	scripts/mutants $(BIN)
+
 lint: setup  ## style, types, import contracts, generated files
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

@@ -71,6 +71,7 @@ class Daemon:
         gc.disable()  # collected below, right after a tick, when nothing is due
         self._try_to_open()
         schedule = self.schedule = Schedule(time.monotonic_ns(), self.schedule.period_ns)
+        self.door.align(schedule.origin_ns, schedule.period_ns)
         end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * _NS_PER_S)
         try:
             while not self._finished:
@@ -103,7 +104,7 @@ class Daemon:
             gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
         self.schedule.left(time.monotonic_ns())
         # What follows has the rest of the period.
-        self._finished = result.finished
+        self._finished = gateway.finished
         self.silent_ticks += not result.frames
         self._tell(tick, result)
         if self._observer is not None:

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcu_gateway.core.clock import ClockPair, arrival_ns
+from vcu_gateway.core.clock import ClockPair, arrival_ns, steady
 
 MS = 1_000_000
 HOUR = 3600 * 1_000_000_000
@@ -59,6 +59,13 @@ def test_the_newer_reading_counts_where_only_it_lies_after_the_drain_before():
 def test_a_stamp_from_the_future_counts_as_old_as_it_can_be():
     assert arrival_ns(1100 * MS + DISTANCE + 1, BEFORE, now()) == BEFORE.monotonic_ns
     assert arrival_ns(1100 * MS + DISTANCE, BEFORE, now()) == 1100 * MS
+
+
+def test_the_clock_is_steady_up_to_a_millisecond_either_way():
+    for error_ns in (-MS, 0, MS):
+        assert steady(BEFORE, now(DISTANCE + error_ns))
+    for error_ns in (-MS - 1, MS + 1):
+        assert not steady(BEFORE, now(DISTANCE + error_ns))
 
 
 @given(st.integers(0, 2**63), st.integers(0, 2**63), st.integers(0, 2**63))

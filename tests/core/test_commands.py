@@ -110,6 +110,13 @@ def test_before_the_first_tick_the_last_command_is_zero_torque():
     assert commander.override_latched is False
 
 
+def test_before_the_first_tick_nothing_can_be_lost():
+    commander = Commander(Settings())
+    commander.not_sent("PCU1")
+    assert commander.last == {"PCU1": ZERO_TORQUE, "PCU2": ZERO_TORQUE}
+    assert commander.replaced(Settings()) == commander.last
+
+
 def test_the_first_tick_earns_no_throttle():
     commander = Commander(Settings())
     asked = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=100))
@@ -429,6 +436,11 @@ def test_slews_and_targets_of_the_limits_are_configuration():
     assert (command.power_limit_w, command.brake_pct) == (20_000, 30)
 
 
+def test_the_maximum_power_says_nothing_of_the_brake():
+    drive = Drive(power_limit_max_w=10)
+    assert brakes(drive, 3) == [80, 80, 80]
+
+
 @pytest.mark.parametrize(
     ("limit", "commanded", "target", "step", "expected"),
     [
@@ -546,6 +558,11 @@ def test_a_change_of_direction_that_was_not_sent_did_not_happen(drive, mode):
         drive.commander.not_sent(name)
     assert drive.step("safe").motor_reverse is False
     assert drive.step(mode, None, motor_reverse=True, slow=False).motor_reverse is False
+
+
+def test_a_replaced_command_keeps_the_power_cut_where_it_is_told_to(drive):
+    commands = drive.commander.replaced(drive.settings, True)
+    assert commands == dict.fromkeys(CONTROLLERS, Command(power_cut=True))
 
 
 @pytest.mark.parametrize("mode", ["settle", "active"])

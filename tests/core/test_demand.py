@@ -24,7 +24,7 @@ from vcu_gateway.core.demand import (
 
 MS = 1_000_000
 TTL_MAX_MS = 1000
-PRIORITIES = {"remote": 5, "driver": 5, "supervisor": 10}
+PRIORITIES = {"remote": 5, "driver": 5, "supervisor": 10, "guest": 1, "last": -1}
 IDLE = ControllerDemand()
 
 
@@ -167,6 +167,10 @@ def test_a_refused_demand_does_not_prolong_the_one_before(desk):
         ("driver", "unlisted", False),  # not listed means 0
         ("unlisted", "driver", True),
         ("unlisted", "stranger", False),
+        ("unlisted", "guest", True),
+        ("guest", "unlisted", False),
+        ("last", "unlisted", True),
+        ("unlisted", "last", False),
     ],
 )
 def test_another_source_takes_a_fresh_desk_over_by_priority_only(desk, owner, other, taken):
@@ -257,7 +261,8 @@ def test_the_bench_demand_counts_for_ever_and_has_no_age():
     assert desk.fresh(10**18)
     assert desk.age_ns(10**18) is None
     assert desk.asked(10**18) == {"PCU1": bench, "PCU2": bench}
-    assert (desk.current.source, desk.current.ttl_ms) == (BENCH_SOURCE, None)
+    both = {"PCU1": bench, "PCU2": bench}
+    assert desk.current == Demand(BENCH_SOURCE, sequence=0, ttl_ms=None, controllers=both)
 
 
 def test_the_bench_demand_gives_way_to_a_higher_priority_only():

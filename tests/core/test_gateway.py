@@ -678,11 +678,35 @@ def test_the_gate_does_not_take_a_power_cut_away():
 def test_ending_gives_three_zero_torque_frames_to_each_controller_from_every_mode(mode):
     drive = in_mode(mode)
     drive.gateway.terminate()
-    ticks = [drive.tick() for _ in range(2 if mode is Mode.STOPPING else 3)]
-    assert {tick.mode for tick in ticks} == {Mode.STOPPING}
-    assert all([frame.data for frame in tick.frames] == [ZERO_TORQUE] * 2 for tick in ticks)
-    assert [tick.finished for tick in ticks][-1]
-    assert not any(tick.finished for tick in ticks[:-1])
+    for _ in range(2 if mode is Mode.STOPPING else 3):
+        assert not drive.gateway.finished
+        drive.tick()
+        assert (drive.mode, drive.commands) == (Mode.STOPPING, [ZERO_TORQUE] * 2)
+    assert drive.gateway.finished
+
+
+def test_a_safe_frame_that_was_not_sent_does_not_count_at_the_end():
+    drive = active()
+    drive.gateway.terminate()
+    drive.tick()
+    drive.accepted = False
+    drive.tick()
+    drive.accepted = True
+    drive.tick()
+    assert not drive.gateway.finished
+    drive.tick()
+    assert drive.gateway.finished
+
+
+def test_a_bus_that_takes_nothing_does_not_hold_the_end_up_for_ever():
+    drive = active()
+    drive.gateway.terminate()
+    drive.accepted = False
+    for _ in range(9):
+        drive.tick()
+        assert not drive.gateway.finished
+    drive.tick()
+    assert drive.gateway.finished
 
 
 def test_ending_while_listening_sends_nothing():
@@ -690,7 +714,7 @@ def test_ending_while_listening_sends_nothing():
     drive.run(200)
     drive.gateway.terminate()
     result = drive.tick()
-    assert (result.mode, result.frames, result.finished) == (Mode.STOPPING, (), True)
+    assert (result.mode, result.frames, drive.gateway.finished) == (Mode.STOPPING, (), True)
 
 
 def test_ending_out_of_a_cut_keeps_the_power_cut():
@@ -700,7 +724,7 @@ def test_ending_out_of_a_cut_keeps_the_power_cut():
     drive.gateway.terminate()
     drive.run(150)
     assert (drive.mode, drive.commands) == (Mode.STOPPING, [POWER_CUT] * 2)
-    assert drive.result.finished
+    assert drive.gateway.finished
 
 
 def test_nothing_is_granted_while_ending():

@@ -100,6 +100,9 @@ class Process:
         lines = self.err.read_text().splitlines()
         return [json.loads(line) for line in lines if line.startswith("{")]
 
+    def has_logged(self, event: str) -> bool:
+        return any(entry["event"] == event for entry in self.log())
+
     def logged(self, event: str) -> dict[str, object]:
         return next(entry for entry in self.log() if entry["event"] == event)
 

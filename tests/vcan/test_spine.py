@@ -142,12 +142,15 @@ def test_every_tick_is_accounted_for(fresh_stand: Stand):
 def test_a_bench_demand_rises_to_full_throttle_and_does_not_wrap(stand: Stand):
     recording = stand.record()
     gateway = stand.gateway(BENCH)
-    stand.start("vehicle", *program("simulate", "--channel", CHANNEL))
-    recording.wait_for(
-        lambda frames: BENCH_FRAME in {frame.data for frame in of(frames, COMMANDS[1])},
-        "full throttle",
-    )
+    vehicle = stand.start("vehicle", *program("simulate", "--channel", CHANNEL))
+
+    def at_full_throttle(frames: list[Recorded]) -> bool:
+        assert not gateway.has_logged("fault_latched"), gateway.err.read_text()
+        return BENCH_FRAME in {frame.data for frame in of(frames[-40:], COMMANDS[1])}
+
+    recording.wait_for(at_full_throttle, "full throttle")
     assert gateway.stop() == 0
+    vehicle.stop()
     throttles = [frame.data[1] for frame in of(recording.commands(), COMMANDS[0])]
     rises = [after - before for before, after in itertools.pairwise(throttles)]
     assert max(throttles) == 255

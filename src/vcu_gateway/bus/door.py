@@ -35,7 +35,7 @@ class BusSettings:
     interface: Interface
     channel: str
     kernel_filters: bool = True
-    gather_s: float = 0.002
+    gather_s: float = 0.01
     receive_buffer_bytes: int | None = None
 
 
@@ -72,6 +72,7 @@ class Door:
         self._bus: can.BusABC | None = None
         self._notifier: can.Notifier | None = None
         self._dropped_before = 0
+        self._grid: tuple[int, int] | None = None
         self.counters = BusCounters()
         self.lost: str | None = "not opened yet"
 
@@ -109,6 +110,8 @@ class Door:
             raise UnavailableError(_explain(error, self._settings)) from error
         self.lost = None
         self._bus = bus
+        if self._grid is not None:
+            self.align(*self._grid)
         self._notifier = can.Notifier(bus, [self._listener()], timeout=_NOTIFIER_TIMEOUT_S)
 
     def _open_bus(self) -> can.BusABC:
@@ -134,6 +137,12 @@ class Door:
 
     def _on_lost(self, why: str) -> None:
         self.lost = why
+
+    def align(self, origin_ns: int, period_ns: int) -> None:
+        """Read all that waits shortly before every point of this grid: the ticks."""
+        self._grid = (origin_ns, period_ns)
+        if isinstance(self._bus, DrainingSocketcanBus):
+            self._bus.align(origin_ns, period_ns)
 
     def send(self, frame: OutFrame) -> bool:
         """Send now or not at all; False, and counted, where the interface did not take it."""

@@ -17,7 +17,8 @@ import can
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
 from vcu_gateway.bus.clocks import read_clocks
-from vcu_gateway.core.clock import ClockPair, arrival_ns
+from vcu_gateway.core.clock import ClockPair, arrival_ns, steady
+from vcu_gateway.core.schedule import next_drain_ns
 
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
@@ -27,6 +28,8 @@ _ANCILLARY_BYTES = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(4)
 _EFF_FLAG, _RTR_FLAG, _ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _DRAIN_AT_MOST = 256
 _NS_PER_S = 1_000_000_000
+# Waking and reading all that gathered in 10 ms on a saturated bus takes less than this.
+_LEAD_NS = 2_000_000
 
 _head = struct.Struct("=IB3x")
 _frame = struct.Struct("=IB3x8s")
@@ -53,7 +56,9 @@ class DrainingSocketcanBus(SocketcanBus):
         receive_buffer_bytes: int | None,
     ) -> None:
         self._pending: deque[can.Message] = deque()
-        self._gather_s = gather_s
+        self._gather_ns = int(gather_s * _NS_PER_S)
+        self._grid: tuple[int, int] | None = None
+        self._distance_ns: int | None = None
         self._failed = False
         self._clocks = read_clocks()
         self.dropped = 0
@@ -83,12 +88,22 @@ class DrainingSocketcanBus(SocketcanBus):
         if self._failed:
             time.sleep(timeout or 0.1)
             return None
-        if not self._poll.poll(None if timeout is None else timeout * 1000):
-            return None
-        if self._gather_s:
-            time.sleep(self._gather_s)
+        self._let_gather()
         self._drain()
+        if not pending and self._poll.poll(None if timeout is None else timeout * 1000):
+            self._drain()
         return pending.popleft() if pending else None
+
+    def align(self, origin_ns: int, period_ns: int) -> None:
+        """Read shortly before every point of this grid, whatever may gather otherwise."""
+        self._grid = (origin_ns - _LEAD_NS, period_ns)
+
+    def _let_gather(self) -> None:
+        """Sleep until it is worth reading again; on a quiet bus that is now."""
+        until_ns = next_drain_ns(self._clocks.monotonic_ns, self._gather_ns, self._grid)
+        left_ns = until_ns - time.monotonic_ns()
+        if left_ns > 0:
+            time.sleep(left_ns / _NS_PER_S)
 
     def _drain(self) -> None:
         """Read all that waits, at most some hundreds of frames."""
@@ -96,7 +111,7 @@ class DrainingSocketcanBus(SocketcanBus):
         read: list[Any] = []
         try:
             for _ in range(_DRAIN_AT_MOST):
-                # One by one: what was read before a failure must not be lost
+                # One by one: what was read before a failure must not be lost.
                 read += (receive(_FD_FRAME_BYTES, _ANCILLARY_BYTES, socket.MSG_DONTWAIT),)
         except BlockingIOError:
             pass
@@ -104,6 +119,7 @@ class DrainingSocketcanBus(SocketcanBus):
             failure = error
         # The clocks are read after the frames, so no stamp lies in their future.
         before, self._clocks = self._clocks, read_clocks()
+        self._distance_ns = self._clocks.distance_ns if steady(before, self._clocks) else None
         self._pending.extend(self._dissect(received, before) for received in read)
         if failure is not None:
             # The interface going down is told once and mends itself; other errors do not.
@@ -134,7 +150,11 @@ class DrainingSocketcanBus(SocketcanBus):
         for _level, kind, payload in ancillary:
             if kind == _SO_TIMESTAMPNS:
                 seconds, nanoseconds = _timespec.unpack(payload)
-                at_ns = arrival_ns(seconds * _NS_PER_S + nanoseconds, before, self._clocks)
+                stamp_ns = seconds * _NS_PER_S + nanoseconds
+                if self._distance_ns is None:
+                    at_ns = arrival_ns(stamp_ns, before, self._clocks)
+                else:
+                    at_ns = stamp_ns - self._distance_ns
             elif kind == _SO_RXQ_OVFL:
                 self.dropped = _counter.unpack(payload)[0]
         return (before.monotonic_ns if at_ns is None else at_ns) / _NS_PER_S

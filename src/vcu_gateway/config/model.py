@@ -53,10 +53,11 @@ class Bus(Section):
         default=True, description="Let the kernel drop frames that nobody here decodes."
     )
     gather_ms: float = Field(
-        default=2.0,
+        default=10.0,
         ge=0,
         le=10,
-        description="How long received frames may gather before one wake-up handles them all.",
+        description="How long received frames may gather before one wake-up handles them all;"
+        " shortly before every tick they are read in any case.",
     )
     receive_buffer_bytes: int | None = Field(
         default=None,

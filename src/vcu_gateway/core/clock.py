@@ -6,6 +6,9 @@ distance changes only when somebody steps the wall clock (or the machine was sus
 
 from dataclasses import dataclass
 
+# Two readings of both clocks differ by this much without any step.
+_READING_ERROR_NS = 1_000_000
+
 
 @dataclass(frozen=True, slots=True)
 class ClockPair:
@@ -37,6 +40,14 @@ def arrival_ns(stamp_wall_ns: int, before: ClockPair, now: ClockPair) -> int:
     if len(possible) == 1:
         return possible[0]
     return _likelier(min(possible), max(possible), before.monotonic_ns)
+
+
+def steady(before: ClockPair, now: ClockPair) -> bool:
+    """True where the wall clock was not stepped between two readings.
+
+    Then `stamp - now.distance_ns` is the arrival of every frame read at `now`.
+    """
+    return abs(now.distance_ns - before.distance_ns) <= _READING_ERROR_NS
 
 
 def _likelier(older_ns: int, newer_ns: int, earliest_ns: int) -> int:

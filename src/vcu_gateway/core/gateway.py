@@ -34,6 +34,7 @@ from vcu_gateway.core.why import Why
 from vcu_gateway.core.world import World
 
 _STOPPING_TICKS = 3
+_STOPPING_TICKS_AT_MOST = 10
 _NS_PER_MS = 1_000_000
 _LISTENING = "listening for another sender of our frames"
 
@@ -43,7 +44,6 @@ class TickResult(NamedTuple):
 
     Attributes:
         frames: one for each controller; none while listening before talking.
-        finished: STOPPING has sent what it must.
     """
 
     snapshot: Snapshot
@@ -52,7 +52,6 @@ class TickResult(NamedTuple):
     frames: tuple[OutFrame, ...]
     events: tuple[Event, ...]
     why: Why
-    finished: bool
 
 
 class Gateway:
@@ -85,6 +84,8 @@ class Gateway:
         self._auto_arm_left = settings.auto_arm and settings.bench_demand is not None
         self._last_tick_ns: int | None = None
         self._stopping_ticks = 0
+        self._stopping_unsent = 0
+        self._unsent_in_tick = False
         self._events: list[Event] = []
         self._snapshot = self.intake.store.snapshot(now_ns)
 
@@ -112,6 +113,14 @@ class Gateway:
             self.output.note_sent(frame, now_ns)
         else:
             self._commander.not_sent(frame.controller)
+            self._unsent_in_tick = True
+
+    @property
+    def finished(self) -> bool:
+        """STOPPING has sent what it must, or cannot send; asked after each tick's sending."""
+        sent_ticks = self._stopping_ticks - self._stopping_unsent - self._unsent_in_tick
+        given_up = self._stopping_ticks >= _STOPPING_TICKS_AT_MOST or not self._listening.over
+        return self._stopping_ticks > 0 and (sent_ticks >= _STOPPING_TICKS or given_up)
 
     # Requests.
 
@@ -295,9 +304,9 @@ class Gateway:
 
     def _result(self, snapshot: Snapshot, frames: tuple[OutFrame, ...]) -> TickResult:
         events, self._events = tuple(self._events), []
-        if self.supervisor.mode is Mode.STOPPING:
-            self._stopping_ticks += 1
-        enough = self._stopping_ticks >= _STOPPING_TICKS or not frames
+        self._stopping_unsent += self._unsent_in_tick and self._stopping_ticks > 0
+        self._unsent_in_tick = False
+        self._stopping_ticks += self.supervisor.mode is Mode.STOPPING
         return TickResult(
             snapshot=snapshot,
             mode=self.supervisor.mode,
@@ -305,7 +314,6 @@ class Gateway:
             frames=frames,
             events=events,
             why=self.why(snapshot.now_ns),
-            finished=self._stopping_ticks > 0 and enough,
         )
 
     def why(self, now_ns: int) -> Why:

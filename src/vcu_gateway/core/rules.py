@@ -72,16 +72,17 @@ def _coded(
     world: World, message: str, effects: Mapping[str, tuple[tuple[Effect, ...], ...]]
 ) -> Iterator[Finding]:
     for signal, by_code in effects.items():
-        reading = world.snapshot.reading(message, signal)
-        if reading.raw is None:
-            continue
-        for effect in by_code[reading.raw]:
+        raw = world.snapshot.raw(message, signal)
+        if raw is None:
+            return
+        for effect in by_code[raw]:
+            name = world.snapshot.reading(message, signal).code_name
             yield Finding(
                 "code",
                 f"{message}.{signal}",
                 effect,
-                f"{reading.raw} ({reading.code_name or 'reserved'})",
-                until_restart=(signal, reading.raw) in UNTIL_RESTART,
+                f"{raw} ({name or 'reserved'})",
+                until_restart=(signal, raw) in UNTIL_RESTART,
             )
 
 
@@ -153,8 +154,8 @@ def throttle_echo(world: World) -> Iterator[Finding]:
 
 def _highest(history: tuple[Sent, ...], until_ns: int) -> float:
     """The highest throttle in force during the second before `until_ns`."""
-    within = [sent for sent in history if sent.at_ns <= until_ns]
-    recent = [sent.throttle_pct for sent in within if until_ns - sent.at_ns <= _ECHO_WINDOW_NS]
+    from_ns = until_ns - _ECHO_WINDOW_NS
+    recent = [sent.throttle_pct for sent in history if from_ns <= sent.at_ns <= until_ns]
     return max(recent, default=0.0)
 
 

@@ -77,10 +77,9 @@ class Store:
         self._specs = {message.name: message for message in messages}
         self._stale_after_ns = dict(stale_after_ns)
         self._latest: dict[str, Latest] = {}
-        self._life_index = {
-            name: spec.signal_names.index(LIFE_SIGNAL)
+        self._indexes = {
+            name: {signal: i for i, signal in enumerate(spec.signal_names)}
             for name, spec in self._specs.items()
-            if LIFE_SIGNAL in spec.signal_names
         }
         self.out_of_order = 0
 
@@ -101,10 +100,9 @@ class Store:
         else:
             period_ns += (interval_ns - period_ns) // _PERIOD_SMOOTHING
         repeats = 0
-        if name in self._life_index:
-            life = self._life_index[name]
-            if decoded.raws[life] == last.decoded.raws[life]:
-                repeats = last.life_repeats + 1
+        life = self._indexes[name].get(LIFE_SIGNAL)
+        if life is not None and decoded.raws[life] == last.decoded.raws[life]:
+            repeats = last.life_repeats + 1
         self._latest[name] = Latest(
             decoded,
             arrival_ns,
@@ -117,23 +115,26 @@ class Store:
 
     def snapshot(self, now_ns: int) -> "Snapshot":
         """All that is known at this instant; later frames do not change it."""
-        return Snapshot(now_ns, self._specs, self._latest.copy(), self._stale_after_ns)
+        latest = self._latest.copy()
+        return Snapshot(now_ns, self._specs, self._indexes, latest, self._stale_after_ns)
 
 
 class Snapshot:
     """All that is known at one instant."""
 
-    __slots__ = ("_latest", "_specs", "_stale_after_ns", "now_ns")
+    __slots__ = ("_indexes", "_latest", "_specs", "_stale_after_ns", "now_ns")
 
     def __init__(
         self,
         now_ns: int,
         specs: Mapping[str, MessageSpec],
+        indexes: Mapping[str, Mapping[str, int]],
         latest: Mapping[str, Latest],
         stale_after_ns: Mapping[str, int],
     ) -> None:
         self.now_ns = now_ns
         self._specs = specs
+        self._indexes = indexes
         self._latest = latest
         self._stale_after_ns = stale_after_ns
 
@@ -161,11 +162,19 @@ class Snapshot:
 
     def reading(self, message: str, signal: str) -> Reading:
         """One signal; KeyError where the protocol has none of that name."""
-        spec = self._specs[message]
-        for index, one in enumerate(spec.signals):
-            if one.name == signal:
-                return self._reading(message, index, one)
-        raise KeyError(f"{message} has no signal {signal}")
+        index = self._index(message, signal)
+        return self._reading(message, index, self._specs[message].signals[index])
+
+    def raw(self, message: str, signal: str) -> int | None:
+        """The latest code of a signal, however old; None before the first frame."""
+        latest = self._latest.get(message)
+        return None if latest is None else latest.decoded.raws[self._index(message, signal)]
+
+    def _index(self, message: str, signal: str) -> int:
+        index = self._indexes[message].get(signal)
+        if index is None:
+            raise KeyError(f"{message} has no signal {signal}")
+        return index
 
     def readings(self, message: str) -> tuple[Reading, ...]:
         """All signals of a message, in the protocol's order."""

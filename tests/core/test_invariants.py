@@ -1,0 +1,785 @@
+"""SAFETY.md's invariants, after every step of a gateway to which anything may happen.
+
+HYPOTHESIS_PROFILE=nightly walks at least 100,000 steps; see tests/conftest.py.
+"""
+
+import dataclasses
+import math
+from collections import Counter
+
+import pytest
+from hypothesis import assume, event, given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+from tests.core.shadow import (
+    COMMAND_IDS,
+    ID_OF,
+    MS,
+    PERCENT_PER_BIT,
+    RECEIVED_IDS,
+    SLOTS,
+    Shadow,
+    is_safe,
+)
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.schedule import Schedule
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.supervisor import FaultClass, Mode
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
+
+CODEC = Codec(dataclasses.replace(dbc.load(packaged("vcu.dbc")), aliases=DEFAULT_ALIASES))
+ORDINARY_EXAMPLES = 64
+COUNTS: Counter = Counter()
+STATUS_PERIOD_NS = 100 * MS
+
+PRIORITIES = {"driver": 1, "remote": 1, "chief": 2}
+SETTINGS = st.builds(
+    Settings,
+    listen_before_talk_ms=st.sampled_from([100, 1000, 2000]),
+    clear_hold_ms=st.sampled_from([100, 300, 1000]),
+    expect_echo=st.sampled_from([True, True, False]),
+    period_ns=st.sampled_from([50 * MS, 50 * MS, 20 * MS]),
+    direction_change_rpm=st.sampled_from([50.0, 20.5, 0.0]),
+    throttle_slew_pct_per_s=st.sampled_from([100.0, 200.0, 13.7]),
+    power_limit_max_w=st.sampled_from([60_000, 5_000, 0]),
+    derated_power_w=st.sampled_from([10_000, 3_333]),
+    speed_limit_max_rpm=st.sampled_from([12_000, 3_000]),
+    regen_limit_pct=st.sampled_from([20.0, 0.0]),
+    priorities=st.just(PRIORITIES),
+)
+PERCENT = st.sampled_from([0.0, 3.0, 5.0, 5.01, 25.0, 25.01, 60.0, 100.0]) | st.floats(0, 100)
+ASKED = st.builds(
+    ControllerDemand,
+    throttle_pct=PERCENT,
+    brake_pct=st.sampled_from([0.0, 0.0, 5.0, 5.01, 40.0]) | st.floats(0, 100),
+    power_mode=st.sampled_from(PowerMode),
+    motor_reverse=st.sampled_from([False, False, False, True]),
+    regen_brake=st.booleans(),
+    speed_limit_rpm=st.sampled_from([0.0, 2_999.6, 12_000.0]),
+    power_limit_w=st.sampled_from([0.0, 4_000.4, 30_000.0, 60_000.0]),
+)
+WRONG = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -0.001, 10**400])
+BOTH = ASKED.map(lambda one: dict.fromkeys(SLOTS, one)) | st.fixed_dictionaries(
+    dict.fromkeys(SLOTS, ASKED)
+)
+IDLE = dict.fromkeys(SLOTS, ControllerDemand())
+
+
+class GatewayMachine(RuleBasedStateMachine):
+    """The gateway, a vehicle around it, and a second opinion."""
+
+    def __init__(self):
+        super().__init__()
+        self.now_ns = 5_000_000 * MS
+        self.gateway = None
+        self.broken = self.ending = False
+
+    @initialize(settings=SETTINGS, warm=st.sampled_from([True, True, True, True, False]))
+    def begin(self, settings, warm):
+        self.settings = settings
+        self.gateway = Gateway(CODEC, settings, self.now_ns)
+        self.shadow = Shadow(settings)
+        self.schedule = Schedule(self.now_ns, settings.period_ns)
+        self.quiet_until_ns = self.now_ns + settings.listen_before_talk_ms * MS
+        self.talking = False
+        self.last_tick_ns = None
+        self.last_frames_ns = None
+        self.demand, self.demand_ns = None, 0
+        self.sequences: Counter = Counter()
+        self.may_be_active = False
+        self.latched = self.cut_latched = False
+        self.emergency = self.link_lost = self.bus_off = False
+        self.stops_seen_ns = None
+        self.emitted = False
+        self.counted: Counter = Counter()
+        self._well()
+        if warm:
+            for _ in range(200):
+                if self.gateway.supervisor.mode is Mode.STANDBY:
+                    break
+                self._step()
+
+    def _well(self):
+        self.bms = [0, 0]
+        self.levels = dict.fromkeys(SLOTS, 0x83)
+        self.speeds = dict.fromkeys(SLOTS, 0)
+        self.silent, self.refuse, self.mute = set(), set(), set()
+        self.life, self.life_stands, self.next_status_ns = 0, False, 0
+        self.rogue_throttle = None
+
+    # Frames in.
+
+    def _receive(self, frame):
+        store = self.gateway.intake.store
+        before = store._latest.copy()
+        kind = self.shadow.receive(frame)
+        self.gateway.intake.receive(frame)  # I14: never raises
+        if kind != "stored":
+            assert store._latest == before, "I14: a frame that is not taken changes nothing"
+        COUNTS["frames"] += 1
+
+    def _status(self, name, data, at_ns=None):
+        if name not in self.silent:
+            at_ns = self.now_ns if at_ns is None else at_ns
+            self._receive(Frame(ID_OF[name], bytes(data), at_ns))
+
+    def _vehicle_speaks(self):
+        for slot in SLOTS:
+            speed = self.speeds[slot]
+            data = (0, 26, 0, 0, 0, 0, speed & 255, speed >> 8)
+            self._status(f"{slot}_Status2", data, self.now_ns - 3 * MS)
+        if self.now_ns < self.next_status_ns:
+            return
+        self.next_status_ns = self.now_ns + STATUS_PERIOD_NS
+        if not self.life_stands:
+            self.life ^= 0x80
+        self._status("BMS_Status", (0x88, 0x13, 0, 0, 80, *self.bms, self.life | 2))
+        for slot in SLOTS:
+            throttle = self.shadow.sent[slot][0][1] if slot in self.shadow.sent else 0
+            if self.rogue_throttle is not None:
+                throttle = self.rogue_throttle
+            self._status(f"{slot}_Status1", (0, throttle, 0, self.levels[slot], 0, 0, 30, 30))
+
+    # Demands.
+
+    def _fresh(self):
+        if self.demand is None:
+            return False
+        return 0 <= self.now_ns - self.demand_ns <= self.demand.ttl_ms * MS
+
+    def _offer(self, controllers, source="driver", ttl_ms=200, sequence=None):
+        if sequence is None:
+            self.sequences[source] += 1
+            sequence = self.sequences[source]
+        demand = Demand(source, sequence, ttl_ms, controllers)
+        was_fresh, before = self._fresh(), self.demand
+        answer = self.gateway.offer(demand, self.now_ns)
+        if not was_fresh:
+            self.may_be_active = False
+            assert self.gateway.supervisor.mode is not Mode.ACTIVE, "it expired in between"
+        if before is not None and before.source == source:
+            assert not answer.granted or sequence > before.sequence, "an old one is refused"
+        elif was_fresh and answer.granted:
+            assert PRIORITIES[source] > PRIORITIES[before.source], "one owner at a time"
+        if answer.granted:
+            for one in controllers.values():
+                assert 0 <= one.throttle_pct <= 100
+                assert 0 <= one.brake_pct <= 100
+                assert 0 <= one.speed_limit_rpm <= 12_000
+                assert 0 <= one.power_limit_w <= 60_000
+            assert 0 < ttl_ms <= self.settings.ttl_max_ms
+            self.demand, self.demand_ns = demand, self.now_ns
+        return answer
+
+    def _throttle_is_asked(self):
+        asked = self.demand.controllers.values() if self._fresh() else ()
+        return any(one.throttle_pct > 0 for one in asked)
+
+    def _arm(self):
+        before = self.gateway.supervisor.mode
+        answer = self.gateway.arm(self.now_ns)
+        if answer.granted:
+            assert before is Mode.STANDBY
+            assert self._fresh()
+            assert not self._throttle_is_asked()
+            assert self._stops_are_over(), "a violation stands"
+            for slot, one in self.demand.controllers.items():
+                data = self.shadow.sent[slot][0]
+                assert bool(data[0] & 0x10) is one.motor_reverse, "a change is pending"
+            self.may_be_active = True
+        else:
+            assert answer.sentence
+            assert self.gateway.supervisor.mode is before
+        return answer
+
+    def _stops_are_over(self):
+        if self.stops_seen_ns is None:
+            return True
+        absent_ns = self.last_tick_ns - self.stops_seen_ns
+        return 0 < absent_ns >= self.hold_at_tick_ns
+
+    def _reset(self, level):
+        before = self.gateway.supervisor.mode
+        answer = self.gateway.reset(level, self.now_ns)
+        after = self.gateway.supervisor.mode
+        if answer.granted:
+            assert (before, after) == (Mode.FAULT, Mode.STANDBY), "never to ACTIVE"
+            assert not self._throttle_is_asked()
+            assert self._stops_are_over()
+            assert level is FaultClass.SERVICE or not self.cut_latched
+            self.latched = self.cut_latched = False
+        else:
+            assert after is before
+        return answer
+
+    # The tick and its checks.
+
+    def _step(self, asked=None, after_ns=None, *, speak=True, **offer):
+        """One turn of the loop, at the next grid point or after a given time."""
+        if after_ns is None:
+            self.now_ns = max(self.now_ns, self.schedule.next_deadline_ns)
+        else:
+            self.now_ns += after_ns
+        if speak:
+            self._vehicle_speaks()
+        if asked is not None:
+            self._offer(asked, **offer)
+        if self.schedule.due(self.now_ns) is None:
+            return None
+        return self._tick()
+
+    def _tick(self):
+        self.broken = True
+        late_ns = elapsed_ns = 0
+        if self.last_tick_ns is not None:
+            elapsed_ns = self.now_ns - self.last_tick_ns
+            late_ns = elapsed_ns - self.settings.period_ns
+        self._count_silence()
+        was = self.gateway.supervisor.mode
+        link_down = self.link_lost or self.bus_off
+        found = self.shadow.causes(self.now_ns, late_ns, link_down)
+        if self.emergency:
+            found["cut"].add("emergency")
+        effects = self.shadow.hold(found, self.now_ns)
+        self._listen()
+        self.hold_at_tick_ns = self.settings.clear_hold_ms * MS
+        if found["stop"] or found["cut"]:
+            self.stops_seen_ns = self.now_ns
+        self.last_tick_ns = self.now_ns
+
+        result = self.gateway.tick(self.now_ns)
+
+        COUNTS["ticks"] += 1
+        COUNTS[result.mode] += 1
+        self.counted[result.mode] += 1
+        self._check_mode(result, was, found)
+        if result.mode in (Mode.STANDBY, Mode.ACTIVE):
+            self.shadow.move_limits(effects, elapsed_ns)
+            if self._fresh():
+                self.shadow.note_override(self.demand.controllers)
+        self._check_frames(result, effects, found)
+        self._send(result)
+        self.emergency = self.shadow.foreign = self.broken = False
+        return result
+
+    def _count_silence(self):
+        for slot in SLOTS:
+            if slot in self.shadow.echoed:
+                self.shadow.silent_ticks[slot] = 0
+            elif self.emitted:
+                self.shadow.silent_ticks[slot] += 1
+        self.shadow.echoed = set()
+
+    def _listen(self):
+        if self.shadow.foreign or self.link_lost:
+            self.quiet_until_ns = self.now_ns + self.settings.listen_before_talk_ms * MS
+        self.talking = self.talking or self.now_ns >= self.quiet_until_ns
+
+    def _check_mode(self, result, was, found):
+        mode, active = result.mode, result.mode is Mode.ACTIVE
+        assert mode is self.gateway.supervisor.mode
+        if active:
+            assert self.may_be_active, "ACTIVE only by arm"
+            assert self._fresh(), "an expired demand ends ACTIVE"
+            assert not found["stop"]
+            assert not found["cut"]
+        if self.ending:
+            assert mode is Mode.STOPPING
+        elif found["cut"] or "foreign" in found["stop"] or (found["stop"] and was is Mode.ACTIVE):
+            assert mode is Mode.FAULT
+        elif self.latched:
+            assert mode is Mode.FAULT, "I6: latched until the reset"
+        if found["cut"] and mode is Mode.FAULT:
+            self.cut_latched = True
+        self.latched = mode is Mode.FAULT
+        self.may_be_active = active
+
+    def _check_frames(self, result, effects, found):
+        frames = result.frames
+        assert [frame.controller for frame in frames] == list(SLOTS if self.talking else ()), "I13"
+        assert result.snapshot.now_ns == self.now_ns, "I5"
+        assert self.gateway.output.gate.blocked == {}, "the gate never has to act"
+        for frame in frames:
+            slot, data = frame.controller, frame.data
+            assert COMMAND_IDS[frame.can_id] == slot
+            assert len(data) == 8
+            assert data[3] == 0
+            assert data[0] & 0x43 == 0
+            self._check_content(result.commands[slot], frame)
+            self._check_direction(slot, data)
+            if result.mode is not Mode.ACTIVE:
+                assert is_safe(data, self.settings.speed_limit_max_rpm), "I2, I6"
+                cut = self.cut_latched or bool(found["cut"])
+                assert bool(data[0] & 0x80) or not cut, "a cut is a cut"
+            else:
+                self._check_torque(slot, data, effects)
+        if frames:
+            if self.last_frames_ns is not None:
+                assert 2 * (self.now_ns - self.last_frames_ns) >= self.settings.period_ns, "I4"
+            self.last_frames_ns = self.now_ns
+
+    def _check_content(self, command, frame):
+        """I5, I15: the frame is this tick's command, within half a bit."""
+        codec = CODEC.by_name[f"VCU_{frame.controller}_Command"]
+        decoded = dict(zip(codec.spec.signal_names, codec.decode(frame.data).values, strict=True))
+        for name, value in command.signals().items():
+            half = {"Throttle": 0.196, "Brake": 0.196}.get(name, 0.501)
+            highest = 99.45 if name in ("Throttle", "Brake") else math.inf
+            assert abs(decoded[name] - min(value, highest)) <= half
+        assert codec.encode(decoded) == frame.data
+
+    def _check_direction(self, slot, data):
+        """I12, from what was really sent."""
+        before = self.shadow.sent[slot][0] if slot in self.shadow.sent else bytes(8)
+        if (before[0] ^ data[0]) & 0x10:
+            assert self.shadow.slow(self.now_ns), "I12"
+            assert data[1] == before[1] == 0, "the direction changes with throttle 0 only"
+            COUNTS["turned"] += 1
+
+    def _check_torque(self, slot, data, effects):
+        """I1, I3, I10, I11 in ACTIVE."""
+        first, throttle, brake = data[:3]
+        speed, power = data[4] | data[5] << 8, data[6] | data[7] << 8
+        asked = self.demand.controllers[slot]
+        COUNTS["with throttle"] += throttle > 0
+        assert throttle <= self.shadow.throttle_max_raw(slot, self.now_ns) + 1e-6, "I3"
+        assert throttle <= asked.throttle_pct / PERCENT_PER_BIT + 0.501, "I3: falls at once"
+        if self.shadow.override:
+            assert throttle == 0, "brake over throttle"
+        if bool(first & 0x10) is not asked.motor_reverse:
+            assert throttle == 0, "a change of direction waits with throttle 0"
+        assert not (throttle * PERCENT_PER_BIT > 25.2 and brake * PERCENT_PER_BIT > 5.2), "I11"
+        assert speed <= min(self.settings.speed_limit_max_rpm, asked.speed_limit_rpm + 0.501)
+        assert power <= self.settings.power_limit_max_w
+        assert power <= min(asked.power_limit_w, self.shadow.power_w[slot]) + 1, "I1"
+        highest_pct = min(asked.brake_pct, self.shadow.brake_pct[slot])
+        assert brake * PERCENT_PER_BIT <= highest_pct + PERCENT_PER_BIT, "I1"
+        assert asked.regen_brake or not first & 0x20, "I10: only where demanded"
+        if "regen_off" in effects:
+            assert not first & 0x20, "I10"
+            assert brake == 0, "I10"
+        modes = {0, 1, 2, 3}
+        if "turbo_off" in effects:
+            modes -= {2}
+        if "power" in effects:
+            modes -= {1, 2}
+        assert first >> 2 & 3 in modes
+        assert not first & 0x80
+
+    def _send(self, result):
+        self.emitted = bool(result.frames)
+        for frame in result.frames:
+            ok = frame.controller not in self.refuse and not self.link_lost
+            self.gateway.sent(frame, ok, self.now_ns)
+            if ok:
+                self.shadow.note_sent(frame.controller, frame.data, self.now_ns)
+            if ok and frame.controller not in self.mute:
+                self._receive(Frame(frame.can_id, frame.data, self.now_ns + MS, own_echo=True))
+
+    # Ordinary life.
+
+    @rule(asked=BOTH, ticks=st.integers(1, 12))
+    def drive(self, asked, ticks):
+        for _ in range(ticks):
+            self._step(asked)
+
+    @rule(legs=st.lists(BOTH, min_size=1, max_size=4), ticks=st.integers(5, 25))
+    def set_off(self, legs, ticks):
+        """Make everything well, reset, arm and drive."""
+        self._make_well()
+        self._settle()
+        for asked in legs:
+            self.drive(asked, ticks)
+
+    @rule(legs=st.lists(BOTH, min_size=1, max_size=4), ticks=st.integers(5, 25))
+    def drive_on(self, legs, ticks):
+        """As set_off, and with what the vehicle tells where that stops nothing."""
+        if self.gateway.supervisor.mode is not Mode.ACTIVE:
+            self.set_off(legs, ticks)
+        for asked in legs:
+            self.drive(asked, ticks)
+
+    @rule(asked=BOTH, slot=st.sampled_from(SLOTS), other=ASKED, ticks=st.integers(5, 25))
+    def steer(self, asked, slot, other, ticks):
+        """Drive, then ask something else of one controller."""
+        self.drive_on([asked, asked | {slot: other}, asked], ticks)
+
+    def _make_well(self):
+        self._well()
+        self.bus_off = False
+        self.link_lost = False
+        self.gateway.link_opened(self.now_ns)
+        self.quiet_until_ns = self.now_ns + self.settings.listen_before_talk_ms * MS
+
+    def _settle(self):
+        """Healthy ticks until ACTIVE is granted, at most as long as anything is held."""
+        for _ in range(200):
+            mode = self.gateway.supervisor.mode
+            if mode is Mode.ACTIVE or self._step(IDLE, source=self._owner()) is None:
+                break
+            if self.gateway.supervisor.mode is Mode.FAULT:
+                self._reset(FaultClass.SERVICE)
+            elif self.gateway.supervisor.mode is Mode.STANDBY and self._arm().granted:
+                break
+
+    def _owner(self):
+        return self.demand.source if self._fresh() else "driver"
+
+    @rule(ticks=st.integers(1, 8))
+    def nobody_asks(self, ticks):
+        for _ in range(ticks):
+            self._step()
+
+    @rule()
+    def arm(self):
+        self._arm()
+
+    @rule()
+    def disarm(self):
+        self.gateway.disarm(self.now_ns)
+        self.may_be_active = False
+        assert self.gateway.supervisor.mode is not Mode.ACTIVE
+
+    @rule(level=st.sampled_from(FaultClass))
+    def reset(self, level):
+        self._reset(level)
+
+    @rule()
+    def press_emergency_stop(self):
+        assert self.gateway.emergency_stop().granted
+        self.emergency = True
+
+    @rule(speeds=st.lists(st.sampled_from([0, 0, 19, 20, 21, 49, 50, 3000, 6001]), min_size=2))
+    def roll(self, speeds):
+        self.speeds = dict(zip(SLOTS, speeds, strict=False))
+
+    # What the vehicle tells.
+
+    @rule(byte6=st.integers(0, 255), asked=BOTH, ticks=st.integers(1, 8))
+    def battery_tells(self, byte6, asked, ticks):
+        self.bms[0] = byte6
+        self.drive(asked, ticks)
+
+    @rule(byte6=st.sampled_from([0x01, 0x02, 0x03, 0x04, 0x40]), asked=BOTH)
+    def battery_limits(self, byte6, asked):
+        """Level 1 for a while and then no more: limits come and go."""
+        self.bms[0] = byte6
+        for _ in range(12):
+            self._step(asked)
+        self.bms[0] = 0
+        for _ in range(25):
+            self._step(asked)
+
+    @rule(byte7=st.integers(0, 255) | st.sampled_from([0x04, 0x10, 0x40]), ticks=st.integers(1, 4))
+    def battery_feels(self, byte7, ticks):
+        self.bms[1] = byte7
+        self.nobody_asks(ticks)
+
+    @rule(slot=st.sampled_from(SLOTS), level=st.integers(0, 255), asked=BOTH)
+    def controller_tells(self, slot, level, asked):
+        self.levels[slot] = level
+        self.drive(asked, 4)
+
+    @rule(names=st.sets(st.sampled_from(sorted(ID_OF)), max_size=3), asked=BOTH)
+    def fall_silent(self, names, asked):
+        self.silent = names
+        self.drive(asked, 5)
+
+    @rule(asked=BOTH, ticks=st.integers(1, 8))
+    def life_stands_still(self, asked, ticks):
+        self.life_stands = True
+        self.drive(asked, ticks)
+        self.life_stands = False
+
+    @rule(throttle=st.integers(0, 255))
+    def controllers_echo(self, throttle):
+        self.rogue_throttle = throttle
+        self.nobody_asks(3)
+        self.rogue_throttle = None
+
+    @rule()
+    def all_is_well_again(self):
+        self._make_well()
+
+    # What the bus throws at it.
+
+    @rule(
+        can_id=st.integers(0, 2**29 - 1) | st.sampled_from(sorted(RECEIVED_IDS)),
+        data=st.binary(max_size=64),
+        offset_ns=st.integers(-3_000 * MS, 15 * MS),
+        flags=st.fixed_dictionaries(
+            {}, optional=dict.fromkeys(("remote", "own_echo"), st.booleans())
+        ),
+        extended=st.sampled_from([True, True, True, False]),
+    )
+    def any_frame(self, can_id, data, offset_ns, flags, extended):
+        at_ns = self.now_ns + offset_ns
+        self._receive(Frame(can_id, data, at_ns, extended=extended, **flags))
+
+    @rule(
+        can_id=st.sampled_from(sorted(RECEIVED_IDS)),
+        data=st.binary(min_size=8, max_size=8),
+        priority=st.integers(0, 7),
+        offset_ns=st.sampled_from([0, 0, 0, -1, -50 * MS, -(10**12), 20 * MS, 20 * MS + 1]),
+    )
+    def mutated_message(self, can_id, data, priority, offset_ns):
+        can_id = can_id & 0x03FF_FFFF | priority << 26
+        self._receive(Frame(can_id, data, self.now_ns + offset_ns))
+
+    @rule(
+        can_id=st.sampled_from(sorted(COMMAND_IDS)),
+        length=st.sampled_from([8, 8, 8, 0, 7, 9]),
+        priority=st.integers(0, 7),
+        remote=st.sampled_from([False, False, False, True]),
+    )
+    def somebody_commands(self, can_id, length, priority, remote):
+        data = b"" if remote else bytes(length)
+        self._receive(Frame(can_id | priority << 26, data, self.now_ns, remote=remote))
+        self._step()
+
+    @rule(bits=st.sampled_from([0x40, 0x100, 0x004, 0x002]), second=st.integers(0, 255))
+    def error_frame(self, bits, second):
+        data = bytes((0, second & 0x4C, 0, 0, 0, 0, 0, 0))
+        self._receive(Frame(bits, data, self.now_ns, error=True))
+        if bits & 0x40:
+            self.bus_off = True
+        elif bits & 0x100 or (bits == 0x004 and second & 0x4C == 0x40):
+            self.bus_off = False
+
+    @rule(refuse=st.sets(st.sampled_from(SLOTS)), asked=BOTH, ticks=st.integers(1, 6))
+    def bus_does_not_take(self, refuse, asked, ticks):
+        self.refuse = refuse
+        self.drive(asked, ticks)
+        self.refuse = set()
+
+    @rule(mute=st.sets(st.sampled_from(SLOTS)), asked=BOTH, ticks=st.integers(1, 5))
+    def frames_do_not_come_back(self, mute, asked, ticks):
+        self.mute = mute
+        self.drive(asked, ticks)
+        self.mute = set()
+
+    @rule(ticks=st.integers(0, 5))
+    def link_goes(self, ticks):
+        self.gateway.link_lost(self.now_ns)
+        self.link_lost = True
+        self.nobody_asks(ticks)
+
+    # Time.
+
+    @rule(after_ns=st.integers(0, 60 * MS), asked=BOTH)
+    def some_time_passes(self, after_ns, asked):
+        self._step(asked, after_ns=after_ns)
+
+    @rule(periods=st.sampled_from([1, 2, 4, 5, 6, 40, 10_000]), jitter_ns=st.integers(0, 49 * MS))
+    def the_tick_is_late(self, periods, jitter_ns):
+        self._step(None, after_ns=periods * self.settings.period_ns + jitter_ns)
+
+    @rule(asked=BOTH, lateness_ns=st.lists(st.integers(0, 26 * MS), max_size=8))
+    def ticks_jitter(self, asked, lateness_ns):
+        for one in lateness_ns:
+            after_ns = max(self.schedule.next_deadline_ns - self.now_ns, 0) + one
+            self._step(asked, after_ns=after_ns)
+
+    # What the operators do.
+
+    @rule(
+        asked=BOTH,
+        slot=st.sampled_from(SLOTS),
+        name=st.sampled_from(["throttle_pct", "brake_pct", "speed_limit_rpm", "power_limit_w"]),
+        value=WRONG,
+    )
+    def ask_the_impossible(self, asked, slot, name, value):
+        wrong = asked | {slot: dataclasses.replace(asked[slot], **{name: value})}
+        assert not self._offer(wrong).granted
+
+    @rule(asked=BOTH, ttl_ms=st.sampled_from([-1, 0, 1, 20, 50, 1000, 1001]))
+    def ask_for_a_time(self, asked, ttl_ms):
+        self._step(asked, ttl_ms=ttl_ms)
+        self._step()
+
+    @rule(asked=BOTH, back=st.integers(0, 3))
+    def ask_with_an_old_number(self, asked, back):
+        self._offer(asked, sequence=self.sequences["driver"] - back)
+
+    @rule(asked=BOTH, source=st.sampled_from(sorted(PRIORITIES)), ticks=st.integers(1, 4))
+    def another_source_asks(self, asked, source, ticks):
+        for _ in range(ticks):
+            self._step(asked, source=source)
+
+    @rule(
+        name=st.sampled_from(
+            [
+                "speed_limit_max_rpm",
+                "power_limit_max_w",
+                "derated_power_w",
+                "regen_limit_pct",
+                "throttle_slew_pct_per_s",
+                "direction_change_rpm",
+                "clear_hold_ms",
+            ]
+        ),
+        stricter=st.booleans(),
+    )
+    def reload(self, name, stricter):
+        value = getattr(self.settings, name)
+        up = stricter is (name == "clear_hold_ms")
+        limit = {"speed_limit_max_rpm": 12_000, "power_limit_max_w": 60_000}.get(name, 10**6)
+        new = min(value * 2 + 1, limit) if up else value // 2
+        assume(name != "clear_hold_ms" or new < 3000)
+        after = dataclasses.replace(self.settings, **{name: new})
+        active = self.gateway.supervisor.mode is Mode.ACTIVE
+        answer = self.gateway.reload(after)
+        assert answer.granted is (stricter or not active or new == value)
+        if answer.granted:
+            self.settings = self.shadow.settings = after
+        assert self.gateway.settings == self.settings
+
+    @rule(
+        change=st.sampled_from(
+            [{"period_ns": 1}, {"expect_echo": None}, {"auto_arm": True}, {"transmit_priority": 7}]
+        )
+    )
+    def reload_what_needs_a_restart(self, change):
+        assert not self.gateway.reload(dataclasses.replace(self.settings, **change)).granted
+        assert self.gateway.settings == self.settings
+
+    # Always.
+
+    @precondition(lambda self: self.gateway is not None)
+    @invariant()
+    def everything_is_counted_and_bounded(self):
+        COUNTS["steps"] += 1
+        intake, shadow = self.gateway.intake, self.shadow
+        rejected = {reason.value: n for reason, n in intake.rejected.items() if n}
+        assert rejected == dict(shadow.rejected), "I8"
+        assert intake.foreign_count == shadow.taken["foreign"]
+        assert sum(intake.confirmed.values()) == shadow.taken["confirmed"]
+        assert intake.store.out_of_order == shadow.taken["out_of_order"]
+        stored = sum(latest.frame_count for latest in intake.store._latest.values())
+        assert stored == shadow.taken["stored"]
+        assert len(intake.store._latest) <= len(ID_OF), "I9"
+        assert len(self.gateway.causes.held) <= 60, "I9"
+        assert len(self.gateway._events) <= 60, "I9"
+        for history in self.gateway.output.sending._history.values():
+            assert len(history) <= 80, "I9"
+
+    @precondition(lambda self: self.gateway is not None)
+    @invariant()
+    def why_answers(self):
+        sentence = self.gateway.why(self.now_ns).sentence()
+        assert sentence.startswith(self.gateway.supervisor.mode.value)
+        assert "\n" not in sentence
+
+    def teardown(self):
+        if self.gateway is None or self.broken:
+            return
+        ticks = max(self.counted.total(), 1)
+        share = self.counted[Mode.ACTIVE] / ticks
+        event(f"ACTIVE in {int(share * 5) * 20} % and more of the ticks")
+        self._end()
+
+    def _end(self):
+        """STOPPING: at least three safe frames to each controller, then the end."""
+        self.gateway.terminate()
+        self.ending = True
+        for count in range(1, 4):
+            result = self._step(IDLE, source=self._owner())
+            assert result is not None
+            assert result.mode is Mode.STOPPING
+            assert self.gateway.finished is (count == 3 or not self.talking)
+
+
+def test_the_invariants_hold_whatever_happens():
+    COUNTS.clear()
+    profile = settings()
+    nightly = profile.max_examples > 1000
+    run_state_machine_as_test(
+        GatewayMachine,
+        settings=settings(
+            max_examples=profile.max_examples if nightly else ORDINARY_EXAMPLES,
+            stateful_step_count=100 if nightly else 50,
+            deadline=None,
+            print_blob=True,
+            report_multiple_bugs=False,
+        ),
+    )
+    active = COUNTS[Mode.ACTIVE] / COUNTS["ticks"]
+    shown = {getattr(key, "value", key): count for key, count in COUNTS.items()}
+    print(f"\ninvariants: {shown}, {active:.0%} of the ticks in ACTIVE")
+    assert COUNTS["steps"] >= (100_000 if nightly else 3_000)
+    assert active > 0.25, "the machine must drive, not only stand"
+    assert COUNTS["with throttle"] > 0.1 * COUNTS["ticks"]
+    assert COUNTS["turned"] > 0
+
+
+test_the_invariants_hold_whatever_happens = pytest.mark.timeout(7200)(
+    test_the_invariants_hold_whatever_happens
+)
+
+
+FRAMES = st.builds(
+    Frame,
+    can_id=st.integers(0, 2**32 - 1) | st.sampled_from([*RECEIVED_IDS, *COMMAND_IDS]),
+    data=st.binary(max_size=64) | st.binary(min_size=8, max_size=8),
+    arrival_ns=st.integers(-(10**18), 10**18),
+    extended=st.booleans(),
+    remote=st.booleans(),
+    error=st.booleans(),
+    own_echo=st.booleans(),
+)
+
+
+@given(frames=st.lists(FRAMES, max_size=20))
+def test_receiving_never_raises_and_counts_every_frame(frames):
+    intake = Gateway(CODEC, Settings(), 0).intake
+    shadow = Shadow(Settings())
+    for frame in frames:
+        shadow.receive(frame)
+        intake.receive(frame)
+    assert {reason.value: n for reason, n in intake.rejected.items() if n} == shadow.rejected
+    assert {name: latest.arrival_ns for name, latest in intake.store._latest.items()} == {
+        name: arrival_ns for name, (_, arrival_ns) in shadow.received.items()
+    }
+
+
+@given(data=st.binary(min_size=8, max_size=8), name=st.sampled_from(sorted(CODEC.by_name)))
+def test_decoding_any_eight_bytes_and_encoding_again_is_stable(data, name):
+    codec = CODEC.by_name[name]
+    names = codec.spec.signal_names
+    decoded = codec.decode(data)
+    again = codec.decode(codec.encode(dict(zip(names, decoded.values, strict=True))))
+    for index, signal in enumerate(codec.spec.signals):
+        if signal.raw_minimum <= decoded.raws[index] <= signal.raw_maximum:
+            assert again.raws[index] == decoded.raws[index]
+        else:
+            assert again.raws[index] in (signal.raw_minimum, signal.raw_maximum)
+
+
+@given(data=st.data(), name=st.sampled_from(sorted(CODEC.by_name)))
+def test_encoding_and_decoding_is_the_identity_within_half_a_bit(data, name):
+    codec = CODEC.by_name[name]
+    values = {
+        signal.name: data.draw(
+            st.floats(
+                signal.raw_minimum * signal.factor + signal.offset,
+                signal.raw_maximum * signal.factor + signal.offset,
+            ),
+            signal.name,
+        )
+        for signal in codec.spec.signals
+    }
+    decoded = codec.decode(codec.encode(values))
+    for index, signal in enumerate(codec.spec.signals):
+        half = abs(signal.factor) * 0.5 * (1 + 1e-6) + 1e-9
+        assert abs(decoded.values[index] - values[signal.name]) <= half

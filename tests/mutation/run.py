@@ -1,0 +1,185 @@
+"""Run the tests against every mutant: python -m tests.mutation.run [MODULE...] [--list].
+
+The libraries are imported once; each mutant is a fork of this process that imports the
+gateway anew, with one module changed. A mutant that no test notices is a failure, unless
+survivors.toml says why it makes no difference.
+"""
+
+import argparse
+import functools
+import importlib.abc
+import importlib.util
+import io
+import os
+import signal
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import hypothesis
+import hypothesis.stateful
+import pytest
+
+from tests.mutation.operators import Mutant, mutants
+from vcu_gateway.core import codec, freshness  # noqa: F401 - imported before the forks
+from vcu_gateway.protocol import dbc, packaged
+
+ROOT = Path(__file__).parents[2]
+CORE = ROOT / "src" / "vcu_gateway" / "core"
+SURVIVORS = Path(__file__).with_name("survivors.toml")
+TESTS = {
+    "rules": ["rules"],
+    "supervisor": ["supervisor"],
+    "demand": ["demand"],
+    "commands": ["commands"],
+    "gate": ["gate"],
+    "schedule": ["schedule"],
+    "state": ["state"],
+}
+"""Module -> its test files; what survives them meets WHOLE."""
+WHOLE = ["mutants_more", "output", "causes"]
+TIMEOUT_S = 60.0
+
+
+class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Finds one module of the core with another source."""
+
+    def __init__(self, module: str, source: str) -> None:
+        self.name = f"vcu_gateway.core.{module}"
+        self.path = str(CORE / f"{module}.py")
+        self.source = source
+
+    def find_spec(self, name, path=None, target=None):
+        if name != self.name:
+            return None
+        return importlib.util.spec_from_loader(name, self, origin=self.path)
+
+    def exec_module(self, module):
+        module.__file__ = self.path
+        exec(compile(self.source, self.path, "exec"), module.__dict__)
+
+
+def _files(names: list[str]) -> list[str]:
+    paths = [ROOT / "tests" / "core" / f"test_{name}.py" for name in names]
+    return [str(path) for path in paths if path.exists()]
+
+
+def _survives(module: str, source: str) -> bool:
+    """In the child: True where every test passes."""
+    sys.meta_path.insert(0, Changed(module, source))
+    arguments = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--timeout=0"]
+    for files in (_files(TESTS[module]), _files(WHOLE)):
+        # The same modules must not be imported twice with the rewriting of two runs.
+        for name in [name for name in sys.modules if name.startswith("tests.c")]:
+            del sys.modules[name]
+        if pytest.main([*arguments, *files]) != 0:
+            return False
+    return True
+
+
+def _child(module: str, source: str) -> int:
+    """Fork; the pid of the process that exits with 0 where the mutant is noticed."""
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 3
+    try:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        sys.stdout = sys.stderr = io.StringIO()
+        code = 1 if _survives(module, source) else 0
+    except BaseException:  # noqa: BLE001 - whatever it raises, the tests did not pass
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _verdicts(jobs: list[tuple[str, Mutant]], width: int) -> Iterator[tuple[str, Mutant, bool]]:
+    """Each mutant with True where it survived, `width` at a time."""
+    waiting, running = list(reversed(jobs)), {}
+    while waiting or running:
+        while waiting and len(running) < width:
+            module, mutant = waiting.pop()
+            running[_child(module, mutant.source)] = (module, mutant, time.monotonic())
+        pid, status = os.waitpid(-1, os.WNOHANG)
+        if pid in running:
+            module, mutant, _ = running.pop(pid)
+            yield module, mutant, os.waitstatus_to_exitcode(status) == 1
+            continue
+        for pid, (*_, begun) in running.items():
+            if time.monotonic() - begun > TIMEOUT_S:
+                os.kill(pid, signal.SIGKILL)  # an endless loop is noticed
+        time.sleep(0.005)
+
+
+def _reasons() -> dict[tuple[str, str], str]:
+    entries = tomllib.loads(SURVIVORS.read_text(encoding="utf-8")).get("survivor", [])
+    return {(one["module"], one["key"]): one["reason"] for one in entries}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("modules", nargs="*", default=list(TESTS), metavar="MODULE")
+    parser.add_argument("--list", action="store_true", help="show the mutants, run nothing")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args()
+    os.chdir(ROOT)
+    hypothesis.settings.register_profile(
+        "mutants", max_examples=20, derandomize=True, database=None, deadline=None,
+        phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate),
+    )  # fmt: skip
+    os.environ["HYPOTHESIS_PROFILE"] = "mutants"
+    dbc.load = functools.cache(dbc.load)  # the protocol is no target: read it once
+    dbc.load(packaged("vcu.dbc"))
+    jobs = [
+        (module, mutant)
+        for module in options.modules
+        for mutant in mutants((CORE / f"{module}.py").read_text(encoding="utf-8"))
+    ]
+    if options.list:
+        for module, mutant in jobs:
+            print(f"{module}.py:{mutant.line}: {mutant.key}")
+        return 0
+    if not _all_pass(options.modules):
+        return 2
+    code = _report(jobs, options)
+    return code if _all_pass(options.modules) else 2
+
+
+def _all_pass(modules: list[str]) -> bool:
+    """Without a mutant; before the run, and after it lest somebody edited meanwhile."""
+    for module in modules:
+        pid = _child(module, (CORE / f"{module}.py").read_text(encoding="utf-8"))
+        if os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) != 1:
+            print(f"{module}: its tests fail without a mutant; the figures mean nothing")
+            return False
+    return True
+
+
+def _report(jobs: list[tuple[str, Mutant]], options: argparse.Namespace) -> int:
+    begun, reasons = time.monotonic(), _reasons()
+    survived, unexplained = set(), 0
+    for module, mutant, survives in _verdicts(jobs, options.jobs):
+        if not survives:
+            continue
+        survived.add((module, mutant.key))
+        if (module, mutant.key) not in reasons:
+            unexplained += 1
+            print(f"SURVIVED src/vcu_gateway/core/{module}.py:{mutant.line}\n{mutant.diff}")
+            print(f"key = {mutant.key!r}\n", flush=True)
+    for module, key in reasons:
+        if module in options.modules and (module, key) not in survived:
+            print(f"no longer survives, remove it from survivors.toml: {module}: {key}")
+    print(
+        f"{len(jobs)} mutants in {time.monotonic() - begun:.0f} s: "
+        f"{len(jobs) - len(survived)} killed, {len(survived) - unexplained} with a reason, "
+        f"{unexplained} survived"
+    )
+    return 1 if unexplained else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
