@@ -7,8 +7,8 @@ from bench.figures import Figure, Options, counts_finely
 from bench.live import run
 from bench.traffic import NOMINAL_PER_S
 
-_GATHER_MS = (0, 1, 2, 4)
-_FULL_S = 3.0
+_GATHER_MS = (0, 1, 2, 4, 10)
+_FULL_S = 2.5
 
 
 def figures(options: Options) -> Iterator[Figure]:
