@@ -20,8 +20,8 @@ _FULL_S = 1.5
 
 def figures(options: Options) -> Iterator[Figure]:
     for label, (per_s, extra) in _RATES.items():
-        if per_s == NOMINAL_PER_S and not counts_finely():
-            continue
+        if per_s != SATURATED_PER_S and not counts_finely():
+            continue  # too little to count in whole ticks, or too slow to be flooded
         turns = [
             [us_per_frame(f"receive-{who}", per_s, options, *extra) for who in ("ours", "naive")]
             for _ in range(options.repeats(3))
