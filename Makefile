@@ -4,8 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
+# Too slow under coverage's eyes, and the other tests cover the same lines.
+EXHAUSTIVE := tests/core/test_exhaustive.py
 
-.PHONY: help setup demo test test-quick test-vcan lint nightly mutants bench lock clean
+.PHONY: help setup demo test test-quick test-core test-rest test-vcan lint nightly mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -21,12 +23,18 @@ demo: setup  ## gateway and simulated vehicle with a live table, without hardwar
 
 test: setup lint test-quick test-vcan  ## everything: lint, types, tests, tests on a real vcan0
 
-test-quick: setup  ## the tests that need no CAN
+test-quick: setup  ## the tests that need no CAN, two runs at a time
+	@$(MAKE) --no-print-directory -j2 --output-sync=target test-core test-rest
+
+test-core: setup
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -m 'not slow' --ignore=tests/vcan --ignore=tests/lab
+	$(BIN)/coverage run -m pytest -q -m 'not slow' tests/core --ignore=$(EXHAUSTIVE)
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
-	$(BIN)/coverage report --format=total | sed 's/.*/all rooms together: & % covered/'
+
+test-rest: setup
+	$(BIN)/pytest -q -m 'not slow' tests --ignore=tests/core --ignore=tests/vcan --ignore=tests/lab
+	$(BIN)/pytest -q $(EXHAUSTIVE)
 
 test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	$(LAB) install

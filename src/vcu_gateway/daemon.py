@@ -126,10 +126,10 @@ class Daemon:
             log.warning("ticks_skipped", skipped=tick.skipped, late_ms=late_ms)
         for event in result.events:
             log_event(event)
-        signature = result.why.signature()
-        if signature != self._told_why:
-            self._told_why = signature
-            log.info("why", sentence=result.why.sentence())
+        why = self.gateway.why(result.snapshot.now_ns)
+        if why.signature() != self._told_why:
+            self._told_why = why.signature()
+            log.info("why", sentence=why.sentence())
 
     def _mind_the_link(self, now_ns: int) -> None:
         if self.door.is_open or self._stopping is not None:

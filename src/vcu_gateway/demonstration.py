@@ -14,6 +14,7 @@ from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.why import Why
 from vcu_gateway.daemon import Daemon
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator.play import open_bus, play
@@ -45,11 +46,11 @@ class Demonstration:
         self._daemon = Daemon(self._gateway, self._door, _REOPEN_MS, self._observe)
         self._nodes = simulator.build(codec, time.monotonic_ns(), battery_speedup=battery_speedup)
         self._vehicle_bus = open_bus(interface, channel, self._nodes.command_ids)
-        self._latest: TickResult | None = None
+        self._latest: tuple[TickResult, Why] | None = None
 
     def _observe(self, tick: Tick, result: TickResult) -> None:
         del tick
-        self._latest = result
+        self._latest = result, self._gateway.why(result.snapshot.now_ns)
 
     def run(self, duration_s: float | None) -> None:
         """Until SIGINT, SIGTERM or the end of the duration."""
@@ -83,13 +84,13 @@ class Demonstration:
 
     def picture(self, roomy: bool = True) -> RenderableType:
         """What is known now."""
-        result = self._latest
-        if result is None:
+        if self._latest is None:
             return Text(f"{self._title}: waiting for the first tick")
+        result, why = self._latest
         return render(
             Picture(
                 title=self._title,
-                why=result.why,
+                why=why,
                 snapshot=result.snapshot,
                 commands=result.commands,
                 frames=result.frames,

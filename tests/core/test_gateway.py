@@ -925,3 +925,15 @@ def test_a_refused_demand_changes_nothing():
     assert not drive.offer(ControllerDemand(throttle_pct=90), source="another").granted
     drive.tick()
     assert throttle_raw(drive) == [51, 51]
+
+
+def test_a_healthy_vehicle_is_not_armed_before_our_first_frames_have_left():
+    demand = ControllerDemand(throttle_pct=20)
+    drive = Drive(bench_demand=demand, auto_arm=True)
+    drive.asked = None
+    while not drive.commands:
+        drive.tick()
+    assert (drive.mode, drive.commands) == (Mode.STARTING, [ZERO_TORQUE] * 2)
+    drive.run(3000)
+    assert drive.mode is Mode.ACTIVE
+    assert drive.gateway.output.gate.blocked == {}

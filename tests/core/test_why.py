@@ -147,7 +147,8 @@ def test_the_same_answer_at_another_time_has_the_same_signature():
 def test_the_answer_is_data_too():
     drive = active()
     drive.codes["BMS_Status.CellUndervoltage"] = 1
-    found = drive.run(500).why
+    drive.run(500)
+    found = drive.gateway.why(drive.now_ns)
     assert (found.now_ns, found.mode, found.latch) == (drive.now_ns, Mode.ACTIVE, None)
     assert [(one.finding.subject, one.finding.effect) for one in found.limits] == [
         ("BMS_Status.CellUndervoltage", Effect.POWER_LIMIT)

@@ -32,7 +32,7 @@ def picture(codec):
     def make(**changes):
         facts = {
             "title": "vcu-gateway on vcan0",
-            "why": result.why,
+            "why": gateway.why(1510 * MS),
             "snapshot": result.snapshot,
             "commands": result.commands,
             "frames": result.frames,

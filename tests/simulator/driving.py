@@ -75,7 +75,9 @@ def _tick(gateway: Gateway, nodes: simulator.Nodes, now_ns: int, at_s: float) ->
         gateway.sent(frame, True, now_ns)
         gateway.intake.receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
         nodes.receive(frame.can_id, frame.data, now_ns)
-    return Ticked(at_s, result.mode, tuple(f.data for f in result.frames), result.why)
+    return Ticked(
+        at_s, result.mode, tuple(f.data for f in result.frames), gateway.why(result.snapshot.now_ns)
+    )
 
 
 def signals(codec: Codec, data: bytes) -> Mapping[str, float]:

@@ -36,6 +36,7 @@ from vcu_gateway.core.world import World
 _STOPPING_TICKS = 3
 _STOPPING_TICKS_AT_MOST = 10
 _NS_PER_MS = 1_000_000
+SpeedsRpm = tuple[float | None, ...]
 _LISTENING = "listening for another sender of our frames"
 
 
@@ -51,7 +52,6 @@ class TickResult(NamedTuple):
     commands: Mapping[str, Command]
     frames: tuple[OutFrame, ...]
     events: tuple[Event, ...]
-    why: Why
 
 
 class Gateway:
@@ -219,9 +219,10 @@ class Gateway:
         talking = self._listening.update(now_ns)
         hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
         self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
-        self._supervise(snapshot, talking)
-        decided = self._decide(snapshot)
-        frames = self._frames(decided, snapshot) if talking else ()
+        self._supervise(snapshot)
+        speeds_rpm = _speeds_rpm(snapshot)
+        decided = self._decide(snapshot, speeds_rpm)
+        frames = self._frames(decided, speeds_rpm, now_ns) if talking else ()
         self.output.sending.note_emitted(bool(frames))
         self._last_tick_ns = now_ns
         return self._result(snapshot, frames)
@@ -249,7 +250,7 @@ class Gateway:
             blocked_by_gate=blocked,
         )
 
-    def _supervise(self, snapshot: Snapshot, talking: bool) -> None:
+    def _supervise(self, snapshot: Snapshot) -> None:
         """Give the supervisor every stimulus of this tick, the most urgent first."""
         now_ns, required = snapshot.now_ns, self.settings.required
         if self._terminate:
@@ -260,7 +261,9 @@ class Gateway:
             self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
         if any(snapshot.stale(message) for message in required):
             self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
-        elif talking and not any(self._qualification.missing(snapshot, self.settings)):
+        elif self.output.sending.begun and not any(
+            self._qualification.missing(snapshot, self.settings)
+        ):
             self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
         if self._auto_arm_left and not self._against_arming(now_ns):
             self._auto_arm_left = False
@@ -274,12 +277,11 @@ class Gateway:
         if self.supervisor.mode is Mode.STARTING and before is not Mode.STARTING:
             self._qualification.begin(self._snapshot, self.settings.required)
 
-    def _decide(self, snapshot: Snapshot) -> Mapping[str, Command]:
+    def _decide(self, snapshot: Snapshot, speeds_rpm: SpeedsRpm) -> Mapping[str, Command]:
         settings, now_ns, mode = self.settings, snapshot.now_ns, self.supervisor.mode
         effects, asked = self.causes.effects(), self._asked(now_ns)
         slow = all(
-            speed is not None and speed < settings.direction_change_rpm
-            for speed in _speeds_rpm(snapshot)
+            speed is not None and speed < settings.direction_change_rpm for speed in speeds_rpm
         )
         if mode is Mode.ACTIVE and asked is not None:
             return self._commander.active(asked, effects, slow, settings, now_ns)
@@ -291,11 +293,13 @@ class Gateway:
     def _power_is_cut(self) -> bool:
         return self.supervisor.power_is_cut or Effect.CUT in self.causes.effects()
 
-    def _frames(self, decided: Mapping[str, Command], snapshot: Snapshot) -> tuple[OutFrame, ...]:
+    def _frames(
+        self, decided: Mapping[str, Command], speeds_rpm: SpeedsRpm, now_ns: int
+    ) -> tuple[OutFrame, ...]:
         """Encode, and let the gate look at every frame; one blocked frame stops both."""
-        now_ns, armed = snapshot.now_ns, self.supervisor.mode is Mode.ACTIVE
+        armed = self.supervisor.mode is Mode.ACTIVE
         frames = self.output.encoded(decided)
-        rule = self.output.fault_of(frames, armed, _speeds_rpm(snapshot), now_ns)
+        rule = self.output.fault_of(frames, armed, speeds_rpm, now_ns)
         if rule is None:
             return frames
         self._blocked_by_gate = rule
@@ -313,7 +317,6 @@ class Gateway:
             commands=dict(self._commander.last),
             frames=frames,
             events=events,
-            why=self.why(snapshot.now_ns),
         )
 
     def why(self, now_ns: int) -> Why:
@@ -342,9 +345,10 @@ class Gateway:
     def _waits(self) -> list[str]:
         if not self._listening.over:
             return [_LISTENING]
-        if self.supervisor.mode is Mode.STARTING:
-            return list(self._qualification.missing(self._snapshot, self.settings))
-        return []
+        if self.supervisor.mode is not Mode.STARTING:
+            return []
+        waits = list(self._qualification.missing(self._snapshot, self.settings))
+        return waits if self.output.sending.begun else ["sending our first frames", *waits]
 
 
 def _stimulus_of(finding: Finding) -> Stimulus:
@@ -353,7 +357,7 @@ def _stimulus_of(finding: Finding) -> Stimulus:
     return Stimulus.LATCHING_STOP if finding.latches else Stimulus.STOP
 
 
-def _speeds_rpm(snapshot: Snapshot) -> tuple[float | None, ...]:
+def _speeds_rpm(snapshot: Snapshot) -> SpeedsRpm:
     """Speed of each motor; None where it is not known, stale or out of range."""
     return tuple(
         snapshot.reading(f"{name}_Status2", "MotorSpeed").good_value for name in CONTROLLERS

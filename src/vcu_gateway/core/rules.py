@@ -146,6 +146,8 @@ def throttle_echo(world: World) -> Iterator[Finding]:
         if latest is None or world.snapshot.stale(message):
             continue
         echoed_pct = world.snapshot.reading(message, "Throttle").value or 0.0
+        if echoed_pct <= _ECHO_TOLERANCE_PCT:
+            continue  # nothing can have been commanded below 0
         commanded_pct = _highest(world.history.get(controller, ()), latest.arrival_ns)
         if echoed_pct > commanded_pct + _ECHO_TOLERANCE_PCT:
             detail = f"{echoed_pct:.1f} %, commanded {commanded_pct:.1f} %"

@@ -24,6 +24,11 @@ class Sending:
         """A frame was handed to the bus."""
         self._history[controller].append(Sent(at_ns, throttle_pct))
 
+    @property
+    def begun(self) -> bool:
+        """True once a frame has left for every controller."""
+        return all(self._history.values())
+
     def note_emitted(self, emitted: bool) -> None:
         """Whether this tick gave frames to send at all."""
         self._emitted = emitted
