@@ -7,7 +7,7 @@ from bench.figures import Figure, Options, counts_finely
 from bench.live import run
 from bench.traffic import NOMINAL_PER_S
 
-_GATHER_MS = (0, 1, 2, 4, 10)
+_GATHER_MS = (0, 1, 4, 10, 17)
 _FULL_S = 2.5
 
 

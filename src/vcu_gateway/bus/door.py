@@ -35,7 +35,7 @@ class BusSettings:
     interface: Interface
     channel: str
     kernel_filters: bool = True
-    gather_s: float = 0.01
+    gather_s: float = 0.017
     receive_buffer_bytes: int | None = None
 
 

@@ -53,9 +53,9 @@ class Bus(Section):
         default=True, description="Let the kernel drop frames that nobody here decodes."
     )
     gather_ms: float = Field(
-        default=10.0,
+        default=17.0,
         ge=0,
-        le=10,
+        le=18,
         description="How long received frames may gather before one wake-up handles them all;"
         " shortly before every tick they are read in any case.",
     )

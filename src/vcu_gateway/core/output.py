@@ -33,6 +33,9 @@ class Output:
             name: j1939.with_priority(one.spec.can_id, settings.transmit_priority)
             for name, one in self._codecs.items()
         }
+        # One whole byte, the same in both: what it says needs no decoding.
+        self._throttle = self._codecs[CONTROLLERS[0]].spec.signal("Throttle")
+        self._throttle_byte = self._throttle.start_bit // 8
         self.gate = Gate(self._limits(settings))
         self.sending = Sending(CONTROLLERS)
 
@@ -80,7 +83,6 @@ class Output:
 
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
         """Book a frame that the bus took."""
-        codec = self._codecs[frame.controller]
-        throttle_pct = codec.decode(frame.data).values[codec.spec.signal_names.index("Throttle")]
+        throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
         self.gate.sent(CONTROLLERS.index(frame.controller), frame.data, now_ns)
         self.sending.note_sent(frame.controller, throttle_pct, now_ns)
