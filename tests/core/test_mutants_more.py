@@ -178,10 +178,10 @@ def test_a_new_demand_does_not_continue_a_drive_whose_demand_expired_between_two
 
 
 def test_the_latest_code_is_told_however_old_it_is(store, put):
-    assert store.snapshot(0).raw(STATUS, "SOC") is None
+    assert store.snapshot(0).codes(STATUS, ["SOC"]) is None
     put(status(0, soc=80))
     put(status(1, soc=101))
     for now_ns in (0, 10**15):
-        assert store.snapshot(now_ns).raw(STATUS, "SOC") == 101
-    with pytest.raises(KeyError, match="BMS_Status has no signal Soc"):
-        store.snapshot(0).raw(STATUS, "Soc")
+        assert store.snapshot(now_ns).codes(STATUS, ["SOC", "PackVoltage"])[0] == 101
+    with pytest.raises(KeyError, match="Soc"):
+        store.snapshot(0).codes(STATUS, ["Soc"])

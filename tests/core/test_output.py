@@ -97,13 +97,13 @@ def test_a_frame_that_was_sent_is_what_the_next_one_is_held_against(output):
 def test_what_was_sent_is_booked_as_the_wire_carried_it(output):
     first, second = output.encoded(decided(throttle_pct=100))
     output.note_sent(first, 7)
-    history = output.sending.history()
+    history = output.sending.history
     assert [(sent.at_ns, sent.throttle_pct) for sent in history["PCU1"]] == [
         (7, pytest.approx(99.45))
     ]
-    assert history["PCU2"] == ()
+    assert not history["PCU2"]
     output.note_sent(second, 8)
-    assert output.sending.history()["PCU2"][0].at_ns == 8
+    assert output.sending.history["PCU2"][0].at_ns == 8
 
 
 @pytest.mark.parametrize(

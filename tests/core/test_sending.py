@@ -63,7 +63,10 @@ def test_the_history_holds_each_controllers_throttles_oldest_first():
     sending.note_sent("PCU1", 10.0, 1)
     sending.note_sent("PCU2", 20.0, 2)
     sending.note_sent("PCU1", 30.0, 3)
-    assert sending.history() == {"PCU1": (Sent(1, 10.0), Sent(3, 30.0)), "PCU2": (Sent(2, 20.0),)}
+    assert {name: list(sent) for name, sent in sending.history.items()} == {
+        "PCU1": [Sent(1, 10.0), Sent(3, 30.0)],
+        "PCU2": [Sent(2, 20.0)],
+    }
 
 
 def test_the_history_reaches_over_the_echo_window_and_is_bounded():
@@ -71,6 +74,6 @@ def test_the_history_reaches_over_the_echo_window_and_is_bounded():
     sending = Sending(BOTH)
     for number in range(1000):
         sending.note_sent("PCU1", 1.0, number * 50_000_000)
-    kept = sending.history()["PCU1"]
+    kept = sending.history["PCU1"]
     assert kept[-1].at_ns - kept[0].at_ns >= 2_600_000_000
     assert len(kept) <= 100

@@ -241,7 +241,7 @@ class Gateway:
             settings=settings,
             late_after_ns=self._late_after_ns,
             link=self.link,
-            history=self.output.sending.history(),
+            history=self.output.sending.history,
             tick_late_ns=late_ns,
             period_ns=settings.period_ns,
             unconfirmed_ticks=self.output.sending.note_confirmed(self.intake.confirmed),
@@ -261,13 +261,15 @@ class Gateway:
             self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
         if any(snapshot.stale(message) for message in required):
             self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
-        elif self.output.sending.begun and not any(
-            self._qualification.missing(snapshot, self.settings)
-        ):
+        elif self.supervisor.mode is Mode.STARTING and self._qualified(snapshot):
             self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
         if self._auto_arm_left and not self._against_arming(now_ns):
             self._auto_arm_left = False
             self._apply(Stimulus.ARM, now_ns, "armed by auto_arm on a test bench")
+
+    def _qualified(self, snapshot: Snapshot) -> bool:
+        missing = self._qualification.missing(snapshot, self.settings)
+        return self.output.sending.begun and not any(missing)
 
     def _apply(self, stimulus: Stimulus, now_ns: int, reason: str) -> None:
         before = self.supervisor.mode

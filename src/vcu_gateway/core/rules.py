@@ -4,7 +4,7 @@ A rule sees the world and returns what it found; it does not log, remember or co
 tuple at the bottom is the whole list.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.demand import CONTROLLERS
@@ -71,10 +71,8 @@ def controller_codes(world: World) -> Iterator[Finding]:
 def _coded(
     world: World, message: str, effects: Mapping[str, tuple[tuple[Effect, ...], ...]]
 ) -> Iterator[Finding]:
-    for signal, by_code in effects.items():
-        raw = world.snapshot.raw(message, signal)
-        if raw is None:
-            return
+    codes = world.snapshot.codes(message, effects) or ()
+    for (signal, by_code), raw in zip(effects.items(), codes, strict=False):
         for effect in by_code[raw]:
             name = world.snapshot.reading(message, signal).code_name
             yield Finding(
@@ -154,7 +152,7 @@ def throttle_echo(world: World) -> Iterator[Finding]:
             yield Finding("throttle_echo", f"{message}.Throttle", Effect.STOP, detail)
 
 
-def _highest(history: tuple[Sent, ...], until_ns: int) -> float:
+def _highest(history: Sequence[Sent], until_ns: int) -> float:
     """The highest throttle in force during the second before `until_ns`."""
     from_ns = until_ns - _ECHO_WINDOW_NS
     recent = [sent.throttle_pct for sent in history if from_ns <= sent.at_ns <= until_ns]

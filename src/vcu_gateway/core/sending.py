@@ -1,7 +1,7 @@
 """What became of our frames: sent, confirmed, and the throttles that they carried."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from vcu_gateway.core.world import Sent
 
@@ -43,6 +43,7 @@ class Sending:
             self._confirmed_before[name] = count
         return max(self._missed.values())
 
-    def history(self) -> Mapping[str, tuple[Sent, ...]]:
-        """The throttles of the last frames sent, oldest first, by controller."""
-        return {name: tuple(sent) for name, sent in self._history.items()}
+    @property
+    def history(self) -> Mapping[str, Sequence[Sent]]:
+        """The throttles of the last frames sent, oldest first, by controller; it goes on."""
+        return self._history

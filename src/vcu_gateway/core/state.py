@@ -165,10 +165,13 @@ class Snapshot:
         index = self._index(message, signal)
         return self._reading(message, index, self._specs[message].signals[index])
 
-    def raw(self, message: str, signal: str) -> int | None:
-        """The latest code of a signal, however old; None before the first frame."""
+    def codes(self, message: str, signals: Iterable[str]) -> tuple[int, ...] | None:
+        """The latest codes of these signals, however old; None before the first frame."""
         latest = self._latest.get(message)
-        return None if latest is None else latest.decoded.raws[self._index(message, signal)]
+        if latest is None:
+            return None
+        indexes, raws = self._indexes[message], latest.decoded.raws
+        return tuple([raws[indexes[signal]] for signal in signals])
 
     def _index(self, message: str, signal: str) -> int:
         index = self._indexes[message].get(signal)

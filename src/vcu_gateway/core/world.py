@@ -1,6 +1,6 @@
 """All that the rules may look at: the snapshot, and facts that no message carries."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from vcu_gateway.core.link import Link
@@ -34,7 +34,7 @@ class World:
     settings: Settings
     late_after_ns: Mapping[str, int]
     link: Link
-    history: Mapping[str, tuple[Sent, ...]] = field(default_factory=dict)
+    history: Mapping[str, Sequence[Sent]] = field(default_factory=dict)
     tick_late_ns: int = 0
     period_ns: int = 50_000_000
     unconfirmed_ticks: int = 0
