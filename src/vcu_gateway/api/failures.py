@@ -1,0 +1,48 @@
+"""The errors that the API answers with: a code, a stable word and a sentence."""
+
+from enum import Enum
+
+
+class Code(Enum):
+    """JSON-RPC's own codes, and ours from -32000 on; the value's name is the stable word."""
+
+    PARSE_ERROR = -32700
+    INVALID_REQUEST = -32600
+    METHOD_NOT_FOUND = -32601
+    INVALID_PARAMS = -32602
+    INTERNAL_ERROR = -32603
+    NO_RIGHT = -32001
+    REFUSED = -32002
+    """Not now, or not this: `data.refusal` says which, the sentence why."""
+    TOO_MANY_CLIENTS = -32003
+    NOT_READY = -32004
+    """The gateway is starting or ending; try again."""
+    CONFIG_REFUSED = -32005
+    """The new configuration is not taken; `data.problems` has a line for each reason."""
+
+
+class Failure(Exception):  # noqa: N818
+    """A request that is answered with an error.
+
+    Attributes:
+        refusal: machine word of a REFUSED, as core.demand.Refusal has them.
+        problems: one sentence for each thing wrong, for CONFIG_REFUSED.
+    """
+
+    def __init__(
+        self, code: Code, sentence: str, refusal: str = "", problems: tuple[str, ...] = ()
+    ) -> None:
+        super().__init__(sentence)
+        self.code = code
+        self.sentence = sentence
+        self.refusal = refusal
+        self.problems = problems
+
+    def as_json(self) -> dict[str, object]:
+        """The `error` member of the response."""
+        data: dict[str, object] = {"word": self.code.name.lower()}
+        if self.refusal:
+            data["refusal"] = self.refusal
+        if self.problems:
+            data["problems"] = list(self.problems)
+        return {"code": self.code.value, "message": self.sentence, "data": data}

@@ -1,0 +1,189 @@
+"""Every method: its name, parameters, result and the right that it needs.
+
+A new method is one entry in `METHODS` and its answer in `answers`; the OpenRPC document,
+docs/api.md and the tests follow.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from vcu_gateway.api import shapes
+from vcu_gateway.api.rights import Right
+
+MAX_RATE_HZ = 50.0
+
+
+class Params(BaseModel):
+    """Nothing unknown, nothing coerced, nothing infinite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Nothing(Params):
+    """No parameters."""
+
+
+class StateParams(Params):
+    """Which messages."""
+
+    messages: Annotated[list[str], Field(max_length=64)] | None = Field(
+        default=None, description="Message names; null is all of them."
+    )
+
+
+class SubscribeParams(StateParams):
+    """Which messages, and how often."""
+
+    rate_hz: float = Field(
+        default=10.0, ge=0.1, le=MAX_RATE_HZ, description="Updates a second, 0.1 to 50."
+    )
+
+
+class UnsubscribeParams(Params):
+    """Which subscription."""
+
+    subscription: int
+
+
+class Values(Params):
+    """What is asked of a controller; what is left out is at its default.
+
+    The ranges are checked where the demand is taken, which answers with the reason.
+    """
+
+    throttle_pct: float = Field(default=0.0, description="0 to 100 %.")
+    brake_pct: float = Field(default=0.0, description="0 to 100 %.")
+    power_mode: Literal["eco", "normal", "turbo", "safety"] = "eco"
+    motor_reverse: bool = False
+    regen_brake: bool = False
+    speed_limit_rpm: float | None = Field(
+        default=None, description="0 to 12000 rpm; null is the configured maximum."
+    )
+    power_limit_w: float | None = Field(
+        default=None, description="0 to 60000 W; null is the configured maximum."
+    )
+
+
+SourceName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.:-]+$")]
+
+
+class DemandParams(Params):
+    """A demand: `values` for both controllers, or `controllers` with one for each."""
+
+    source: SourceName = Field(
+        description="Who asks. A source name belongs to one connection at a time."
+    )
+    sequence: int = Field(
+        ge=0, lt=2**63, description="Rises with every demand of a source; an old one is refused."
+    )
+    ttl_ms: int | None = Field(
+        default=None,
+        description="How long it counts, from made_ns on; null is demand.ttl_default_ms.",
+    )
+    made_ns: int | None = Field(
+        default=None,
+        ge=0,
+        lt=2**63,
+        description="When it was made, CLOCK_MONOTONIC of this machine, so that time spent in"
+        " buffers counts; null is when the gateway read it.",
+    )
+    values: Values | None = None
+    controllers: dict[Literal["PCU1", "PCU2"], Values] | None = None
+
+
+class ReleaseParams(Params):
+    """Whose demand ends."""
+
+    source: SourceName
+
+
+class ResetParams(Params):
+    """The level of the reset."""
+
+    level: Literal["driver", "service"] = "driver"
+
+
+class EventsParams(Params):
+    """How many."""
+
+    limit: int = Field(default=50, ge=1, le=200, description="The latest so many.")
+
+
+class Method(NamedTuple):
+    """One method.
+
+    Attributes:
+        params: model of the parameters, by name; result: shape of the result.
+        right: what the peer needs; `reset` at service level needs SERVICE instead.
+    """
+
+    params: type[Params]
+    result: type
+    right: Right
+    summary: str
+
+
+METHODS: Mapping[str, Method] = {
+    "state.get": Method(
+        StateParams, shapes.State, Right.READ, "Received signals and what was commanded."
+    ),
+    "state.subscribe": Method(
+        SubscribeParams,
+        shapes.Subscribed,
+        Right.READ,
+        "The state again and again, as `state.update` notifications. A slow reader loses updates.",
+    ),
+    "state.unsubscribe": Method(
+        UnsubscribeParams, shapes.Subscribed, Right.READ, "End a subscription."
+    ),
+    "demand.set": Method(
+        DemandParams,
+        shapes.Granted,
+        Right.OPERATE,
+        "Ask for throttle, brake and so on. The demand ends with its time to live, and with the"
+        " connection that made it.",
+    ),
+    "demand.release": Method(
+        ReleaseParams, shapes.Granted, Right.OPERATE, "End one's own demand at once."
+    ),
+    "arm": Method(Nothing, shapes.Granted, Right.OPERATE, "From standby to active."),
+    "disarm": Method(
+        Nothing,
+        shapes.Granted,
+        Right.READ,
+        "From active to standby. Whoever reaches the socket may stop the vehicle.",
+    ),
+    "reset": Method(
+        ResetParams, shapes.Granted, Right.OPERATE, "From fault to standby, at a level."
+    ),
+    "estop": Method(
+        Nothing,
+        shapes.Granted,
+        Right.READ,
+        "Cut the power of both controllers; ends with a reset at service level.",
+    ),
+    "why": Method(Nothing, shapes.Why, Right.READ, "What blocks, what limits, what to do next."),
+    "health": Method(
+        Nothing, shapes.Health, Right.READ, "Bus, ticks, counters, versions, configuration."
+    ),
+    "events": Method(EventsParams, shapes.Events, Right.READ, "The latest events, counted."),
+    "config.get": Method(
+        Nothing, shapes.ConfigInEffect, Right.READ, "The configuration in effect."
+    ),
+    "config.reload": Method(
+        Nothing,
+        shapes.Reloaded,
+        Right.SERVICE,
+        "Read the configuration file again, all of it or nothing.",
+    ),
+    "protocol.get": Method(Nothing, shapes.Protocol, Right.READ, "Messages and signals."),
+}
+
+
+def right_needed(name: str, params: Params) -> Right:
+    """The right for this request."""
+    if isinstance(params, ResetParams) and params.level == "service":
+        return Right.SERVICE
+    return METHODS[name].right

@@ -1,0 +1,330 @@
+"""The results of the API's methods, as JSON has them.
+
+Times end in `_ms` (age or duration) or `_ns` (CLOCK_MONOTONIC of this machine); None is JSON's
+null and means unknown, never zero. The documentation and the OpenRPC document are made from
+this file.
+"""
+
+from typing import Any, Literal, NotRequired
+
+from typing_extensions import TypedDict
+
+ControllerName = Literal["PCU1", "PCU2"]
+ModeName = Literal["starting", "standby", "active", "fault", "stopping"]
+PowerModeName = Literal["eco", "normal", "turbo", "safety"]
+QualityName = Literal["good", "out of range", "saturated", "stale", "never"]
+
+
+class Shape(TypedDict):
+    """A result; the words under a field are its documentation."""
+
+    __pydantic_config__ = {"use_attribute_docstrings": True, "extra": "forbid"}  # type: ignore[misc]  # noqa: RUF012
+
+
+class Signal(Shape):
+    """One signal of a received message."""
+
+    value: float | None
+    """Physical value in `unit`; null before the first frame."""
+    raw: int | None
+    """The code on the wire; null before the first frame."""
+    unit: str
+    """Empty for enumerations and counts."""
+    quality: QualityName
+    """What the value is worth; only a good one may be relied upon."""
+    name: NotRequired[str]
+    """The code's name, for enumerations."""
+
+
+class Message(Shape):
+    """The latest frame of one received message."""
+
+    frame_count: int
+    """Frames since the start."""
+    marked_count: int
+    """Frames with a signal out of range or saturated."""
+    age_ms: float | None
+    """Since the kernel's arrival stamp; null before the first frame."""
+    period_ms: float | None
+    """Observed period, smoothed; null before the second frame."""
+    stale: bool
+    """Too old, or never received."""
+    signals: dict[str, Signal]
+    """By the protocol's signal names."""
+
+
+class Command(Shape):
+    """What one controller was told in the last tick."""
+
+    throttle_pct: float
+    brake_pct: float
+    power_mode: PowerModeName
+    motor_reverse: bool
+    regen_brake: bool
+    power_cut: bool
+    speed_limit_rpm: float
+    power_limit_w: float
+    frame: str | None
+    """Identifier and bytes as candump writes them; null where nothing was sent."""
+
+
+class State(Shape):
+    """What is known and what was commanded, at one instant."""
+
+    monotonic_ns: int
+    """When, CLOCK_MONOTONIC of this machine."""
+    mode: ModeName
+    messages: dict[str, Message]
+    """By the protocol's message names; only those that were asked for."""
+    commands: dict[ControllerName, Command]
+
+
+class Cause(Shape):
+    """One reason not to move, or to move less."""
+
+    cause: str
+    """Stable word for machines."""
+    subject: str
+    """The signal, message or part that it is about."""
+    detail: str
+    """Its value, as a person reads it."""
+    effect: Literal["alarm", "turbo off", "power limit", "regen limit", "regen off", "stop", "cut"]
+    since_ms: float
+    """How long it has counted."""
+    stands: bool
+    """False where it is gone and only held for a while."""
+
+
+class Latch(Shape):
+    """A latched fault."""
+
+    fault_class: Literal["driver", "service"]
+    """The level of the reset that it needs."""
+    reason: str
+    since_ms: float
+
+
+class DemandState(Shape):
+    """The demand that counts, or the last one that did."""
+
+    source: str
+    age_ms: float | None
+    """Null for the bench demand, which does not age."""
+    ttl_ms: int | None
+    fresh: bool
+
+
+class Why(Shape):
+    """Why the vehicle does or does not move."""
+
+    sentence: str
+    """All of it in one line."""
+    mode: ModeName
+    latch: Latch | None
+    blocks: list[Cause]
+    """What stops or cuts."""
+    limits: list[Cause]
+    alarms: list[Cause]
+    waits: list[str]
+    """Conditions that are not met yet, as sentences."""
+    demand: DemandState | None
+    next_step: str
+    """What to do now."""
+
+
+class Link(Shape):
+    """The bus interface."""
+
+    interface: str
+    channel: str
+    state: Literal["up", "error warning", "error passive", "bus off", "lost"]
+    since_ms: float
+    lost: str | None
+    """Why the interface cannot be used; null while it can."""
+
+
+class Ticks(Shape):
+    """The 50 ms schedule."""
+
+    period_ms: float
+    done: int
+    skipped: int
+    silent: int
+    """Ticks that sent nothing, listening before talking."""
+    lateness_p50_us: float | None
+    """Over the last `lateness_ticks` ticks; null before the first."""
+    lateness_p90_us: float | None
+    lateness_p99_us: float | None
+    lateness_max_us: float | None
+    lateness_ticks: int
+
+
+class FrameCounts(Shape):
+    """Every frame accounted for."""
+
+    received: int
+    """Frames that the kernel handed over."""
+    rejected: dict[str, int]
+    """Not decoded, by reason."""
+    out_of_order: int
+    """Older than the one before them; not taken."""
+    dropped: int | None
+    """By the kernel's receive buffer; null where that cannot be known."""
+    sent: int
+    unsent: dict[str, int]
+    """Not sent, by reason."""
+    confirmed: dict[ControllerName, int]
+    """Own command frames that came back because they had left."""
+    foreign_commands: dict[ControllerName, int]
+    """Command frames of another sender."""
+    blocked_by_gate: dict[str, int]
+    """By the rule that they broke."""
+    receiver_bugs: int
+
+
+class ApiCounts(Shape):
+    """The API's own figures."""
+
+    clients: int
+    """Connected now."""
+    accepted: int
+    turned_away: int
+    """Connections beyond the limit on clients."""
+    requests: int
+    errors: dict[str, int]
+    """Answers that were errors, by code."""
+    closed: dict[str, int]
+    """Connections that the gateway ended, by reason."""
+    lost_updates: int
+    """Notifications that a slow reader did not get."""
+
+
+class Versions(Shape):
+    """What is running."""
+
+    vcu_gateway: str
+    python: str
+    python_can: str
+    kernel: str
+
+
+class Health(Shape):
+    """How the gateway itself fares."""
+
+    pid: int
+    uptime_ms: float
+    starts: int | None
+    """Starts since the machine booted, this one included; null where that is not known."""
+    config_file: str
+    config_digest: str
+    protocol_digest: str
+    link: Link
+    ticks: Ticks
+    frames: FrameCounts
+    api: ApiCounts
+    log_lines_dropped: int
+    versions: Versions
+
+
+class EventEntry(Shape):
+    """One kind of event with the same fields, however often it happened."""
+
+    name: str
+    severity: Literal["info", "warning", "error", "critical"]
+    fields: dict[str, Any]
+    count: int
+    first_ms: float
+    """Age of the first of them."""
+    last_ms: float
+    """Age of the last of them."""
+    last_time: str
+    """Wall clock of the last, ISO 8601, UTC."""
+
+
+class Events(Shape):
+    """The latest events, the latest last."""
+
+    events: list[EventEntry]
+    forgotten: int
+    """Entries that made room for later ones."""
+
+
+class Granted(Shape):
+    """The request was granted."""
+
+    granted: Literal[True]
+    mode: ModeName
+    """The mode when it was granted; `why` tells what follows."""
+
+
+class Subscribed(Shape):
+    """A subscription began; `state.update` notifications follow."""
+
+    subscription: int
+    rate_hz: float
+
+
+class Update(Shape):
+    """The parameters of a `state.update` notification."""
+
+    subscription: int
+    lost: int
+    """Updates not sent since the one before, because the reader was slow."""
+    state: State
+
+
+class ConfigInEffect(Shape):
+    """The configuration that is in effect."""
+
+    file: str
+    digest: str
+    values: dict[str, Any]
+    """Every value by section and key."""
+
+
+class Reloaded(Shape):
+    """The new configuration is in effect."""
+
+    changed: list[str]
+    """Dotted names of what changed."""
+    digest: str
+
+
+class SignalDefinition(Shape):
+    """One signal of the protocol."""
+
+    name: str
+    unit: str
+    minimum: float
+    maximum: float
+    factor: float
+    offset: float
+    start_bit: int
+    length_bits: int
+    byte_order: Literal["little", "big"]
+    signed: bool
+    names: dict[str, str]
+    """Name of each code, by the code as decimal text."""
+    comment: str
+
+
+class MessageDefinition(Shape):
+    """One message of the protocol."""
+
+    name: str
+    can_id: str
+    """29-bit identifier as 0x and 8 digits."""
+    sender: str
+    receivers: list[str]
+    period_ms: int | None
+    signals: list[SignalDefinition]
+    comment: str
+
+
+class Protocol(Shape):
+    """What travels on the bus."""
+
+    digest: str
+    messages: list[MessageDefinition]
+    aliases: dict[str, str]
+    """Message name by further identifier."""
