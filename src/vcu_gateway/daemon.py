@@ -6,15 +6,22 @@ import sys
 import time
 from collections.abc import Callable
 from types import FrameType
+from typing import NamedTuple
 
 from vcu_gateway.bus.door import Door
+from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.output import OutFrame
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
+from vcu_gateway.core.why import Why
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.log import log, log_event
+from vcu_gateway.inbox import Inbox
+from vcu_gateway.journal import Journal
+from vcu_gateway.log import log
 
 _SWITCH_INTERVAL_S = 0.0005
+# No work for others is begun so shortly before a tick; sleeping to it is the most punctual.
+_PUNCTUAL_NS = 3_000_000
 _COLLECT_EVERY_TICKS = 1200
 _NS_PER_S = 1_000_000_000
 _NS_PER_MS = 1_000_000
@@ -22,10 +29,19 @@ _NS_PER_MS = 1_000_000
 Observer = Callable[[Tick, TickResult], None]
 
 
+class Latest(NamedTuple):
+    """The last tick, and the answer of `why` since: replaced whole by the ticking thread."""
+
+    result: TickResult
+    why: Why
+
+
 class Daemon:
     """Gateway and bus, ticked on the calling thread until `stop` or the end of `run`.
 
     Attributes:
+        inbox: what others want done on the ticking thread; journal: what happened.
+        latest: the last tick; None before the first.
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.
         silent_ticks: ticks that sent nothing, listening before talking.
     """
@@ -44,24 +60,38 @@ class Daemon:
         self._next_open_ns = 0
         self._was_open = False
         self._told_lost: str | None = None
-        self._observer = observer
+        self._observers = [] if observer is None else [observer]
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
+        self.inbox = Inbox()
+        self.journal = Journal()
+        self.latest: Latest | None = None
+        self._on_hangup: Callable[[], None] | None = None
         self._told_why: tuple[object, ...] = ()
 
     def stop(self, why: str) -> None:
         """Send safe frames, then end the loop."""
         self._stopping = self._stopping or why
 
-    def handle_signals(self) -> None:
-        """SIGTERM and SIGINT end the loop; only in the main thread."""
+    def observe_with(self, observer: Observer) -> None:
+        """Have this called after each tick."""
+        self._observers.append(observer)
+
+    def handle_signals(self, on_hangup: Callable[[], None] | None = None) -> None:
+        """SIGTERM and SIGINT end the loop, SIGHUP calls `on_hangup`; only in the main thread."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
+        if on_hangup is not None:
+            self._on_hangup = on_hangup
+            signal.signal(signal.SIGHUP, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del frame
-        self.stop(signal.Signals(number).name)
+        if number == signal.SIGHUP and self._on_hangup is not None:
+            self.inbox.post(self._on_hangup)
+        else:
+            self.stop(signal.Signals(number).name)
 
     def run(self, duration_s: float | None = None) -> None:
         """Tick every period until stopped, or for `duration_s` seconds; then end safely."""
@@ -75,6 +105,7 @@ class Daemon:
         end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * _NS_PER_S)
         try:
             while not self._finished:
+                self.inbox.do_until(schedule.next_deadline_ns - _PUNCTUAL_NS)
                 self._sleep_until(schedule.next_deadline_ns)
                 tick = schedule.due(time.monotonic_ns())
                 if tick is None:
@@ -97,7 +128,8 @@ class Daemon:
     def _tick(self, tick: Tick) -> None:
         gateway = self.gateway
         if self._stopping is not None:
-            gateway.terminate()
+            gateway.requests.terminate()
+        self.inbox.do_waiting()
         now_ns = time.monotonic_ns()
         result = gateway.tick(now_ns)
         for frame in result.frames:
@@ -107,8 +139,8 @@ class Daemon:
         self._finished = gateway.finished
         self.silent_ticks += not result.frames
         self._tell(tick, result)
-        if self._observer is not None:
-            self._observer(tick, result)
+        for observe in self._observers:
+            observe(tick, result)
         self._mind_the_link(now_ns)
         if tick.index % _COLLECT_EVERY_TICKS == _COLLECT_EVERY_TICKS - 1:
             gc.collect()
@@ -120,16 +152,23 @@ class Daemon:
         return self.door.send(frame)
 
     def _tell(self, tick: Tick, result: TickResult) -> None:
-        """Log what happened in this tick; most ticks have nothing to tell."""
+        """Tell what happened in this tick; most ticks have nothing to tell."""
         if tick.skipped:
             late_ms = tick.lateness_ns / _NS_PER_MS
-            log.warning("ticks_skipped", skipped=tick.skipped, late_ms=late_ms)
+            fields = {"skipped": tick.skipped, "late_ms": late_ms}
+            self.journal.tell(Event("ticks_skipped", Severity.WARNING, fields))
         for event in result.events:
-            log_event(event)
+            self.journal.tell(event)
         why = self.gateway.why(result.snapshot.now_ns)
+        self.latest = Latest(result, why)
         if why.signature() != self._told_why:
             self._told_why = why.signature()
             log.info("why", sentence=why.sentence())
+
+    def explain_anew(self) -> None:
+        """A request changed something: `latest` is to tell before the next tick."""
+        if self.latest is not None:
+            self.latest = self.latest._replace(why=self.gateway.why(time.monotonic_ns()))
 
     def _mind_the_link(self, now_ns: int) -> None:
         if self.door.is_open or self._stopping is not None:
@@ -137,7 +176,7 @@ class Daemon:
         self.gateway.link_lost(now_ns)
         if self._was_open:
             self._was_open = False
-            log.error("link_lost", reason=self.door.lost)
+            self.journal.tell(Event("link_lost", Severity.ERROR, {"reason": self.door.lost}))
         if now_ns >= self._next_open_ns:
             self._next_open_ns = now_ns + self._reopen_ns
             self._try_to_open()
@@ -149,11 +188,11 @@ class Daemon:
             self.gateway.link_lost(time.monotonic_ns())
             if str(error) != self._told_lost:
                 self._told_lost = str(error)
-                log.error("link_unavailable", reason=str(error))
+                self.journal.tell(Event("link_unavailable", Severity.ERROR, {"reason": str(error)}))
         else:
             self._was_open, self._told_lost = True, None
             self.gateway.link_opened(time.monotonic_ns())
-            log.info("link_open")
+            self.journal.tell(Event("link_open", Severity.INFO))
 
     def _log_end(self) -> None:
         schedule = self.schedule

@@ -3,12 +3,14 @@
 Exit codes follow sysexits.h and are part of the interface:
 
     0   done
-    1   a check answered no (`dbc --check`)
+    1   a check answered no (`dbc --check`, `status --check`)
     2   the command line is wrong
     65  a file's contents are wrong (EX_DATAERR)
     66  a file cannot be read (EX_NOINPUT)
     69  the bus or something else outside is not there (EX_UNAVAILABLE)
     70  a bug in this program (EX_SOFTWARE)
+    75  the gateway refused a request, or did not answer in time (EX_TEMPFAIL)
+    77  this user may not ask for that (EX_NOPERM)
     78  the configuration is wrong (EX_CONFIG)
 """
 
@@ -64,3 +66,15 @@ class UnavailableError(GatewayError):
     """The bus, or an optional part of the program, is not there."""
 
     exit_code = os.EX_UNAVAILABLE
+
+
+class RefusedError(GatewayError):
+    """The running gateway said no, or did not answer."""
+
+    exit_code = os.EX_TEMPFAIL
+
+
+class NotPermittedError(GatewayError):
+    """This user has not the right."""
+
+    exit_code = os.EX_NOPERM

@@ -1,35 +1,56 @@
-"""The state as plain data, for files and other programs."""
+"""What the gateway knows and does as plain data, in the API's shapes."""
 
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, cast, get_args
 
-from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.api import shapes
+from vcu_gateway.core import why as explanation
+from vcu_gateway.core.causes import Held
+from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.state import Reading, Snapshot
+from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.daemon import Latest
 
 _NS_PER_MS = 1_000_000
+_CONTROLLERS: tuple[shapes.ControllerName, ...] = get_args(shapes.ControllerName)
 
 
-def state(snapshot: Snapshot) -> dict[str, Any]:
-    """Every message by name: frame_count, age_ms, period_ms, stale, and its signals."""
-    return {message.name: _message(snapshot, message.name) for message in snapshot.messages}
+def state(snapshot: Snapshot, latest: Latest, names: Iterable[str] | None = None) -> shapes.State:
+    """What is known at the snapshot's instant, and what was commanded in the last tick.
 
-
-def _message(snapshot: Snapshot, name: str) -> dict[str, Any]:
-    latest = snapshot.latest(name)
+    `names` are the messages to tell, None all; KeyError for one that the store does not keep.
+    """
     return {
-        "frame_count": latest.frame_count if latest else 0,
-        "marked_count": latest.marked_count if latest else 0,
-        "age_ms": _milliseconds(snapshot.age_ns(name)),
-        "period_ms": _milliseconds(latest.period_ns if latest else None),
-        "stale": snapshot.stale(name),
-        "signals": {reading.name: _signal(reading) for reading in snapshot.readings(name)},
+        "monotonic_ns": snapshot.now_ns,
+        "mode": mode_name(latest.why.mode),
+        "messages": messages(snapshot, names),
+        "commands": commands(latest.result),
     }
 
 
-def _signal(reading: Reading) -> dict[str, Any]:
-    signal: dict[str, Any] = {
+def messages(snapshot: Snapshot, names: Iterable[str] | None = None) -> dict[str, shapes.Message]:
+    """Received messages by name, in the protocol's order or in that of `names`."""
+    known = [message.name for message in snapshot.messages]
+    return {name: _message(snapshot, name) for name in (known if names is None else names)}
+
+
+def _message(snapshot: Snapshot, name: str) -> shapes.Message:
+    readings, latest = snapshot.readings(name), snapshot.latest(name)
+    return {
+        "frame_count": latest.frame_count if latest else 0,
+        "marked_count": latest.marked_count if latest else 0,
+        "age_ms": milliseconds(snapshot.age_ns(name)),
+        "period_ms": milliseconds(latest.period_ns if latest else None),
+        "stale": snapshot.stale(name),
+        "signals": {reading.name: _signal(reading) for reading in readings},
+    }
+
+
+def _signal(reading: Reading) -> shapes.Signal:
+    signal: shapes.Signal = {
         "value": reading.value,
-        "unit": reading.unit,
         "raw": reading.raw,
+        "unit": reading.unit,
         "quality": reading.quality.value,
     }
     if reading.code_name is not None:
@@ -37,8 +58,79 @@ def _signal(reading: Reading) -> dict[str, Any]:
     return signal
 
 
-def _milliseconds(duration_ns: int | None) -> float | None:
-    return None if duration_ns is None else duration_ns / _NS_PER_MS
+def commands(result: TickResult) -> dict[shapes.ControllerName, shapes.Command]:
+    """What each controller was told in this tick."""
+    frames = {frame.controller: frame for frame in result.frames}
+    told: dict[shapes.ControllerName, shapes.Command] = {}
+    for name in _CONTROLLERS:
+        command, frame = result.commands[name], frames.get(name)
+        told[name] = {
+            "throttle_pct": command.throttle_pct,
+            "brake_pct": command.brake_pct,
+            "power_mode": cast(shapes.PowerModeName, command.power_mode.name.lower()),
+            "motor_reverse": command.motor_reverse,
+            "regen_brake": command.regen_brake,
+            "power_cut": command.power_cut,
+            "speed_limit_rpm": command.speed_limit_rpm,
+            "power_limit_w": command.power_limit_w,
+            "frame": f"{frame.can_id:08X}#{frame.data.hex().upper()}" if frame else None,
+        }
+    return told
+
+
+def why(answer: explanation.Why) -> shapes.Why:
+    """The answer of `why` as data; ages are those at its own instant."""
+    now_ns, latch = answer.now_ns, answer.latch
+    return {
+        "sentence": answer.sentence(),
+        "mode": mode_name(answer.mode),
+        "latch": None
+        if latch is None
+        else {
+            "fault_class": latch.fault_class.value,
+            "reason": latch.reason,
+            "since_ms": _since(now_ns, latch.since_ns),
+        },
+        "blocks": [_cause(held, answer) for held in answer.blocks],
+        "limits": [_cause(held, answer) for held in answer.limits],
+        "alarms": [_cause(held, answer) for held in answer.alarms],
+        "waits": list(answer.waits),
+        "demand": None
+        if answer.demand_source is None
+        else {
+            "source": answer.demand_source,
+            "age_ms": milliseconds(answer.demand_age_ns),
+            "ttl_ms": answer.demand_ttl_ms,
+            "fresh": answer.demand_fresh,
+        },
+        "next_step": answer.next_step,
+    }
+
+
+def _cause(held: Held, answer: explanation.Why) -> shapes.Cause:
+    finding = held.finding
+    return {
+        "cause": finding.cause,
+        "subject": finding.subject,
+        "detail": finding.detail,
+        "effect": finding.effect.value,
+        "since_ms": _since(answer.now_ns, held.since_ns),
+        "stands": held.stands(answer.judged_ns),
+    }
+
+
+def mode_name(mode: Mode) -> shapes.ModeName:
+    """The API's word for a mode."""
+    return mode.value
+
+
+def milliseconds(duration_ns: int | None) -> float | None:
+    """A duration as the API has it, to the microsecond."""
+    return None if duration_ns is None else round(duration_ns / _NS_PER_MS, 3)
+
+
+def _since(now_ns: int, since_ns: int) -> float:
+    return round((now_ns - since_ns) / _NS_PER_MS, 3)
 
 
 def counters(gateway: Gateway) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Configuration -> the parts of the program, put together."""
+"""Configuration -> gateway, bus and tick loop, put together; `serving` adds the API."""
 
 import dataclasses
 import time
@@ -17,9 +17,12 @@ from vcu_gateway.protocol import dbc, packaged
 
 def load_protocol(config: Config) -> ProtocolSpec:
     """The configured DBC, or the packaged one, with the configured aliases."""
-    path = config.protocol.dbc
-    spec = dbc.load(packaged("vcu.dbc") if path is None else Path(path))
-    return dataclasses.replace(spec, aliases=config.protocol.aliases)
+    return dataclasses.replace(dbc.load(dbc_path(config)), aliases=config.protocol.aliases)
+
+
+def dbc_path(config: Config) -> Path:
+    """The DBC in use."""
+    return packaged("vcu.dbc") if config.protocol.dbc is None else config.protocol.dbc
 
 
 def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = None) -> Daemon:
@@ -50,6 +53,7 @@ def settings(config: Config) -> Settings:
         regen_slew_pct_per_s=limits.regen_slew_pct_per_s,
         direction_change_rpm=limits.direction_change_rpm,
         ttl_max_ms=config.demand.ttl_max_ms,
+        ttl_default_ms=config.demand.ttl_default_ms,
         priorities=config.demand.priorities,
         expect_echo=config.bus.interface != "udp_multicast",
         bench_demand=None if demand is None else _bench_demand(demand),

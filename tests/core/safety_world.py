@@ -191,13 +191,13 @@ class Drive:
         """One demand of the driver for both controllers."""
         self._sequence += 1
         demand = Demand("driver", self._sequence, self.ttl_ms, dict.fromkeys(CONTROLLERS, asked))
-        return self.gateway.offer(replace(demand, **changes), self.now_ns)
+        return self.gateway.requests.offer(replace(demand, **changes), self.now_ns)
 
     def arm(self) -> Answer:
-        return self.gateway.arm(self.now_ns)
+        return self.gateway.requests.arm(self.now_ns)
 
     def reset(self, level: FaultClass = FaultClass.SERVICE) -> Answer:
-        return self.gateway.reset(level, self.now_ns)
+        return self.gateway.requests.reset(level, self.now_ns)
 
     def twin(self) -> "Drive":
         """A copy that goes its own way; only the protocol is shared."""
@@ -234,6 +234,6 @@ def in_mode(mode: Mode, **settings: Any) -> Drive:
         drive.receive_foreign()
         drive.run(1500)
     elif mode is Mode.STOPPING:
-        drive.gateway.terminate()
+        drive.gateway.requests.terminate()
         drive.tick()
     return drive

@@ -194,21 +194,29 @@ def test_a_new_owner_begins_with_any_sequence_number(desk):
     assert offer(desk, "remote", sequence=-3, now_ns=201 * MS) == GRANTED
 
 
-def test_the_owner_gives_the_desk_up_and_begins_anew(desk):
-    offer(desk, "driver", sequence=1000)
-    assert desk.release("driver") == GRANTED
-    assert desk.current is None
+def test_the_owner_ends_its_demand_and_its_old_requests_do_not_come_back(desk):
+    offer(desk, "driver", sequence=1000, throttle_pct=30)
+    assert desk.end("driver") == GRANTED
     assert not desk.fresh(0)
-    assert desk.age_ns(0) is None
-    assert offer(desk, "driver", sequence=1) == GRANTED
+    assert desk.asked(0) == {"PCU1": NOTHING, "PCU2": NOTHING}
+    assert offer(desk, "driver", sequence=1000).refusal is Refusal.OLD_SEQUENCE
+    assert not desk.fresh(0)
+    assert offer(desk, "driver", sequence=1001) == GRANTED
+    assert desk.fresh(0)
 
 
-def test_nobody_else_gives_the_desk_up(desk):
-    refusal = (False, Refusal.OTHER_OWNER, "remote does not own the demand")
-    assert desk.release("remote") == refusal
+def test_another_source_may_own_the_desk_as_soon_as_the_demand_was_ended(desk):
     offer(desk, "driver")
-    assert desk.release("remote") == refusal
-    assert desk.current.source == "driver"
+    desk.end("driver")
+    assert offer(desk, "remote") == GRANTED
+
+
+def test_nobody_else_ends_a_demand(desk):
+    refusal = (False, Refusal.OTHER_OWNER, "remote does not own the demand")
+    assert desk.end("remote") == refusal
+    offer(desk, "driver")
+    assert desk.end("remote") == refusal
+    assert desk.fresh(0)
 
 
 # Time to live.
@@ -239,6 +247,33 @@ def test_a_new_demand_counts_from_its_own_arrival(desk):
     offer(desk, sequence=2, now_ns=150 * MS)
     assert desk.fresh(350 * MS)
     assert not desk.fresh(350 * MS + 1)
+
+
+def made(desk, made_ns: int, now_ns: int, sequence: int = 1, ttl_ms: int = 200):
+    demand = Demand("driver", sequence, ttl_ms, dict.fromkeys(CONTROLLERS, IDLE), made_ns)
+    return desk.offer(demand, {}, 1000, now_ns)
+
+
+def test_the_time_to_live_counts_from_when_the_demand_was_made(desk):
+    assert made(desk, made_ns=50 * MS, now_ns=100 * MS) == GRANTED
+    assert desk.age_ns(100 * MS) == 50 * MS
+    assert desk.fresh(250 * MS)
+    assert not desk.fresh(250 * MS + 1)
+
+
+def test_a_demand_that_waited_in_a_buffer_beyond_its_time_to_live_is_refused(desk):
+    assert made(desk, made_ns=0, now_ns=200 * MS) == GRANTED
+    late = (False, Refusal.EXPIRED, "it is 200 ms old and counts for 200 ms")
+    assert made(desk, made_ns=0, now_ns=200 * MS + 1, sequence=2) == late
+    assert desk.current.sequence == 1
+
+
+def test_a_demand_made_in_the_future_is_refused(desk):
+    answer = made(desk, made_ns=11, now_ns=10)
+    assert answer.refusal is Refusal.FROM_THE_FUTURE
+    assert answer.sentence == "made_ns is 1 ns ahead of this machine's monotonic clock"
+    assert desk.current is None
+    assert made(desk, made_ns=10, now_ns=10) == GRANTED
 
 
 def test_without_a_demand_nothing_is_asked(desk):

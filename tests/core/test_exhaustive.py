@@ -205,7 +205,7 @@ class Prepared:
         )
         assert found == expected, [content.hex() for _, content in frames]
         if self.mode == "STANDBY":
-            arms = self.gateway.arm(self.now_ns).granted
+            arms = self.gateway.requests.arm(self.now_ns).granted
             assert arms == effects.isdisjoint({"STOP", "CUT"}), frames
 
 
@@ -245,7 +245,7 @@ def test_a_prepared_gateway_is_put_back_exactly(prepared):
     healthy = prepared.tick(prepared.battery(0, 0))
     for byte6, byte7 in ((0x0C, 0), (0x03, 0x80), (0x41, 0x01)):
         broken = prepared.tick(prepared.battery(byte6, byte7), controller("PCU1", 0xFF))
-        prepared.gateway.emergency_stop()
+        prepared.gateway.requests.emergency_stop()
         for frame in broken.frames:
             prepared.gateway.sent(frame, byte6 == 0x0C, prepared.now_ns)
         for step in range(1, 4):

@@ -370,7 +370,7 @@ def test_disarming_leads_to_standby_and_zero_torque():
     drive = active()
     drive.asked = ControllerDemand(throttle_pct=20)
     drive.run(1000)
-    assert drive.gateway.disarm(drive.now_ns).granted
+    assert drive.gateway.requests.disarm(drive.now_ns).granted
     drive.tick()
     assert (drive.mode, drive.commands) == (Mode.STANDBY, [ZERO_TORQUE] * 2)
 
@@ -456,7 +456,7 @@ def test_limits_come_and_go_along_their_slews_never_in_a_jump():
 def test_a_cut_latches_from_every_mode_and_cuts_the_power(mode, how):
     drive = in_mode(mode)
     if how == "emergency stop":
-        assert drive.gateway.emergency_stop().granted
+        assert drive.gateway.requests.emergency_stop().granted
     else:
         drive.codes["BMS_Status.Overtemperature"] = 2
         drive.receive("BMS_Status")
@@ -476,7 +476,7 @@ def test_a_cut_latches_from_every_mode_and_cuts_the_power(mode, how):
 
 def test_a_cut_while_ending_cuts_the_power():
     drive = in_mode(Mode.STOPPING)
-    drive.gateway.emergency_stop()
+    drive.gateway.requests.emergency_stop()
     drive.tick()
     assert (drive.mode, drive.commands) == (Mode.STOPPING, [POWER_CUT] * 2)
 
@@ -549,7 +549,7 @@ def test_a_fault_gives_safe_frames_until_the_reset_whatever_is_asked():
 
 def test_an_emergency_stop_counts_as_seen_in_one_tick_and_is_held_like_any_cause():
     drive = active()
-    drive.gateway.emergency_stop()
+    drive.gateway.requests.emergency_stop()
     drive.tick()
     pressed_ns = drive.now_ns
     while not drive.reset(SERVICE).granted:
@@ -665,7 +665,7 @@ def test_the_gate_does_not_take_a_power_cut_away():
     drive = in_mode(Mode.STANDBY)
     gate = drive.gateway.output.gate
     gate.limits = replace(gate.limits, speed_limit_max_rpm=100)
-    drive.gateway.emergency_stop()
+    drive.gateway.requests.emergency_stop()
     for _ in range(3):
         drive.tick()
         assert drive.commands == [POWER_CUT] * 2
@@ -677,7 +677,7 @@ def test_the_gate_does_not_take_a_power_cut_away():
 @EVERY_MODE
 def test_ending_gives_three_zero_torque_frames_to_each_controller_from_every_mode(mode):
     drive = in_mode(mode)
-    drive.gateway.terminate()
+    drive.gateway.requests.terminate()
     for _ in range(2 if mode is Mode.STOPPING else 3):
         assert not drive.gateway.finished
         drive.tick()
@@ -687,7 +687,7 @@ def test_ending_gives_three_zero_torque_frames_to_each_controller_from_every_mod
 
 def test_a_safe_frame_that_was_not_sent_does_not_count_at_the_end():
     drive = active()
-    drive.gateway.terminate()
+    drive.gateway.requests.terminate()
     drive.tick()
     drive.accepted = False
     drive.tick()
@@ -700,7 +700,7 @@ def test_a_safe_frame_that_was_not_sent_does_not_count_at_the_end():
 
 def test_a_bus_that_takes_nothing_does_not_hold_the_end_up_for_ever():
     drive = active()
-    drive.gateway.terminate()
+    drive.gateway.requests.terminate()
     drive.accepted = False
     for _ in range(9):
         drive.tick()
@@ -712,16 +712,16 @@ def test_a_bus_that_takes_nothing_does_not_hold_the_end_up_for_ever():
 def test_ending_while_listening_sends_nothing():
     drive = Drive()
     drive.run(200)
-    drive.gateway.terminate()
+    drive.gateway.requests.terminate()
     result = drive.tick()
     assert (result.mode, result.frames, drive.gateway.finished) == (Mode.STOPPING, (), True)
 
 
 def test_ending_out_of_a_cut_keeps_the_power_cut():
     drive = active()
-    drive.gateway.emergency_stop()
+    drive.gateway.requests.emergency_stop()
     drive.run(3000)
-    drive.gateway.terminate()
+    drive.gateway.requests.terminate()
     drive.run(150)
     assert (drive.mode, drive.commands) == (Mode.STOPPING, [POWER_CUT] * 2)
     assert drive.gateway.finished
@@ -764,7 +764,7 @@ def test_auto_arm_arms_once_and_by_itself():
         "reason": "armed by auto_arm on a test bench",
     }
     assert named(drive, "mode_changed")[-1] == armed
-    drive.gateway.disarm(drive.now_ns)
+    drive.gateway.requests.disarm(drive.now_ns)
     drive.run(10_000)
     assert drive.mode is Mode.STANDBY
 
@@ -791,12 +791,12 @@ def test_neither_a_reset_nor_a_request_to_disarm_is_answered_with_auto_arm(end):
     drive = Drive(bench_demand=BENCH, auto_arm=True)
     drive.asked = None
     if end == "fault":
-        drive.gateway.emergency_stop()
+        drive.gateway.requests.emergency_stop()
         drive.run(3000)
         assert drive.mode is Mode.FAULT
         assert drive.reset(SERVICE).granted
     else:
-        drive.gateway.disarm(drive.now_ns)
+        drive.gateway.requests.disarm(drive.now_ns)
     drive.run(5000)
     assert drive.mode is Mode.STANDBY
 
@@ -821,7 +821,7 @@ def test_neither_a_reset_nor_a_request_to_disarm_is_answered_with_auto_arm(end):
 def test_what_is_read_at_the_start_needs_a_restart(change):
     drive = standby()
     before = drive.gateway.settings
-    answer = drive.gateway.reload(replace(before, regen_limit_pct=10, **change))
+    answer = drive.gateway.requests.reload(replace(before, regen_limit_pct=10, **change))
     assert answer.sentence == f"these need a restart: {next(iter(change))}"
     assert drive.gateway.settings is before, "whole or not at all"
 
@@ -847,9 +847,9 @@ def test_what_is_read_at_the_start_needs_a_restart(change):
 )
 def test_while_active_limits_may_only_become_stricter(change, stricter):
     settings = replace(Settings(), **change)
-    assert standby().gateway.reload(settings).granted
+    assert standby().gateway.requests.reload(settings).granted
     drive = active()
-    answer = drive.gateway.reload(settings)
+    answer = drive.gateway.requests.reload(settings)
     assert answer.granted is stricter
     assert drive.gateway.settings == (settings if stricter else Settings())
     if not stricter:
@@ -859,7 +859,7 @@ def test_while_active_limits_may_only_become_stricter(change, stricter):
 
 def test_a_new_limit_holds_from_the_next_tick_on():
     drive = active()
-    drive.gateway.reload(replace(drive.gateway.settings, power_limit_max_w=1000))
+    drive.gateway.requests.reload(replace(drive.gateway.settings, power_limit_max_w=1000))
     drive.tick()
     assert (drive.mode, power_w(drive)) == (Mode.ACTIVE, [1000, 1000])
 
@@ -937,3 +937,28 @@ def test_a_healthy_vehicle_is_not_armed_before_our_first_frames_have_left():
     drive.run(3000)
     assert drive.mode is Mode.ACTIVE
     assert drive.gateway.output.gate.blocked == {}
+
+
+# The demand ends.
+
+
+def test_ending_the_demand_ends_the_drive_at_once():
+    drive = active()
+    drive.asked = ControllerDemand(throttle_pct=30)
+    drive.run(500)
+    assert drive.commands[0] != ZERO_TORQUE
+    assert drive.gateway.requests.end_demand("driver", drive.now_ns).granted
+    assert drive.mode is Mode.STANDBY
+    drive.asked = None
+    drive.tick()
+    assert drive.commands == [ZERO_TORQUE, ZERO_TORQUE]
+    assert not drive.arm().granted
+
+
+def test_another_source_cannot_end_the_demand():
+    drive = active()
+    drive.asked = ControllerDemand(throttle_pct=30)
+    drive.run(500)
+    assert drive.commands[0] != ZERO_TORQUE
+    assert not drive.gateway.requests.end_demand("remote", drive.now_ns).granted
+    assert drive.mode is Mode.ACTIVE

@@ -39,7 +39,7 @@ from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 
 CODEC = Codec(dataclasses.replace(dbc.load(packaged("vcu.dbc")), aliases=DEFAULT_ALIASES))
-ORDINARY_EXAMPLES = 64
+ORDINARY_EXAMPLES = 72
 COUNTS: Counter = Counter()
 STATUS_PERIOD_NS = 100 * MS
 
@@ -95,7 +95,7 @@ class GatewayMachine(RuleBasedStateMachine):
         self.talking = False
         self.last_tick_ns = None
         self.last_frames_ns = None
-        self.demand, self.demand_ns = None, 0
+        self.demand, self.demand_ns, self.demand_ended = None, 0, False
         self.sequences: Counter = Counter()
         self.may_be_active = False
         self.latched = self.cut_latched = False
@@ -154,17 +154,17 @@ class GatewayMachine(RuleBasedStateMachine):
     # Demands.
 
     def _fresh(self):
-        if self.demand is None:
+        if self.demand is None or self.demand_ended:
             return False
         return 0 <= self.now_ns - self.demand_ns <= self.demand.ttl_ms * MS
 
-    def _offer(self, controllers, source="driver", ttl_ms=200, sequence=None):
+    def _offer(self, controllers, source="driver", ttl_ms=200, sequence=None, made_ns=None):
         if sequence is None:
             self.sequences[source] += 1
             sequence = self.sequences[source]
-        demand = Demand(source, sequence, ttl_ms, controllers)
+        demand = Demand(source, sequence, ttl_ms, controllers, made_ns)
         was_fresh, before = self._fresh(), self.demand
-        answer = self.gateway.offer(demand, self.now_ns)
+        answer = self.gateway.requests.offer(demand, self.now_ns)
         if not was_fresh:
             self.may_be_active = False
             assert self.gateway.supervisor.mode is not Mode.ACTIVE, "it expired in between"
@@ -179,7 +179,9 @@ class GatewayMachine(RuleBasedStateMachine):
                 assert 0 <= one.speed_limit_rpm <= 12_000
                 assert 0 <= one.power_limit_w <= 60_000
             assert 0 < ttl_ms <= self.settings.ttl_max_ms
-            self.demand, self.demand_ns = demand, self.now_ns
+            made_ns = self.now_ns if made_ns is None else made_ns
+            assert 0 <= self.now_ns - made_ns <= ttl_ms * MS, "it counts from when it was made"
+            self.demand, self.demand_ns, self.demand_ended = demand, made_ns, False
         return answer
 
     def _throttle_is_asked(self):
@@ -188,7 +190,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _arm(self):
         before = self.gateway.supervisor.mode
-        answer = self.gateway.arm(self.now_ns)
+        answer = self.gateway.requests.arm(self.now_ns)
         if answer.granted:
             assert before is Mode.STANDBY
             assert self._fresh()
@@ -211,7 +213,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _reset(self, level):
         before = self.gateway.supervisor.mode
-        answer = self.gateway.reset(level, self.now_ns)
+        answer = self.gateway.requests.reset(level, self.now_ns)
         after = self.gateway.supervisor.mode
         if answer.granted:
             assert (before, after) == (Mode.FAULT, Mode.STANDBY), "never to ACTIVE"
@@ -447,7 +449,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     @rule()
     def disarm(self):
-        self.gateway.disarm(self.now_ns)
+        self.gateway.requests.disarm(self.now_ns)
         self.may_be_active = False
         assert self.gateway.supervisor.mode is not Mode.ACTIVE
 
@@ -457,7 +459,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     @rule()
     def press_emergency_stop(self):
-        assert self.gateway.emergency_stop().granted
+        assert self.gateway.requests.emergency_stop().granted
         self.emergency = True
 
     @rule(speeds=st.lists(st.sampled_from([0, 0, 19, 20, 21, 49, 50, 3000, 6001]), min_size=2))
@@ -612,6 +614,21 @@ class GatewayMachine(RuleBasedStateMachine):
     def ask_with_an_old_number(self, asked, back):
         self._offer(asked, sequence=self.sequences["driver"] - back)
 
+    @rule(asked=BOTH, waited_ns=st.integers(-5 * MS, 400 * MS), ticks=st.integers(1, 8))
+    def ask_with_a_demand_that_waited(self, asked, waited_ns, ticks):
+        self._offer(asked, made_ns=self.now_ns - waited_ns)
+        for _ in range(ticks):
+            self._step()
+
+    @rule(source=st.sampled_from(sorted(PRIORITIES)))
+    def end_the_demand(self, source):
+        owner = self.demand is not None and self.demand.source == source
+        answer = self.gateway.requests.end_demand(source, self.now_ns)
+        assert answer.granted is owner, "nobody ends another's demand"
+        if owner:
+            self.demand_ended, self.may_be_active = True, False
+            assert self.gateway.supervisor.mode is not Mode.ACTIVE
+
     @rule(asked=BOTH, source=st.sampled_from(sorted(PRIORITIES)), ticks=st.integers(1, 4))
     def another_source_asks(self, asked, source, ticks):
         for _ in range(ticks):
@@ -639,7 +656,7 @@ class GatewayMachine(RuleBasedStateMachine):
         assume(name != "clear_hold_ms" or new < 3000)
         after = dataclasses.replace(self.settings, **{name: new})
         active = self.gateway.supervisor.mode is Mode.ACTIVE
-        answer = self.gateway.reload(after)
+        answer = self.gateway.requests.reload(after)
         assert answer.granted is (stricter or not active or new == value)
         if answer.granted:
             self.settings = self.shadow.settings = after
@@ -651,7 +668,9 @@ class GatewayMachine(RuleBasedStateMachine):
         )
     )
     def reload_what_needs_a_restart(self, change):
-        assert not self.gateway.reload(dataclasses.replace(self.settings, **change)).granted
+        assert not self.gateway.requests.reload(
+            dataclasses.replace(self.settings, **change)
+        ).granted
         assert self.gateway.settings == self.settings
 
     # Always.
@@ -691,7 +710,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _end(self):
         """STOPPING: at least three safe frames that leave, or ten ticks, and then the end."""
-        self.gateway.terminate()
+        self.gateway.requests.terminate()
         self.ending = True
         for count in range(1, 11):
             result = self._step(IDLE, source=self._owner())

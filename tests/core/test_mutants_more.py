@@ -137,7 +137,10 @@ def test_neither_arm_nor_reset_is_granted_before_the_listening_is_over(codec):
     gateway = Gateway(codec, Settings(listen_before_talk_ms=1000, clear_hold_ms=0), 0)
     gateway.intake.receive(Frame(0x0008A7D0, bytes(8), 0))
     assert gateway.tick(0).mode is Mode.FAULT
-    for request in (gateway.reset(FaultClass.SERVICE, 50 * MS), gateway.arm(50 * MS)):
+    for request in (
+        gateway.requests.reset(FaultClass.SERVICE, 50 * MS),
+        gateway.requests.arm(50 * MS),
+    ):
         assert not request.granted
         assert request.sentence == "listening for another sender of our frames"
     assert gateway.tick(999 * MS).frames == ()
@@ -169,11 +172,11 @@ def test_an_overcharged_cell_keeps_regeneration_off_whatever_comes_after_it(code
 def test_a_new_demand_does_not_continue_a_drive_whose_demand_expired_between_two_ticks(codec):
     gateway = Gateway(codec, Settings(), 0)
     both = dict.fromkeys(("PCU1", "PCU2"), ControllerDemand())
-    gateway.offer(Demand("driver", 1, 10, both), 0)
+    gateway.requests.offer(Demand("driver", 1, 10, both), 0)
     gateway.supervisor.mode = Mode.ACTIVE
-    gateway.offer(Demand("driver", 2, 10, both), 10 * MS)
+    gateway.requests.offer(Demand("driver", 2, 10, both), 10 * MS)
     assert gateway.supervisor.mode is Mode.ACTIVE
-    gateway.offer(Demand("driver", 3, 10, both), 20 * MS + 1)
+    gateway.requests.offer(Demand("driver", 3, 10, both), 20 * MS + 1)
     assert gateway.supervisor.mode is Mode.STANDBY
 
 

@@ -12,6 +12,7 @@ from vcu_gateway.core.schedule import (
     lateness_at,
     lateness_bin,
     next_drain_ns,
+    percentile_ns,
 )
 
 MS = 1_000_000
@@ -166,3 +167,26 @@ def test_frames_gather_but_are_read_before_every_tick(last_ns, gather_ns, expect
 
 def test_without_ticks_frames_gather_for_their_time():
     assert next_drain_ns(45 * MS, 10 * MS, None) == 55 * MS
+
+
+def test_the_latest_ticks_are_kept_for_exact_percentiles_and_no_more_of_them():
+    schedule = Schedule(0, PERIOD)
+    for index in range(1300):
+        schedule.due(index * PERIOD + index)
+    assert list(schedule.recent_lateness_ns) == list(range(100, 1300))
+
+
+@pytest.mark.parametrize(
+    ("values", "share", "expected"),
+    [
+        ([], 0.5, None),
+        ([7], 0.0, 7),
+        ([7], 1.0, 7),
+        ([3, 1, 2, 4], 0.5, 2),
+        ([3, 1, 2, 4], 0.51, 3),
+        ([3, 1, 2, 4], 1.0, 4),
+        (range(100), 0.99, 98),
+    ],
+)
+def test_a_percentile_is_the_smallest_value_that_the_share_does_not_exceed(values, share, expected):
+    assert percentile_ns(values, share) == expected

@@ -15,6 +15,7 @@ STRICTER_AND_LOOSER = {
     "throttle_slew_pct_per_s": (99.9, 100.1),
     "direction_change_rpm": (49.9, 50.1),
     "ttl_max_ms": (999, 1001),
+    "ttl_default_ms": (50, 500),
     "clear_hold_ms": (1001, 999),
 }
 
@@ -54,6 +55,7 @@ def test_the_defaults_are_safety_mds():
         "regen_slew_pct_per_s": 100.0,
         "direction_change_rpm": 50.0,
         "ttl_max_ms": 1000,
+        "ttl_default_ms": 200,
         "priorities": {},
         "expect_echo": True,
         "bench_demand": None,

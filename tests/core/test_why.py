@@ -84,7 +84,7 @@ def test_in_active_it_says_what_limits_since_when_and_whether_it_still_stands():
 
 def test_in_fault_it_says_what_latched_what_blocks_and_what_comes_first():
     drive = active()
-    drive.gateway.emergency_stop()
+    drive.gateway.requests.emergency_stop()
     drive.tick()
     assert drive.sentence == (
         "fault; latched (service): emergency stop requested: cut; "
@@ -136,7 +136,7 @@ def test_a_cut_names_the_level_of_its_reset(refusal, step):
 
 def why(now_ns: int, detail: str = "1101 ms", effect: Effect = Effect.POWER_LIMIT) -> Why:
     limits = (Held(Finding("late", "BMS_Status", effect, detail), 0, now_ns),)
-    return Why(now_ns, Mode.ACTIVE, None, (), limits, (), (), "driver", 50 * MS, True, "drive")
+    return Why(now_ns, now_ns, Mode.ACTIVE, None, (), limits, (), (), "driver", 50 * MS, 200, True, "drive")
 
 
 def test_the_same_answer_at_another_time_has_the_same_signature():
@@ -155,3 +155,13 @@ def test_the_answer_is_data_too():
     ]
     assert (found.blocks, found.alarms, found.waits) == ((), (), ())
     assert (found.demand_source, found.demand_age_ns, found.demand_fresh) == ("driver", 0, True)
+    assert found.demand_ttl_ms == 200
+
+
+def test_between_two_ticks_a_cause_stands_as_the_last_tick_judged_it():
+    drive = standby()
+    drive.codes["BMS_Status.CellUndervoltage"] = 1
+    drive.run(1000)
+    sentence = drive.gateway.why(drive.now_ns + 20 * MS).sentence()
+    assert "power limit (for " in sentence
+    assert "gone and held" not in sentence

@@ -33,6 +33,8 @@ TESTS = {
     "rules": ["rules"],
     "supervisor": ["supervisor"],
     "demand": ["demand"],
+    "requests": ["gateway"],
+    "ending": ["gateway"],
     "commands": ["commands"],
     "gate": ["gate"],
     "schedule": ["schedule"],

@@ -10,7 +10,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-VERBS = ["run", "simulate", "demo", "decode", "check-config", "schema", "dbc", "version"]
+VERBS = [
+    *("run", "status", "why", "watch", "demand", "arm", "disarm", "reset", "estop", "events"),
+    *("reload", "simulate", "demo", "decode", "check-config", "schema", "dbc", "completion"),
+    "version",
+]
 
 
 def vcu(*arguments: str, timeout_s: float = 60) -> subprocess.CompletedProcess[str]:
@@ -54,7 +58,8 @@ def test_a_broken_configuration_is_exit_78_and_one_line_an_error(tmp_path):
 
 def test_the_gateway_runs_on_the_virtual_bus_and_writes_its_state(tmp_path):
     config, state = tmp_path / "gateway.yaml", tmp_path / "state.json"
-    config.write_text("bus: {interface: virtual, channel: alone}\n")
+    api = f"api: {{socket_path: {tmp_path / 'control.sock'}}}"
+    config.write_text(f"bus: {{interface: virtual, channel: alone}}\n{api}\n")
     done = vcu("run", "-c", str(config), "--duration", "1.5", "--state-out", str(state))
     assert done.returncode == 0, done.stderr
     found = json.loads(state.read_text())
@@ -63,8 +68,32 @@ def test_the_gateway_runs_on_the_virtual_bus_and_writes_its_state(tmp_path):
     assert found["bus"]["sent"] == 2 * (ticks["done"] - ticks["silent"])
     assert found["messages"]["BMS_Status"]["signals"]["SOC"]["quality"] == "never"
     events = [json.loads(line)["event"] for line in done.stderr.splitlines()]
-    assert events[0] == "link_open"
+    assert events[:2] == ["api_open", "link_open"]
     assert events[-1] == "stopped"
+    assert not (tmp_path / "control.sock").exists()
+
+
+def test_without_a_socket_the_gateway_drives_on_and_says_what_to_do(tmp_path):
+    config = tmp_path / "gateway.yaml"
+    socket = tmp_path / "nowhere" / "control.sock"
+    config.write_text(
+        f"bus: {{interface: virtual, channel: alone}}\napi: {{socket_path: {socket}}}\n"
+    )
+    done = vcu("run", "-c", str(config), "--duration", "0.2")
+    assert done.returncode == 0
+    first = json.loads(done.stderr.splitlines()[0])
+    assert first["event"] == "api_unavailable"
+    assert str(socket.parent) in first["reason"]
+
+
+def test_an_account_that_does_not_exist_is_refused_at_the_start(tmp_path):
+    config = tmp_path / "gateway.yaml"
+    config.write_text("api:\n  operator_groups: [drivers-of-mars]\n")
+    done = vcu("run", "-c", str(config), "--duration", "0.2")
+    assert done.returncode == 78
+    assert done.stderr.startswith(
+        f"error: {config}:2: api.operator_groups: this machine has no group drivers-of-mars;"
+    )
 
 
 def test_the_demo_shows_live_values_without_hardware():

@@ -109,12 +109,18 @@ class Process:
 
 @dataclass
 class Stand:
-    """Starts processes on the bus and ends them with the test."""
+    """Starts processes on the bus and ends them with the test.
+
+    Attributes:
+        api: further keys of the gateway's `api` section, as in ", socket_mode: '0666'".
+    """
 
     folder: Path
     channel: str = CHANNEL
     forking: bool = False
     children: list[Process] = field(default_factory=list)
+    workers: list[ForkProcess] = field(default_factory=list)
+    api: str = ""
 
     def start(self, name: str, *command: str) -> Process:
         out, err = self.folder / f"{name}.out", self.folder / f"{name}.err"
@@ -133,9 +139,29 @@ class Stand:
 
     def gateway(self, config: str = "", *options: str) -> Process:
         """`vcu-gateway run` on the channel with this text added to the configuration."""
-        path = self.folder / "gateway.yaml"
-        path.write_text(f"bus: {{channel: {self.channel}}}\n{config}")
-        return self.start("gateway", *program("run", "-c", str(path), *options))
+        self.configure(config)
+        return self.start("gateway", *program("run", "-c", str(self.config_path), *options))
+
+    @property
+    def config_path(self) -> Path:
+        return self.folder / "gateway.yaml"
+
+    @property
+    def socket_path(self) -> Path:
+        """Of the gateway's API."""
+        return self.folder / "control.sock"
+
+    def configure(self, config: str) -> None:
+        """Write the gateway's configuration: the channel, the API's socket and this text."""
+        api = f"api: {{socket_path: {self.socket_path}{self.api}}}"
+        self.config_path.write_text(f"bus: {{channel: {self.channel}}}\n{api}\n{config}")
+
+    def run(self, work: Callable[[], None]) -> ForkProcess:
+        """This function in a process of its own."""
+        child = ForkProcess(target=work, daemon=True)
+        child.start()
+        self.workers.append(child)
+        return child
 
     def record(self) -> "Recording":
         path = self.folder / "recording"
@@ -215,6 +241,8 @@ def ended_after(stand: Stand) -> Iterator[Stand]:
     try:
         yield stand
     finally:
+        for worker in stand.workers:
+            worker.kill()
         for child in stand.children:
             if child.popen.poll() is None:
                 child.popen.kill()

@@ -1,13 +1,13 @@
 """The results of the API's methods, as JSON has them.
 
 Times end in `_ms` (age or duration) or `_ns` (CLOCK_MONOTONIC of this machine); None is JSON's
-null and means unknown, never zero. The documentation and the OpenRPC document are made from
-this file.
+null and means unknown, never zero. The words under a field are its documentation: docs/api.md
+and the OpenRPC document are made from this file.
 """
 
 from typing import Any, Literal, NotRequired
 
-from typing_extensions import TypedDict
+from typing_extensions import TypedDict  # pydantic reads typing's own from 3.12 on only
 
 ControllerName = Literal["PCU1", "PCU2"]
 ModeName = Literal["starting", "standby", "active", "fault", "stopping"]
@@ -15,13 +15,7 @@ PowerModeName = Literal["eco", "normal", "turbo", "safety"]
 QualityName = Literal["good", "out of range", "saturated", "stale", "never"]
 
 
-class Shape(TypedDict):
-    """A result; the words under a field are its documentation."""
-
-    __pydantic_config__ = {"use_attribute_docstrings": True, "extra": "forbid"}  # type: ignore[misc]  # noqa: RUF012
-
-
-class Signal(Shape):
+class Signal(TypedDict):
     """One signal of a received message."""
 
     value: float | None
@@ -36,7 +30,7 @@ class Signal(Shape):
     """The code's name, for enumerations."""
 
 
-class Message(Shape):
+class Message(TypedDict):
     """The latest frame of one received message."""
 
     frame_count: int
@@ -53,7 +47,7 @@ class Message(Shape):
     """By the protocol's signal names."""
 
 
-class Command(Shape):
+class Command(TypedDict):
     """What one controller was told in the last tick."""
 
     throttle_pct: float
@@ -68,7 +62,7 @@ class Command(Shape):
     """Identifier and bytes as candump writes them; null where nothing was sent."""
 
 
-class State(Shape):
+class State(TypedDict):
     """What is known and what was commanded, at one instant."""
 
     monotonic_ns: int
@@ -79,7 +73,7 @@ class State(Shape):
     commands: dict[ControllerName, Command]
 
 
-class Cause(Shape):
+class Cause(TypedDict):
     """One reason not to move, or to move less."""
 
     cause: str
@@ -95,7 +89,7 @@ class Cause(Shape):
     """False where it is gone and only held for a while."""
 
 
-class Latch(Shape):
+class Latch(TypedDict):
     """A latched fault."""
 
     fault_class: Literal["driver", "service"]
@@ -104,7 +98,7 @@ class Latch(Shape):
     since_ms: float
 
 
-class DemandState(Shape):
+class DemandState(TypedDict):
     """The demand that counts, or the last one that did."""
 
     source: str
@@ -114,7 +108,7 @@ class DemandState(Shape):
     fresh: bool
 
 
-class Why(Shape):
+class Why(TypedDict):
     """Why the vehicle does or does not move."""
 
     sentence: str
@@ -132,7 +126,7 @@ class Why(Shape):
     """What to do now."""
 
 
-class Link(Shape):
+class Link(TypedDict):
     """The bus interface."""
 
     interface: str
@@ -143,7 +137,7 @@ class Link(Shape):
     """Why the interface cannot be used; null while it can."""
 
 
-class Ticks(Shape):
+class Ticks(TypedDict):
     """The 50 ms schedule."""
 
     period_ms: float
@@ -159,7 +153,7 @@ class Ticks(Shape):
     lateness_ticks: int
 
 
-class FrameCounts(Shape):
+class FrameCounts(TypedDict):
     """Every frame accounted for."""
 
     received: int
@@ -182,7 +176,7 @@ class FrameCounts(Shape):
     receiver_bugs: int
 
 
-class ApiCounts(Shape):
+class ApiCounts(TypedDict):
     """The API's own figures."""
 
     clients: int
@@ -199,7 +193,7 @@ class ApiCounts(Shape):
     """Notifications that a slow reader did not get."""
 
 
-class Versions(Shape):
+class Versions(TypedDict):
     """What is running."""
 
     vcu_gateway: str
@@ -208,7 +202,7 @@ class Versions(Shape):
     kernel: str
 
 
-class Health(Shape):
+class Health(TypedDict):
     """How the gateway itself fares."""
 
     pid: int
@@ -226,7 +220,7 @@ class Health(Shape):
     versions: Versions
 
 
-class EventEntry(Shape):
+class EventEntry(TypedDict):
     """One kind of event with the same fields, however often it happened."""
 
     name: str
@@ -241,7 +235,7 @@ class EventEntry(Shape):
     """Wall clock of the last, ISO 8601, UTC."""
 
 
-class Events(Shape):
+class Events(TypedDict):
     """The latest events, the latest last."""
 
     events: list[EventEntry]
@@ -249,7 +243,7 @@ class Events(Shape):
     """Entries that made room for later ones."""
 
 
-class Granted(Shape):
+class Granted(TypedDict):
     """The request was granted."""
 
     granted: Literal[True]
@@ -257,14 +251,14 @@ class Granted(Shape):
     """The mode when it was granted; `why` tells what follows."""
 
 
-class Subscribed(Shape):
+class Subscribed(TypedDict):
     """A subscription began; `state.update` notifications follow."""
 
     subscription: int
     rate_hz: float
 
 
-class Update(Shape):
+class Update(TypedDict):
     """The parameters of a `state.update` notification."""
 
     subscription: int
@@ -273,7 +267,7 @@ class Update(Shape):
     state: State
 
 
-class ConfigInEffect(Shape):
+class ConfigInEffect(TypedDict):
     """The configuration that is in effect."""
 
     file: str
@@ -282,7 +276,7 @@ class ConfigInEffect(Shape):
     """Every value by section and key."""
 
 
-class Reloaded(Shape):
+class Reloaded(TypedDict):
     """The new configuration is in effect."""
 
     changed: list[str]
@@ -290,7 +284,7 @@ class Reloaded(Shape):
     digest: str
 
 
-class SignalDefinition(Shape):
+class SignalDefinition(TypedDict):
     """One signal of the protocol."""
 
     name: str
@@ -308,7 +302,7 @@ class SignalDefinition(Shape):
     comment: str
 
 
-class MessageDefinition(Shape):
+class MessageDefinition(TypedDict):
     """One message of the protocol."""
 
     name: str
@@ -321,7 +315,7 @@ class MessageDefinition(Shape):
     comment: str
 
 
-class Protocol(Shape):
+class Protocol(TypedDict):
     """What travels on the bus."""
 
     digest: str

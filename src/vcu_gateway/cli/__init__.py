@@ -11,19 +11,31 @@ from vcu_gateway.errors import GatewayError
 
 _VERBS = {
     "run": "run the gateway on the bus",
+    "status": "the running gateway in a few lines",
+    "why": "why the vehicle does or does not move, and what to do next",
+    "watch": "the running gateway live, filling the terminal",
+    "demand": "hold throttle and brake from a terminal",
+    "arm": "let the vehicle move: from standby to active",
+    "disarm": "end the drive: from active to standby",
+    "reset": "from a latched fault to standby",
+    "estop": "emergency stop: cut the power now",
+    "events": "what happened lately, counted",
+    "reload": "read the configuration file again, all of it or nothing",
     "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
-    "demo": "gateway and simulated vehicle together, with a live table",
+    "demo": "gateway and simulated vehicle together, live",
     "decode": "decode a recording to JSON lines or CSV",
     "check-config": "check a configuration file",
-    "schema": "print the JSON Schema of the configuration, for editors",
+    "schema": "JSON Schema of the configuration, OpenRPC document of the API",
     "dbc": "generate the DBC and the protocol page, or check that they are current",
+    "completion": "print the completion script of a shell",
     "version": "print the versions that matter for a bug report",
 }
 
 _EPILOG = """\b
 Exit codes: 0 done, 1 a check answered no, 2 wrong command line, 65 wrong file contents,
-66 unreadable file, 69 bus or part not available, 70 bug in this program, 78 wrong
-configuration. A first look: vcu-gateway demo"""
+66 unreadable file, 69 bus, gateway or part not available, 70 bug in this program, 75 refused
+or not answered in time, 77 not permitted, 78 wrong configuration.
+A first look: vcu-gateway demo"""
 
 
 class _Verbs(click.Group):

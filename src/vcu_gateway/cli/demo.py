@@ -1,17 +1,25 @@
-"""`vcu-gateway demo`: gateway and simulated vehicle together, with a live table."""
+"""`vcu-gateway demo`: gateway and simulated vehicle together, shown live."""
 
+import contextlib
+import signal
 import socket
-import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
 
 import click
 
-from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.cli.watch import extra_needed
+from vcu_gateway.demonstration.child import Child, Wanted
+
+if TYPE_CHECKING:
+    from vcu_gateway.watch.picture import Source
 
 _IFF_UP = 1
 _PLAIN_EVERY_S = 2.0
-_LIVE_HZ = 5.0
+_TITLE = "vcu-gateway demo"
 
 
 @click.command("demo")
@@ -20,7 +28,7 @@ _LIVE_HZ = 5.0
     "duration_s",
     type=click.FloatRange(min=0, min_open=True),
     metavar="SECONDS",
-    help="Stop by itself after so long; default: Ctrl-C.",
+    help="Stop by itself after so long; default: q or Ctrl-C.",
 )
 @click.option(
     "--throttle",
@@ -38,40 +46,36 @@ _LIVE_HZ = 5.0
     help="Charge flows so many times as fast, to see it drain.",
 )
 def command(duration_s: float | None, throttle_pct: float, battery_speedup: float) -> None:
-    """Show gateway and simulated vehicle together, with live values.
+    """Show gateway and simulated vehicle together, live, as `watch` shows a real one.
 
-    Uses vcan0 where there is one that is up, else python-can's virtual bus inside this
-    process; the first line says which. No hardware is touched.
+    Uses vcan0 where there is one that is up, else python-can's virtual bus inside a process of
+    its own; the first line says which. No hardware is touched. Without a terminal the picture
+    is printed every 2 s.
     """
-    try:
-        from vcu_gateway import demonstration, log
-    except ImportError as error:
-        remedy = "install the extra: pip install 'vcu-gateway[tui]'"
-        raise UnavailableError(Problem(f"the live table needs {error.name}", "", remedy)) from error
-    log.configure("error", "console")
+    with extra_needed():
+        from vcu_gateway.watch import terminal
+        from vcu_gateway.watch.asking import GatewaySource
     real = vcan0_is_up()
-    where = "vcan0" if real else "python-can's virtual bus (no vcan0 is up)"
-    demo = demonstration.Demonstration(
-        "socketcan" if real else "virtual",
-        "vcan0" if real else "demo",
-        title=f"vcu-gateway demo on {where}, Ctrl-C ends it",
-        throttle_pct=throttle_pct,
-        battery_speedup=battery_speedup,
-    )
-    live = sys.stdout.isatty()
-    done = threading.Event()
-    shower = threading.Thread(
-        target=demo.show_live if live else demo.show_plain,
-        args=(done, 1 / _LIVE_HZ if live else _PLAIN_EVERY_S),
-        name="table",
-    )
-    shower.start()
-    try:
-        demo.run(duration_s)
-    finally:
-        done.set()
-        shower.join()
-    click.echo(demo.summary())
+    interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
+    wanted = Wanted(interface, channel, throttle_pct, battery_speedup, duration_s)
+    with Child(wanted) as child, GatewaySource(child.socket_path) as source:
+        (_show_live if terminal.is_full() else _show_plain)(source, child)
+    click.echo(child.summary)
+
+
+def _show_live(source: "Source", child: Child) -> None:
+    from vcu_gateway.watch.run import watch
+
+    watch(source, _TITLE, child.has_ended)
+
+
+def _show_plain(source: "Source", child: Child) -> None:
+    """Print the picture now and then, for a pipe or a file."""
+    from vcu_gateway.watch.plain import plain
+
+    with stopped_by_signals() as stop:
+        while not stop.wait(_PLAIN_EVERY_S) and not child.has_ended():
+            click.echo(plain(_TITLE, source.latest()))
 
 
 def vcan0_is_up() -> bool:
@@ -82,3 +86,21 @@ def vcan0_is_up() -> bool:
     except (OSError, ValueError, AttributeError):
         return False
     return bool(flags & _IFF_UP)
+
+
+@contextlib.contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set; the old handlers come back afterwards."""
+    stop = threading.Event()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        stop.set()
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, on_signal) for number in numbers}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -31,3 +31,14 @@ def resolve_config(given: Path | None, default: Path = DEFAULT_CONFIG) -> Path:
         f" sudo install -D -m 644 {packaged('gateway.yaml')} {default}"
     )
     raise ConfigError(Problem("there is no configuration file", str(default), remedy))
+
+
+socket_option = click.option(
+    "--socket",
+    "socket_path",
+    metavar="PATH",
+    envvar="VCU_GATEWAY_SOCKET",
+    show_envvar=True,
+    type=click.Path(path_type=Path),
+    help="The gateway's socket; default: /run/vcu-gateway/control.sock.",
+)

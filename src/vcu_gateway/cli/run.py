@@ -11,6 +11,7 @@ from vcu_gateway import log, report, wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.daemon import Daemon
 from vcu_gateway.errors import ConfigError
+from vcu_gateway.serving import Serving
 
 
 @click.command("run")
@@ -32,8 +33,9 @@ from vcu_gateway.errors import ConfigError
 def command(config_path: Path | None, duration_s: float | None, state_path: Path | None) -> None:
     """Run the gateway: decode what the bus says, command both controllers every 50 ms.
 
-    Runs until SIGTERM or Ctrl-C. The log goes to stderr, as JSON lines unless stderr is a
-    terminal. A missing interface is waited for: the gateway opens it when it appears.
+    Runs until SIGTERM or Ctrl-C; SIGHUP reloads the configuration. The log goes to stderr, as
+    JSON lines unless stderr is a terminal. A missing interface is waited for: the gateway opens
+    it when it appears.
     """
     config = configuration.load(resolve_config(config_path))
     protocol = wiring.load_protocol(config)
@@ -41,8 +43,14 @@ def command(config_path: Path | None, duration_s: float | None, state_path: Path
         raise ConfigError(*problems)
     writer = log.configure(config.log.level, config.log.format)
     daemon = wiring.build(config, protocol)
-    daemon.handle_signals()
-    daemon.run(duration_s)
+    serving = Serving(config, protocol, daemon, lambda: writer.dropped)
+    daemon.handle_signals(on_hangup=serving.reloader.on_hangup)
+    daemon.observe_with(serving.observe)
+    serving.open()
+    try:
+        daemon.run(duration_s)
+    finally:
+        serving.close()
     if state_path is not None:
         state_path.write_text(json.dumps(_last_state(daemon), indent=1) + "\n", encoding="utf-8")
     writer.drain()
@@ -51,7 +59,7 @@ def command(config_path: Path | None, duration_s: float | None, state_path: Path
 def _last_state(daemon: Daemon) -> dict[str, object]:
     snapshot = daemon.gateway.intake.store.snapshot(time.monotonic_ns())
     return {
-        "messages": report.state(snapshot),
+        "messages": report.messages(snapshot),
         "counters": report.counters(daemon.gateway),
         "bus": daemon.door.report(),
         "ticks": {

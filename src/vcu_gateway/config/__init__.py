@@ -1,22 +1,15 @@
 """The configuration file: read whole or refused, with a reason for each thing wrong."""
 
+from vcu_gateway.config.accounts import check_accounts, group_number, user_number
 from vcu_gateway.config.load import load, parse
-from vcu_gateway.config.model import (
-    Bench,
-    BenchDemand,
-    Bus,
-    Config,
-    Demand,
-    Freshness,
-    Limits,
-    Log,
-    Protocol,
-    Safety,
-)
+from vcu_gateway.config.machine import Api, Bus, Freshness, Log, Protocol
+from vcu_gateway.config.model import Config
 from vcu_gateway.config.names import check_against
 from vcu_gateway.config.values import digest, effective, schema
+from vcu_gateway.config.vehicle import Bench, BenchDemand, Demand, Limits, Safety
 
 __all__ = [
+    "Api",
     "Bench",
     "BenchDemand",
     "Bus",
@@ -27,10 +20,13 @@ __all__ = [
     "Log",
     "Protocol",
     "Safety",
+    "check_accounts",
     "check_against",
     "digest",
     "effective",
+    "group_number",
     "load",
     "parse",
     "schema",
+    "user_number",
 ]

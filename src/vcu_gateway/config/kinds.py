@@ -1,5 +1,6 @@
 """Kinds of value in the configuration, and what every section has in common."""
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,6 +8,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from vcu_gateway.core.j1939 import ID_MASK
+
+_SOCKET_PATH_BYTES = 107
 
 REFUSED = "refused"
 """The error type of our own refusals; their context holds `requirement` and `remedy`."""
@@ -31,6 +34,20 @@ def _confirmed(value: object) -> object:
     return value
 
 
+def _absolute(path: str) -> str:
+    if not path.startswith("/") or "\0" in path:
+        raise refusal("must be an absolute path", "such as /run/vcu-gateway/control.sock")
+    if len(path.encode("utf-8", "surrogateescape")) > _SOCKET_PATH_BYTES:
+        raise refusal(f"must be at most {_SOCKET_PATH_BYTES} bytes long, as the kernel has it")
+    return path
+
+
+def _octal(mode: str) -> str:
+    if not re.fullmatch(r"0?[0-7]{3}", mode):
+        raise refusal("must be three octal digits", 'such as "0660"')
+    return mode
+
+
 Identifier = Annotated[
     int,
     Field(ge=0),
@@ -44,6 +61,11 @@ AgeMs = Annotated[int, Field(ge=1, le=60_000)]
 SourceName = Annotated[str, Field(min_length=1, max_length=64)]
 Priority = Annotated[int, Field(ge=0, le=100)]
 File = Annotated[Path, Field(strict=False)]
+
+
+SocketPath = Annotated[str, AfterValidator(_absolute)]
+FileMode = Annotated[str, AfterValidator(_octal)]
+UserName = Annotated[str, Field(min_length=1, max_length=64)]
 
 
 class Section(BaseModel):

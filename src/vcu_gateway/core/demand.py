@@ -60,12 +60,14 @@ class Demand:
         sequence: number of the request, rising within a source.
         ttl_ms: how long it counts; None for ever (the bench demand alone).
         controllers: what is asked of each controller, by name.
+        made_ns: when it was made, from where its time to live counts; None when it is offered.
     """
 
     source: str
     sequence: int
     ttl_ms: int | None
     controllers: Mapping[str, ControllerDemand]
+    made_ns: int | None = None
 
 
 class Refusal(Enum):
@@ -78,6 +80,8 @@ class Refusal(Enum):
     NAME_RESERVED = "name_reserved"
     OTHER_OWNER = "other_owner"
     OLD_SEQUENCE = "old_sequence"
+    EXPIRED = "expired"
+    FROM_THE_FUTURE = "from_the_future"
     NOT_ALLOWED_NOW = "not_allowed_now"
 
 
@@ -131,17 +135,30 @@ def _as_float(value: float) -> float:
         return math.inf
 
 
+def _fault_of_time(ttl_ms: int, made_ns: int, now_ns: int) -> Answer:
+    """Whether a demand made then still counts now: it may have waited in buffers."""
+    age_ns = now_ns - made_ns
+    if age_ns < 0:
+        sentence = f"made_ns is {-age_ns} ns ahead of this machine's monotonic clock"
+        return refused(Refusal.FROM_THE_FUTURE, sentence)
+    if age_ns > ttl_ms * _NS_PER_MS:
+        sentence = f"it is {age_ns // _NS_PER_MS} ms old and counts for {ttl_ms} ms"
+        return refused(Refusal.EXPIRED, sentence)
+    return GRANTED
+
+
 class DemandDesk:
     """Takes demands in and knows the one that counts.
 
     A source owns the desk while its demand is fresh; meanwhile only a source of higher
     priority takes it over. The last sequence number of the owner is kept until another
-    source owns the desk or the owner releases it, so that an old request cannot come back.
+    source owns the desk, so that an old request cannot come back.
     """
 
     def __init__(self, bench_demand: ControllerDemand | None) -> None:
         self._current: Demand | None = None
-        self._received_ns = 0
+        self._made_ns = 0
+        self._ended = False
         if bench_demand is not None:
             both = dict.fromkeys(CONTROLLERS, bench_demand)
             self._current = Demand(BENCH_SOURCE, 0, None, both)
@@ -155,9 +172,12 @@ class DemandDesk:
         answer = fault_of(demand, ttl_max_ms)
         if not answer.granted:
             return answer
-        answer = self._right_of(demand, priorities, now_ns)
+        made_ns = now_ns if demand.made_ns is None else demand.made_ns
+        answer = _fault_of_time(demand.ttl_ms, made_ns, now_ns)
         if answer.granted:
-            self._current, self._received_ns = demand, now_ns
+            answer = self._right_of(demand, priorities, now_ns)
+        if answer.granted:
+            self._current, self._made_ns, self._ended = demand, made_ns, False
         return answer
 
     def _right_of(self, demand: Demand, priorities: Mapping[str, int], now_ns: int) -> Answer:
@@ -174,11 +194,11 @@ class DemandDesk:
             return GRANTED
         return refused(Refusal.OTHER_OWNER, f"{owner.source} owns the demand")
 
-    def release(self, source: str) -> Answer:
-        """Give the desk up; refused for any other than its owner."""
+    def end(self, source: str) -> Answer:
+        """The demand of its owner counts no more; refused for any other source."""
         if self._current is None or self._current.source != source:
             return refused(Refusal.OTHER_OWNER, f"{source} does not own the demand")
-        self._current = None
+        self._ended = True
         return GRANTED
 
     @property
@@ -187,18 +207,18 @@ class DemandDesk:
         return self._current
 
     def age_ns(self, now_ns: int) -> int | None:
-        """Time since the demand was taken; None without one and for the bench demand."""
+        """Time since the demand was made; None without one and for the bench demand."""
         if self._current is None or self._current.ttl_ms is None:
             return None
-        return now_ns - self._received_ns
+        return now_ns - self._made_ns
 
     def fresh(self, now_ns: int) -> bool:
-        """True while the demand counts: younger than or as old as its time to live."""
-        if self._current is None:
+        """True while the demand counts: not ended, and not older than its time to live."""
+        if self._current is None or self._ended:
             return False
         if self._current.ttl_ms is None:
             return True
-        return 0 <= now_ns - self._received_ns <= self._current.ttl_ms * _NS_PER_MS
+        return 0 <= now_ns - self._made_ns <= self._current.ttl_ms * _NS_PER_MS
 
     def asked(self, now_ns: int) -> Mapping[str, ControllerDemand]:
         """What is asked of each controller now; nothing where no demand is fresh."""

@@ -3,41 +3,29 @@
 `Gateway.intake` belongs to the receiving thread, everything else to the ticking thread.
 """
 
-import dataclasses
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from vcu_gateway.core import freshness, permission, rules, why
-from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Finding
+from vcu_gateway.core import freshness, rules, why
+from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
-from vcu_gateway.core.demand import (
-    BENCH_SOURCE,
-    CONTROLLERS,
-    GRANTED,
-    Answer,
-    Demand,
-    DemandDesk,
-    Refusal,
-    refused,
-)
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.demand import CONTROLLERS
+from vcu_gateway.core.ending import Ending
+from vcu_gateway.core.events import Event
 from vcu_gateway.core.intake import OWN_NODE, Intake
 from vcu_gateway.core.link import Link, LinkState
 from vcu_gateway.core.output import OutFrame, Output
-from vcu_gateway.core.permission import Asked
-from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
+from vcu_gateway.core.requests import LISTENING, Parts, Requests
+from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.startup import Listening, Qualification
 from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 from vcu_gateway.core.why import Why
 from vcu_gateway.core.world import World
 
-_STOPPING_TICKS = 3
-_STOPPING_TICKS_AT_MOST = 10
 _NS_PER_MS = 1_000_000
 SpeedsRpm = tuple[float | None, ...]
-_LISTENING = "listening for another sender of our frames"
 
 
 class TickResult(NamedTuple):
@@ -55,11 +43,10 @@ class TickResult(NamedTuple):
 
 
 class Gateway:
-    """Receives on one thread through `intake`; ticks and answers requests on another."""
+    """Receives on one thread through `intake`; ticks and answers `requests` on another."""
 
     def __init__(self, codec: Codec, settings: Settings, now_ns: int) -> None:
         self.codec = codec
-        self.settings = settings
         deadlines = {
             message.name: freshness.deadlines(
                 message, settings.late_after_ms, settings.stale_after_ms
@@ -70,7 +57,6 @@ class Gateway:
         stale_after_ns = {name: d.stale_after_ns for name, d in deadlines.items()}
         self.intake = Intake(codec, stale_after_ns, now_ns)
         self.output = Output(codec, settings)
-        self.desk = DemandDesk(settings.bench_demand)
         self.causes = Causes()
         self.supervisor = Supervisor(now_ns)
         self._commander = Commander(settings)
@@ -78,16 +64,27 @@ class Gateway:
         self._qualification = Qualification()
         self._lost: Link | None = None
         self._foreign_before = 0
-        self._emergency_stop = False
-        self._terminate = False
         self._blocked_by_gate: str | None = None
         self._auto_arm_left = settings.auto_arm and settings.bench_demand is not None
         self._last_tick_ns: int | None = None
-        self._stopping_ticks = 0
-        self._stopping_unsent = 0
-        self._unsent_in_tick = False
+        self._ending = Ending()
         self._events: list[Event] = []
         self._snapshot = self.intake.store.snapshot(now_ns)
+        parts = Parts(
+            supervisor=self.supervisor,
+            causes=self.causes,
+            commander=self._commander,
+            listening=self._listening,
+            output=self.output,
+            apply=self._apply,
+            tell=self._events.append,
+        )
+        self.requests = Requests(settings, parts)
+
+    @property
+    def settings(self) -> Settings:
+        """What is in effect."""
+        return self.requests.settings
 
     # What the shell tells.
 
@@ -113,100 +110,12 @@ class Gateway:
             self.output.note_sent(frame, now_ns)
         else:
             self._commander.not_sent(frame.controller)
-            self._unsent_in_tick = True
+            self._ending.note_unsent()
 
     @property
     def finished(self) -> bool:
         """STOPPING has sent what it must, or cannot send; asked after each tick's sending."""
-        sent_ticks = self._stopping_ticks - self._stopping_unsent - self._unsent_in_tick
-        given_up = self._stopping_ticks >= _STOPPING_TICKS_AT_MOST or not self._listening.over
-        return self._stopping_ticks > 0 and (sent_ticks >= _STOPPING_TICKS or given_up)
-
-    # Requests.
-
-    def offer(self, demand: Demand, now_ns: int) -> Answer:
-        """Take a demand of a source, or say why not."""
-        settings, before = self.settings, self.desk.current
-        if not self.desk.fresh(now_ns):
-            # It expired between two ticks: a new one does not continue the drive.
-            self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
-        answer = self.desk.offer(demand, settings.priorities, settings.ttl_max_ms, now_ns)
-        if answer.granted and (before is None or before.source != demand.source):
-            self._events.append(Event("demand_owner", Severity.INFO, {"source": demand.source}))
-        return answer
-
-    def arm(self, now_ns: int) -> Answer:
-        """Ask for ACTIVE; granted in STANDBY where nothing speaks against it."""
-        if why_not := self._against_arming(now_ns):
-            return self._refuse("arm", why_not)
-        self._apply(Stimulus.ARM, now_ns, "armed on request")
-        return GRANTED
-
-    def disarm(self, now_ns: int) -> Answer:
-        """Leave ACTIVE for STANDBY; always granted."""
-        self._apply(Stimulus.DISARM, now_ns, "disarmed on request")
-        return GRANTED
-
-    def emergency_stop(self) -> Answer:
-        """Cut the power in the next tick; always granted."""
-        self._emergency_stop = True
-        return GRANTED
-
-    def terminate(self) -> None:
-        """End: safe frames, then `finished`."""
-        self._terminate = True
-
-    def reset(self, level: FaultClass, now_ns: int) -> Answer:
-        """Leave FAULT for STANDBY; refused while anything speaks against it."""
-        if why_not := self._against_resetting(level, now_ns):
-            return self._refuse("reset", why_not)
-        self._apply(Stimulus.RESET, now_ns, f"reset at {level.value} level")
-        return GRANTED
-
-    def reload(self, settings: Settings) -> Answer:
-        """Take new settings whole or not at all; while ACTIVE only stricter limits."""
-        if names := [name for name in changed(self.settings, settings) if name in RESTART_ONLY]:
-            return self._refuse("reload", f"these need a restart: {', '.join(names)}")
-        if self.supervisor.mode is Mode.ACTIVE and (looser := loosened(self.settings, settings)):
-            sentence = f"while active, limits may only become stricter: {', '.join(looser)}"
-            return self._refuse("reload", sentence)
-        self.settings = settings
-        self.output.reload(settings)
-        return GRANTED
-
-    def _refuse(self, request: str, sentence: str) -> Answer:
-        fields = {"request": request, "sentence": sentence}
-        self._events.append(Event("request_refused", Severity.WARNING, fields))
-        return refused(Refusal.NOT_ALLOWED_NOW, sentence)
-
-    def _against_arming(self, now_ns: int) -> str:
-        if not self._listening.over:
-            return _LISTENING
-        asked = self._asked(now_ns)
-        pending = asked is not None and self._commander.reverse_pending(asked)
-        return permission.against_arming(self.supervisor, self.causes, asked, pending)
-
-    def _against_resetting(self, level: FaultClass, now_ns: int) -> str:
-        if not self._listening.over:
-            return _LISTENING
-        asked = self._asked(now_ns)
-        return permission.against_resetting(self.supervisor, self.causes, asked, level)
-
-    def _asked(self, now_ns: int) -> Asked:
-        """What is asked of each controller; None without a fresh demand.
-
-        The bench demand's throttle counts in ACTIVE only: it never changes, so it could
-        otherwise never be armed with a throttle of 0.
-        """
-        demand = self.desk.current
-        if demand is None or not self.desk.fresh(now_ns):
-            return None
-        if demand.source != BENCH_SOURCE or self.supervisor.mode is Mode.ACTIVE:
-            return demand.controllers
-        return {
-            name: dataclasses.replace(asked, throttle_pct=0.0)
-            for name, asked in demand.controllers.items()
-        }
+        return self._ending.over(self._listening.over)
 
     # The tick.
 
@@ -232,7 +141,8 @@ class Gateway:
         late_ns = 0
         if self._last_tick_ns is not None:
             late_ns = now_ns - self._last_tick_ns - settings.period_ns
-        emergency_stop, self._emergency_stop = self._emergency_stop, False
+        requests = self.requests
+        emergency_stop, requests.emergency_stop_asked = requests.emergency_stop_asked, False
         blocked, self._blocked_by_gate = self._blocked_by_gate, None
         foreign, before = self.intake.foreign_count, self._foreign_before
         self._foreign_before = foreign
@@ -253,17 +163,17 @@ class Gateway:
     def _supervise(self, snapshot: Snapshot) -> None:
         """Give the supervisor every stimulus of this tick, the most urgent first."""
         now_ns, required = snapshot.now_ns, self.settings.required
-        if self._terminate:
+        if self.requests.terminating:
             self._apply(Stimulus.TERMINATE, now_ns, "asked to end")
         for held in self.causes.having(BLOCKING):
             self._apply(_stimulus_of(held.finding), now_ns, str(held.finding))
-        if not self.desk.fresh(now_ns):
+        if not self.requests.desk.fresh(now_ns):
             self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
         if any(snapshot.stale(message) for message in required):
             self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
         elif self.supervisor.mode is Mode.STARTING and self._qualified(snapshot):
             self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
-        if self._auto_arm_left and not self._against_arming(now_ns):
+        if self._auto_arm_left and not self.requests.against_arming(now_ns):
             self._auto_arm_left = False
             self._apply(Stimulus.ARM, now_ns, "armed by auto_arm on a test bench")
 
@@ -281,7 +191,7 @@ class Gateway:
 
     def _decide(self, snapshot: Snapshot, speeds_rpm: SpeedsRpm) -> Mapping[str, Command]:
         settings, now_ns, mode = self.settings, snapshot.now_ns, self.supervisor.mode
-        effects, asked = self.causes.effects(), self._asked(now_ns)
+        effects, asked = self.causes.effects(), self.requests.asked(now_ns)
         slow = all(
             speed is not None and speed < settings.direction_change_rpm for speed in speeds_rpm
         )
@@ -309,10 +219,9 @@ class Gateway:
         return self.output.encoded(self._commander.replaced(self.settings, self._power_is_cut))
 
     def _result(self, snapshot: Snapshot, frames: tuple[OutFrame, ...]) -> TickResult:
-        events, self._events = tuple(self._events), []
-        self._stopping_unsent += self._unsent_in_tick and self._stopping_ticks > 0
-        self._unsent_in_tick = False
-        self._stopping_ticks += self.supervisor.mode is Mode.STOPPING
+        events = tuple(self._events)
+        self._events.clear()
+        self._ending.note_tick(self.supervisor.mode is Mode.STOPPING)
         return TickResult(
             snapshot=snapshot,
             mode=self.supervisor.mode,
@@ -323,30 +232,18 @@ class Gateway:
 
     def why(self, now_ns: int) -> Why:
         """Mode, what blocks, what limits, the demand and what to do next."""
-        mode, latch = self.supervisor.mode, self.supervisor.latch
-        refusal = ""
+        mode, refusal = self.supervisor.mode, ""
         if mode is Mode.STANDBY:
-            refusal = self._against_arming(now_ns)
+            refusal = self.requests.against_arming(now_ns)
         elif mode is Mode.FAULT:
-            refusal = self._against_resetting(FaultClass.SERVICE, now_ns)
-        demand = self.desk.current
-        return Why(
-            now_ns=now_ns,
-            mode=mode,
-            latch=latch,
-            blocks=self.causes.having(BLOCKING),
-            limits=self.causes.having(LIMITING),
-            alarms=self.causes.having(frozenset({Effect.ALARM})),
-            waits=tuple(self._waits()),
-            demand_source=None if demand is None else demand.source,
-            demand_age_ns=self.desk.age_ns(now_ns),
-            demand_fresh=self.desk.fresh(now_ns),
-            next_step=why.next_step(mode, latch, refusal),
-        )
+            refusal = self.requests.against_resetting(FaultClass.SERVICE, now_ns)
+        judged_ns = self._snapshot.now_ns
+        facts = why.Facts(judged_ns, self.supervisor, self.causes, self.requests.desk)
+        return why.explained(facts, tuple(self._waits()), refusal, now_ns)
 
     def _waits(self) -> list[str]:
         if not self._listening.over:
-            return [_LISTENING]
+            return [LISTENING]
         if self.supervisor.mode is not Mode.STARTING:
             return []
         waits = list(self._qualification.missing(self._snapshot, self.settings))

@@ -3,7 +3,12 @@
 All integers, so that 200 days of uptime are as exact as the first second.
 """
 
+import math
+from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+_RECENT_TICKS = 1200
 
 LATENESS_BOUNDS_NS = tuple(
     microseconds * 1_000
@@ -34,6 +39,9 @@ class Schedule:
     A tick more than half a period late is skipped too: its frame would come closer than
     half a period to the next one. So is one that comes less than half a period after the
     frames before it really left (`left`): the machine may stall between deciding and sending.
+
+    Attributes:
+        lateness_counts: all ticks by LATENESS_BOUNDS_NS; recent_lateness_ns: the latest 1200.
     """
 
     def __init__(self, origin_ns: int, period_ns: int) -> None:
@@ -45,6 +53,7 @@ class Schedule:
         self.ticks = 0
         self.skipped = 0
         self.lateness_counts = [0] * (len(LATENESS_BOUNDS_NS) + 1)
+        self.recent_lateness_ns: deque[int] = deque(maxlen=_RECENT_TICKS)
         self._pending_skips = 0
         self._earliest_ns = origin_ns
 
@@ -86,6 +95,7 @@ class Schedule:
         self.ticks += 1
         self._pending_skips = 0
         self.lateness_counts[lateness_bin(tick.lateness_ns)] += 1
+        self.recent_lateness_ns.append(tick.lateness_ns)
         return tick
 
 
@@ -123,3 +133,11 @@ def lateness_at(counts: list[int], share: float) -> int | None:
         if total and reached >= share * total:
             return bound_ns
     return None
+
+
+def percentile_ns(values_ns: Iterable[int], share: float) -> int | None:
+    """The smallest value that this share (0..1) of all does not exceed; None without values."""
+    ordered = sorted(values_ns)
+    if not ordered:
+        return None
+    return ordered[max(0, math.ceil(share * len(ordered)) - 1)]

@@ -17,6 +17,7 @@ _STRICTER_IS_SMALLER = (
     "throttle_slew_pct_per_s",
     "direction_change_rpm",
     "ttl_max_ms",
+    "ttl_default_ms",
 )
 _STRICTER_IS_LARGER = ("clear_hold_ms",)
 
@@ -46,6 +47,7 @@ class Settings:
         derated_power_w: PowerLimit under a POWER_LIMIT effect.
         regen_limit_pct: Brake under a REGEN_LIMIT effect.
         ttl_max_ms: longest time to live that a demand may ask for.
+        ttl_default_ms: time to live of a demand that names none.
         priorities: priority by source name; a source that is not listed has 0.
         expect_echo: our frames come back once they have left; False where the bus cannot tell.
         bench_demand: static demand for both controllers on a test bench; None on a vehicle.
@@ -69,6 +71,7 @@ class Settings:
     regen_slew_pct_per_s: float = 100.0
     direction_change_rpm: float = 50.0
     ttl_max_ms: int = 1000
+    ttl_default_ms: int = 200
     priorities: Mapping[str, int] = field(default_factory=dict)
     expect_echo: bool = True
     bench_demand: ControllerDemand | None = None

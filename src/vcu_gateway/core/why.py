@@ -1,9 +1,11 @@
 """Why the gateway does what it does, as a value and as a line."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from vcu_gateway.core.causes import Held
-from vcu_gateway.core.supervisor import FaultClass, Latch, Mode
+from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Held
+from vcu_gateway.core.demand import DemandDesk
+from vcu_gateway.core.supervisor import FaultClass, Latch, Mode, Supervisor
 
 _NS_PER_MS = 1_000_000
 
@@ -13,14 +15,17 @@ class Why:
     """One instant, explained.
 
     Attributes:
+        judged_ns: the tick that last judged the causes.
         blocks: causes that stop or cut; limits: causes that limit; alarms: the rest.
         waits: conditions that are not met yet, as sentences.
         demand_source: owner of the demand, None without one.
         demand_age_ns: None without a demand and for the bench demand, which does not age.
+        demand_ttl_ms: None for ever, and without a demand.
         next_step: what to do, as a sentence.
     """
 
     now_ns: int
+    judged_ns: int
     mode: Mode
     latch: Latch | None
     blocks: tuple[Held, ...]
@@ -29,6 +34,7 @@ class Why:
     waits: tuple[str, ...]
     demand_source: str | None
     demand_age_ns: int | None
+    demand_ttl_ms: int | None
     demand_fresh: bool
     next_step: str
 
@@ -48,7 +54,7 @@ class Why:
 
     def _cause(self, held: Held) -> str:
         since = f"for {(self.now_ns - held.since_ns) / 1e9:.1f} s"
-        gone = "" if held.stands(self.now_ns) else ", gone and held"
+        gone = "" if held.stands(self.judged_ns) else ", gone and held"
         return f"{held.finding} ({since}{gone})"
 
     def _demand(self) -> str:
@@ -63,6 +69,35 @@ class Why:
         """What a person would call the same answer: all but ages and values."""
         keys = tuple(held.finding.key for held in self.blocks + self.limits + self.alarms)
         return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
+
+
+class Facts(NamedTuple):
+    """Where the answer comes from; `judged_ns` is the tick that last judged the causes."""
+
+    judged_ns: int
+    supervisor: Supervisor
+    causes: Causes
+    desk: DemandDesk
+
+
+def explained(facts: Facts, waits: tuple[str, ...], refusal: str, now_ns: int) -> Why:
+    """The answer now; `refusal` is why arming or resetting would be refused, or empty."""
+    mode, latch, demand = facts.supervisor.mode, facts.supervisor.latch, facts.desk.current
+    return Why(
+        now_ns=now_ns,
+        judged_ns=facts.judged_ns,
+        mode=mode,
+        latch=latch,
+        blocks=facts.causes.having(BLOCKING),
+        limits=facts.causes.having(LIMITING),
+        alarms=facts.causes.having(frozenset({Effect.ALARM})),
+        waits=waits,
+        demand_source=None if demand is None else demand.source,
+        demand_age_ns=facts.desk.age_ns(now_ns),
+        demand_ttl_ms=None if demand is None else demand.ttl_ms,
+        demand_fresh=facts.desk.fresh(now_ns),
+        next_step=next_step(mode, latch, refusal),
+    )
 
 
 def next_step(mode: Mode, latch: Latch | None, refusal: str) -> str:

@@ -1,0 +1,105 @@
+"""The service behind the server: each method's answer, on the thread that may give it.
+
+`methods.METHODS` on one side and `READING`, `ASKING`, the reload here and the server's
+subscriptions on the other name the same methods; a test says so.
+"""
+
+from collections.abc import Callable, Mapping
+
+from vcu_gateway import config as configuration
+from vcu_gateway.api import methods, reading, shapes
+from vcu_gateway.api.asking import Asking
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.program import Program
+from vcu_gateway.api.service import Caller, Reply
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.reload import Outcome
+
+RELOAD = "config.reload"
+
+
+class Answers:
+    """Implements `service.Service`."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._inbox = program.daemon.inbox
+        self._asking = Asking(program)
+
+    def begin(
+        self,
+        method: str,
+        params: methods.Params,
+        caller: Caller,
+        reply: Callable[[Reply], None],
+    ) -> None:
+        """Answer one permitted request through `reply`: at once, or from the ticking thread."""
+        try:
+            if method in reading.READING:
+                reply(reading.READING[method](self._program, params))
+            elif method == RELOAD:
+                self._reload(reply)
+            else:
+                self._ask(method, params, caller, reply)
+        except Failure as failure:
+            reply(failure)
+
+    def _ask(
+        self,
+        method: str,
+        params: methods.Params,
+        caller: Caller,
+        reply: Callable[[Reply], None],
+    ) -> None:
+        self._program.latest()
+        if self._inbox.full:
+            raise Failure(Code.NOT_READY, "too many requests wait for the next tick; try again")
+
+        def carry_out() -> None:
+            try:
+                reply(self._asking.carry_out(method, params, caller))
+            except Failure as failure:
+                reply(failure)
+
+        self._inbox.post(carry_out)
+
+    def _reload(self, reply: Callable[[Reply], None]) -> None:
+        self._program.latest()
+        self._program.reloader.begin(lambda outcome: reply(self._reloaded(outcome)))
+
+    def _reloaded(self, outcome: Outcome) -> Reply:
+        if not outcome.taken:
+            sentence = f"the configuration stays as it was: {outcome.problems[0]}"
+            return Failure(Code.CONFIG_REFUSED, sentence, problems=outcome.problems)
+        digest = configuration.digest(self._program.in_effect.config)
+        return {"changed": list(outcome.changed), "digest": digest}
+
+    def state(self, messages: list[str] | None) -> shapes.State:
+        """What is known now; Failure for a message that the gateway does not receive."""
+        return reading.state(self._program, messages)
+
+    def metrics(self) -> bytes:
+        """The metrics' text; Failure where they are not installed."""
+        if self._program.metrics is None:
+            sentence = "metrics need an extra: pip install 'vcu-gateway[metrics]'"
+            raise Failure(Code.NOT_READY, sentence)
+        return self._program.metrics()
+
+    def refused(self, method: str, caller: Caller, sentence: str) -> None:
+        """Have it logged that a right was missing."""
+        self._note("api_refused", caller, {"method": method, "sentence": sentence})
+
+    def closed(self, caller: Caller, reason: str) -> None:
+        """Have it logged that the gateway ended a connection."""
+        self._note("api_client_closed", caller, {"reason": reason})
+
+    def _note(self, name: str, caller: Caller, fields: Mapping[str, object]) -> None:
+        if self._inbox.full:
+            return
+        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid}
+        event = Event(name, Severity.WARNING, {**fields, **peer})
+        self._inbox.post(lambda: self._program.daemon.journal.tell(event))
+
+    def gone(self, caller: Caller) -> None:
+        """The demand of a connection ends with it."""
+        self._inbox.post(lambda: self._asking.end_demands_of(caller))

@@ -1,0 +1,143 @@
+"""One line of one connection: read, judged, and answered or handed to the service."""
+
+import functools
+import itertools
+from collections.abc import Callable
+
+from vcu_gateway.api import wire
+from vcu_gateway.api.connection import LINE_TOO_LONG, Connection
+from vcu_gateway.api.counters import Counters
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.lines import MAX_LINE_BYTES
+from vcu_gateway.api.methods import (
+    ResetParams,
+    SubscribeParams,
+    UnsubscribeParams,
+    right_needed,
+)
+from vcu_gateway.api.service import Caller, Reply, Service
+from vcu_gateway.api.shapes import Subscribed, Update
+from vcu_gateway.api.subscriptions import Subscription
+from vcu_gateway.core.demand import Refusal
+
+MAX_SUBSCRIPTIONS = 4
+"""Of one connection."""
+
+LateReply = Callable[[int, int, Reply], None]
+"""Called with the connection's number, our number of the request, and the reply."""
+
+
+class Desk:
+    """What is done with a request; the socket it came from is the connection's affair."""
+
+    def __init__(self, service: Service, counters: Counters, reply: LateReply) -> None:
+        self._service = service
+        self._counters = counters
+        self._reply = reply
+        self._numbers = itertools.count(1)
+
+    def check_extent(self, connection: Connection, now_ns: int) -> None:
+        """Refuse a line that is longer than a line may be, before it has ended."""
+        if connection.lines.is_too_long and not connection.is_ending:
+            failure = Failure(Code.PARSE_ERROR, f"a line has at most {MAX_LINE_BYTES} bytes")
+            self._send(connection, None, failure, now_ns)
+            connection.end_after_output(LINE_TOO_LONG)
+
+    def handle(self, connection: Connection, line: bytes, now_ns: int) -> None:
+        """Do what this line asks."""
+        self._counters.requests += 1
+        request = wire.parse(line)
+        if isinstance(request, wire.Refused):
+            if request.is_answered:
+                self._send(connection, request.id, request.failure, now_ns)
+            return
+        try:
+            result = self._result(connection, request, now_ns)
+        except Failure as failure:
+            # Not kept in a variable: with its traceback it would keep itself alive.
+            self._send_if_asked(connection, request.id, failure, now_ns)
+        else:
+            self._send_if_asked(connection, request.id, result, now_ns)
+
+    def answer(self, connection: Connection, number: int, reply: Reply, now_ns: int) -> None:
+        """Send the service's reply to the request of this number; the first one counts."""
+        request_id = connection.answered(number, now_ns)
+        if request_id is not None:
+            self._send(connection, request_id, reply, now_ns)
+
+    def update(self, connection: Connection, subscription: Subscription, now_ns: int) -> None:
+        """Send what is due, or count what a slow reader misses."""
+        points = subscription.pass_by(now_ns)
+        if connection.has_output:
+            subscription.lost += points
+            self._counters.lost_updates += points
+            return
+        state = self._service.state(subscription.messages)
+        update = Update(subscription=subscription.number, lost=subscription.lost, state=state)
+        subscription.lost = 0
+        connection.send(wire.notification_line("state.update", update), now_ns)
+
+    def _send(
+        self, connection: Connection, request_id: wire.RequestId | None, reply: Reply, now_ns: int
+    ) -> None:
+        if isinstance(reply, Failure):
+            self._counters.count_error(reply.code.name.lower())
+            connection.send(wire.error_line(request_id, reply), now_ns)
+        elif request_id is not None:
+            connection.send(wire.result_line(request_id, reply), now_ns)
+
+    def _result(self, connection: Connection, request: wire.Request, now_ns: int) -> Reply | None:
+        """The result; None where the service will reply. Failure is raised."""
+        caller = connection.caller
+        if caller is None:
+            raise AssertionError("the metrics port speaks no JSON")
+        self._check_right(caller, request)
+        if isinstance(request.params, SubscribeParams):
+            return self._subscribe(connection, request.params, now_ns)
+        if isinstance(request.params, UnsubscribeParams):
+            return _unsubscribe(connection, request.params)
+        if request.method == "demand.set" and connection.peer_ended:
+            what = "this connection has ended, and a demand ends with its connection"
+            raise Failure(Code.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
+        self._begin(connection, caller, request)
+        return None
+
+    def _begin(self, connection: Connection, caller: Caller, request: wire.Request) -> None:
+        number = next(self._numbers)
+        connection.unanswered[number] = request.id
+        reply = functools.partial(self._reply, caller.connection, number)
+        self._service.begin(request.method, request.params, caller, reply)
+
+    def _check_right(self, caller: Caller, request: wire.Request) -> None:
+        needed = right_needed(request.method, request.params)
+        if needed in caller.rights:
+            return
+        level = (
+            f" at {request.params.level} level" if isinstance(request.params, ResetParams) else ""
+        )
+        sentence = (
+            f"{request.method}{level} needs the right {needed.value!r}, which user"
+            f" {caller.peer.uid} and its groups do not have"
+        )
+        self._service.refused(request.method, caller, sentence)
+        raise Failure(Code.NO_RIGHT, sentence)
+
+    def _subscribe(
+        self, connection: Connection, params: SubscribeParams, now_ns: int
+    ) -> Subscribed:
+        if len(connection.subscriptions) >= MAX_SUBSCRIPTIONS:
+            what = f"{MAX_SUBSCRIPTIONS} subscriptions are the most; end one with state.unsubscribe"
+            raise Failure(Code.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
+        self._service.state(params.messages)  # Failure where a name is wrong
+        number = next(self._numbers)
+        subscription = Subscription(number, params.messages, params.rate_hz, now_ns)
+        connection.subscriptions[number] = subscription
+        return Subscribed(subscription=number, rate_hz=params.rate_hz)
+
+
+def _unsubscribe(connection: Connection, params: UnsubscribeParams) -> Subscribed:
+    subscription = connection.subscriptions.pop(params.subscription, None)
+    if subscription is None:
+        what = f"this connection has no subscription {params.subscription}"
+        raise Failure(Code.INVALID_PARAMS, what)
+    return Subscribed(subscription=subscription.number, rate_hz=subscription.rate_hz)

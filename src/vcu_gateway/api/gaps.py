@@ -1,0 +1,113 @@
+"""When the API's thread may work, so that it never makes a tick late.
+
+Threads of one interpreter share its lock: whoever computes while a tick is due holds the tick
+up. So the API works between the ticks, and only for a share of the time.
+"""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+_NS_PER_S = 1_000_000_000
+UNIT_NS = 1_000_000
+"""What one unit of work costs, unless its caller knows better."""
+
+
+class Room(NamedTuple):
+    """How a period is divided.
+
+    Attributes:
+        before_ns: nothing begins in this time before a deadline.
+        after_ns: nor in this time after a tick was taken: it sends and tells.
+        share: part of a period, 0 to 1, that may be worked in.
+        look_ns: how often an overdue tick is looked for.
+    """
+
+    before_ns: int = 2_500_000
+    after_ns: int = 1_000_000
+    share: float = 0.4
+    look_ns: int = 1_000_000
+
+
+DEFAULT_ROOM = Room()
+
+
+class Gaps:
+    """The times between ticks, for one thread; see `wait`."""
+
+    def __init__(
+        self,
+        next_deadline_ns: Callable[[], int],
+        period_ns: int,
+        room: Room = DEFAULT_ROOM,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        worked_ns: Callable[[], int] = time.thread_time_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """`next_deadline_ns` advances when a tick is taken; `worked_ns` is the thread's CPU time.
+
+        `period_ns` and everything else counts in nanoseconds of `now_ns`; `sleep` takes seconds.
+        """
+        self._next_deadline_ns = next_deadline_ns
+        self._period_ns = period_ns
+        self._room = room
+        self._share_ns = int(period_ns * room.share)
+        self._now_ns, self._worked_ns, self._sleep = now_ns, worked_ns, sleep
+        self._deadline_ns = next_deadline_ns()
+        self._looked_ns = now_ns()
+        self._open_ns = self._looked_ns
+        self._share_from_ns = self._looked_ns
+        self._worked_before_ns: int | None = None
+
+    def wait(self, cost_ns: int = UNIT_NS) -> None:
+        """Return when there is room for work of this cost; at once where there is.
+
+        Sleeps for little more than a period where the ticks do not go on.
+        """
+        cost_ns = min(cost_ns, self._share_ns // 2)
+        while True:
+            now_ns = self._now_ns()
+            until_ns = self._open_at(now_ns, cost_ns)
+            if until_ns <= now_ns:
+                return
+            self._sleep((until_ns - now_ns) / _NS_PER_S)
+
+    def _open_at(self, now_ns: int, cost_ns: int) -> int:
+        """When to look again; `now_ns` or before where there is room now."""
+        self._look(now_ns)
+        overdue_ns = now_ns - self._deadline_ns
+        if overdue_ns >= self._period_ns:  # not started, or stuck: no tick to be careful of
+            return self._share_open_at(now_ns, cost_ns)
+        if now_ns < self._open_ns:
+            return self._open_ns
+        if overdue_ns >= self._room.after_ns:
+            return now_ns + self._room.look_ns
+        if -overdue_ns < max(self._room.before_ns, cost_ns):
+            return self._deadline_ns + self._room.after_ns
+        share_open_ns = self._share_open_at(now_ns, cost_ns)
+        return min(share_open_ns, self._deadline_ns + self._room.after_ns)
+
+    def _look(self, now_ns: int) -> None:
+        """See whether a tick was taken, and begin a new share where one was or is missing."""
+        deadline_ns = self._next_deadline_ns()
+        if deadline_ns != self._deadline_ns:
+            was_late = self._looked_ns >= self._deadline_ns
+            taken_ns = now_ns if was_late else deadline_ns - self._period_ns
+            self._open_ns = min(taken_ns, now_ns) + self._room.after_ns
+            self._deadline_ns = deadline_ns
+            self._begin_share(now_ns)
+        elif now_ns - self._share_from_ns >= self._period_ns:
+            self._begin_share(now_ns)
+        self._looked_ns = now_ns
+
+    def _begin_share(self, now_ns: int) -> None:
+        self._share_from_ns = now_ns
+        self._worked_before_ns = self._worked_ns()
+
+    def _share_open_at(self, now_ns: int, cost_ns: int) -> int:
+        if self._worked_before_ns is None:
+            self._begin_share(now_ns)
+        worked_ns = self._worked_ns() - (self._worked_before_ns or 0)
+        if worked_ns + cost_ns <= self._share_ns:
+            return now_ns
+        return self._share_from_ns + self._period_ns

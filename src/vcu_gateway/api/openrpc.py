@@ -1,0 +1,81 @@
+"""The API described for machines: an OpenRPC 1.3 document, made from `methods` and `shapes`."""
+
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from vcu_gateway import __version__
+from vcu_gateway.api import methods, shapes
+from vcu_gateway.api.failures import Code
+from vcu_gateway.api.methods import METHODS, Method
+
+NOTIFICATION = "state.update"
+_REFERENCE = "#/components/schemas/{model}"
+_DOCUMENTED = {"use_attribute_docstrings": True, "extra": "forbid"}
+
+
+def document() -> dict[str, Any]:
+    """The whole description; every schema is under `components`."""
+    schemas, components = _schemas()
+    return {
+        "openrpc": "1.3.2",
+        "info": {
+            "title": "vcu-gateway",
+            "version": __version__,
+            "description": "JSON-RPC 2.0, one message a line, over a Unix stream socket.",
+        },
+        "methods": [_method(name, one, schemas) for name, one in METHODS.items()],
+        "x-notifications": [
+            {
+                "name": NOTIFICATION,
+                "summary": "One update of a subscription, from the gateway to the client.",
+                "paramStructure": "by-name",
+                "schema": schemas[NOTIFICATION],
+            }
+        ],
+        "components": {"schemas": components},
+    }
+
+
+def result_adapter(shape: type) -> TypeAdapter[Any]:
+    """Checks and describes one result."""
+    for one in vars(shapes).values():
+        if isinstance(one, type) and one.__module__ == shapes.__name__:
+            one.__pydantic_config__ = _DOCUMENTED  # type: ignore[attr-defined]
+    return TypeAdapter(shape)
+
+
+def _schemas() -> tuple[dict[str, Any], dict[str, Any]]:
+    """Schema of each result and of the notification by name, and what they refer to."""
+    adapters = {name: result_adapter(method.result) for name, method in METHODS.items()}
+    adapters[NOTIFICATION] = result_adapter(shapes.Update)
+    params = {f"{name} params": TypeAdapter(method.params) for name, method in METHODS.items()}
+    found, described = TypeAdapter.json_schemas(
+        [(name, "validation", adapter) for name, adapter in {**adapters, **params}.items()],
+        ref_template=_REFERENCE,
+    )
+    schemas = {name: schema for (name, _), schema in found.items()}
+    return schemas, described.get("$defs", {})
+
+
+def _method(name: str, method: Method, schemas: dict[str, Any]) -> dict[str, Any]:
+    model = method.params
+    properties = model.model_json_schema(ref_template=_REFERENCE).get("properties", {})
+    return {
+        "name": name,
+        "summary": method.summary,
+        "paramStructure": "by-name",
+        "params": [
+            {
+                "name": key,
+                "required": field.is_required(),
+                "description": field.description or "",
+                "schema": properties[key],
+            }
+            for key, field in model.model_fields.items()
+        ],
+        "result": {"name": method.result.__name__, "schema": schemas[name]},
+        "errors": [{"code": code.value, "message": code.name.lower()} for code in Code],
+        "x-right": method.right.value,
+        **({"x-right-service-level": "service"} if model is methods.ResetParams else {}),
+    }

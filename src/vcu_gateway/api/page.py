@@ -1,0 +1,97 @@
+"""The generated part of docs/api.md: every method and shape, from the OpenRPC document."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from vcu_gateway.api.failures import Code
+
+BEGIN, END = "<!-- generated: scripts/api-page -->\n", "<!-- end of what is generated -->\n"
+
+_RIGHTS = {
+    "read": "whoever can open the socket",
+    "operate": "operators",
+    "service": "service",
+}
+_ERRORS: Mapping[Code, str] = {
+    Code.PARSE_ERROR: "The line is not JSON, or not what is accepted of it.",
+    Code.INVALID_REQUEST: "JSON, but no request.",
+    Code.METHOD_NOT_FOUND: "There is no such method; the nearest is named.",
+    Code.INVALID_PARAMS: "The parameters are not the method's.",
+    Code.INTERNAL_ERROR: "A bug in the gateway.",
+    Code.NO_RIGHT: "The peer's user may not do this.",
+    Code.REFUSED: "Not now, or not this: `data.refusal` is a word for programs.",
+    Code.TOO_MANY_CLIENTS: "All places are taken; the connection is closed.",
+    Code.NOT_READY: "The gateway is starting, ending or busy; try again.",
+    Code.CONFIG_REFUSED: "Nothing was changed; `data.problems` has a sentence for each reason.",
+}
+
+
+def page(document: Mapping[str, Any]) -> str:
+    """Markdown, from BEGIN to END."""
+    shapes = {
+        name: schema
+        for name, schema in document["components"]["schemas"].items()
+        if not name.endswith("Params") and name != "Nothing"
+    }
+    lines = [BEGIN, "\n## Methods\n"]
+    for method in document["methods"]:
+        lines += _method(method)
+    for notification in document["x-notifications"]:
+        lines += [f"\n### Notification `{notification['name']}`\n"]
+        lines += [f"\n{notification['summary']} Parameters: {_type(notification['schema'])}.\n"]
+    lines += ["\n## Errors\n", "\n| code | word | meaning |\n| --- | --- | --- |\n"]
+    lines += [f"| {code.value} | `{code.name.lower()}` | {_ERRORS[code]} |\n" for code in Code]
+    lines += ["\n## Shapes\n"]
+    for name, schema in shapes.items():
+        lines += _shape(name, schema)
+    return "".join([*lines, "\n", END])
+
+
+def _method(method: Mapping[str, Any]) -> Iterator[str]:
+    yield f"\n### `{method['name']}`\n"
+    right = _RIGHTS[method["x-right"]]
+    level = "; at service level: service" if "x-right-service-level" in method else ""
+    result = _type(method["result"]["schema"])
+    yield f"\n{method['summary']} For: {right}{level}. Result: {result}.\n"
+    if method["params"]:
+        yield "\n| parameter | type | |\n| --- | --- | --- |\n"
+    for param in method["params"]:
+        default = "required" if param["required"] else f"default `{_json(param['schema'])}`"
+        meaning = f"{param['description']} " if param["description"] else ""
+        yield f"| `{param['name']}` | {_type(param['schema'])} | {meaning}({default}) |\n"
+
+
+def _shape(name: str, schema: Mapping[str, Any]) -> Iterator[str]:
+    yield f"\n### {name}\n\n{schema.get('description', '').strip()}\n"
+    yield "\n| field | type | |\n| --- | --- | --- |\n"
+    required = schema.get("required", [])
+    for key, field in schema["properties"].items():
+        meaning = " ".join(field.get("description", "").split())
+        absent = "" if key in required else " May be absent."
+        yield f"| `{key}` | {_type(field)} | {meaning}{absent} |\n"
+
+
+def _type(schema: Mapping[str, Any]) -> str:
+    """A schema in a few words; a shape as a link."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if "anyOf" in schema:
+        return " or ".join(_type(one) for one in schema["anyOf"])
+    if "enum" in schema:
+        return ", ".join(f"`{value}`" for value in schema["enum"])
+    if "const" in schema:
+        return f"`{_json({'default': schema['const']})}`"
+    kind = schema.get("type", "any")
+    if kind == "array":
+        return f"list of {_type(schema['items'])}"
+    if kind == "object" and isinstance(schema.get("additionalProperties"), dict):
+        return f"object of {_type(schema['additionalProperties'])}"
+    return str(kind)
+
+
+def _json(schema: Mapping[str, Any]) -> str:
+    words = {None: "null", True: "true", False: "false"}
+    default = schema.get("default")
+    known = default is None or isinstance(default, bool)
+    return words[default] if known else str(default)

@@ -1,0 +1,36 @@
+"""The program that the API's methods ask."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from vcu_gateway.api import shapes
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.bus.door import BusSettings
+from vcu_gateway.daemon import Daemon, Latest
+from vcu_gateway.health import Facts
+from vcu_gateway.reload import InEffect, Reloader
+
+
+class Program(NamedTuple):
+    """Its parts.
+
+    Attributes:
+        metrics: makes the metrics' text; None where they are not installed.
+        api_counts: the API's own figures.
+    """
+
+    daemon: Daemon
+    bus: BusSettings
+    in_effect: InEffect
+    reloader: Reloader
+    facts: Facts
+    protocol: shapes.Protocol
+    metrics: Callable[[], bytes] | None
+    api_counts: Callable[[], shapes.ApiCounts]
+
+    def latest(self) -> Latest:
+        """The last tick; Failure before the first."""
+        latest = self.daemon.latest
+        if latest is None:
+            raise Failure(Code.NOT_READY, "the gateway has not ticked yet; try again")
+        return latest

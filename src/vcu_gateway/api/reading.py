@@ -1,0 +1,58 @@
+"""Methods that only read: answered at once, on the API's thread."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from vcu_gateway import config as configuration
+from vcu_gateway import health, report
+from vcu_gateway.api import methods, shapes
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.program import Program
+
+
+def state(program: Program, messages: list[str] | None) -> shapes.State:
+    """What is known now; Failure for a message that the gateway does not receive."""
+    latest = program.latest()
+    snapshot = program.daemon.gateway.intake.store.snapshot(time.monotonic_ns())
+    known = [message.name for message in snapshot.messages]
+    for name in messages or ():
+        if name not in known:
+            sentence = f"the gateway receives no message {name[:64]}; it knows {', '.join(known)}"
+            raise Failure(Code.INVALID_PARAMS, sentence)
+    return report.state(snapshot, latest, messages)
+
+
+def _state(program: Program, params: methods.StateParams) -> shapes.State:
+    return state(program, params.messages)
+
+
+def _why(program: Program, _: methods.Nothing) -> shapes.Why:
+    return report.why(program.latest().why)
+
+
+def _health(program: Program, _: methods.Nothing) -> shapes.Health:
+    config = program.in_effect.config
+    return health.health(program.daemon, program.bus, config, program.facts, program.api_counts())
+
+
+def _config(program: Program, _: methods.Nothing) -> shapes.ConfigInEffect:
+    config = program.in_effect.config
+    return {
+        "file": config.source.file,
+        "digest": configuration.digest(config),
+        "values": configuration.effective(config),
+    }
+
+
+def _protocol(program: Program, _: methods.Nothing) -> shapes.Protocol:
+    return program.protocol
+
+
+READING: Mapping[str, Callable[[Program, Any], Any]] = {
+    "state.get": _state,
+    "why": _why,
+    "health": _health,
+    "config.get": _config,
+    "protocol.get": _protocol,
+}

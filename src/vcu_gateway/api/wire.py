@@ -1,0 +1,236 @@
+"""JSON-RPC 2.0 without a socket: one line to a request, a result to one line.
+
+`parse` raises nothing, whatever the bytes; its cost is bounded for any line of 64 KiB.
+"""
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from pydantic import ValidationError
+
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.methods import METHODS, Params, Values
+
+MAX_DEPTH = 16
+MAX_VALUES = 512
+"""Members and elements of a request, all levels together."""
+MAX_ID_CHARACTERS = 64
+MAX_SENTENCE_CHARACTERS = 400
+
+_MAX_QUOTED_CHARACTERS = 48
+_MAX_COMPLAINTS = 3
+_MARKS = (b",", b"[", b"{")
+_MAX_MARKS = 2_048
+_MEMBERS = ("jsonrpc", "id", "method", "params")
+_INTEGERS = range(-(2**63), 2**64)
+
+RequestId = str | int
+
+_encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+
+
+class Request(NamedTuple):
+    """A well-formed request; `id` is None for a notification, which is not answered."""
+
+    method: str
+    params: Params
+    id: RequestId | None
+
+
+class Refused(NamedTuple):
+    """Why a line is no request; `is_answered` is False where it was a notification."""
+
+    failure: Failure
+    id: RequestId | None
+    is_answered: bool
+
+
+class _UnreadableError(ValueError):
+    """The line is no JSON, or more of it than a request needs."""
+
+
+def parse(line: bytes) -> Request | Refused:
+    """The request in this line, or what is wrong with it."""
+    try:
+        message = _read(line)
+    except _UnreadableError as error:
+        return Refused(_failure(Code.PARSE_ERROR, str(error)), None, True)
+    if not isinstance(message, dict):
+        what = "a batch; send one request a line" if isinstance(message, list) else "no object"
+        return Refused(_failure(Code.INVALID_REQUEST, f"this is {what}"), None, True)
+    request_id = message.get("id")
+    if not _is_id(request_id) and "id" in message:
+        wrong_id = f"id must be a string of up to {MAX_ID_CHARACTERS} characters or an integer"
+        return Refused(_failure(Code.INVALID_REQUEST, wrong_id), None, True)
+    try:
+        return _request(message, request_id)
+    except Failure as failure:
+        is_answered = "id" in message or failure.code is Code.INVALID_REQUEST
+        return Refused(failure, request_id, is_answered)
+
+
+def result_line(request_id: RequestId, result: Mapping[str, Any]) -> bytes:
+    """The answer to a request; ValueError where it holds NaN or an infinity."""
+    return _line({"jsonrpc": "2.0", "id": request_id, "result": result})
+
+
+def error_line(request_id: RequestId | None, failure: Failure) -> bytes:
+    """The answer to a request that failed; the id is null where it could not be read."""
+    return _line({"jsonrpc": "2.0", "id": request_id, "error": failure.as_json()})
+
+
+def notification_line(method: str, params: Mapping[str, Any]) -> bytes:
+    """What the gateway tells of its own accord."""
+    return _line({"jsonrpc": "2.0", "method": method, "params": params})
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """The end of a sentence that says which of these names was probably meant, or nothing."""
+    # Comparing takes time that grows with the length.
+    close = difflib.get_close_matches(name[:_MAX_QUOTED_CHARACTERS], list(names), 1)
+    return f"; the nearest is {_quoted(close[0])}" if close else ""
+
+
+def _line(message: Mapping[str, Any]) -> bytes:
+    return _encode(message).encode("ascii") + b"\n"
+
+
+def _read(line: bytes) -> object:
+    if sum(map(line.count, _MARKS)) > _MAX_MARKS:  # counting costs a hundredth of reading
+        raise _UnreadableError("more commas and brackets than any request has")
+    try:
+        text = line.decode("utf-8")
+        message = json.loads(text, object_pairs_hook=_object, parse_constant=_constant)
+    except RecursionError:
+        raise _UnreadableError(f"nested more than {MAX_DEPTH} deep") from None
+    except UnicodeDecodeError as error:
+        raise _UnreadableError(f"not UTF-8 at byte {error.start + 1}") from None
+    except json.JSONDecodeError as error:
+        what = f"not JSON at character {error.pos + 1}: {error.msg}"
+        raise _UnreadableError(what) from None
+    except _UnreadableError:
+        raise
+    except ValueError:
+        raise _UnreadableError("a number has too many digits") from None
+    _check_extent(message)
+    if "\\u" in text:
+        _check_surrogates(message)
+    return message
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    members = dict(pairs)
+    if len(members) < len(pairs):
+        raise _UnreadableError(f"{_quoted(_first_twice(pairs))} stands twice in one object")
+    return members
+
+
+def _first_twice(pairs: list[tuple[str, Any]]) -> str:
+    seen: set[str] = set()
+    for name, _ in pairs:
+        if name in seen:
+            return name
+        seen.add(name)
+    return ""
+
+
+def _constant(name: str) -> object:
+    raise _UnreadableError(f"{name} is no number in JSON")
+
+
+def _check_extent(message: object) -> None:
+    """Few values, none deep inside, no huge integers."""
+    level = [message] if isinstance(message, (dict, list)) else []
+    count = 0
+    for _ in range(MAX_DEPTH):
+        inner = _inner(level)
+        count += len(inner)
+        if count > MAX_VALUES:
+            raise _UnreadableError(f"more than {MAX_VALUES} values")
+        if any(type(value) is int and value not in _INTEGERS for value in inner):
+            raise _UnreadableError("an integer needs more than 64 bits")
+        level = [value for value in inner if isinstance(value, (dict, list))]
+        if not level:
+            return
+    raise _UnreadableError(f"nested more than {MAX_DEPTH} deep")
+
+
+def _inner(containers: list[Any]) -> list[Any]:
+    inner: list[Any] = []
+    for container in containers:
+        inner.extend(container.values() if isinstance(container, dict) else container)
+    return inner
+
+
+def _check_surrogates(message: object) -> None:
+    try:
+        json.dumps(message, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        raise _UnreadableError("half of a surrogate pair") from None
+
+
+def _is_id(value: object) -> bool:
+    if isinstance(value, str):
+        return len(value) <= MAX_ID_CHARACTERS
+    return type(value) is int
+
+
+def _request(message: dict[str, Any], request_id: RequestId | None) -> Request:
+    """The request, or a Failure raised."""
+    for name in message:
+        if name not in _MEMBERS:
+            what = f"there is no member {_quoted(name)} in a request{nearest(name, _MEMBERS)}"
+            raise _failure(Code.INVALID_REQUEST, what)
+    if message.get("jsonrpc") != "2.0":
+        raise _failure(Code.INVALID_REQUEST, 'jsonrpc must be "2.0"')
+    method = message.get("method")
+    if not isinstance(method, str):
+        raise _failure(Code.INVALID_REQUEST, "method must be a string")
+    if method not in METHODS:
+        what = f"there is no method {_quoted(method)}{nearest(method, METHODS)}"
+        raise _failure(Code.METHOD_NOT_FOUND, what)
+    return Request(method, _params(METHODS[method].params, message.get("params", {})), request_id)
+
+
+def _params(model: type[Params], values: object) -> Params:
+    if not isinstance(values, dict):
+        raise _failure(Code.INVALID_PARAMS, "params must be an object: parameters go by name")
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        found = error.errors(include_url=False, include_context=False, include_input=False)
+        complaints = [_complaint(model, one) for one in found[:_MAX_COMPLAINTS]]
+        if len(found) > _MAX_COMPLAINTS:
+            complaints.append(f"and {len(found) - _MAX_COMPLAINTS} more")
+        raise _failure(Code.INVALID_PARAMS, "; ".join(complaints)) from None
+
+
+def _complaint(model: type[Params], error: Any) -> str:
+    """One thing that is wrong with the parameters, as a sentence."""
+    path: Sequence[str | int] = error["loc"]
+    where = _quoted(".".join(str(part) for part in path if part != "[key]"))
+    if error["type"] == "missing":
+        return f"{where} is missing"
+    if error["type"] == "extra_forbidden":
+        return f"there is no parameter {where}{nearest(str(path[-1]), _names_beside(model, path))}"
+    what = re.sub("^Input ", "", error["msg"])
+    return f"{where} {what}" if what.startswith("should") else f"{where}: {what}"
+
+
+def _names_beside(model: type[Params], path: Sequence[str | int]) -> list[str]:
+    """The parameters that exist where this one was put."""
+    return list((model if len(path) == 1 else Values).model_fields)
+
+
+def _quoted(text: str) -> str:
+    """Input as it may stand in a sentence: short, and in printable ASCII."""
+    if len(text) > _MAX_QUOTED_CHARACTERS:
+        text = text[:_MAX_QUOTED_CHARACTERS] + "..."
+    return json.dumps(text)
+
+
+def _failure(code: Code, sentence: str) -> Failure:
+    return Failure(code, sentence[:MAX_SENTENCE_CHARACTERS])

@@ -1,0 +1,77 @@
+"""What the verbs that talk to a running gateway share: connecting, printing, exit codes."""
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from vcu_gateway.cli.options import socket_option
+from vcu_gateway.client import (
+    ApiError,
+    Client,
+    ClientError,
+    ConfigRefusedError,
+    NoRightError,
+    UnreachableError,
+)
+from vcu_gateway.errors import (
+    ConfigError,
+    NotPermittedError,
+    Problem,
+    RefusedError,
+    UnavailableError,
+)
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+
+
+def asking_options(command: _Command) -> _Command:
+    """--socket and --json."""
+    return socket_option(json_option(command))
+
+
+@contextlib.contextmanager
+def connected(socket_path: Path | None) -> Iterator[Client]:
+    """A client; what it raises becomes a line for a person and an exit code."""
+    with said_plainly(), Client(socket_path) as client:
+        yield client
+
+
+@contextlib.contextmanager
+def said_plainly() -> Iterator[None]:
+    """Errors of the client as errors of the command line."""
+    try:
+        yield
+    except ConfigRefusedError as error:
+        raise ConfigError(*map(Problem, error.problems or (error.sentence,))) from error
+    except NoRightError as error:
+        raise NotPermittedError(Problem(error.sentence)) from error
+    except ApiError as error:
+        raise RefusedError(Problem(error.sentence)) from error
+    except UnreachableError as error:
+        raise UnavailableError(Problem(str(error))) from error
+    except ClientError as error:
+        raise RefusedError(Problem(str(error))) from error
+
+
+def show(result: Any, as_json: bool, text: Callable[[], str]) -> None:
+    """Print a result for a program or for a person."""
+    click.echo(json.dumps(result, ensure_ascii=False) if as_json else text())
+
+
+def age(duration_ms: float | None) -> str:
+    """An age as people say it: 34 ms, 1.2 s, 3 min, 2 h."""
+    if duration_ms is None:
+        return "never"
+    if duration_ms < 1000:
+        return f"{duration_ms:.0f} ms"
+    seconds = duration_ms / 1000
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    minutes = seconds / 60
+    return f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"

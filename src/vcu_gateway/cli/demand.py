@@ -1,0 +1,102 @@
+"""`vcu-gateway demand`: hold the pedals from a terminal."""
+
+import getpass
+import json
+import signal
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from vcu_gateway.api import shapes
+from vcu_gateway.cli.asking import asking_options, connected
+from vcu_gateway.client import Client, DemandOwner
+
+_SET_EVERY_S = 0.1
+_TELL_EVERY_S = 0.5
+
+_PEDALS = (
+    click.option("--throttle", "throttle_pct", type=float, default=0.0, help="Percent, 0 to 100."),
+    click.option("--brake", "brake_pct", type=float, default=0.0, help="Percent, 0 to 100."),
+    click.option(
+        "--mode",
+        "power_mode",
+        type=click.Choice(["eco", "normal", "turbo"]),
+        default="normal",
+        show_default=True,
+    ),
+    click.option("--reverse", "motor_reverse", is_flag=True, help="Turn the motors in reverse."),
+    click.option("--regen", "regen_brake", is_flag=True, help="Recover energy while braking."),
+    click.option(
+        "--speed-limit", "speed_limit_rpm", type=float, help="rpm; default: as configured."
+    ),
+    click.option("--power-limit", "power_limit_w", type=float, help="W; default: as configured."),
+)
+
+
+def _pedal_options(command: Any) -> Any:
+    for option in reversed(_PEDALS):
+        command = option(command)
+    return command
+
+
+@click.command("demand")
+@asking_options
+@_pedal_options
+@click.option("--source", help="Name of the source; default: your user name.")
+@click.option("--ttl-ms", type=int, default=200, show_default=True, help="Time to live.")
+@click.option("--for", "for_s", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS")
+@click.option("--arm", "arming", is_flag=True, help="Arm before the throttle is asked for.")
+def command(
+    socket_path: Path | None,
+    as_json: bool,
+    source: str | None,
+    ttl_ms: int,
+    for_s: float | None,
+    arming: bool,
+    **pedals: Any,
+) -> None:
+    """Hold a demand for both controllers until Ctrl-C, or for so many seconds.
+
+    Leaving lets go of everything, and so does killing this program: the gateway ends the
+    demand with its connection, at the latest after its time to live. What happens meanwhile is
+    printed as it changes.
+    """
+    end = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda _number, _frame: end.set())
+    asked = {name: value for name, value in pedals.items() if value is not None}
+    name = source or getpass.getuser()
+    with connected(socket_path) as client, client.demand(name, ttl_ms=ttl_ms) as owner:
+        if arming:
+            client.arm()
+        _hold(client, owner, asked, end, for_s, as_json)
+
+
+def _hold(
+    client: Client,
+    owner: DemandOwner,
+    asked: dict[str, Any],
+    end: threading.Event,
+    for_s: float | None,
+    as_json: bool,
+) -> None:
+    begun_s = told_s = time.monotonic()
+    told = ""
+    while not end.is_set() and (for_s is None or time.monotonic() - begun_s < for_s):
+        owner.set(**asked)
+        if time.monotonic() >= told_s:
+            told_s += _TELL_EVERY_S
+            told = _tell(client.why(), told, as_json)
+        end.wait(_SET_EVERY_S)
+
+
+def _tell(why: shapes.Why, told: str, as_json: bool) -> str:
+    """Print what changed; ages do not count."""
+    reasons = [one["subject"] for one in why["blocks"] + why["limits"]]
+    now = json.dumps([why["mode"], reasons, why["next_step"]])
+    if now != told:
+        click.echo(json.dumps(why) if as_json else why["sentence"])
+    return now

@@ -1,0 +1,16 @@
+"""`vcu-gateway disarm`: from active to standby."""
+
+from pathlib import Path
+
+import click
+
+from vcu_gateway.cli.asking import asking_options, connected, show
+
+
+@click.command("disarm")
+@asking_options
+def command(socket_path: Path | None, as_json: bool) -> None:
+    """End the drive: from active to standby, zero torque at once."""
+    with connected(socket_path) as client:
+        granted = client.disarm()
+    show(granted, as_json, lambda: granted["mode"])

@@ -1,0 +1,26 @@
+"""`vcu-gateway reload`: the configuration file again, all of it or nothing."""
+
+from pathlib import Path
+
+import click
+
+from vcu_gateway.api import shapes
+from vcu_gateway.cli.asking import asking_options, connected, show
+
+
+@click.command("reload")
+@asking_options
+def command(socket_path: Path | None, as_json: bool) -> None:
+    """Read the configuration file again: all of it is taken, or nothing.
+
+    While active only changes that make limits stricter are taken. Keys that need a restart are
+    named. Without any error nothing else on the bus changes.
+    """
+    with connected(socket_path) as client:
+        reloaded = client.reload()
+    show(reloaded, as_json, lambda: _text(reloaded))
+
+
+def _text(reloaded: shapes.Reloaded) -> str:
+    changed = ", ".join(reloaded["changed"]) or "nothing"
+    return f"changed: {changed} ({reloaded['digest']})"

@@ -1,0 +1,97 @@
+"""`vcu-gateway status`: the running gateway in a few lines."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from vcu_gateway.api import shapes
+from vcu_gateway.cli.asking import age, asking_options, connected, show
+
+
+@click.command("status")
+@asking_options
+@click.option("--check", is_flag=True, help="Exit with 1 unless the mode is standby or active.")
+def command(socket_path: Path | None, as_json: bool, check: bool) -> None:
+    """Tell mode, reasons, demand, bus, ticks and commands of the running gateway."""
+    with connected(socket_path) as client:
+        why, health, state = client.why(), client.health(), client.state(())
+    found = {"why": why, "health": health, "commands": state["commands"]}
+    show(found, as_json, lambda: "\n".join(_lines(why, health, state)))
+    if check and why["mode"] not in ("standby", "active"):
+        sys.exit(1)
+
+
+def _lines(why: shapes.Why, health: shapes.Health, state: shapes.State) -> list[str]:
+    commands = state["commands"].items()
+    facts = {
+        "mode": why["mode"],
+        "why": why["sentence"],
+        "demand": _demand(why["demand"]),
+        **{str(name): _command(command) for name, command in commands},
+        "bus": _bus(health),
+        "frames": _frames(health["frames"]),
+        "ticks": _ticks(health["ticks"]),
+        "program": _program(health),
+    }
+    return [f"{name:<8} {text}" for name, text in facts.items()]
+
+
+def _demand(demand: shapes.DemandState | None) -> str:
+    if demand is None:
+        return "none"
+    if demand["age_ms"] is None:
+        return f"{demand['source']}, for ever"
+    fresh = "counts" if demand["fresh"] else "expired"
+    return f"{demand['source']}, {age(demand['age_ms'])} old, {fresh}"
+
+
+def _command(command: shapes.Command) -> str:
+    mode = "POWER CUT" if command["power_cut"] else command["power_mode"]
+    return (
+        f"throttle {command['throttle_pct']:.1f} %  brake {command['brake_pct']:.1f} %  {mode}"
+        f"  {'reverse' if command['motor_reverse'] else 'forward'}"
+        f"  {command['speed_limit_rpm']:.0f} rpm  {command['power_limit_w']:.0f} W"
+        f"  {command['frame'] or 'silent'}"
+    )
+
+
+def _bus(health: shapes.Health) -> str:
+    link = health["link"]
+    reason = f": {link['lost']}" if link["lost"] else ""
+    return (
+        f"{link['interface']} {link['channel']} {link['state']} for {age(link['since_ms'])}{reason}"
+    )
+
+
+def _frames(frames: shapes.FrameCounts) -> str:
+    parts = [f"{frames['received']} received", f"{frames['sent']} sent"]
+    counted = {
+        "dropped": frames["dropped"] or 0,
+        "rejected": sum(frames["rejected"].values()),
+        "unsent": sum(frames["unsent"].values()),
+        "foreign": sum(frames["foreign_commands"].values()),
+        "blocked by the gate": sum(frames["blocked_by_gate"].values()),
+    }
+    return ", ".join(parts + [f"{count} {what}" for what, count in counted.items()])
+
+
+def _ticks(ticks: shapes.Ticks) -> str:
+    late = ", ".join(
+        f"{name} {value / 1000:.2f} ms"
+        for name, value in (
+            ("p50", ticks["lateness_p50_us"]),
+            ("p99", ticks["lateness_p99_us"]),
+            ("max", ticks["lateness_max_us"]),
+        )
+        if value is not None
+    )
+    return f"{ticks['done']} done, {ticks['skipped']} skipped; late {late or 'unknown'}"
+
+
+def _program(health: shapes.Health) -> str:
+    starts = "" if health["starts"] is None else f", start {health['starts']} since boot"
+    return (
+        f"{health['versions']['vcu_gateway']}, pid {health['pid']}, up {age(health['uptime_ms'])}"
+        f"{starts}, {health['config_file']} ({health['config_digest']})"
+    )

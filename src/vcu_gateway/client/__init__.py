@@ -1,0 +1,82 @@
+"""Talk to a running gateway from Python.
+
+    from vcu_gateway.client import Client, RefusedError
+
+    with Client() as client:
+        print(client.why()["sentence"])
+
+        with client.demand("driver") as owner:  # asks for no motion, so that arming is possible
+            client.arm()
+            while driving():
+                owner.set(throttle_pct=20)  # at least twice a second: a dead-man's handle
+        # left, also by an exception: no motion, the demand released
+
+        with client.subscribe(["BMS_Status"], rate_hz=10) as updates:
+            for update in updates:
+                print(update["state"]["mode"], update["lost"])
+
+`AsyncClient` is the same for asyncio: `await client.why()`, `async with client.demand("driver")`,
+`async for update in client.subscribe()`. Results are the dictionaries of `vcu_gateway.api.shapes`.
+Everything that goes wrong is a `ClientError`; its subclasses say what. docs/examples has whole
+programs.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from vcu_gateway.client.address import default_socket_path
+from vcu_gateway.client.asked import Asked, Values
+from vcu_gateway.client.blocking_client import Client
+from vcu_gateway.client.blocking_owner import DemandOwner
+from vcu_gateway.client.blocking_subscription import Subscription
+from vcu_gateway.client.errors import (
+    ApiError,
+    ApiTimeoutError,
+    ClientError,
+    ConfigRefusedError,
+    DisconnectedError,
+    GarbledError,
+    NoRightError,
+    RefusedError,
+    UnreachableError,
+)
+
+if TYPE_CHECKING:
+    from vcu_gateway.client.async_client import AsyncClient
+    from vcu_gateway.client.async_owner import AsyncDemandOwner
+    from vcu_gateway.client.async_subscription import AsyncSubscription
+
+__all__ = [
+    "ApiError",
+    "ApiTimeoutError",
+    "Asked",
+    "AsyncClient",
+    "AsyncDemandOwner",
+    "AsyncSubscription",
+    "Client",
+    "ClientError",
+    "ConfigRefusedError",
+    "DemandOwner",
+    "DisconnectedError",
+    "GarbledError",
+    "NoRightError",
+    "RefusedError",
+    "Subscription",
+    "UnreachableError",
+    "Values",
+    "default_socket_path",
+]
+
+_WITH_ASYNCIO = {
+    "AsyncClient": "async_client",
+    "AsyncDemandOwner": "async_owner",
+    "AsyncSubscription": "async_subscription",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import asyncio for those who use it: it takes longer than all of the rest."""
+    if name not in _WITH_ASYNCIO:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_WITH_ASYNCIO[name]}"), name)

@@ -1,0 +1,154 @@
+"""What people and programs may ask for: demand, arming, resetting, new settings."""
+
+import dataclasses
+from collections.abc import Callable
+
+from vcu_gateway.core import permission
+from vcu_gateway.core.causes import Causes
+from vcu_gateway.core.commands import Commander
+from vcu_gateway.core.demand import (
+    BENCH_SOURCE,
+    GRANTED,
+    Answer,
+    Demand,
+    DemandDesk,
+    Refusal,
+    refused,
+)
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.output import Output
+from vcu_gateway.core.permission import Asked
+from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
+from vcu_gateway.core.startup import Listening
+from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
+
+LISTENING = "listening for another sender of our frames"
+
+Apply = Callable[[Stimulus, int, str], None]
+"""Gives the supervisor a stimulus, at a time, with its reason."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Parts:
+    """What a request is judged by and may change."""
+
+    supervisor: Supervisor
+    causes: Causes
+    commander: Commander
+    listening: Listening
+    output: Output
+    apply: Apply
+    tell: Callable[[Event], None]
+
+
+class Requests:
+    """Grants or refuses, on the ticking thread, with a sentence.
+
+    Attributes:
+        settings: what is in effect.
+        desk: whose demand counts.
+        emergency_stop: asked for since the last tick; terminating: asked to end.
+    """
+
+    def __init__(self, settings: Settings, parts: Parts) -> None:
+        self.settings = settings
+        self.desk = DemandDesk(settings.bench_demand)
+        self.emergency_stop_asked = False
+        self.terminating = False
+        self._parts = parts
+
+    def offer(self, demand: Demand, now_ns: int) -> Answer:
+        """Take a demand of a source, or say why not."""
+        settings, before = self.settings, self.desk.current
+        if not self.desk.fresh(now_ns):
+            # It expired between two ticks: a new one does not continue the drive.
+            self._parts.apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
+        answer = self.desk.offer(demand, settings.priorities, settings.ttl_max_ms, now_ns)
+        if answer.granted and (before is None or before.source != demand.source):
+            self._parts.tell(Event("demand_owner", Severity.INFO, {"source": demand.source}))
+        return answer
+
+    def end_demand(self, source: str, now_ns: int) -> Answer:
+        """The owner's demand counts no more, and the drive ends; refused for any other source."""
+        answer = self.desk.end(source)
+        if answer.granted:
+            self._parts.apply(Stimulus.DEMAND_EXPIRED, now_ns, f"{source} ended its demand")
+        return answer
+
+    def arm(self, now_ns: int) -> Answer:
+        """Ask for ACTIVE; granted in STANDBY where nothing speaks against it."""
+        if why_not := self.against_arming(now_ns):
+            return self._refuse("arm", why_not)
+        self._parts.apply(Stimulus.ARM, now_ns, "armed on request")
+        return GRANTED
+
+    def disarm(self, now_ns: int) -> Answer:
+        """Leave ACTIVE for STANDBY; always granted."""
+        self._parts.apply(Stimulus.DISARM, now_ns, "disarmed on request")
+        return GRANTED
+
+    def emergency_stop(self) -> Answer:
+        """Cut the power in the next tick; always granted."""
+        self.emergency_stop_asked = True
+        return GRANTED
+
+    def terminate(self) -> None:
+        """End: safe frames, then `Gateway.finished`."""
+        self.terminating = True
+
+    def reset(self, level: FaultClass, now_ns: int) -> Answer:
+        """Leave FAULT for STANDBY; refused while anything speaks against it."""
+        if why_not := self.against_resetting(level, now_ns):
+            return self._refuse("reset", why_not)
+        self._parts.apply(Stimulus.RESET, now_ns, f"reset at {level.value} level")
+        return GRANTED
+
+    def reload(self, settings: Settings) -> Answer:
+        """Take new settings whole or not at all; while ACTIVE only stricter limits."""
+        if names := [name for name in changed(self.settings, settings) if name in RESTART_ONLY]:
+            return self._refuse("reload", f"these need a restart: {', '.join(names)}")
+        active = self._parts.supervisor.mode is Mode.ACTIVE
+        if active and (looser := loosened(self.settings, settings)):
+            sentence = f"while active, limits may only become stricter: {', '.join(looser)}"
+            return self._refuse("reload", sentence)
+        self.settings = settings
+        self._parts.output.reload(settings)
+        return GRANTED
+
+    def _refuse(self, request: str, sentence: str) -> Answer:
+        fields = {"request": request, "sentence": sentence}
+        self._parts.tell(Event("request_refused", Severity.WARNING, fields))
+        return refused(Refusal.NOT_ALLOWED_NOW, sentence)
+
+    def against_arming(self, now_ns: int) -> str:
+        """Why ACTIVE cannot be entered now; empty where nothing speaks against it."""
+        parts = self._parts
+        if not parts.listening.over:
+            return LISTENING
+        asked = self.asked(now_ns)
+        pending = asked is not None and parts.commander.reverse_pending(asked)
+        return permission.against_arming(parts.supervisor, parts.causes, asked, pending)
+
+    def against_resetting(self, level: FaultClass, now_ns: int) -> str:
+        """Why FAULT cannot be left now; empty where nothing speaks against it."""
+        parts = self._parts
+        if not parts.listening.over:
+            return LISTENING
+        asked = self.asked(now_ns)
+        return permission.against_resetting(parts.supervisor, parts.causes, asked, level)
+
+    def asked(self, now_ns: int) -> Asked:
+        """What is asked of each controller; None without a fresh demand.
+
+        The bench demand's throttle counts in ACTIVE only: it never changes, so it could
+        otherwise never be armed with a throttle of 0.
+        """
+        demand = self.desk.current
+        if demand is None or not self.desk.fresh(now_ns):
+            return None
+        if demand.source != BENCH_SOURCE or self._parts.supervisor.mode is Mode.ACTIVE:
+            return demand.controllers
+        return {
+            name: dataclasses.replace(asked, throttle_pct=0.0)
+            for name, asked in demand.controllers.items()
+        }

@@ -1,0 +1,104 @@
+"""The process in which gateway and simulated vehicle run, as whoever started it sees it."""
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import IO, NamedTuple, Self
+
+from vcu_gateway.errors import GatewayError, Problem, UnavailableError
+
+_PROGRAM = "vcu_gateway.demonstration.program"
+_PATIENCE_S = 10.0
+
+
+class Wanted(NamedTuple):
+    """What the demonstration does.
+
+    Attributes:
+        battery_speedup: charge flows so many times as fast as it really would.
+        duration_s: None is until its stdin ends.
+    """
+
+    interface: str
+    channel: str
+    throttle_pct: float
+    battery_speedup: float
+    duration_s: float | None
+
+
+class Child:
+    """Started at once, and over at the end of the `with`, however that comes.
+
+    Attributes:
+        socket_path: where its API listens.
+        summary: its last line; empty before the end.
+    """
+
+    def __init__(self, wanted: Wanted) -> None:
+        self.summary = ""
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
+        self._process = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-P", "-m", _PROGRAM, json.dumps(wanted._asdict())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,  # on the terminal it would spoil the picture
+            text=True,
+            start_new_session=True,  # Ctrl-C is for us; its stdin ends it
+        )
+        self._stdin, self._stdout = _pipes(self._process)
+        first = self._stdout.readline().strip()
+        self.socket_path = Path(first)
+        if not first:
+            self._end()
+            raise self._failure()
+
+    def has_ended(self) -> bool:
+        """True from its last line on: its duration is over, or it has failed."""
+        readable, _, _ = select.select([self._stdout], [], [], 0)
+        return bool(readable)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._end()
+        if error is None and self._process.returncode != 0:
+            raise self._failure()
+        self._errors.close()
+
+    def _end(self) -> None:
+        self._stdin.close()
+        try:
+            self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self.summary = self._stdout.read().strip()
+        self._stdout.close()
+
+    def _failure(self) -> GatewayError:
+        """What it wrote before it failed; its exit code is ours."""
+        with self._errors:
+            self._errors.seek(0)
+            lines = self._errors.read().splitlines()
+        code = self._process.returncode
+        told = [line.removeprefix("error: ") for line in lines] or [f"it ended with {code}"]
+        failure = UnavailableError(*map(Problem, told))
+        failure.exit_code = code if code > 0 else os.EX_SOFTWARE
+        return failure
+
+
+def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
+    if process.stdin is None or process.stdout is None:
+        raise AssertionError("both were asked for")
+    return process.stdin, process.stdout

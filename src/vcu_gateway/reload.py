@@ -1,0 +1,127 @@
+"""A new configuration into the running program: all of it or nothing."""
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vcu_gateway import config as configuration
+from vcu_gateway.config import Config
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.daemon import Daemon
+from vcu_gateway.errors import ConfigError
+
+LIVE = (
+    "limits.*",
+    "safety.required_messages",
+    "safety.qualify_frames",
+    "safety.clear_hold_ms",
+    "demand.*",
+)
+"""Keys that a running gateway takes; every other one needs a restart."""
+
+
+class Outcome(NamedTuple):
+    """What came of a reload: names of what changed, or why nothing did, a sentence each."""
+
+    taken: bool
+    changed: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+Done = Callable[[Outcome], None]
+
+
+@dataclass(slots=True)
+class InEffect:
+    """The configuration in effect; replaced whole, on the ticking thread."""
+
+    config: Config
+
+
+class Reloader:
+    """Reads and checks the file on a thread of its own, and hands it to the ticking thread.
+
+    `settings` makes the core's settings of a configuration.
+    """
+
+    def __init__(
+        self,
+        in_effect: InEffect,
+        protocol: ProtocolSpec,
+        daemon: Daemon,
+        settings: Callable[[Config], Settings],
+    ) -> None:
+        self._in_effect = in_effect
+        self._protocol = protocol
+        self._daemon = daemon
+        self._settings = settings
+        self._busy = threading.Lock()
+
+    def begin(self, done: Done) -> None:
+        """Start; `done` is called once, on the ticking thread, or here where one runs already."""
+        if not self._busy.acquire(blocking=False):
+            done(Outcome(False, problems=("a reload is under way already",)))
+            return
+        threading.Thread(target=self._read, args=(done,), name="reload", daemon=True).start()
+
+    def on_hangup(self) -> None:
+        """SIGHUP: as `begin`, for nobody who waits; the journal has the outcome."""
+        self.begin(lambda outcome: None)
+
+    def _read(self, done: Done) -> None:
+        new, problems = self._loaded()
+        self._busy.release()
+        self._daemon.inbox.post(lambda: done(self._told(self._take(new, problems))))
+
+    def _loaded(self) -> tuple[Config | None, tuple[str, ...]]:
+        try:
+            new = configuration.load(Path(self._in_effect.config.source.file))
+        except ConfigError as error:
+            return None, tuple(map(str, error.problems))
+        return new, tuple(map(str, configuration.check_against(new, self._protocol)))
+
+    def _take(self, new: Config | None, problems: tuple[str, ...]) -> Outcome:
+        """On the ticking thread: the checks that depend on what is in effect, and the change."""
+        if new is None or problems:
+            return Outcome(False, problems=problems)
+        names = changed(self._in_effect.config, new)
+        if restart := tuple(name for name in names if not is_live(name)):
+            return Outcome(False, problems=tuple(f"{name} needs a restart" for name in restart))
+        answer = self._daemon.gateway.requests.reload(self._settings(new))
+        if not answer.granted:
+            return Outcome(False, problems=(answer.sentence,))
+        self._in_effect.config = new
+        return Outcome(True, changed=names)
+
+    def _told(self, outcome: Outcome) -> Outcome:
+        if outcome.taken:
+            digest = configuration.digest(self._in_effect.config)
+            fields: Mapping[str, object] = {"changed": list(outcome.changed), "digest": digest}
+            event = Event("config_reloaded", Severity.INFO, fields)
+        else:
+            fields = {"problems": list(outcome.problems)}
+            event = Event("config_refused", Severity.ERROR, fields)
+        self._daemon.journal.tell(event)
+        return outcome
+
+
+def changed(before: Config, after: Config) -> tuple[str, ...]:
+    """Dotted names of the keys whose effective values differ."""
+    old, new = _flat(before), _flat(after)
+    return tuple(name for name in dict.fromkeys([*old, *new]) if old.get(name) != new.get(name))
+
+
+def is_live(name: str) -> bool:
+    """True where a running gateway takes this key."""
+    return name in LIVE or f"{name.partition('.')[0]}.*" in LIVE
+
+
+def _flat(config: Config) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for section, keys in configuration.effective(config).items():
+        values.update({f"{section}.{key}": value for key, value in keys.items()})
+    return values

@@ -1,0 +1,145 @@
+"""The API and the reload beside a running gateway, put together from the configuration."""
+
+import hashlib
+import os
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from vcu_gateway import __version__, health, wiring
+from vcu_gateway import config as configuration
+from vcu_gateway.api.answers import Answers
+from vcu_gateway.api.definition import definition
+from vcu_gateway.api.doors import ServerSettings
+from vcu_gateway.api.gaps import Gaps
+from vcu_gateway.api.program import Program
+from vcu_gateway.api.rights import Policy
+from vcu_gateway.api.server import Server
+from vcu_gateway.api.shapes import ApiCounts
+from vcu_gateway.config import Config
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.gateway import TickResult
+from vcu_gateway.core.schedule import Tick
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.daemon import Daemon
+from vcu_gateway.errors import ConfigError, UnavailableError
+from vcu_gateway.reload import InEffect, Reloader
+from vcu_gateway.starts import count_start
+
+_NS_PER_S = 1_000_000_000
+_DIGEST_CHARACTERS = 16
+
+
+class Serving:
+    """The API of one run, open or not.
+
+    An API that cannot be had is told as an event, and the gateway goes on without: the
+    controllers must hear from it in any case.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        protocol: ProtocolSpec,
+        daemon: Daemon,
+        log_lines_dropped: Callable[[], int],
+    ) -> None:
+        if problems := configuration.check_accounts(config):
+            raise ConfigError(*problems)
+        self._daemon = daemon
+        self._config = config
+        in_effect = InEffect(config)
+        self.reloader = Reloader(in_effect, protocol, daemon, wiring.settings)
+        facts = health.Facts(
+            protocol_digest=digest_of(config),
+            starts=count_start(Path(config.api.socket_path).parent),
+            log_lines_dropped=log_lines_dropped,
+        )
+        self._program = Program(
+            daemon=daemon,
+            bus=wiring.bus_settings(config),
+            in_effect=in_effect,
+            reloader=self.reloader,
+            facts=facts,
+            protocol=definition(protocol, facts.protocol_digest),
+            metrics=self._metrics(in_effect, facts),
+            api_counts=self._api_counts,
+        )
+        gaps = Gaps(lambda: daemon.schedule.next_deadline_ns, daemon.schedule.period_ns)
+        self._server = Server(server_settings(config), Answers(self._program), gaps)
+        self._told_failure = False
+
+    def open(self) -> None:
+        """Begin to answer, where the configuration wants it."""
+        if not self._config.api.enabled:
+            return
+        try:
+            self._server.open()
+        except UnavailableError as error:
+            self._tell("api_unavailable", str(error))
+        else:
+            self._server.start()
+            fields = {"socket": self._config.api.socket_path}
+            self._daemon.journal.tell(Event("api_open", Severity.INFO, fields))
+
+    def close(self) -> None:
+        """End every connection and remove the socket."""
+        self._server.close()
+
+    def observe(self, tick: Tick, result: TickResult) -> None:
+        """After each tick: an API that has failed is told of, once."""
+        del tick, result
+        if self._server.failed is not None and not self._told_failure:
+            self._told_failure = True
+            self._tell("api_failed", repr(self._server.failed))
+
+    def _api_counts(self) -> ApiCounts:
+        return self._server.counts()
+
+    def _tell(self, name: str, reason: str) -> None:
+        self._daemon.journal.tell(Event(name, Severity.ERROR, {"reason": reason}))
+
+    def _metrics(self, in_effect: InEffect, facts: health.Facts) -> Callable[[], bytes] | None:
+        from vcu_gateway import metrics
+
+        told = metrics.Facts(
+            version=__version__,
+            python=platform.python_version(),
+            protocol_digest=facts.protocol_digest,
+            config_digest=lambda: configuration.digest(in_effect.config),
+            started_ns=facts.started_ns,
+            started_s=time.time() - (time.monotonic_ns() - facts.started_ns) / _NS_PER_S,
+            starts=facts.starts,
+            log_lines_dropped=facts.log_lines_dropped,
+        )
+        try:
+            return metrics.exposition(self._daemon, self._api_counts, told).text
+        except UnavailableError:
+            return None
+
+
+def server_settings(config: Config) -> ServerSettings:
+    """What the server is told; the accounts exist."""
+    api = config.api
+    users, groups = configuration.user_number, configuration.group_number
+    return ServerSettings(
+        socket_path=Path(api.socket_path),
+        policy=Policy(
+            own_uid=os.geteuid(),
+            operator_uids=frozenset(map(users, api.operator_users)),
+            operator_gids=frozenset(map(groups, api.operator_groups)),
+            service_uids=frozenset(map(users, api.service_users)),
+            service_gids=frozenset(map(groups, api.service_groups)),
+        ),
+        owner=None if api.socket_owner is None else users(api.socket_owner),
+        group=None if api.socket_group is None else groups(api.socket_group),
+        mode=int(api.socket_mode, 8),
+        metrics_port=api.metrics_port,
+    )
+
+
+def digest_of(config: Config) -> str:
+    """The beginning of the SHA-256 of the DBC in use."""
+    contents = wiring.dbc_path(config).read_bytes()
+    return hashlib.sha256(contents).hexdigest()[:_DIGEST_CHARACTERS]

@@ -1,0 +1,120 @@
+"""The bus, the ticks and the API in figures: three lines, or a panel where there is room."""
+
+from collections.abc import Mapping
+
+from rich.text import Text
+
+from vcu_gateway.api.shapes import FrameCounts, Health
+from vcu_gateway.watch.cells import ABSENT, cell, duration, line, milliseconds
+
+PANEL_COLUMNS = 44
+"""The least that the panel needs."""
+
+_LABEL_COLUMNS = 10
+_FIGURE_COLUMNS = 17
+_LINK_STYLES = {"up": "green", "error warning": "yellow"}
+_BAD = "bold yellow"
+
+
+def short_lines(health: Health | None) -> list[Text]:
+    """Three lines: the link with what passed, what was lost, and the ticks."""
+    if health is None:
+        return [cell("bus", _LABEL_COLUMNS, "dim"), Text(), cell("ticks", _LABEL_COLUMNS, "dim")]
+    frames, ticks = health["frames"], health["ticks"]
+    first = [
+        _link(health),
+        _figure("received", frames["received"]),
+        _figure("sent", frames["sent"]),
+        _wrong("rejected", sum(frames["rejected"].values())),
+    ]
+    second = [
+        _wrong("unsent", sum(frames["unsent"].values())),
+        _wrong("dropped", frames["dropped"]),
+        _wrong("foreign", sum(frames["foreign_commands"].values())),
+        _wrong("blocked", sum(frames["blocked_by_gate"].values())),
+    ]
+    third = [_figure("done", ticks["done"]), _wrong("skipped", ticks["skipped"])]
+    third.append(line("late ms ", _lateness(health)))
+    return [_row("bus", first), _row("", second), _row("ticks", third)]
+
+
+def panel_lines(health: Health | None, width: int) -> list[Text]:
+    """A line for each fact, with the reasons behind the counts."""
+    if health is None:
+        return [cell("bus", _LABEL_COLUMNS, "dim")]
+    frames, ticks, api = health["frames"], health["ticks"], health["api"]
+    link = health["link"]
+    bus = Text(f"{link['state']} for {duration(link['since_ms'])}", _link_style(health))
+    rows = [
+        ("bus", bus if link["lost"] is None else Text(link["lost"], "red")),
+        ("received", Text(f"{frames['received']}, {_out_of_order(frames)}")),
+        ("rejected", _counted(frames["rejected"])),
+        ("dropped", _wrong("by the kernel", frames["dropped"])),
+        ("sent", Text(str(frames["sent"]))),
+        ("confirmed", Text(_listed(dict(frames["confirmed"].items())))),
+        ("unsent", _counted(frames["unsent"])),
+        ("foreign", _counted(dict(frames["foreign_commands"].items()))),
+        ("blocked", _counted(frames["blocked_by_gate"])),
+        (
+            "ticks",
+            line(
+                f"{ticks['done']}, silent {ticks['silent']}, ", _wrong("skipped", ticks["skipped"])
+            ),
+        ),
+        ("late ms", _lateness(health)),
+        ("API", Text(f"{api['clients']} clients, {api['requests']} requests")),
+        (
+            "version",
+            Text(f"{health['versions']['vcu_gateway']}, config {health['config_digest'][:8]}"),
+        ),
+    ]
+    return [
+        line(cell(label, _LABEL_COLUMNS, "dim"), cell(text, width - _LABEL_COLUMNS))
+        for label, text in rows
+    ]
+
+
+def _row(label: str, figures: list[Text]) -> Text:
+    cells = [cell(figure, max(_FIGURE_COLUMNS, figure.cell_len)) for figure in figures]
+    return line(cell(label, _LABEL_COLUMNS, "dim"), *cells)
+
+
+def _link(health: Health) -> Text:
+    link = health["link"]
+    return Text(f"{link['state']} {duration(link['since_ms'])}", _link_style(health))
+
+
+def _link_style(health: Health) -> str:
+    return _LINK_STYLES.get(health["link"]["state"], "bold red")
+
+
+def _figure(word: str, count: int | None) -> Text:
+    return Text(f"{word} {ABSENT if count is None else count}")
+
+
+def _wrong(word: str, count: int | None) -> Text:
+    """A count that ought to be 0."""
+    figure = _figure(word, count)
+    figure.stylize(_BAD if count else "")
+    return figure
+
+
+def _lateness(health: Health) -> Text:
+    ticks = health["ticks"]
+    names = ("p50", "p99", "max")
+    values = (ticks["lateness_p50_us"], ticks["lateness_p99_us"], ticks["lateness_max_us"])
+    shown = "  ".join(f"{n} {milliseconds(v)}" for n, v in zip(names, values, strict=True))
+    return Text(shown)
+
+
+def _counted(counts: Mapping[str, int]) -> Text:
+    listed = _listed({reason: count for reason, count in counts.items() if count})
+    return Text(listed, _BAD) if listed else Text("0")
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.items())
+
+
+def _out_of_order(frames: FrameCounts) -> str:
+    return f"out of order {frames['out_of_order']}"

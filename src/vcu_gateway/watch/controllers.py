@@ -1,0 +1,162 @@
+"""What each controller was told, beside what it reports."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rich.text import Text
+
+from vcu_gateway.api.shapes import Command, ControllerName, Signal, State
+from vcu_gateway.watch.cells import ABSENT, cell, line, number
+from vcu_gateway.watch.quality import marked
+
+COLUMNS = 74
+"""How wide the table is."""
+
+_LABEL_COLUMNS = 10
+_CELL_COLUMNS = 16
+_NAMES: tuple[ControllerName, ControllerName] = ("PCU1", "PCU2")
+
+
+class Reports:
+    """The signals of one controller, by name and message kind."""
+
+    def __init__(self, state: State, controller: ControllerName) -> None:
+        self._messages = state["messages"]
+        self._controller = controller
+
+    def signal(self, kind: str, name: str) -> Signal | None:
+        """One signal of PCUx_Status1 or PCUx_Status2; None where the gateway has none."""
+        message = self._messages.get(f"{self._controller}_{kind}")
+        return None if message is None else message["signals"].get(name)
+
+    def figure(self, kind: str, name: str, decimals: int = 0, unit: str = "") -> Text:
+        """Its value; what is not good is marked."""
+        signal = self.signal(kind, name)
+        if signal is None or signal["value"] is None:
+            return Text(ABSENT, "dim")
+        return marked(number(signal["value"], decimals) + unit, signal)
+
+    def word(self, name: str) -> Text:
+        """The name of a code of Status1."""
+        signal = self.signal("Status1", name)
+        if signal is None or signal["raw"] is None:
+            return Text(ABSENT, "dim")
+        return marked(signal.get("name", str(signal["raw"])), signal)
+
+    def is_set(self, name: str) -> bool:
+        """True where a flag of Status1 is anything but 0."""
+        signal = self.signal("Status1", name)
+        return bool(signal and signal["raw"])
+
+
+class Row(NamedTuple):
+    """One line of the table: how to say what was told, and what is reported."""
+
+    label: str
+    told: Callable[[Command], str]
+    reported: Callable[[Reports], Text]
+
+
+def _mode(reports: Reports) -> Text:
+    if reports.is_set("PowerCut"):
+        return Text("POWER CUT", "bold red")
+    return line(reports.word("PowerMode"), " ", reports.word("MotorReverse"))
+
+
+def _mode_told(command: Command) -> str:
+    if command["power_cut"]:
+        return "POWER CUT"
+    return f"{command['power_mode']} {'reverse' if command['motor_reverse'] else 'forward'}"
+
+
+def _brake_told(command: Command) -> str:
+    return f"{'regen ' if command['regen_brake'] else ''}{command['brake_pct']:.1f}"
+
+
+def _brake(reports: Reports) -> Text:
+    regen = "regen " if reports.is_set("RegenBrake") else ""
+    return line(regen, reports.figure("Status1", "Brake", 1))
+
+
+def _power(reports: Reports) -> Text:
+    """Battery voltage times battery current; the worse of the two decides its quality."""
+    voltage = reports.signal("Status2", "BatteryVoltage")
+    current = reports.signal("Status2", "BatteryCurrent")
+    if voltage is None or current is None:
+        return Text(ABSENT, "dim")
+    if voltage["value"] is None or current["value"] is None:
+        return Text(ABSENT, "dim")
+    worse = voltage if voltage["quality"] != "good" else current
+    return marked(number(voltage["value"] * current["value"]), worse)
+
+
+def _battery(reports: Reports) -> Text:
+    voltage = reports.figure("Status2", "BatteryVoltage", 1, " V")
+    return line(voltage, " ", reports.figure("Status2", "BatteryCurrent", 1, " A"))
+
+
+def _temperatures(reports: Reports) -> Text:
+    controller = reports.figure("Status1", "ControllerTemperature")
+    return line(controller, " / ", reports.figure("Status1", "MotorTemperature"))
+
+
+def _nothing(_: Command) -> str:
+    return ""
+
+
+_ROWS = (
+    Row(
+        "throttle %",
+        lambda c: f"{c['throttle_pct']:.1f}",
+        lambda r: r.figure("Status1", "Throttle", 1),
+    ),
+    Row("brake %", _brake_told, _brake),
+    Row("mode", _mode_told, _mode),
+    Row(
+        "speed rpm",
+        lambda c: f"max {c['speed_limit_rpm']:.0f}",
+        lambda r: r.figure("Status2", "MotorSpeed"),
+    ),
+    Row("power W", lambda c: f"max {c['power_limit_w']:.0f}", _power),
+    Row("battery", _nothing, _battery),
+    Row("phase A", _nothing, lambda r: r.figure("Status2", "PhaseCurrent", 1)),
+    Row("temp degC", _nothing, _temperatures),
+)
+_MORE_ROWS = (
+    Row("protection", _nothing, lambda r: r.word("TemperatureProtectLevel")),
+    Row("voltage", _nothing, lambda r: r.word("VoltageLevel")),
+    Row("status", _nothing, lambda r: r.figure("Status1", "StatusCode")),
+)
+
+
+def controller_lines(state: State | None, roomy: bool, old: bool = False) -> list[Text]:
+    """The table, with more lines where there is room; `old` where the gateway has gone."""
+    rows = _ROWS + _MORE_ROWS if roomy else _ROWS
+    lines = [_header(old), *(_line(row, state) for row in rows)]
+    return [*lines, _frames(state)] if roomy else lines
+
+
+def _header(old: bool) -> Text:
+    heads = [head for name in _NAMES for head in (f"{name} told", "reports")]
+    cells = [cell(head, _CELL_COLUMNS, "bold", ">") for head in heads]
+    return line(cell("old values" if old else "", _LABEL_COLUMNS), *cells)
+
+
+def _line(row: Row, state: State | None) -> Text:
+    cells: list[Text] = []
+    for name in _NAMES:
+        command = state["commands"].get(name) if state else None
+        cells.append(cell(row.told(command) if command else ABSENT, _CELL_COLUMNS, align=">"))
+        reported = row.reported(Reports(state, name)) if state else Text(ABSENT, "dim")
+        cells.append(cell(reported, _CELL_COLUMNS, align=">"))
+    return line(cell(row.label, _LABEL_COLUMNS, "dim"), *cells)
+
+
+def _frames(state: State | None) -> Text:
+    """The bytes that were sent, as candump writes them."""
+    cells = [cell("frame", _LABEL_COLUMNS, "dim")]
+    for name in _NAMES:
+        command = state["commands"].get(name) if state else None
+        frame = command["frame"] or "silent" if command else ABSENT
+        cells.append(cell(frame, 2 * _CELL_COLUMNS, align=">"))
+    return line(*cells)

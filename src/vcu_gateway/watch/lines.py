@@ -1,0 +1,41 @@
+"""Lines of text on the screen; only those that changed are written again."""
+
+from collections.abc import Sequence
+
+from rich.text import Text
+from textual.geometry import Size
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
+
+from vcu_gateway.watch.cells import line
+
+
+class Lines(ScrollView):
+    """Shows lines, from the first in sight on; scrolls where there are more than fit."""
+
+    DEFAULT_CSS = "Lines { scrollbar-size: 0 0; }"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(id=name)
+        self._lines: list[Text] = []
+
+    def show(self, lines: Sequence[Text]) -> None:
+        """Replace the lines."""
+        # As spans: Rich forgets the style of a whole text, in comparing and in drawing.
+        before, self._lines = self._lines, [line(text) for text in lines]
+        self.virtual_size = Size(self.size.width, len(lines))
+        for row in range(max(len(before), len(lines))):
+            if before[row : row + 1] != self._lines[row : row + 1]:
+                self.refresh_line(row)
+
+    def where(self) -> str:
+        """Which lines are in sight; empty where all of them are."""
+        count, top, height = len(self._lines), round(self.scroll_y), self.size.height
+        return f"{top + 1}-{min(top + height, count)}/{count}" if count > height > 0 else ""
+
+    def render_line(self, y: int) -> Strip:
+        """One line of the screen."""
+        width, row = self.size.width, y + round(self.scroll_y)
+        if row >= len(self._lines):
+            return Strip.blank(width)
+        return Strip(self._lines[row].render(self.app.console)).adjust_cell_length(width)

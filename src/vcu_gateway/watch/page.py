@@ -1,0 +1,73 @@
+"""Everything above the signals, for a terminal of this size."""
+
+from rich.text import Text
+
+from vcu_gateway.watch import bus, controllers, heading
+from vcu_gateway.watch.cells import cell, line
+from vcu_gateway.watch.picture import Picture
+from vcu_gateway.watch.reasons import next_lines, reason_lines
+
+TALL_LINES = 32
+"""From here on there is room for more than the needed."""
+
+_GAP = 2
+_WIDE_COLUMNS = controllers.COLUMNS + _GAP + bus.PANEL_COLUMNS
+_SENTENCE_LINES, _SENTENCE_LINES_TALL = 2, 5
+_REASON_LINES, _REASON_LINES_TALL = 4, 10
+_PANEL_LINES = 13
+
+
+def upper_lines(
+    title: str, picture: Picture, width: int, height: int, paused: bool = False
+) -> list[Text]:
+    """What, where, mode, why, controllers and bus: 19 lines at most in 80 x 24."""
+    tall = height >= TALL_LINES
+    gap = [Text()] if tall else []
+    return [
+        heading.title_line(title, picture, width, paused),
+        *_explanation(picture, width, tall),
+        *gap,
+        *_figures(picture, width, tall),
+        *gap,
+    ]
+
+
+def _explanation(picture: Picture, width: int, tall: bool) -> list[Text]:
+    """Mode and reasons; where room is short, what to do stands for the long sentence."""
+    why = picture.why
+    if why is None or picture.trouble is not None:
+        return heading.mode_lines(picture, width, _SENTENCE_LINES)
+    reasons = reason_lines(why, width, _REASON_LINES_TALL if tall else _REASON_LINES)
+    if not reasons:
+        return heading.mode_lines(picture, width, _SENTENCE_LINES)
+    if not tall:
+        sentence = f"next: {why['next_step']}"
+        return heading.mode_lines(picture, width, _SENTENCE_LINES, sentence) + reasons
+    mode = heading.mode_lines(picture, width, _SENTENCE_LINES_TALL)
+    return [*mode, Text(), *reasons, *next_lines(why, width)]
+
+
+def _figures(picture: Picture, width: int, tall: bool) -> list[Text]:
+    """Controllers above the bus, or beside it where the terminal is wide."""
+    wide = width >= _WIDE_COLUMNS
+    old = picture.trouble is not None
+    left = controllers.controller_lines(picture.state, tall, old)
+    if not wide:
+        lines = left + bus.short_lines(picture.health)
+        return _faded(lines) if old else lines
+    room = width - controllers.COLUMNS - _GAP
+    right = bus.panel_lines(picture.health, room)[: max(len(left), _PANEL_LINES)]
+    lines = [
+        line(_at(left, row, controllers.COLUMNS), " " * _GAP, _at(right, row, room))
+        for row in range(max(len(left), len(right)))
+    ]
+    return _faded(lines) if old else lines
+
+
+def _at(lines: list[Text], row: int, width: int) -> Text:
+    return cell(lines[row] if row < len(lines) else "", width)
+
+
+def _faded(lines: list[Text]) -> list[Text]:
+    """What is old: without its colours."""
+    return [Text(one.plain, "dim") for one in lines]

@@ -1,0 +1,45 @@
+"""What the view shows, and what it needs of whoever knows it."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import NamedTuple, Protocol
+
+from vcu_gateway.api.shapes import Health, State, Why
+
+
+class Trouble(NamedTuple):
+    """Why nothing new is known: a sentence, and since when, in local time."""
+
+    sentence: str
+    since: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """The latest that is known; None where nothing was heard yet.
+
+    Attributes:
+        trouble: None while the gateway answers; else the rest is what it said last.
+    """
+
+    state: State | None = None
+    why: Why | None = None
+    health: Health | None = None
+    trouble: Trouble | None = None
+
+
+class RefusedError(Exception):
+    """A request was not granted, or not heard; the text says why."""
+
+
+class Source(Protocol):
+    """Where the picture comes from. `latest` never waits; the others may, for a second or two."""
+
+    def latest(self) -> Picture:
+        """What is known now."""
+
+    def estop(self) -> None:
+        """Cut the power of both controllers; RefusedError where that was not granted."""
+
+    def disarm(self) -> None:
+        """From active to standby; RefusedError where that was not granted."""

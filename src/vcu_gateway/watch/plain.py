@@ -1,0 +1,72 @@
+"""The picture as plain text, for a pipe or a file: a line or two a message."""
+
+from collections.abc import Iterator
+
+from rich.text import Text
+
+from vcu_gateway.api.shapes import Message, Signal, State
+from vcu_gateway.watch import bus, controllers, heading, reasons
+from vcu_gateway.watch.cells import ABSENT, number, wrapped
+from vcu_gateway.watch.picture import Picture
+from vcu_gateway.watch.quality import NOT_GOOD_MARK
+
+_COLUMNS = 120
+_MOST_LINES = 12
+_DECIMALS = 2
+_MS_PER_S = 1000
+_FIRM = "\u00a0"
+"""A space where no line is broken."""
+
+
+def plain(title: str, picture: Picture) -> str:
+    """Everything of this instant; ends with a line feed."""
+    lines = [
+        heading.title_line(title, picture, _COLUMNS),
+        *_sentence(picture),
+        *reasons.reason_lines(picture.why, _COLUMNS, _MOST_LINES),
+        *controllers.controller_lines(picture.state, roomy=True),
+        *bus.short_lines(picture.health),
+    ]
+    shown = [line.plain.rstrip() for line in lines]
+    if picture.state is not None:
+        shown += _messages(picture.state)
+    return "\n".join(shown) + "\n"
+
+
+def _sentence(picture: Picture) -> list[Text]:
+    """The gateway's own sentence, whole; or why there is none."""
+    if picture.why is None or picture.trouble is not None:
+        return heading.mode_lines(picture, _COLUMNS, _MOST_LINES)
+    return [Text(part) for part in wrapped(picture.why["sentence"], _COLUMNS, _MOST_LINES)]
+
+
+def _messages(state: State) -> Iterator[str]:
+    yield f"{'received':<20}{'age ms':>7}{'Hz':>7}  signals"
+    for name, message in state["messages"].items():
+        age = number(message["age_ms"]) if message["age_ms"] is not None else "never"
+        period_ms = message["period_ms"]
+        rate = f"{_MS_PER_S / period_ms:.1f}" if period_ms else ABSENT
+        begin = f"{name:<20}{age:>7}{rate:>7}  "
+        first, *rest = wrapped(_signals(message), _COLUMNS - len(begin), _MOST_LINES)
+        yield _spaced(begin + first)
+        yield from (_spaced(" " * len(begin) + more) for more in rest)
+
+
+def _signals(message: Message) -> str:
+    """Quantities, and codes that are not 0: what a person looks for."""
+    return ", ".join(
+        f"{name} {_value(signal)}".replace(" ", _FIRM)
+        for name, signal in message["signals"].items()
+        if signal["value"] is not None and (signal["unit"] or signal["raw"])
+    )
+
+
+def _value(signal: Signal) -> str:
+    value = signal["value"]
+    shown = number(value, _DECIMALS if isinstance(value, float) else 0)
+    mark = "" if signal["quality"] == "good" else NOT_GOOD_MARK
+    return f"{signal.get('name', shown)} {signal['unit']}".rstrip() + mark
+
+
+def _spaced(line: str) -> str:
+    return line.replace(_FIRM, " ").rstrip()

@@ -1,0 +1,26 @@
+"""What a value is worth: a colour, and a word or a mark, so that colour is never the only sign."""
+
+from rich.text import Text
+
+from vcu_gateway.api.shapes import QualityName, Signal
+
+WORD_STYLES: dict[QualityName, str] = {
+    "good": "green",
+    "out of range": "yellow",
+    "saturated": "yellow",
+    "stale": "red",
+    "never": "dim",
+}
+NOT_GOOD_MARK = "!"
+
+
+def value_style(signal: Signal) -> str:
+    """A good value has no colour, so that the others stand out."""
+    quality = signal["quality"]
+    return "" if quality == "good" else WORD_STYLES[quality]
+
+
+def marked(shown: str, signal: Signal) -> Text:
+    """The value, with a mark where it is not good."""
+    good = signal["quality"] == "good"
+    return Text(shown if good else shown + NOT_GOOD_MARK, value_style(signal))

@@ -1,0 +1,61 @@
+"""What blocks, limits or is waited for, a line each."""
+
+from collections.abc import Iterator
+
+from rich.text import Text
+
+from vcu_gateway.api.shapes import Cause, Why
+from vcu_gateway.watch.cells import cell, duration, line, wrapped
+
+_LABEL_COLUMNS = 13
+_SINCE_COLUMNS = 13
+_EFFECT_STYLES = {"stop": "red", "cut": "bold red", "alarm": "yellow"}
+_LIMIT_STYLE = "yellow"
+_CODE = "code"  # says nothing that the signal's name and code do not
+
+
+def reason_lines(why: Why | None, width: int, most: int) -> list[Text]:
+    """At most so many lines; none where there is no reason."""
+    reasons = [] if why is None else list(_reasons(why, width))
+    if len(reasons) <= most:
+        return reasons
+    left = len(reasons) - most + 1
+    return [*reasons[: most - 1], _row(f"and {left} more", "dim", "", "", width)]
+
+
+def next_lines(why: Why | None, width: int) -> list[Text]:
+    """What to do now, in a line or two."""
+    if why is None:
+        return []
+    first, *rest = wrapped(why["next_step"], width - _LABEL_COLUMNS, 2)
+    return [_row("next", "bold", first, "", width), *(_row("", "", one, "", width) for one in rest)]
+
+
+def _reasons(why: Why, width: int) -> Iterator[Text]:
+    latch = why["latch"]
+    if latch is not None:
+        text = f"until a {latch['fault_class']} reset: {latch['reason']}"
+        yield _row("latched", "bold red", text, duration(latch["since_ms"]), width)
+    for cause in (*why["blocks"], *why["limits"], *why["alarms"]):
+        yield _cause(cause, width)
+    for sentence in why["waits"]:
+        yield _row("wait", "cyan", sentence, "", width)
+
+
+def _cause(cause: Cause, width: int) -> Text:
+    effect = cause["effect"]
+    text = f"{cause['subject']} {cause['detail']}".rstrip()
+    word = cause["cause"].replace("_", " ")
+    if word not in (*text.split(), _CODE):
+        text = f"{text}, {word}"
+    since = duration(cause["since_ms"]) + ("" if cause["stands"] else " (gone)")
+    return _row(effect, _EFFECT_STYLES.get(effect, _LIMIT_STYLE), text, since, width)
+
+
+def _row(label: str, style: str, text: str, since: str, width: int) -> Text:
+    room = width - _LABEL_COLUMNS - (_SINCE_COLUMNS if since else 0)
+    return line(
+        cell(label, _LABEL_COLUMNS, style),
+        cell(text, room),
+        cell(since, _SINCE_COLUMNS, align=">") if since else "",
+    )

@@ -1,0 +1,248 @@
+"""A server on a real Unix socket, with a small program behind it."""
+
+import contextlib
+import json
+import os
+import select
+import shutil
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from vcu_gateway.api.connection import Limits
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.gaps import Gaps, Room
+from vcu_gateway.api.rights import Policy
+from vcu_gateway.api.server import Server, ServerSettings
+
+PATIENCE_S = 5.0
+MS = 1_000_000
+NOBODY = 65534
+KNOWN = ("BMS_Status", "IMU")
+EVERYONE = Policy(own_uid=os.geteuid())
+NO_ONE = Policy(own_uid=NOBODY - 1)
+
+
+def eventually(is_so: Callable[[], object]) -> None:
+    """Wait until it is so; that it never becomes so is the failure."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not is_so():
+        assert time.monotonic() < end_s, "it did not become so"
+        time.sleep(0.002)
+
+
+class FakeService:
+    """Answers reading methods at once, and what changes something when `release` is called.
+
+    Attributes:
+        begun: (method, params, caller) of every request that came through.
+        words: what else the server told, in its order.
+        filler: text in every state, to make it long.
+    """
+
+    def __init__(self) -> None:
+        self.begun: list = []
+        self.words: list = []
+        self.held: list = []
+        self.filler = ""
+        self.metrics_made = 0
+        self.metrics_failure: Failure | None = None
+        self.bug: Exception | None = None
+
+    def begin(self, method, params, caller, reply):
+        if self.bug is not None:
+            raise self.bug
+        self.begun.append((method, params, caller))
+        self.words.append(("begun", caller.connection, method))
+        if method in ("state.get", "why", "health"):
+            reply({"answer": method, "filler": self.filler})
+        else:
+            self.held.append(reply)
+
+    def release(self, answer=None):
+        """Reply to everything that waits, on a thread of its own, as the ticking thread does."""
+        held, self.held = self.held, []
+        answer = answer or {"granted": True, "mode": "standby"}
+        thread = threading.Thread(target=lambda: [reply(answer) for reply in held])
+        thread.start()
+        thread.join()
+
+    def state(self, messages):
+        for name in messages or ():
+            if name not in KNOWN:
+                raise Failure(Code.INVALID_PARAMS, f"there is no message {name!r}")
+        stamp_ns = time.monotonic_ns()
+        return {"monotonic_ns": stamp_ns, "filler": self.filler, "messages": messages}
+
+    def metrics(self):
+        if self.metrics_failure is not None:
+            raise self.metrics_failure
+        self.metrics_made += 1
+        return b"vcu_gateway_up 1\n"
+
+    def refused(self, method, caller, sentence):
+        self.words.append(("refused", caller.connection, method, sentence))
+
+    def closed(self, caller, reason):
+        self.words.append(("closed", caller.connection, reason))
+
+    def gone(self, caller):
+        self.words.append(("gone", caller.connection))
+
+    def told(self, word):
+        return [entry[2:] for entry in self.words if entry[0] == word]
+
+
+class Client:
+    """The other end, blocking, with patience."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.settimeout(PATIENCE_S)
+        self.sock = sock
+        self._buffer = b""
+
+    def send(self, data: bytes) -> None:
+        self.sock.sendall(data)
+
+    def request(self, method: str, request_id=1, **params) -> None:
+        message = {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
+        self.send(json.dumps(message).encode() + b"\n")
+
+    def notify(self, method: str, **params) -> None:
+        message = {"jsonrpc": "2.0", "method": method, "params": params}
+        self.send(json.dumps(message).encode() + b"\n")
+
+    def line(self):
+        """The next message; None at the end."""
+        while b"\n" not in self._buffer:
+            try:
+                chunk = self.sock.recv(65536)
+            except ConnectionResetError:
+                return None
+            if not chunk:
+                return None
+            self._buffer += chunk
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return json.loads(line)
+
+    def ask(self, method: str, request_id=1, **params):
+        """The result, or the error."""
+        self.request(method, request_id, **params)
+        answer = self.line()
+        assert answer["id"] == request_id
+        return answer.get("result", answer.get("error"))
+
+    def rest(self) -> bytes:
+        """Everything until the end."""
+        data = self._buffer
+        with contextlib.suppress(ConnectionResetError):
+            while chunk := self.sock.recv(65536):
+                data += chunk
+        return data
+
+    def has_news(self) -> bool:
+        """True where something can be read, be it the end."""
+        return bool(select.select([self.sock], [], [], 0)[0])
+
+    def is_ended(self) -> bool:
+        """True where nothing can be read any more."""
+        try:
+            return self.has_news() and not self.sock.recv(65536)
+        except OSError:
+            return True
+
+    def half_close(self) -> None:
+        self.sock.shutdown(socket.SHUT_WR)
+
+    def close(self) -> None:
+        self.sock.close()
+
+
+class Api:
+    """A server with its program, its socket and those who talk to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "control.sock"
+        self.service = FakeService()
+        self.server: Server | None = None
+        self._clients: list[Client] = []
+
+    def make(self, limits=Limits(), policy=EVERYONE, gaps=None, **settings) -> Server:  # noqa: B008
+        """A server that is not open yet."""
+        settings = ServerSettings(self.path, policy, **{"mode": 0o666, **settings})
+        gaps = gaps or Gaps(lambda: 0, 50 * MS, Room(share=1.0))
+        self.server = Server(settings, self.service, gaps, limits)
+        return self.server
+
+    def start(self, *args, **kwargs) -> "Api":
+        server = self.make(*args, **kwargs)
+        server.open()
+        server.start()
+        return self
+
+    def connect(self) -> Client:
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        sock.settimeout(PATIENCE_S)
+        sock.connect(os.fspath(self.path))
+        return self._keep(sock)
+
+    def connect_to_port(self) -> Client:
+        return self._keep(socket.create_connection(("127.0.0.1", self.server.metrics_port)))
+
+    def _keep(self, sock: socket.socket) -> Client:
+        self._clients.append(Client(sock))
+        return self._clients[-1]
+
+    def counts(self):
+        return self.server.counts()
+
+    def close(self) -> None:
+        for client in self._clients:
+            client.close()
+        if self.server is not None:
+            self.server.close()
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A short path, which other users may reach."""
+    path = Path(tempfile.mkdtemp(prefix="vcu-api-"))
+    path.chmod(0o755)
+    yield path
+    shutil.rmtree(path)
+
+
+@pytest.fixture
+def idle_api(folder) -> Iterator[Api]:
+    """Not started yet."""
+    api = Api(folder)
+    yield api
+    api.close()
+    assert api.server is None or api.server.failed is None or api.service.bug is not None
+
+
+@pytest.fixture
+def api(idle_api) -> Api:
+    return idle_api.start()
+
+
+@pytest.fixture
+def client(api) -> Client:
+    return api.connect()
+
+
+@contextlib.contextmanager
+def a_stranger() -> Iterator[None]:
+    """What connects in here is not root, whom nothing can be refused."""
+    own = os.geteuid()
+    if own == 0:
+        os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(own)

@@ -1,0 +1,164 @@
+"""Opening the sockets: who can reach them, what stands in the way, what is left behind."""
+
+import grp
+import os
+import pwd
+import socket
+import stat
+
+import pytest
+
+from tests.api.conftest import a_stranger
+from vcu_gateway.api.doors import ServerSettings, UnixDoor
+from vcu_gateway.api.rights import Policy
+from vcu_gateway.errors import UnavailableError
+
+POLICY = Policy(own_uid=os.geteuid())
+
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a socket away")
+
+
+@pytest.fixture
+def path(folder):
+    return folder / "control.sock"
+
+
+def refusal(path, **settings) -> str:
+    with pytest.raises(UnavailableError) as caught:
+        UnixDoor(ServerSettings(path, POLICY, **settings))
+    (problem,) = caught.value.problems
+    assert problem.remedy, problem
+    return str(problem)
+
+
+def listener_at(path) -> socket.socket:
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    sock.bind(os.fspath(path))
+    return sock
+
+
+def test_owner_and_group_may_open_the_socket_and_nobody_else(path):
+    old = os.umask(0o077)
+    try:
+        door = UnixDoor(ServerSettings(path, POLICY))
+    finally:
+        os.umask(old)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o660
+    door.close()
+
+
+def test_the_mode_is_the_configured_one(path):
+    door = UnixDoor(ServerSettings(path, POLICY, mode=0o600))
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    door.close()
+
+
+@as_root
+@pytest.mark.parametrize(
+    ("owner", "group"), [(12345, 23456), (pwd.getpwuid(1).pw_name, grp.getgrgid(1).gr_name)]
+)
+def test_owner_and_group_are_names_or_numbers(path, owner, group):
+    door = UnixDoor(ServerSettings(path, POLICY, owner, group))
+    numbers = (12345, 23456) if owner == 12345 else (1, 1)
+    assert (path.stat().st_uid, path.stat().st_gid) == numbers
+    door.close()
+
+
+def test_owner_and_group_are_left_where_none_is_named(path):
+    door = UnixDoor(ServerSettings(path, POLICY))
+    assert (path.stat().st_uid, path.stat().st_gid) == (os.geteuid(), os.getegid())
+    door.close()
+
+
+def test_an_unknown_owner_or_group_is_told_and_leaves_nothing_behind(path):
+    assert "no-such-user" in refusal(path, owner="no-such-user")
+    assert "no-such-group" in refusal(path, group="no-such-group")
+    assert not path.exists()
+
+
+def test_a_path_that_is_too_long_is_told_with_its_length(folder):
+    path = folder / ("s" * (108 - len(os.fspath(folder)) - 1))
+    assert "108 bytes" in refusal(path)
+    fits = path.with_name(path.name[1:])
+    UnixDoor(ServerSettings(fits, POLICY)).close()
+
+
+def test_a_missing_folder_is_told(folder):
+    assert f"create the folder {folder}/none" in refusal(folder / "none" / "control.sock")
+
+
+def test_a_file_in_the_way_is_told_and_stays(path):
+    path.write_text("precious")
+    assert "is no socket" in refusal(path)
+    assert path.read_text() == "precious"
+
+
+def test_a_link_in_the_way_is_told_and_stays(path, folder):
+    path.symlink_to(folder / "elsewhere")
+    assert "is no socket" in refusal(path)
+    assert path.is_symlink()
+
+
+def test_a_folder_that_cannot_be_written_is_told(folder):
+    path = folder / "closed"
+    path.mkdir(mode=0o555)
+    with a_stranger():
+        assert f"must be able to write into {path}" in refusal(path / "control.sock")
+
+
+def test_a_socket_that_an_earlier_run_left_behind_is_replaced(path):
+    listener_at(path).close()
+    assert path.is_socket()
+    door = UnixDoor(ServerSettings(path, POLICY))
+    with socket.socket(socket.AF_UNIX) as client:
+        client.connect(os.fspath(path))
+    door.close()
+
+
+@pytest.mark.parametrize("waiting", [0, 1])
+def test_a_socket_where_another_process_answers_is_left_alone(path, waiting):
+    with listener_at(path) as other:
+        other.listen(0)
+        clients = [socket.socket(socket.AF_UNIX) for _ in range(waiting)]
+        for client in clients:
+            client.connect(os.fspath(path))  # now its backlog is full
+        inode = path.stat().st_ino
+        assert "another process answers" in refusal(path)
+        assert path.stat().st_ino == inode
+        for client in clients:
+            client.close()
+
+
+def test_a_socket_of_another_kind_is_left_alone(path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind(os.fspath(path))
+        refusal(path)
+        assert path.is_socket()
+
+
+def test_closing_removes_the_socket(path):
+    door = UnixDoor(ServerSettings(path, POLICY))
+    door.close()
+    assert not path.exists()
+    door.close()
+
+
+def test_closing_leaves_the_socket_of_a_successor_alone(path):
+    door = UnixDoor(ServerSettings(path, POLICY))
+    path.unlink()
+    successor = UnixDoor(ServerSettings(path, POLICY))
+    door.close()
+    assert path.is_socket()
+    successor.close()
+
+
+def test_nothing_of_a_failed_opening_stays(idle_api, folder):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        server = idle_api.make(metrics_port=port)
+        with pytest.raises(UnavailableError, match=f"127.0.0.1 port {port}") as caught:
+            server.open()
+    assert "ss -ltnp" in str(caught.value)
+    assert not any(folder.iterdir())

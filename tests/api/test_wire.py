@@ -1,0 +1,349 @@
+"""The wire: what is a request, what is none, and what is said to whoever sent it."""
+
+import json
+import time
+
+import pytest
+
+from vcu_gateway.api import wire
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.lines import MAX_LINE_BYTES, Lines
+from vcu_gateway.api.methods import DemandParams, Nothing, StateParams, Values
+
+WORST_MS = 30.0  # on a busy machine; about 1 on a quiet one
+
+HEALTHY = {"jsonrpc": "2.0", "id": 7, "method": "state.get", "params": {"messages": ["IMU"]}}
+
+
+def line_with(**changes) -> bytes:
+    """The healthy request with members changed, or left out where None."""
+    message = {**HEALTHY, **changes}
+    return json.dumps({k: v for k, v in message.items() if v is not ...}).encode()
+
+
+def refused(line: bytes) -> wire.Refused:
+    answer = wire.parse(line)
+    assert isinstance(answer, wire.Refused), answer
+    return answer
+
+
+def code_and_sentence(line: bytes):
+    failure = refused(line).failure
+    return failure.code, failure.sentence
+
+
+def test_a_healthy_line_is_a_request():
+    assert wire.parse(line_with()) == wire.Request("state.get", StateParams(messages=["IMU"]), 7)
+
+
+def test_params_may_be_left_out():
+    assert wire.parse(line_with(method="arm", params=...)) == wire.Request("arm", Nothing(), 7)
+
+
+def test_a_request_without_an_id_is_a_notification():
+    assert wire.parse(line_with(id=...)).id is None
+
+
+def test_a_carriage_return_before_the_newline_is_as_good():
+    assert isinstance(wire.parse(line_with() + b"\r"), wire.Request)
+
+
+@pytest.mark.parametrize("good", ["", "a" * 64, "Grüße", 0, -(2**63), 2**64 - 1])
+def test_an_id_is_a_short_string_or_an_integer_of_64_bits(good):
+    assert wire.parse(line_with(id=good)).id == good
+
+
+@pytest.mark.parametrize("bad", [None, 1.0, 1.5, True, [], {}, "a" * 65])
+def test_any_other_id_is_refused_and_not_sent_back(bad):
+    answer = refused(line_with(id=bad))
+    assert answer.failure.code is Code.INVALID_REQUEST
+    assert "id must be" in answer.failure.sentence
+    assert (answer.id, answer.is_answered) == (None, True)
+
+
+def test_values_for_one_controller_or_both_are_read_as_they_are():
+    controllers = {"PCU1": {"throttle_pct": 5}, "PCU2": {"brake_pct": 0.5}}
+    params = {"source": "pedal", "sequence": 1, "controllers": controllers}
+    request = wire.parse(line_with(method="demand.set", params=params))
+    assert request.params == DemandParams(
+        source="pedal",
+        sequence=1,
+        controllers={"PCU1": Values(throttle_pct=5.0), "PCU2": Values(brake_pct=0.5)},
+    )
+
+
+ABOUT_JSON = {
+    b"": "not JSON at character 1",
+    b"   ": "not JSON at character",
+    b"hello": "not JSON at character 1",
+    b'{"jsonrpc":"2.0",': "not JSON at character",
+    line_with() + b"}": "Extra data",
+    b'{"a":"\x01"}': "Invalid control character",
+    b"\xef\xbb\xbf" + line_with(): "BOM",
+    b'{"jsonrpc":"\xff"}': "not UTF-8 at byte 13",
+    b'{"jsonrpc":"\xed\xa0\x80"}': "not UTF-8 at byte",  # a surrogate in UTF-8
+    b'{"jsonrpc":"\xc0\x80"}': "not UTF-8 at byte",  # overlong
+    b'{"jsonrpc":"\\ud800"}': "half of a surrogate pair",
+    b'{"\\udfff":1}': "half of a surrogate pair",
+    b'{"id":NaN}': "NaN is no number",
+    b'{"id":[{"a":Infinity}]}': "Infinity is no number",
+    b'{"id":-Infinity}': "-Infinity is no number",
+    b'{"id":1,"id":2}': '"id" stands twice',
+    b'{"params":{"x":[{"a":1,"b":2,"a":1}]}}': '"a" stands twice',
+    b'{"id":1' + b"0" * 20 + b"}": "an integer needs more than 64 bits",
+    b'{"id":1' + b"0" * 5000 + b"}": "too many digits",
+    b'{"id":' + b"[" * 16 + b"]" * 16 + b"}": "nested more than 16 deep",
+    b"[" * 2000: "nested more than 16 deep",
+    b'{"a":' * 2000: "nested more than 16 deep",
+    b"[" + b"1," * 600 + b"1]": "more than 512 values",
+    b"[" * MAX_LINE_BYTES: "more commas and brackets",
+    b"[" + b"1," * 30000 + b"1]": "more commas and brackets",
+}
+
+
+@pytest.mark.parametrize(("line", "sentence"), ABOUT_JSON.items())
+def test_what_is_no_strict_json_is_refused_with_a_null_id(line, sentence):
+    answer = refused(line)
+    assert answer.failure.code is Code.PARSE_ERROR
+    assert sentence in answer.failure.sentence
+    assert (answer.id, answer.is_answered) == (None, True)
+
+
+def test_nesting_of_16_is_read():
+    line = b'{"jsonrpc":"2.0","id":1,"method":"arm","params":' + b"[" * 15 + b"]" * 15 + b"}"
+    assert refused(line).failure.code is Code.INVALID_PARAMS
+
+
+def test_a_whole_surrogate_pair_is_a_character():
+    assert wire.parse(line_with(id="\U0001f600").replace(b"ud83d", b"uD83D")).id == "\U0001f600"
+
+
+ABOUT_THE_REQUEST = {
+    b"[]": "this is a batch; send one request a line",
+    b"[" + line_with() + b"]": "this is a batch",
+    b"1": "this is no object",
+    b"null": "this is no object",
+    b'"state.get"': "this is no object",
+    b"{}": 'jsonrpc must be "2.0"',
+    line_with(jsonrpc=...): 'jsonrpc must be "2.0"',
+    line_with(jsonrpc="1.0"): 'jsonrpc must be "2.0"',
+    line_with(jsonrpc=2.0): 'jsonrpc must be "2.0"',
+    line_with(method=...): "method must be a string",
+    line_with(method=["arm"]): "method must be a string",
+    line_with(parms={}): 'no member "parms" in a request; the nearest is "params"',
+    line_with(**{"": 1}): 'no member "" in a request',
+}
+
+
+@pytest.mark.parametrize(("line", "sentence"), ABOUT_THE_REQUEST.items())
+def test_json_that_is_no_request_is_refused(line, sentence):
+    answer = refused(line)
+    assert answer.failure.code is Code.INVALID_REQUEST
+    assert sentence in answer.failure.sentence
+    assert answer.is_answered
+    assert answer.id == (7 if b'"id"' in line and line.startswith(b"{") else None)
+
+
+@pytest.mark.parametrize(
+    ("method", "sentence"),
+    [
+        ("stat.get", 'there is no method "stat.get"; the nearest is "state.get"'),
+        ("disram", 'there is no method "disram"; the nearest is "disarm"'),
+        ("xyzzy", 'there is no method "xyzzy"'),
+        ("", 'there is no method ""'),
+        ("ar\x1b[m", 'there is no method "ar\\u001b[m"; the nearest is "arm"'),
+    ],
+)
+def test_an_unknown_method_is_answered_with_the_nearest(method, sentence):
+    assert code_and_sentence(line_with(method=method)) == (Code.METHOD_NOT_FOUND, sentence)
+
+
+DEMAND = {"source": "pedal", "sequence": 1, "values": {}}
+ABOUT_PARAMS = [
+    ("state.get", [], "params must be an object: parameters go by name"),
+    ("state.get", None, "params must be an object: parameters go by name"),
+    (
+        "state.get",
+        {"mesages": []},
+        'there is no parameter "mesages"; the nearest is "messages"',
+    ),
+    ("state.get", {"messages": [1]}, '"messages.0" should be a valid string'),
+    ("state.get", {"messages": ["a"] * 65}, "at most 64 items"),
+    (
+        "state.subscribe",
+        {"rate_hz": 51},
+        '"rate_hz" should be less than or equal to 50',
+    ),
+    ("state.subscribe", {"rate_hz": "10"}, '"rate_hz" should be a valid number'),
+    ("state.subscribe", {"rate_hz": True}, '"rate_hz" should be a valid number'),
+    ("demand.release", {}, '"source" is missing'),
+    ("demand.release", {"source": "a b"}, '"source": String should match pattern'),
+    ("demand.set", {**DEMAND, "sequence": 1.0}, '"sequence" should be a valid integer'),
+    ("demand.set", {**DEMAND, "sequence": 2**63}, '"sequence" should be less than'),
+    (
+        "demand.set",
+        {**DEMAND, "values": {"throttle": 1}},
+        'there is no parameter "values.throttle"; the nearest is "throttle_pct"',
+    ),
+    (
+        "demand.set",
+        {"source": "a", "sequence": 0, "controllers": {"PCU3": {}}},
+        "\"controllers.PCU3\" should be 'PCU1' or 'PCU2'",
+    ),
+    ("reset", {"level": "Service"}, "\"level\" should be 'driver' or 'service'"),
+    ("arm", {"now": 1}, 'there is no parameter "now"'),
+]
+
+
+@pytest.mark.parametrize(("method", "params", "sentence"), ABOUT_PARAMS)
+def test_parameters_that_do_not_fit_are_named(method, params, sentence):
+    code, told = code_and_sentence(line_with(method=method, params=params))
+    assert code is Code.INVALID_PARAMS
+    assert sentence in told
+
+
+def test_an_infinite_number_is_named():
+    line = line_with(method="demand.set", params=DEMAND)
+    line = line.replace(b'"values": {}', b'"values": {"throttle_pct": 1e999}')
+    assert code_and_sentence(line)[1] == '"values.throttle_pct" should be a finite number'
+
+
+def test_a_notification_with_wrong_parameters_is_not_answered():
+    assert not refused(line_with(id=..., params={"x": 1})).is_answered
+    assert not refused(line_with(id=..., method="x")).is_answered
+
+
+def test_what_is_no_request_is_answered_even_without_an_id():
+    assert refused(line_with(id=..., jsonrpc="1.0")).is_answered
+
+
+LONG = "ABCDEFGH" * 8000
+ECHOING = [
+    line_with(method=LONG),
+    line_with(**{LONG: 1}),
+    line_with(params={LONG: 1}),
+    line_with(params={LONG + str(n): 1 for n in range(1)}),
+    line_with(params={f"ABCDEFGH{n}" * 10: 1 for n in range(400)}),
+    line_with(method="demand.release", params={"source": LONG}),
+    line_with(method="demand.set", params={**DEMAND, "values": {LONG[:50000]: 1}}),
+    b'{"ABCDEFGH":1,' + b'"ABCDEFGH":1,' * 2000 + b'"":0}',
+    b'{"' + LONG.encode() + b'":1,"' + LONG[:100].encode() + b'"}',
+    line_with(method="😀" * 5000),
+]
+
+
+@pytest.mark.parametrize("line", ECHOING)
+def test_a_sentence_is_short_and_repeats_little_of_the_input(line):
+    sentence = refused(line).failure.sentence
+    assert len(sentence) <= wire.MAX_SENTENCE_CHARACTERS
+    assert sentence.isascii()
+    assert sentence.count("ABCDEFGH") * 8 <= 200
+
+
+COSTLY = {
+    "deep lists": b"[" * MAX_LINE_BYTES,
+    "deep objects": b'{"a":' * 2000,
+    "many integers": b"[" + b"1," * 32000 + b"1]",
+    "long integers": b"[" + b",".join([b"9" * 4300] * 15) + b"]",
+    "many objects": b"[" + b"{}," * 21000 + b"{}]",
+    "many names": b"{" + b",".join(b'"%d":1' % n for n in range(6500)) + b"}",
+    "twice at the end": b"{" + b",".join(b'"%d":1' % n for n in range(2000)) + b',"1999":1}',
+    "a long method": line_with(method="a" * 65000),
+    "a long member": line_with(**{"methad" * 10000: 1}),
+    "wrong names": line_with(
+        method="demand.set", params={"controllers": {str(n): {} for n in range(500)}}
+    ),
+    "long names": line_with(params={"n" * 120 + str(n): 1 for n in range(500)}),
+    "escapes": b'"' + b"\\u0041" * 10900 + b'"',
+}
+
+
+@pytest.mark.parametrize("line", COSTLY.values(), ids=COSTLY.keys())
+def test_the_worst_lines_of_64_kib_cost_little(line):
+    assert len(line) <= MAX_LINE_BYTES
+    times_ms = []
+    for _ in range(5):
+        begin_ns = time.thread_time_ns()
+        refused(line)
+        times_ms.append((time.thread_time_ns() - begin_ns) / 1e6)
+    assert min(times_ms) < WORST_MS
+
+
+def test_an_answer_is_one_ascii_line_without_spaces():
+    line = wire.result_line("ä\n", {"sentence": "Straße\u2028\n", "value": None})
+    assert line.count(b"\n") == 1
+    assert line.endswith(b"}\n")
+    assert line.isascii()
+    assert json.loads(line) == {
+        "jsonrpc": "2.0",
+        "id": "ä\n",
+        "result": {"sentence": "Straße\u2028\n", "value": None},
+    }
+    assert b": " not in line
+
+
+def test_an_error_carries_its_code_word_and_sentence():
+    failure = Failure(Code.REFUSED, "not now", "not_allowed_now")
+    assert json.loads(wire.error_line(None, failure)) == {
+        "jsonrpc": "2.0",
+        "id": None,
+        "error": {
+            "code": -32002,
+            "message": "not now",
+            "data": {"word": "refused", "refusal": "not_allowed_now"},
+        },
+    }
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_no_answer_holds_what_json_has_not(value):
+    with pytest.raises(ValueError, match="JSON compliant"):
+        wire.result_line(1, {"value": value})
+
+
+def test_a_notification_has_no_id():
+    assert json.loads(wire.notification_line("state.update", {"lost": 0})) == {
+        "jsonrpc": "2.0",
+        "method": "state.update",
+        "params": {"lost": 0},
+    }
+
+
+# Lines of a stream.
+
+
+def test_lines_come_out_as_they_went_in_however_they_were_cut():
+    data = b"one\n\ntwo three\r\nfour"
+    for size in range(1, len(data) + 1):
+        lines, out = Lines(), []
+        for start in range(0, len(data), size):
+            lines.feed(data[start : start + size])
+            while lines.has_line:
+                out.append(lines.take())
+        assert out == [b"one", b"", b"two three\r"]
+        assert lines.is_partial
+        lines.end()
+        assert lines.take() == b"four"
+        assert not lines.is_partial
+        assert not lines.has_line
+
+
+def test_a_line_of_exactly_64_kib_passes_and_one_byte_more_does_not():
+    lines = Lines()
+    lines.feed(b"a" * MAX_LINE_BYTES)
+    assert not lines.is_too_long
+    lines.feed(b"\n")
+    assert len(lines.take()) == MAX_LINE_BYTES
+    lines.feed(b"a" * (MAX_LINE_BYTES + 1))
+    assert lines.is_too_long
+    lines.feed(b"\n")
+    assert lines.is_too_long
+    assert not lines.has_line
+
+
+def test_a_line_fed_byte_by_byte_is_searched_once():
+    lines = Lines()
+    begin_ns = time.thread_time_ns()
+    for _ in range(MAX_LINE_BYTES):
+        lines.feed(b"a")
+    assert (time.thread_time_ns() - begin_ns) / 1e6 < 500

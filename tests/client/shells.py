@@ -1,0 +1,66 @@
+"""The asyncio client behind the blocking one's face, so that one test tries both."""
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+from vcu_gateway.client import AsyncClient
+
+
+class Bridged:
+    """Each call runs in a loop of its own keeping."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._runner = asyncio.Runner()
+        self._client = AsyncClient(*args, **kwargs)
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._client, name)
+        return lambda *args, **kwargs: self._runner.run(method(*args, **kwargs))
+
+    @property
+    def timeout_s(self) -> float:
+        return self._client.timeout_s
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        self._client.timeout_s = timeout_s
+
+    def subscribe(self, *args: Any, **kwargs: Any) -> "BridgedSubscription":
+        return BridgedSubscription(self._runner, self._client.subscribe(*args, **kwargs))
+
+    def __enter__(self) -> "Bridged":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._runner.run(self._client.close())
+        self._runner.close()
+
+
+class BridgedSubscription:
+    """An async iterator as an ordinary one."""
+
+    def __init__(self, runner: asyncio.Runner, updates: Any) -> None:
+        self._runner = runner
+        self._updates = updates
+
+    def __iter__(self) -> Iterator[Any]:
+        return self
+
+    def __next__(self) -> Any:
+        async def following() -> Any:
+            return await anext(self._updates, None)
+
+        update = self._runner.run(following())
+        if update is None:
+            raise StopIteration
+        return update
+
+    def __enter__(self) -> "BridgedSubscription":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._updates.close()

@@ -1,0 +1,331 @@
+"""The demand of an asyncio owner: what differs from the thread's, and that the rest is shared."""
+
+import asyncio
+import threading
+import time
+
+import pytest
+
+from tests.client.standin import PATIENCE_S
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.client import (
+    ApiError,
+    ApiTimeoutError,
+    AsyncClient,
+    ClientError,
+    RefusedError,
+    UnreachableError,
+)
+
+TTL_MS = 60
+LONG_TTL_MS = 1000
+
+
+def throttles(standin):
+    return [demand.throttle_pct for demand in standin.demands()]
+
+
+async def until(condition):
+    async with asyncio.timeout(PATIENCE_S):
+        while not condition():
+            await asyncio.sleep(0.001)
+
+
+def other_tasks():
+    return asyncio.all_tasks() - {asyncio.current_task()}
+
+
+def assert_left_with_no_motion_and_released(standin):
+    assert standin.methods()[-2:] == ["demand.set", "demand.release"]
+    assert throttles(standin)[-1] == 0
+    standin.wait_for(lambda: not standin.open_connections)
+
+
+def test_what_was_set_reaches_the_command(gateway):
+    async def drive():
+        async with AsyncClient(gateway) as client:
+            async with client.demand("driver", ttl_ms=LONG_TTL_MS) as owner:
+                assert (await client.arm())["mode"] == "active"
+                owner.set(throttle_pct=20)
+                await until(lambda: owner.last_answer["mode"] == "active")
+                command = (await client.state([]))["commands"]["PCU1"]
+                assert command["throttle_pct"] == 20
+            assert (await client.state([]))["mode"] == "standby"
+
+    asyncio.run(drive())
+
+
+def test_set_sends_before_anything_else_gets_a_turn(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver") as owner:
+            owner.set(throttle_pct=20)
+            standin.wait_for(lambda: throttles(standin)[-1] == 20)
+
+    asyncio.run(drive())
+
+
+def test_when_the_hold_ends_no_motion_is_sent(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver", ttl_ms=TTL_MS, hold_s=0.1) as owner:
+            owner.set(throttle_pct=33)
+            await until(lambda: 33 in throttles(standin) and throttles(standin)[-2:] == [0, 0])
+
+    asyncio.run(drive())
+
+
+def test_without_a_hold_the_values_go_on(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver", ttl_ms=TTL_MS, hold_s=None) as owner:
+            owner.set(throttle_pct=33)
+            await until(lambda: throttles(standin).count(33) >= 5)
+
+    asyncio.run(drive())
+
+
+def test_a_loop_that_is_blocked_lets_the_demand_expire(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway) as client, client.demand("driver", ttl_ms=TTL_MS) as owner:
+            owner.set(throttle_pct=33)
+            standin.wait_for(lambda: throttles(standin)[-1] == 33)
+            seen, made_ns = len(standin.demands()), time.monotonic_ns()
+            while time.monotonic_ns() < made_ns + 2 * TTL_MS * 1_000_000:
+                pass
+            assert len(standin.demands()) == seen
+
+    asyncio.run(drive())
+
+
+def test_leaving_by_an_exception_asks_for_no_motion_and_lets_it_pass(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver", hold_s=None) as owner:
+            owner.set(throttle_pct=50)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        asyncio.run(drive())
+    assert_left_with_no_motion_and_released(standin)
+
+
+def test_a_cancelled_drive_asks_for_no_motion_and_leaves_no_task(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver", hold_s=None) as owner:
+            owner.set(throttle_pct=50)
+            await asyncio.Event().wait()
+
+    async def main():
+        driving = asyncio.create_task(drive())
+        await until(lambda: 50 in throttles(standin))
+        driving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await driving
+        assert not other_tasks()
+
+    asyncio.run(main())
+    assert_left_with_no_motion_and_released(standin)
+
+
+def test_a_drive_cancelled_again_while_leaving_still_asked_for_no_motion(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver", hold_s=None) as owner:
+            owner.set(throttle_pct=50)
+            standin.faults.silent.add("demand.set")
+            await asyncio.Event().wait()
+
+    async def main():
+        driving = asyncio.create_task(drive())
+        await until(lambda: 50 in throttles(standin))
+        driving.cancel()
+        await until(lambda: throttles(standin)[-1] == 0)
+        driving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await driving
+        await until(lambda: not other_tasks())
+
+    asyncio.run(main())
+    standin.wait_for(lambda: not standin.open_connections)
+
+
+def test_a_drive_cancelled_while_it_is_entered_leaves_nothing(gateway, standin):
+    standin.faults.silent.add("demand.set")
+
+    async def drive():
+        async with AsyncClient(gateway).demand("driver"):
+            pytest.fail("it was entered")
+
+    async def main():
+        driving = asyncio.create_task(drive())
+        await until(standin.demands)
+        driving.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await driving
+        assert not other_tasks()
+
+    asyncio.run(main())
+    standin.wait_for(lambda: not standin.open_connections)
+
+
+def test_leaving_leaves_no_task(gateway):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver"):
+            assert [task.get_name() for task in other_tasks()] == ["demand driver"]
+        assert not other_tasks()
+
+    asyncio.run(drive())
+
+
+def test_releasing_by_hand_ends_it_and_once_more_does_nothing(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver") as owner:
+            await owner.release()
+            assert_left_with_no_motion_and_released(standin)
+            assert not owner.connected
+            with pytest.raises(ClientError, match="released"):
+                owner.set(throttle_pct=1)
+            with pytest.raises(ClientError, match="again"):
+                await owner.__aenter__()
+
+    asyncio.run(drive())
+    assert standin.methods().count("demand.release") == 1
+
+
+def test_a_refusal_is_readable_and_raised_by_the_next_set(gateway):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver") as owner:
+            owner.set(throttle_pct=101)
+            await until(lambda: owner.refusal is not None)
+            with pytest.raises(RefusedError, match="must be 0 to 100"):
+                owner.set(throttle_pct=20)
+
+    asyncio.run(drive())
+
+
+def test_a_demand_that_is_refused_from_the_start_is_not_entered(gateway, standin):
+    failure = Failure(Code.REFUSED, "cruise owns the demand", "other_owner")
+    standin.faults.refuse["demand.set"] = failure
+
+    async def drive():
+        with pytest.raises(RefusedError, match="cruise owns"):
+            async with AsyncClient(gateway).demand("driver"):
+                pytest.fail("it was entered")
+        assert not other_tasks()
+
+    asyncio.run(drive())
+
+
+def test_entering_without_a_gateway_is_unreachable(tmp_path):
+    async def drive():
+        async with AsyncClient(tmp_path / "none.sock").demand("driver"):
+            pytest.fail("it was entered")
+
+    with pytest.raises(UnreachableError):
+        asyncio.run(drive())
+
+
+def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, standin):
+    standin.faults.silent.add("demand.set")
+
+    async def drive():
+        with pytest.raises(ApiTimeoutError):
+            async with AsyncClient(gateway, timeout_s=0.1).demand("driver"):
+                pytest.fail("it was entered")
+        assert not other_tasks()
+
+    asyncio.run(drive())
+
+
+def test_an_owner_reconnects_with_no_motion_and_rising_sequences(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver", ttl_ms=TTL_MS, hold_s=None) as owner:
+            owner.set(throttle_pct=50)
+            await until(lambda: 50 in throttles(standin))
+            old = standin.demands()[-1].connection
+            await asyncio.to_thread(standin.restart)
+            await until(lambda: len([d for d in standin.demands() if d.connection > old]) >= 3)
+            assert {d.throttle_pct for d in standin.demands() if d.connection > old} == {0}
+            owner.set(throttle_pct=30)
+            await until(lambda: throttles(standin)[-1] == 30)
+
+    asyncio.run(drive())
+    numbers = [demand.params["sequence"] for demand in standin.demands()]
+    assert numbers == sorted(set(numbers))
+
+
+# Calls and subscriptions.
+
+
+def test_a_cancelled_call_leaves_the_client_usable_and_no_task(gateway, standin):
+    async def main():
+        standin.faults.late["why"] = threading.Event()
+        async with AsyncClient(gateway) as client:
+            calling = asyncio.create_task(client.why())
+            await until(lambda: "why" in standin.methods())
+            calling.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await calling
+            standin.faults.late.pop("why").set()
+            assert "digest" in await client.config()
+            assert not other_tasks()
+
+    asyncio.run(main())
+
+
+def test_many_tasks_share_a_client_and_each_gets_its_own_answer(gateway, standin):
+    async def main():
+        async with AsyncClient(gateway) as client:
+            answers = await asyncio.gather(*(client.events(limit) for limit in range(1, 51)))
+        assert [answer["forgotten"] for answer in answers] == list(range(1, 51))
+
+    asyncio.run(main())
+    assert standin.accepted == 1
+
+
+def test_a_request_that_does_not_get_its_turn_in_time_is_a_timeout(gateway, standin):
+    standin.faults.silent.add("why")
+
+    async def main():
+        async with AsyncClient(gateway, timeout_s=0.1) as client:
+            results = await asyncio.gather(client.why(), client.health(), return_exceptions=True)
+        assert [type(result) for result in results] == [ApiTimeoutError, ApiTimeoutError]
+
+    asyncio.run(main())
+    assert "health" not in standin.methods()
+
+
+def test_a_cancelled_subscription_can_be_read_on_and_leaves_no_task(gateway):
+    async def main():
+        async with AsyncClient(gateway).subscribe(rate_hz=50) as updates:
+            await anext(updates)
+            reading = asyncio.create_task(anext(updates))
+            await asyncio.sleep(0)
+            reading.cancel()
+            await asyncio.wait({reading})
+            assert (await anext(updates))["state"]["mode"] == "standby"
+            assert not other_tasks()
+
+    asyncio.run(main())
+
+
+def test_closing_a_subscription_wakes_the_task_that_waits_for_it(gateway, standin):
+    async def main():
+        updates = AsyncClient(gateway).subscribe(rate_hz=0.1)
+        await anext(updates)
+        reading = asyncio.create_task(anext(updates, None))
+        await asyncio.sleep(0)
+        updates.close()
+        async with asyncio.timeout(PATIENCE_S):
+            assert await reading is None
+
+    asyncio.run(main())
+    standin.wait_for(lambda: not standin.open_connections)
+
+
+def test_a_full_gateway_says_so_to_an_owner_too(gateway, standin):
+    standin.faults.full = True
+
+    async def drive():
+        async with AsyncClient(gateway).demand("driver"):
+            pytest.fail("it was entered")
+
+    with pytest.raises(ApiError) as raised:
+        asyncio.run(drive())
+    assert raised.value.word == "too_many_clients"

@@ -1,0 +1,69 @@
+"""The client knows the contract: every method, its parameters, what it changes."""
+
+import inspect
+
+import pytest
+
+from vcu_gateway.api.methods import METHODS
+from vcu_gateway.api.rights import Right
+from vcu_gateway.client import AsyncClient, AsyncDemandOwner, Client, DemandOwner, calls
+from vcu_gateway.client.errors import DisconnectedError, GarbledError
+
+CALLS = [
+    calls.state(None),
+    calls.state(["BMS_Status"]),
+    calls.subscribe(None, 10.0),
+    calls.subscribe(("BMS_Status",), 50),
+    calls.why(),
+    calls.health(),
+    calls.events(200),
+    calls.config(),
+    calls.protocol(),
+    calls.arm(),
+    calls.disarm(),
+    calls.reset("driver"),
+    calls.reset("service"),
+    calls.estop(),
+    calls.reload(),
+]
+NOT_CALLS = {"demand.set", "demand.release", "state.unsubscribe"}
+CHANGING = {"arm", "disarm", "reset", "estop", "config.reload"}
+
+
+def test_every_method_of_the_contract_can_be_called():
+    assert {call.method for call in CALLS} | NOT_CALLS == set(METHODS)
+
+
+@pytest.mark.parametrize("call", CALLS, ids=lambda call: call.method)
+def test_the_parameters_are_those_of_the_contract(call):
+    METHODS[call.method].params.model_validate(call.params)
+
+
+@pytest.mark.parametrize("call", CALLS, ids=lambda call: call.method)
+def test_what_needs_a_right_or_stops_the_vehicle_counts_as_a_change(call):
+    assert call.changes == (call.method in CHANGING)
+    assert call.changes or METHODS[call.method].right is Right.READ
+
+
+def test_what_only_tells_may_go_again_after_any_break():
+    assert calls.why().may_go_again(DisconnectedError("broken"))
+    assert calls.why().may_go_again(GarbledError("rubbish"))
+
+
+def test_what_changes_may_go_again_only_where_it_cannot_have_arrived():
+    assert not calls.arm().may_go_again(DisconnectedError("broken"))
+    assert not calls.arm().may_go_again(GarbledError("rubbish"))
+    assert calls.arm().may_go_again(DisconnectedError("broken", carried_out=False))
+
+
+@pytest.mark.parametrize(("one", "other"), [(Client, AsyncClient), (DemandOwner, AsyncDemandOwner)])
+def test_both_clients_have_the_same_methods_with_the_same_parameters(one, other):
+    def signatures(kind):
+        functions = inspect.getmembers(kind, inspect.isfunction)
+        return {
+            name: str(inspect.signature(function).replace(return_annotation="any"))
+            for name, function in functions
+            if not name.startswith("_") or name == "__init__"
+        }
+
+    assert signatures(one) == signatures(other)

@@ -1,0 +1,328 @@
+"""Calls of both clients: results, errors, breaks, time."""
+
+import socket
+import threading
+
+import pytest
+
+from tests.client.standin import METRICS, PATIENCE_S, page
+from tests.client.vehicle import MESSAGES
+from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.client import (
+    ApiError,
+    ApiTimeoutError,
+    ConfigRefusedError,
+    DisconnectedError,
+    GarbledError,
+    NoRightError,
+    RefusedError,
+    UnreachableError,
+)
+
+SHORT_S = 0.05
+
+
+@pytest.fixture
+def client(kind, gateway):
+    with kind(gateway) as client:
+        yield client
+
+
+@pytest.fixture
+def hasty(kind, gateway):
+    with kind(gateway, timeout_s=SHORT_S) as client:
+        yield client
+
+
+# A healthy gateway.
+
+
+def test_the_state_has_every_message_or_those_that_were_asked_for(client):
+    assert set(client.state()["messages"]) >= set(MESSAGES)
+    assert set(client.state(["BMS_Status"])["messages"]) == {"BMS_Status"}
+    assert client.state([])["messages"] == {}
+
+
+def test_why_health_events_config_and_protocol_answer(client):
+    assert client.why()["mode"] == "standby"
+    assert client.health()["pid"] > 0
+    assert client.events(limit=3)["events"] == []
+    assert client.config()["digest"]
+    assert client.protocol()["digest"]
+
+
+def test_what_changes_is_granted_or_refused_with_a_reason(client):
+    assert client.disarm()["granted"]
+    assert client.reload()["changed"] == []
+    with pytest.raises(RefusedError) as raised:
+        client.arm()
+    assert raised.value.refusal == "not_allowed_now"
+    assert raised.value.sentence
+
+
+def test_an_emergency_stop_needs_a_reset_at_service_level(client):
+    client.estop()
+    with pytest.raises(RefusedError):
+        client.reset()
+    assert client.reset("service")["mode"] == "standby"
+
+
+def test_metrics_are_text(client):
+    assert client.metrics() == METRICS
+
+
+def test_a_subscription_brings_one_update_after_the_other(client):
+    with client.subscribe(["BMS_Status"], rate_hz=50) as updates:
+        first, second = next(updates), next(updates)
+    assert set(first["state"]["messages"]) == {"BMS_Status"}
+    assert second["state"]["monotonic_ns"] > first["state"]["monotonic_ns"]
+
+
+def test_all_calls_share_one_connection(client, standin):
+    client.why()
+    client.health()
+    client.disarm()
+    assert standin.accepted == 1
+
+
+def test_nothing_connects_before_the_first_call(kind, standin):
+    with kind(standin.path):
+        assert standin.accepted == 0
+
+
+def test_leaving_the_client_ends_its_connection(kind, standin):
+    with kind(standin.path) as client:
+        client.why()
+    standin.wait_for(lambda: not standin.open_connections)
+
+
+# Errors that the gateway answers with.
+
+
+@pytest.mark.parametrize(
+    ("code", "error"),
+    [
+        (Code.REFUSED, RefusedError),
+        (Code.NO_RIGHT, NoRightError),
+        (Code.CONFIG_REFUSED, ConfigRefusedError),
+        (Code.NOT_READY, ApiError),
+    ],
+)
+def test_an_error_is_raised_and_the_connection_goes_on(client, standin, code, error):
+    standin.faults.refuse["config.reload"] = Failure(code, "no", problems=("line 3",))
+    with pytest.raises(error) as raised:
+        client.reload()
+    assert raised.value.problems == ("line 3",)
+    client.why()
+    assert standin.accepted == 1
+
+
+def test_a_wrong_parameter_is_the_gateways_to_refuse(client):
+    with pytest.raises(ApiError) as raised:
+        client.state(["NO_SUCH_MESSAGE"])
+    assert raised.value.word == "invalid_params"
+    with pytest.raises(ApiError):
+        client.events(limit=0)
+
+
+def test_a_subscription_that_is_refused_says_so(client):
+    with pytest.raises(ApiError, match="NO_SUCH_MESSAGE"):
+        next(iter(client.subscribe(["NO_SUCH_MESSAGE"])))
+    with pytest.raises(ApiError):
+        next(iter(client.subscribe(rate_hz=0)))
+
+
+def test_a_full_gateway_is_told_from_a_broken_one(client, standin):
+    standin.faults.full = True
+    with pytest.raises(ApiError) as raised:
+        client.why()
+    assert raised.value.word == "too_many_clients"
+
+
+def test_metrics_that_the_gateway_does_not_have_are_an_error_with_its_sentence(client, standin):
+    standin.faults.metrics = page("install vcu-gateway[metrics]\n", "503 Service Unavailable")
+    with pytest.raises(ApiError, match=r"install vcu-gateway\[metrics\]") as raised:
+        client.metrics()
+    assert raised.value.code == 503
+
+
+# A connection that breaks.
+
+
+def test_a_call_that_only_tells_is_sent_once_more_after_a_break(client, standin):
+    standin.faults.hang_up["why"] = 1
+    assert client.why()["mode"] == "standby"
+    assert standin.methods() == ["why", "why"]
+
+
+def test_after_a_second_break_it_is_given_up(client, standin):
+    standin.faults.hang_up["why"] = 2
+    with pytest.raises(DisconnectedError, match="before it answered why"):
+        client.why()
+    assert standin.methods() == ["why", "why"]
+
+
+@pytest.mark.parametrize("method", ["arm", "disarm", "reset", "estop", "reload"])
+def test_a_call_that_changes_something_is_never_sent_twice(client, standin, method):
+    wire_name = "config.reload" if method == "reload" else method
+    standin.faults.hang_up[wire_name] = 1
+    with pytest.raises(DisconnectedError, match=f"unknown whether {wire_name} was") as raised:
+        getattr(client, method)()
+    assert raised.value.carried_out is None
+    client.why()
+    assert standin.methods() == [wire_name, "why"]
+
+
+def test_a_call_after_a_restart_of_the_gateway_reaches_the_new_one(client, standin):
+    client.why()
+    standin.restart()
+    assert client.why()["mode"] == "standby"
+
+
+def test_a_change_that_the_old_gateway_cannot_have_got_goes_to_the_new_one(client, standin):
+    client.why()
+    standin.restart()
+    client.estop()
+    assert standin.methods().count("estop") == 1
+
+
+def test_a_gateway_that_is_gone_is_unreachable_and_the_sentence_says_what_to_do(client, standin):
+    client.why()
+    standin.stop()
+    with pytest.raises(UnreachableError, match="systemctl start vcu-gateway"):
+        client.why()
+    with pytest.raises(UnreachableError):
+        client.metrics()
+    with pytest.raises(UnreachableError):
+        next(iter(client.subscribe()))
+    standin.start()
+    client.why()
+
+
+def test_a_subscription_ends_with_its_connection(client, standin):
+    updates = client.subscribe(rate_hz=50)
+    next(updates)
+    standin.hang_up()
+    for _ in updates:
+        pass
+    assert next(updates, None) is None
+
+
+def test_a_subscription_that_was_closed_brings_nothing_more(client, standin):
+    updates = client.subscribe(rate_hz=50)
+    next(updates)
+    updates.close()
+    assert next(updates, None) is None
+    standin.wait_for(lambda: len(standin.open_connections) == 0)
+
+
+# An answer that is slow, cut up, or none.
+
+
+def test_an_answer_in_single_bytes_is_an_answer(client, standin):
+    standin.faults.one_byte = True
+    assert client.why()["mode"] == "standby"
+
+
+def test_half_an_answer_is_no_answer(client, standin):
+    standin.faults.say["arm"] = b'{"jsonrpc":"2.0","id":1,"result":{"granted":true,'
+    standin.faults.hang_up["arm"] = 1
+    with pytest.raises(DisconnectedError, match="unknown whether arm was carried out"):
+        client.arm()
+
+
+@pytest.mark.parametrize("rubbish", [b"HTTP/1.1 400 Bad\r\n\r\n", b"\xff\n", b"{}\n", b"\n"])
+def test_rubbish_instead_of_an_answer_ends_the_connection(client, standin, rubbish):
+    standin.faults.say["arm"] = rubbish
+    with pytest.raises(GarbledError, match="unknown whether arm was carried out"):
+        client.arm()
+    client.why()
+    assert standin.accepted == 2
+
+
+def test_rubbish_instead_of_an_update_is_raised(client, standin):
+    updates = client.subscribe(rate_hz=50)
+    next(updates)
+    standin.faults.say["state.update"] = b"{}\n"
+    with pytest.raises(GarbledError):
+        list(updates)
+    assert next(updates, None) is None
+
+
+def test_rubbish_instead_of_metrics_is_raised(client, standin):
+    for rubbish in (b"7\n", b"HTTP/1.1 200 OK\r\nContent-Length: 900\r\n\r\nhalf"):
+        standin.faults.metrics = rubbish
+        with pytest.raises(GarbledError):
+            client.metrics()
+
+
+def test_what_concerns_another_request_is_not_taken_for_an_answer(client, standin):
+    other = b'{"jsonrpc":"2.0","id":999,"result":{"mode":"active"}}\n'
+    told = b'{"jsonrpc":"2.0","method":"state.update","params":{}}\n'
+    mine = b'{"jsonrpc":"2.0","id":1,"result":{"mode":"standby"}}\n'
+    standin.faults.say["why"] = other + told + mine
+    assert client.why()["mode"] == "standby"
+
+
+def test_a_slow_answer_within_the_time_limit_is_waited_for(client, standin):
+    standin.faults.late["why"] = threading.Event()
+    release = threading.Thread(target=_release_after, args=(standin, "why"))
+    release.start()
+    assert client.why()["mode"] == "standby"
+    release.join()
+
+
+def _release_after(standin, method):
+    standin.wait_for(lambda: method in standin.methods())
+    standin.faults.late[method].set()
+
+
+def test_no_answer_in_time_is_a_timeout_and_the_next_call_is_undisturbed(hasty, standin):
+    standin.faults.silent.add("why")
+    with pytest.raises(ApiTimeoutError, match=r"no answer to why within 0\.05 s"):
+        hasty.why()
+    assert standin.methods() == ["why"]
+    hasty.timeout_s = PATIENCE_S
+    assert hasty.disarm()["granted"]
+
+
+def test_a_change_without_an_answer_in_time_is_said_to_be_unknown(hasty, standin):
+    standin.faults.silent.add("arm")
+    with pytest.raises(ApiTimeoutError, match="unknown whether arm was carried out"):
+        hasty.arm()
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one(hasty, standin):
+    standin.faults.late["why"] = threading.Event()
+    with pytest.raises(ApiTimeoutError):
+        hasty.why()
+    standin.faults.late.pop("why").set()
+    hasty.timeout_s = PATIENCE_S
+    assert "digest" in hasty.config()
+
+
+def test_metrics_that_do_not_come_are_a_timeout(kind, tmp_path):
+    with socket.socket(socket.AF_UNIX) as mute:
+        mute.bind(str(tmp_path / "mute.sock"))
+        mute.listen()
+        with (
+            kind(tmp_path / "mute.sock", timeout_s=SHORT_S) as client,
+            pytest.raises(ApiTimeoutError),
+        ):
+            client.metrics()
+
+
+def test_a_subscription_that_falls_silent_is_a_timeout(kind, standin):
+    standin.faults.say["state.update"] = b'{"jsonrpc":"2.0","method":"other","params":{}}\n'
+    with (
+        kind(standin.path, timeout_s=0.5) as client,
+        client.subscribe(rate_hz=50) as updates,
+        pytest.raises(ApiTimeoutError, match=r"no update within 0\.52 s"),
+    ):
+        next(updates)
+
+
+def test_a_subscription_that_is_not_answered_is_a_timeout(hasty, standin):
+    standin.faults.late["state.subscribe"] = threading.Event()
+    with pytest.raises(ApiTimeoutError, match=r"state\.subscribe"):
+        next(hasty.subscribe())

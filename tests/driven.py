@@ -1,0 +1,122 @@
+"""A gateway with its API and a healthy vehicle, on the virtual bus of this process."""
+
+import contextlib
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+
+from vcu_gateway import config as configuration
+from vcu_gateway import simulator, wiring
+from vcu_gateway.client import Client
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.why import Why
+from vcu_gateway.serving import Serving
+from vcu_gateway.simulator.play import open_bus, play
+
+PATIENCE_S = 10.0
+
+
+class Driven:
+    """The parts, running on threads of their own.
+
+    Attributes:
+        file: its configuration file, to be changed and reloaded.
+    """
+
+    def __init__(self, folder: Path, config: str = "") -> None:
+        self.socket_path = folder / "control.sock"
+        self.file = folder / "gateway.yaml"
+        channel = f"driven-{uuid.uuid4()}"
+        self._head = (
+            f"bus: {{interface: virtual, channel: {channel}}}\n"
+            f"api: {{socket_path: {self.socket_path}}}\n"
+        )
+        self.configure(config)
+        loaded = configuration.load(self.file)
+        protocol = wiring.load_protocol(loaded)
+        self.daemon = wiring.build(loaded, protocol)
+        self.serving = Serving(loaded, protocol, self.daemon, lambda: 0)
+        self.daemon.observe_with(self.serving.observe)
+        self.nodes = simulator.build(Codec(protocol), time.monotonic_ns())
+        self.ear = can.Bus(interface="virtual", channel=channel)
+        self._vehicle_bus = open_bus("virtual", channel, self.nodes.command_ids)
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(
+                target=play, args=(self._vehicle_bus, self.nodes), kwargs={"stop": self._stop}
+            ),
+            threading.Thread(target=self.daemon.run),
+        ]
+
+    def configure(self, config: str) -> None:
+        """Write the configuration file."""
+        self.file.write_text(self._head + config)
+
+    def start(self) -> None:
+        self.serving.open()
+        for thread in self._threads:
+            thread.start()
+
+    def end(self) -> None:
+        self.daemon.stop("the test is over")
+        self._threads[1].join()
+        self.serving.close()
+        self._stop.set()
+        self._threads[0].join()
+        self._vehicle_bus.shutdown()
+        self.ear.shutdown()
+
+    def client(self) -> Client:
+        return Client(self.socket_path)
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        wait_until(condition, f"{what}; {self.daemon.gateway.why(time.monotonic_ns()).sentence()}")
+
+    def until_mode(self, mode: str) -> None:
+        self.until(lambda: self.mode == mode, f"mode {mode}")
+
+    def until_ready(self) -> None:
+        """In standby, with nothing left that blocks."""
+        self.until_mode("standby")
+        self.until(lambda: self.latest_why.blocks == (), "the causes of the start to go")
+
+    @property
+    def latest_why(self) -> Why:
+        latest = self.daemon.latest
+        assert latest is not None
+        return latest.why
+
+    @property
+    def mode(self) -> str:
+        return self.daemon.gateway.supervisor.mode.value
+
+    def throttles(self) -> set[int]:
+        """Throttle codes of every command heard since the last call."""
+        heard = set()
+        while frame := self.ear.recv(0):
+            if frame.arbitration_id in self.nodes.command_ids:
+                heard.add(frame.data[1])
+        return heard
+
+
+@contextlib.contextmanager
+def driven(folder: Path, config: str = "") -> Iterator[Driven]:
+    """A running gateway, ended with the block."""
+    one = Driven(folder, config)
+    one.start()
+    try:
+        yield one
+    finally:
+        one.end()
+
+
+def wait_until(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
+    """Poll until true; the test fails, saying what was waited for, after patience_s."""
+    deadline = time.monotonic() + patience_s
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {patience_s} s in vain for {what}"
+        time.sleep(0.01)

@@ -1,0 +1,1 @@
+"""Metrics, dashboard, alerts: what a person sees of a gateway from afar."""

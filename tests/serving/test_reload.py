@@ -1,0 +1,139 @@
+"""A new configuration while the gateway runs: all of it or nothing, and no looser while active."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.driven import wait_until
+from tests.shell.test_config import LEAVES, one_key
+from vcu_gateway import config as configuration
+from vcu_gateway import wiring
+from vcu_gateway.client import ConfigRefusedError
+from vcu_gateway.config import parse
+from vcu_gateway.core.settings import RESTART_ONLY, changed
+from vcu_gateway.reload import changed as changed_keys
+from vcu_gateway.reload import is_live
+
+
+def problems(client) -> tuple[str, ...]:
+    with pytest.raises(ConfigRefusedError) as caught:
+        client.reload()
+    return caught.value.problems
+
+
+def test_a_changed_limit_is_in_effect_after_a_reload(fresh):
+    with fresh.client() as client:
+        before = client.config()["digest"]
+        fresh.configure("limits: {speed_limit_max_rpm: 3000}\n")
+        reloaded = client.reload()
+        assert reloaded["changed"] == ["limits.speed_limit_max_rpm"]
+        assert reloaded["digest"] == client.health()["config_digest"] != before
+        fresh.until(
+            lambda: client.state(())["commands"]["PCU1"]["speed_limit_rpm"] == 3000, "the limit"
+        )
+        names = [event["name"] for event in client.events()["events"]]
+        assert "config_reloaded" in names
+
+
+def test_an_invalid_file_changes_nothing_and_says_why_with_its_line(fresh):
+    with fresh.client() as client:
+        before = client.config()
+        fresh.configure("limits:\n  speed_limit_max_rpm: 3000\n  power_limit_max_w: -1\n")
+        (problem,) = problems(client)
+        assert problem.startswith(f"{fresh.file}:5: limits.power_limit_max_w: must be at least 0 W")
+        assert client.config() == before
+        fresh.file.unlink()
+        assert "gateway.yaml" in problems(client)[0]
+        assert client.config() == before
+
+
+def test_keys_that_need_a_restart_are_named_and_nothing_is_taken(fresh):
+    with fresh.client() as client:
+        before = client.config()
+        fresh.configure(
+            "limits: {speed_limit_max_rpm: 3000}\nlog: {level: debug}\n"
+            "freshness: {stale_after_ms: {IMU_Attitude: 500}}\n"
+        )
+        assert problems(client) == (
+            "freshness.stale_after_ms needs a restart",
+            "log.level needs a restart",
+        )
+        assert client.config() == before
+
+
+def test_while_active_only_stricter_limits_are_taken(fresh):
+    with fresh.client() as client, client.demand("driver", hold_s=None):
+        client.arm()
+        fresh.configure("limits: {throttle_slew_pct_per_s: 200}\n")
+        assert problems(client) == (
+            "while active, limits may only become stricter: throttle_slew_pct_per_s",
+        )
+        fresh.configure("limits: {throttle_slew_pct_per_s: 50}\n")
+        assert client.reload()["changed"] == ["limits.throttle_slew_pct_per_s"]
+        assert fresh.mode == "active"
+
+
+def test_every_key_is_taken_by_a_running_gateway_or_named_as_needing_a_restart():
+    """What is live changes the settings, and nothing of it is read at the start only."""
+    before = configuration.Config()
+    for name in LEAVES:
+        if not is_live(name):
+            continue
+        after = parse(one_key(name, OTHER[name]), "gateway.yaml")
+        assert changed_keys(before, after) == (name,)
+        settings = changed(wiring.settings(before), wiring.settings(after))
+        assert settings, name
+        assert not set(settings) & set(RESTART_ONLY), name
+
+
+OTHER = {
+    "limits.speed_limit_max_rpm": 1,
+    "limits.power_limit_max_w": 1,
+    "limits.derated_power_w": 1,
+    "limits.regen_limit_pct": 1,
+    "limits.throttle_slew_pct_per_s": 11,
+    "limits.power_slew_w_per_s": 7000,
+    "limits.regen_slew_pct_per_s": 11,
+    "limits.direction_change_rpm": 1,
+    "safety.required_messages": [*configuration.Config().safety.required_messages, "IMU_Attitude"],
+    "safety.qualify_frames": 4,
+    "safety.clear_hold_ms": 2000,
+    "demand.ttl_max_ms": 500,
+    "demand.ttl_default_ms": 100,
+    "demand.priorities": {"remote_stop": 10},
+}
+
+
+def test_every_setting_that_a_running_gateway_takes_comes_from_a_live_key():
+    live = {name for key in OTHER for name in settings_of(key)}
+    fields = {field.name for field in dataclasses.fields(wiring.settings(configuration.Config()))}
+    assert live == fields - set(RESTART_ONLY)
+
+
+def settings_of(key: str) -> tuple[str, ...]:
+    after = parse(one_key(key, OTHER[key]), "gateway.yaml")
+    return changed(wiring.settings(configuration.Config()), wiring.settings(after))
+
+
+def test_a_hangup_signal_reloads_and_an_invalid_file_does_not_end_the_process(tmp_path):
+    file, log = tmp_path / "gateway.yaml", tmp_path / "log"
+    head = f"bus: {{interface: virtual, channel: x}}\napi: {{socket_path: {tmp_path / 'c.sock'}}}\n"
+    file.write_text(head)
+    command = [sys.executable, "-m", "vcu_gateway", "run", "-c", str(file)]
+    with log.open("wb") as stderr, subprocess.Popen(command, stderr=stderr) as gateway:
+        try:
+            wait_until(lambda: "link_open" in log.read_text(), "the start")
+            file.write_text(head + "limits: {power_limit_max_w: 1}\n")
+            gateway.send_signal(signal.SIGHUP)
+            wait_until(lambda: "config_reloaded" in log.read_text(), "the reload")
+            file.write_text("nonsense")
+            gateway.send_signal(signal.SIGHUP)
+            wait_until(lambda: "config_refused" in log.read_text(), "the refusal")
+        finally:
+            gateway.send_signal(signal.SIGTERM)
+        assert gateway.wait(10) == 0
+    assert not os.path.exists(tmp_path / "c.sock")

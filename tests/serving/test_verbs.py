@@ -1,0 +1,144 @@
+"""The verbs that talk to a running gateway: what they print, and their exit codes."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.driven import Driven, wait_until
+from vcu_gateway.api import openrpc, shapes
+
+
+def vcu(socket_path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "VCU_GATEWAY_SOCKET": str(socket_path)}
+    command = [sys.executable, "-m", "vcu_gateway", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
+
+
+@pytest.fixture
+def ask(running: Driven):
+    return lambda line: vcu(running.socket_path, *shlex.split(line))
+
+
+def test_status_is_a_few_lines_for_a_person(ask):
+    done = ask("status")
+    assert done.returncode == 0, done.stderr
+    first_words = [line.split()[0] for line in done.stdout.splitlines()]
+    assert first_words == (
+        ["mode", "why", "demand", "PCU1", "PCU2", "bus", "frames", "ticks", "program"]
+    )
+    assert "standby" in done.stdout
+
+
+def test_status_is_one_json_object_for_a_program(ask):
+    found = json.loads(ask("status --json").stdout)
+    openrpc.result_adapter(shapes.Why).validate_python(found["why"])
+    openrpc.result_adapter(shapes.Health).validate_python(found["health"])
+
+
+def test_a_check_of_the_status_has_an_exit_code(ask, fresh):
+    assert ask("status --check").returncode == 0
+    with fresh.client() as client:
+        client.estop()
+        fresh.until_mode("fault")
+    assert vcu(fresh.socket_path, "status", "--check").returncode == 1
+
+
+def test_why_is_one_line(ask):
+    done = ask("why")
+    assert done.stdout.startswith("standby; ")
+    assert len(done.stdout.splitlines()) == 1
+
+
+def test_events_are_a_line_each(ask):
+    done = ask("events -n 3")
+    assert len(done.stdout.splitlines()) == 3
+    assert len(json.loads(ask("events -n 3 --json").stdout)["events"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "words"),
+    [
+        ("arm", 75, "error: there is no fresh demand"),
+        ("reset", 75, "error: nothing is latched"),
+        ("reset --level service --json", 75, "error: nothing is latched"),
+        ("demand --throttle 500", 75, "error: PCU1 throttle_pct must be 0 to 100, not 500"),
+        ("demand --source 'a b'", 75, "error: "),
+        ("reset --level chief", 2, "'chief' is not one of 'driver', 'service'"),
+        ("events -n 0", 2, "0 is not in the range"),
+    ],
+)
+def test_a_refusal_is_a_line_and_an_exit_code(ask, line, code, words):
+    done = ask(line)
+    assert done.returncode == code, done
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_without_a_gateway_every_verb_says_so(tmp_path):
+    for verb in ("status", "why", "demand", "arm", "disarm", "reset", "estop", "events", "reload"):
+        done = vcu(tmp_path / "control.sock", verb)
+        assert done.returncode == 69, verb
+        assert done.stderr.startswith("error: "), verb
+        assert len(done.stderr.splitlines()) == 1, done.stderr
+
+
+def test_disarm_and_reload_say_what_came_of_it(ask):
+    assert ask("disarm").stdout == "standby\n"
+    assert ask("reload").stdout.startswith("changed: nothing (")
+
+
+def test_a_refused_reload_is_a_line_for_each_reason_and_exit_78(fresh):
+    fresh.configure("limits: {power_limit_max_w: -1, speed_limit_max_rpm: -1}\n")
+    done = vcu(fresh.socket_path, "reload")
+    assert done.returncode == 78
+    assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["error", "error"]
+
+
+def test_estop_cuts_and_says_how_it_ends(fresh):
+    done = vcu(fresh.socket_path, "estop")
+    assert done.stdout == "power cut; when it is safe again: vcu-gateway reset --level service\n"
+    fresh.until_mode("fault")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_demand_drives_while_it_runs_and_stops_with_it(running: Driven, number):
+    command = [sys.executable, "-m", "vcu_gateway", "demand", "--throttle", "20", "--arm"]
+    environment = {**os.environ, "VCU_GATEWAY_SOCKET": str(running.socket_path)}
+    running.until_ready()
+    running.throttles()
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as holder:
+        wait_until(lambda: max(running.throttles(), default=0) > 40, "throttle on the bus")
+        holder.send_signal(number)
+        running.until_mode("standby")
+        output = holder.communicate(timeout=10)[0]
+    assert holder.returncode == (-9 if number == signal.SIGKILL else 0)
+    assert "active; demand of " in output
+    running.throttles()
+    running.until(lambda: running.throttles() == {0}, "zero torque")
+
+
+def test_the_completion_of_each_shell_is_printed_and_completes_verbs():
+    for shell in ("bash", "zsh", "fish"):
+        done = vcu("", "completion", shell)
+        assert done.returncode == 0
+        assert "_VCU_GATEWAY_COMPLETE" in done.stdout
+    words = {"COMP_WORDS": "vcu-gateway est", "COMP_CWORD": "1"}
+    environment = {**os.environ, **words, "_VCU_GATEWAY_COMPLETE": "bash_complete"}
+    command = [sys.executable, "-c", "from vcu_gateway.cli import main; main()"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=30)
+    assert "estop" in done.stdout
+
+
+def test_a_verb_answers_in_a_moment(ask):
+    """It imports the client only: no bus, no configuration, no protocol."""
+    code = (
+        "import sys; from vcu_gateway.cli import status, demand; "
+        "print([name for name in ('can', 'cantools', 'pydantic', 'yaml') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert done.stdout == "[]\n"

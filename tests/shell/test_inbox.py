@@ -1,0 +1,57 @@
+"""Work for the ticking thread: in order, bounded before a tick, and in time for it."""
+
+import threading
+import time
+
+from vcu_gateway.inbox import Inbox
+
+
+def test_work_is_done_in_the_order_of_posting():
+    inbox, done = Inbox(), []
+    for number in range(5):
+        inbox.post(lambda number=number: done.append(number))
+    inbox.do_waiting()
+    assert done == [0, 1, 2, 3, 4]
+
+
+def test_before_a_tick_only_so_much_is_done():
+    inbox, done = Inbox(), []
+    for number in range(40):
+        inbox.post(lambda number=number: done.append(number))
+    inbox.do_waiting()
+    assert len(done) == 32
+    inbox.do_waiting()
+    assert len(done) == 40
+
+
+def test_work_that_work_posts_waits_for_the_next_time():
+    inbox, done = Inbox(), []
+    inbox.post(lambda: inbox.post(lambda: done.append(1)))
+    inbox.do_waiting()
+    assert done == []
+
+
+def test_it_is_full_where_256_wait():
+    inbox = Inbox()
+    for _ in range(255):
+        inbox.post(lambda: None)
+    assert not inbox.full
+    inbox.post(lambda: None)
+    assert inbox.full
+
+
+def test_work_that_comes_in_meanwhile_is_done_at_once():
+    inbox, done = Inbox(), threading.Event()
+    threading.Timer(0.02, inbox.post, [done.set]).start()
+    end_ns = time.monotonic_ns() + 5_000_000_000
+    inbox.post(lambda: None)
+    watcher = threading.Thread(target=inbox.do_until, args=(end_ns,), daemon=True)
+    watcher.start()
+    assert done.wait(2)
+
+
+def test_without_time_left_nothing_is_waited_for():
+    inbox, done = Inbox(), []
+    inbox.post(lambda: done.append(1))
+    inbox.do_until(time.monotonic_ns() - 1)
+    assert done == []

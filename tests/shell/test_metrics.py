@@ -1,0 +1,602 @@
+"""The metrics: what Prometheus reads of the gateway at the moment of the scrape."""
+
+import gc
+import itertools
+import statistics
+import subprocess
+import sys
+import threading
+import time
+import uuid
+
+import pytest
+
+from tests.core.safety_world import COMMAND_IDS, MS, Drive, active, data, in_mode, standby
+from tests.monitoring.program import STARTED_S, Program, Scrape, driven
+from vcu_gateway import metrics, simulator
+from vcu_gateway.api.failures import Code
+from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.core.causes import Effect
+from vcu_gateway.core.codec import Reason
+from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.link import LinkState
+from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.state import Quality
+from vcu_gateway.core.supervisor import FaultClass, Mode
+from vcu_gateway.daemon import Daemon
+from vcu_gateway.errors import UnavailableError
+from vcu_gateway.simulator.play import open_bus, play
+
+LATENESS = "tick_lateness_seconds"
+BENCH = ControllerDemand(throttle_pct=30, power_mode=PowerMode.NORMAL)
+
+
+def exposed_names(scrape: Scrape) -> set[str]:
+    """The names of the samples, a histogram's as the family's."""
+    names = {name for name, _ in scrape.samples}
+    histogram = f"vcu_gateway_{LATENESS}"
+    return {histogram if name.startswith(histogram) else name for name in names}
+
+
+# The text.
+
+
+def test_every_family_is_described_and_has_a_sample_in_a_driven_gateway():
+    scrape = driven().scrape()
+    for family in metrics.FAMILIES:
+        assert f"# HELP {family.name} {family.help}" in scrape.text
+        assert f"# TYPE {family.name} {family.kind}" in scrape.text
+    assert {family.name for family in metrics.FAMILIES} <= exposed_names(scrape)
+
+
+def test_every_sample_belongs_to_a_family_and_has_exactly_its_labels():
+    families = {family.name: family for family in metrics.FAMILIES}
+    for name, labels in driven().scrape().samples:
+        if name.startswith("process_"):
+            continue
+        family = families[name.removesuffix("_bucket").removesuffix("_count")]
+        given = {label for label, _ in labels}
+        assert given == set(() if name.endswith("_count") else family.labels), name
+
+
+def test_names_follow_the_conventions():
+    names = [family.name for family in metrics.FAMILIES]
+    assert len(names) == len(set(names))
+    for family in metrics.FAMILIES:
+        assert family.name.startswith("vcu_gateway_")
+        assert family.name.endswith("_total") == (family.kind == "counter"), family.name
+        assert family.help.endswith("."), family.name
+        assert not family.name.endswith(("_ms", "_ns", "_pct", "_percent")), family.name
+
+
+def test_the_process_is_there_with_cpu_memory_and_files():
+    families = Program().scrape().families
+    assert families["process_resident_memory_bytes"].samples[0].value > 1_000_000
+    assert families["process_cpu_seconds"].samples[0].value > 0
+    assert families["process_open_fds"].samples[0].value > 2
+
+
+# The vehicle.
+
+
+@pytest.mark.parametrize("mode", Mode, ids=lambda mode: mode.name)
+def test_exactly_the_mode_of_the_last_tick_is_1(mode):
+    program = Program(in_mode(mode))
+    program.tick()
+    assert program.scrape().by("mode", "mode") == {m.value: float(m is mode) for m in Mode}
+
+
+def test_nothing_is_said_of_mode_causes_and_demand_before_the_first_tick():
+    scrape = Program().scrape()
+    for name in ("mode", "fault_latched", "effect", "cause_seconds", "demand_fresh"):
+        assert scrape.of(f"vcu_gateway_{name}") == {}
+        assert f"# HELP vcu_gateway_{name} " in scrape.text
+
+
+@pytest.mark.parametrize(("code", "fault_class"), [(2, FaultClass.DRIVER), (3, FaultClass.SERVICE)])
+def test_a_latched_fault_is_told_with_the_level_of_its_reset(code, fault_class):
+    program = Program(active()).run(100)
+    assert set(program.scrape().by("fault_latched", "fault_class").values()) == {0.0}
+    program.drive.codes["BMS_Status.CellUndervoltage"] = code
+    program.run(600)
+    expected = {one.value: float(one is fault_class) for one in FaultClass}
+    assert program.scrape().by("fault_latched", "fault_class") == expected
+
+
+def test_every_effect_that_counts_is_1_and_every_cause_tells_how_long_it_has_counted():
+    program = Program(active())
+    program.drive.codes["BMS_Status.DischargeOvercurrent"] = 1
+    program.run(1000)
+    scrape, why = program.scrape(), program.drive.gateway.why(program.drive.now_ns)
+    limits = {Effect.POWER_LIMIT, Effect.REGEN_LIMIT}
+    assert scrape.by("effect", "effect") == {e.value: float(e in limits) for e in Effect}
+    assert len(why.limits) == 2
+    for held in why.limits:
+        since_s = scrape.value(
+            "cause_seconds",
+            cause="code",
+            subject="BMS_Status.DischargeOvercurrent",
+            effect=held.finding.effect.value,
+        )
+        assert since_s == pytest.approx((program.drive.now_ns - held.since_ns) / 1e9)
+    program.drive.codes.clear()
+    program.run(2000)
+    assert program.scrape().of("vcu_gateway_cause_seconds") == {}
+    assert set(program.scrape().by("effect", "effect").values()) == {0.0}
+
+
+@pytest.mark.parametrize("mode", [Mode.STARTING, Mode.ACTIVE, Mode.FAULT], ids=str)
+def test_the_effects_are_those_that_the_core_counts(mode):
+    program = Program(in_mode(mode))
+    program.drive.codes |= {
+        "BMS_Status.CellOvervoltage": 2,
+        "BMS_Status.TemperatureImbalance": 1,
+        "BMS_Status.CellUndervoltage": 2,
+        "PCU1_Status1.TemperatureProtectLevel": 1,
+    }
+    program.run(1500)
+    standing = {name for name, on in program.scrape().by("effect", "effect").items() if on}
+    assert standing == {effect.value for effect in program.drive.gateway.causes.effects()}
+    assert len(standing) >= 4
+
+
+def test_without_a_demand_there_is_no_age_and_nothing_is_asked():
+    program = Program()
+    program.drive.asked = None
+    program.run(100)
+    scrape = program.scrape()
+    assert scrape.value("demand_fresh") == 0
+    assert scrape.value("demand_age_seconds") is None
+    assert scrape.of("vcu_gateway_demand_throttle_ratio") == {}
+    assert scrape.of("vcu_gateway_demand_brake_ratio") == {}
+
+
+def test_a_demand_has_an_age_that_goes_on_between_the_ticks():
+    program = Program(standby()).run(50)
+    program.drive.now_ns += 30 * MS
+    scrape = program.scrape()
+    assert scrape.value("demand_fresh") == 1
+    assert scrape.value("demand_age_seconds") == pytest.approx(0.03)
+
+
+def test_an_expired_demand_keeps_its_age_and_asks_nothing():
+    program = Program(standby()).run(50)
+    program.drive.asked = None
+    program.run(300)
+    scrape = program.scrape()
+    assert scrape.value("demand_fresh") == 0
+    assert scrape.value("demand_age_seconds") == pytest.approx(0.3)
+    assert scrape.of("vcu_gateway_demand_throttle_ratio") == {}
+
+
+def test_a_bench_demand_is_fresh_and_has_no_age():
+    program = Program(Drive(bench_demand=BENCH))
+    program.drive.asked = None
+    program.tick()
+    scrape = program.scrape()
+    assert scrape.value("demand_fresh") == 1
+    assert scrape.value("demand_age_seconds") is None
+    assert scrape.value("demand_throttle_ratio", controller="PCU1") == 0.3
+
+
+def test_while_the_gateway_listens_no_command_is_shown():
+    program = Program(Drive()).run(500)
+    scrape = program.scrape()
+    assert [name for name in exposed_names(scrape) if "command" in name] == []
+    assert scrape.value("ticks_silent_total") == 10
+
+
+def test_the_commands_are_those_of_the_last_tick():
+    program = Program(active())
+    program.drive.asked = ControllerDemand(
+        throttle_pct=60, power_mode=PowerMode.TURBO, speed_limit_rpm=3000, power_limit_w=7000
+    )
+    program.run(200)
+    scrape, told = program.scrape(), program.daemon.latest.result.commands
+    for name in CONTROLLERS:
+        assert 0 < told[name].throttle_pct < 60
+        ratio = scrape.value("command_throttle_ratio", controller=name)
+        assert ratio == told[name].throttle_pct / 100
+        assert scrape.value("demand_throttle_ratio", controller=name) == 0.6
+        assert scrape.value("command_speed_limit_rpm", controller=name) == 3000
+        assert scrape.value("command_power_limit_watts", controller=name) == 7000
+        assert scrape.value("command_power_cut", controller=name) == 0
+        modes = {
+            mode: scrape.value("command_power_mode", controller=name, power_mode=mode)
+            for mode in ("eco", "normal", "turbo", "safety")
+        }
+        assert modes == {"eco": 0, "normal": 0, "turbo": 1, "safety": 0}
+
+
+def test_brake_regeneration_and_reverse_are_told_apart():
+    program = Program(standby())
+    program.drive.asked = ControllerDemand(motor_reverse=True)
+    program.run(200)
+    assert program.scrape().by("command_motor_reverse", "controller") == {"PCU1": 1, "PCU2": 1}
+    assert program.scrape().by("command_regen_brake", "controller") == {"PCU1": 0, "PCU2": 0}
+    assert program.drive.arm().granted
+    program.drive.asked = ControllerDemand(motor_reverse=True, brake_pct=10, regen_brake=True)
+    program.run(100)
+    scrape = program.scrape()
+    assert scrape.by("command_motor_reverse", "controller") == {"PCU1": 1, "PCU2": 1}
+    assert scrape.by("command_regen_brake", "controller") == {"PCU1": 1, "PCU2": 1}
+    assert scrape.by("command_brake_ratio", "controller") == {"PCU1": 0.1, "PCU2": 0.1}
+    assert scrape.by("demand_brake_ratio", "controller") == {"PCU1": 0.1, "PCU2": 0.1}
+
+
+def test_a_cut_is_shown_in_the_commands():
+    program = Program(active())
+    program.drive.gateway.requests.emergency_stop()
+    program.run(100)
+    assert program.scrape().by("command_power_cut", "controller") == {"PCU1": 1, "PCU2": 1}
+
+
+def test_the_limits_are_those_in_effect_also_after_a_reload():
+    program = Program(Drive(speed_limit_max_rpm=9000, regen_limit_pct=20.0))
+    before = program.scrape()
+    assert before.value("limit_speed_rpm") == 9000
+    assert before.value("limit_regen_ratio") == 0.2
+    stricter = Settings(speed_limit_max_rpm=8000, power_limit_max_w=20000, derated_power_w=5000)
+    assert program.drive.gateway.requests.reload(stricter).granted
+    after = program.scrape()
+    assert after.value("limit_speed_rpm") == 8000
+    assert after.value("limit_power_watts") == 20000
+    assert after.value("limit_derated_power_watts") == 5000
+
+
+def test_only_good_signals_are_shown():
+    program = Program(standby())
+    program.drive.silent = {"IMU_Attitude"}
+    program.drive.codes["BMS_Temperatures.PackTemperature5"] = 255
+    program.run(1000)
+    snapshot = program.drive.gateway.intake.store.snapshot(program.drive.now_ns)
+    readings = {
+        (spec.name, reading.name, reading.unit): reading
+        for spec in snapshot.messages
+        for reading in snapshot.readings(spec.name)
+    }
+    shown = {
+        (one["message"], one["signal"], one["unit"]): value
+        for labels, value in program.scrape().of("vcu_gateway_signal").items()
+        for one in [dict(labels)]
+    }
+    good = {key: r.value for key, r in readings.items() if r.quality is Quality.GOOD}
+    assert shown == good
+    assert shown["BMS_Status", "SOC", "%"] == 80
+    assert ("BMS_Temperatures", "PackTemperature5", "degC") not in shown
+    assert ("IMU_Attitude", "AttitudeX", "deg") not in shown
+
+
+# The bus.
+
+
+def test_a_message_that_never_came_has_no_age_and_is_stale():
+    scrape = Program().scrape()
+    assert scrape.of("vcu_gateway_message_age_seconds") == {}
+    assert set(scrape.by("message_stale", "message").values()) == {1.0}
+    assert set(scrape.by("message_frames_total", "message").values()) == {0.0}
+    assert len(scrape.by("message_stale", "message")) == 10
+
+
+def test_messages_are_told_with_age_count_and_staleness():
+    program = Program(standby())
+    program.drive.silent = {"BMS_Status"}
+    before = program.scrape()
+    program.run(1700)
+    scrape = program.scrape()
+    age_s = program.scrape().value("message_age_seconds", message="BMS_Status")
+    assert age_s == pytest.approx(before.value("message_age_seconds", message="BMS_Status") + 1.7)
+    assert scrape.value("message_stale", message="BMS_Status") == 1
+    assert scrape.value("message_stale", message="IMU_Attitude") == 0
+    for name, grown in (("BMS_Status", 0), ("IMU_Attitude", 170), ("PCU1_Status2", 34)):
+        counts = [s.value("message_frames_total", message=name) for s in (before, scrape)]
+        assert counts[1] - counts[0] == grown
+
+
+def test_marked_and_out_of_order_frames_are_counted():
+    program = Program(standby())
+    program.drive.codes["PCU1_Status2.MotorSpeed"] = 65535
+    program.run(500)
+    program.drive.receive("PCU1_Status2", program.drive.now_ns - 1000 * MS)
+    scrape = program.scrape()
+    assert scrape.value("message_marked_frames_total", message="PCU1_Status2") == 10
+    assert scrape.value("message_marked_frames_total", message="PCU2_Status2") == 0
+    assert scrape.value("frames_out_of_order_total") == 1
+
+
+@pytest.mark.parametrize(
+    ("reason", "fields"),
+    [
+        (Reason.ERROR, {"error": True}),
+        (Reason.REMOTE, {"remote": True}),
+        (Reason.STANDARD, {"extended": False}),
+        (Reason.UNKNOWN, {"can_id": 0x18FECA15}),
+        (Reason.FOREIGN_SOURCE, {"can_id": 0x1808D0F5}),
+        (Reason.SHORT, {"data": bytes(7)}),
+        (Reason.LONG, {"data": bytes(9)}),
+    ],
+)
+def test_a_rejected_frame_counts_for_its_reason_alone(reason, fields):
+    program = Program()
+    healthy = {"can_id": 0x1808D0F4, "data": data("BMS_Status"), "arrival_ns": 0}
+    program.drive.gateway.intake.receive(Frame(**healthy | fields))
+    rejected = program.scrape().by("frames_rejected_total", "reason")
+    assert rejected == {one.value: float(one is reason) for one in Reason}
+
+
+def test_what_was_sent_confirmed_foreign_unsent_and_blocked_is_counted():
+    program = Program(standby())
+    before = program.scrape()
+    program.run(500)
+    program.drive.receive_foreign("PCU2")
+    program.door.withhold("late")
+    program.door.withhold("ENODEV")
+    scrape = program.scrape()
+    assert scrape.value("frames_sent_total") - before.value("frames_sent_total") == 20
+    confirmed = [s.by("frames_confirmed_total", "controller") for s in (before, scrape)]
+    assert {name: confirmed[1][name] - confirmed[0][name] for name in CONTROLLERS} == {
+        "PCU1": 10,
+        "PCU2": 10,
+    }
+    assert scrape.by("frames_foreign_total", "controller") == {"PCU1": 0, "PCU2": 1}
+    assert before.by("frames_unsent_total", "reason") == {"closed": 0, "late": 0, "ENOBUFS": 0}
+    assert scrape.by("frames_unsent_total", "reason") == {
+        "closed": 0,
+        "late": 1,
+        "ENOBUFS": 0,
+        "ENODEV": 1,
+    }
+    assert scrape.of("vcu_gateway_frames_blocked_total") == {}
+    program.drive.gateway.output.gate.check(
+        0, 0, bytes(8), armed=False, speeds_rpm=(0.0, 0.0), now_ns=0
+    )
+    assert program.scrape().by("frames_blocked_total", "rule") == {"identifier": 1}
+
+
+def test_received_frames_and_bugs_of_the_receiver_are_the_doors():
+    program = Program()
+    program.door.counters.received, program.door.counters.receiver_bugs = 123, 4
+    scrape = program.scrape()
+    assert scrape.value("frames_received_total") == 123
+    assert scrape.value("receiver_bugs_total") == 4
+
+
+def test_dropped_frames_are_shown_only_where_they_can_be_known():
+    assert Program(interface="virtual").scrape().value("frames_dropped_total") is None
+    assert Program(interface="socketcan").scrape().value("frames_dropped_total") == 0
+
+
+@pytest.mark.parametrize(
+    ("can_id", "bits", "state"),
+    [
+        (0x004, 0x08, LinkState.WARNING),
+        (0x004, 0x20, LinkState.PASSIVE),
+        (0x040, 0, LinkState.BUS_OFF),
+        (0x100, 0, LinkState.UP),
+    ],
+)
+def test_the_link_is_told_with_its_state_and_the_time_in_it(can_id, bits, state):
+    program = Program(standby())
+    since_ns = program.drive.now_ns
+    program.drive.gateway.link_opened(since_ns)
+    error = Frame(can_id, bytes([0, bits, 0, 0, 0, 0, 0, 0]), since_ns, error=True)
+    program.drive.gateway.intake.receive(error)
+    program.drive.now_ns += 1500 * MS
+    scrape = program.scrape()
+    assert scrape.by("link_state", "state") == {s.value: float(s is state) for s in LinkState}
+    assert scrape.value("link_state_seconds") == 1.5
+
+
+def test_a_lost_link_is_lost_whatever_the_error_frames_said():
+    program = Program(standby())
+    program.drive.gateway.link_lost(program.drive.now_ns)
+    expected = {s.value: float(s is LinkState.LOST) for s in LinkState}
+    assert program.scrape().by("link_state", "state") == expected
+
+
+def test_what_is_younger_than_the_scrape_is_0_s_old():
+    program = Program()
+    program.drive.gateway.link_opened(program.drive.now_ns + 3 * MS)
+    assert program.scrape().value("link_state_seconds") == 0
+
+
+def test_no_frame_whatsoever_makes_more_label_sets():
+    """A flood of foreign and unknown frames costs no more than the sixteen known subjects."""
+    program = driven()
+
+    def label_sets() -> set[tuple[str, frozenset[tuple[str, str]]]]:
+        return set(program.scrape().samples)
+
+    before = label_sets()
+    identifiers = itertools.chain(
+        range(0, 1 << 29, 400_009),
+        (own & 0x03FFFFFF | p << 26 for own in COMMAND_IDS.values() for p in range(8)),
+    )
+    for can_id in identifiers:
+        for frame in (Frame(can_id, bytes(8), 0), Frame(can_id, bytes(3), 0)):
+            program.drive.gateway.intake.receive(frame)
+        program.tick() if can_id & 0xFFFF == COMMAND_IDS["PCU1"] & 0xFFFF else None
+    program.run(200)
+    more = {(name, dict(labels).get("cause")) for name, labels in label_sets() - before}
+    assert {name for name, _ in more} <= {"vcu_gateway_cause_seconds"}
+    assert len(label_sets() - before) <= 2 * 8 + 8
+
+
+# The program.
+
+
+def test_lateness_is_a_cumulative_histogram_in_seconds_that_counts_every_tick():
+    program = Program()
+    lateness_ns = [0, 40_000, 50_000, 50_001, 900_000, 24_000_000, 24_999_999]
+    for late_ns in lateness_ns:
+        program.tick(late_ns)
+    scrape = program.scrape()
+    buckets = {
+        float(bound): count for bound, count in scrape.by(f"{LATENESS}_bucket", "le").items()
+    }
+    assert list(buckets) == [*(bound / 1e9 for bound in LATENESS_BOUNDS_NS), float("inf")]
+    assert list(buckets.values()) == sorted(buckets.values())
+    for bound_s, count in buckets.items():
+        assert count == sum(late / 1e9 <= bound_s for late in lateness_ns)
+    assert buckets[float("inf")] == scrape.value(f"{LATENESS}_count") == 7
+    assert scrape.value("ticks_total") == 7
+
+
+def test_skipped_ticks_are_counted():
+    program = Program()
+    schedule = program.daemon.schedule
+    schedule.due(schedule.next_deadline_ns + 4 * schedule.period_ns)
+    scrape = program.scrape()
+    assert scrape.value("ticks_skipped_total") == 4
+    assert scrape.value("ticks_total") == 1
+    assert scrape.value("tick_period_seconds") == 0.05
+
+
+def test_the_apis_own_figures_are_passed_on():
+    program = Program()
+    program.api |= {"clients": 3, "accepted": 10, "turned_away": 2, "requests": 500}
+    program.api |= {"errors": {"method_not_found": 4}, "closed": {"slow": 1}, "lost_updates": 7}
+    scrape = program.scrape()
+    assert scrape.value("api_clients") == 3
+    assert scrape.value("api_connections_total") == 10
+    assert scrape.value("api_connections_turned_away_total") == 2
+    assert scrape.value("api_requests_total") == 500
+    errors = dict.fromkeys((code.name.lower() for code in Code), 0) | {"method_not_found": 4}
+    assert scrape.by("api_errors_total", "code") == errors
+    assert scrape.by("api_connections_closed_total", "reason") == {"slow": 1}
+    assert scrape.value("api_lost_updates_total") == 7
+
+
+def test_what_runs_since_when_and_with_which_configuration():
+    program = Program()
+    program.drive.now_ns += 90_000 * MS
+    program.facts = program.facts._replace(log_lines_dropped=lambda: 11)
+    scrape = program.scrape()
+    assert scrape.value("build_info", version="1.2.3", python="3.11.0") == 1
+    assert scrape.value("config_info", config_digest="4567", protocol_digest="0123") == 1
+    assert scrape.value("start_time_seconds") == STARTED_S
+    assert scrape.value("uptime_seconds") == 90
+    assert scrape.value("starts_total") == 2
+    assert scrape.value("log_lines_dropped_total") == 11
+
+
+def test_starts_that_are_not_known_are_absent():
+    program = Program()
+    program.facts = program.facts._replace(starts=None)
+    assert program.scrape().value("starts_total") is None
+
+
+# The scrape itself.
+
+
+def counters(scrape: Scrape) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
+    return {
+        key: value
+        for key, value in scrape.samples.items()
+        if key[0].endswith(("_total", "_bucket", "_count"))
+    }
+
+
+def test_counters_never_go_back_while_the_gateway_runs_on_other_threads(codec):
+    """The real loop, receiver and vehicle on a virtual bus, scraped all the time."""
+    channel = f"metrics-{uuid.uuid4()}"
+    gateway = Gateway(codec, Settings(bench_demand=BENCH, auto_arm=True), time.monotonic_ns())
+    door = Door(BusSettings("virtual", channel), codec.identifiers(), gateway.intake.receive)
+    daemon, told = Daemon(gateway, door, 50), Program()
+    exposition = metrics.exposition(daemon, lambda: told.api, told.facts)
+    nodes = simulator.build(codec, time.monotonic_ns())
+    vehicle_bus, stop = open_bus("virtual", channel, nodes.command_ids), threading.Event()
+    vehicle = threading.Thread(target=play, args=(vehicle_bus, nodes), kwargs={"stop": stop})
+    texts: list[bytes] = []
+
+    def scrape_again_and_again() -> None:
+        while not stop.is_set():
+            texts.append(exposition.text())
+
+    reader = threading.Thread(target=scrape_again_and_again)
+    vehicle.start()
+    reader.start()
+    daemon.run(duration_s=3)
+    stop.set()
+    for thread in (vehicle, reader):
+        thread.join()
+    vehicle_bus.shutdown()
+    texts.append(exposition.text())
+    scrapes = [Scrape(text.decode()) for text in texts[:: max(1, len(texts) // 100)]]
+    scrapes.append(Scrape(texts[-1].decode()))
+    for before, after in itertools.pairwise(map(counters, scrapes)):
+        assert {key: value for key, value in before.items() if after[key] < value} == {}
+    last = scrapes[-1]
+    assert len(texts) > 100
+    assert last.value("ticks_total") == daemon.schedule.ticks > 40
+    assert last.value("frames_received_total") == door.counters.received > 500
+    assert last.value("frames_sent_total") == door.counters.sent > 20
+    seen = {mode for s in scrapes for mode, on in s.by("mode", "mode").items() if on}
+    assert {"starting", "standby", "active", "stopping"} >= seen >= {"starting", "active"}
+
+
+def test_a_scrape_changes_nothing_that_it_reads():
+    program = driven()
+    before = program.drive.twin()
+    for _ in range(3):
+        program.scrape()
+    program.drive.tick()
+    before.tick()
+    assert program.drive.commands == before.commands
+    assert program.drive.result.events == before.result.events
+    assert program.drive.sentence == before.sentence
+
+
+def test_memory_does_not_grow_over_1000_scrapes():
+    exposition = driven().exposition()
+
+    def blocks_after(scrapes: int) -> int:
+        for _ in range(scrapes):
+            exposition.text()
+        gc.collect()  # empties the interpreter's own stores as well
+        return sys.getallocatedblocks()
+
+    before = blocks_after(20)
+    assert blocks_after(1000) - before < 100
+
+
+def test_a_scrape_takes_less_than_10_ms_of_this_threads_cpu():
+    exposition = driven().exposition()
+
+    def cpu_ms() -> float:
+        start_ns = time.thread_time_ns()
+        exposition.text()
+        return (time.thread_time_ns() - start_ns) / MS
+
+    assert statistics.median(cpu_ms() for _ in range(50)) < 10
+
+
+# Where prometheus_client is not installed.
+
+
+def test_without_prometheus_client_the_error_says_what_to_install(monkeypatch):
+    program = Program()
+    monkeypatch.delitem(sys.modules, "vcu_gateway.metrics.prometheus", raising=False)
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    with pytest.raises(UnavailableError, match=r"pip install 'vcu-gateway\[metrics\]'"):
+        program.exposition()
+
+
+def test_another_module_that_is_missing_is_not_taken_for_prometheus_client(monkeypatch):
+    program = Program()
+    monkeypatch.setitem(sys.modules, "vcu_gateway.metrics.prometheus", None)
+    with pytest.raises(ModuleNotFoundError):
+        program.exposition()
+
+
+def test_the_rest_of_the_program_does_not_import_prometheus_client():
+    check = (
+        "import sys; sys.modules['prometheus_client'] = None;"
+        "import vcu_gateway.metrics, vcu_gateway.daemon;"
+        "print(len(vcu_gateway.metrics.FAMILIES))"
+    )
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
+    assert done.stdout.strip() == str(len(metrics.FAMILIES)), done.stderr

@@ -1,0 +1,31 @@
+"""Make the README's picture of the live view: python -m tests.watch.picture FILE [COLUMNS LINES].
+
+The vehicle is the simulated one, in simulated time: the same picture comes out every time.
+"""
+
+import asyncio
+import re
+import sys
+from pathlib import Path
+
+from tests.watch import worlds
+from vcu_gateway.watch.app import WatchApp
+
+FONTS = "Fira Code, DejaVu Sans Mono, Menlo, Consolas, monospace"
+
+
+async def draw(columns: int, lines: int, world: str = "driving") -> str:
+    """The view as SVG that fetches nothing."""
+    app = WatchApp(worlds.Scripted(getattr(worlds, world)()))
+    async with app.run_test(size=(columns, lines)) as pilot:
+        await pilot.pause(0.5)
+        svg = app.export_screenshot(title="vcu-gateway watch")
+    svg = re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL)
+    return svg.replace("Fira Code, monospace", FONTS)
+
+
+if __name__ == "__main__":
+    given = sys.argv[2:]
+    columns, lines, world = [*given, *["120", "40", "driving"][len(given) :]]
+    svg = asyncio.run(draw(int(columns), int(lines), world))
+    Path(sys.argv[1]).write_text(svg, encoding="utf-8")

@@ -1,0 +1,198 @@
+"""Pictures to look at: the core driving the simulated vehicle, as the API would tell it."""
+
+import copy
+import functools
+from collections.abc import Callable
+from datetime import datetime
+
+from tests.simulator.driving import CRUISE, S_NS, START_NS
+from vcu_gateway import report, simulator
+from vcu_gateway.api.shapes import Cause, Health
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.daemon import Latest
+from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.watch.picture import Picture, RefusedError, Trouble
+
+HEALTH: Health = {
+    "pid": 812,
+    "uptime_ms": 764_000.0,
+    "starts": 1,
+    "config_file": "/etc/vcu-gateway/gateway.yaml",
+    "config_digest": "5d41402abc4b2a76b9719d911017c592",
+    "protocol_digest": "7d793037a0760186574b0282f2f435e7",
+    "link": {
+        "interface": "socketcan",
+        "channel": "can0",
+        "state": "up",
+        "since_ms": 763_400.0,
+        "lost": None,
+    },
+    "ticks": {
+        "period_ms": 50.0,
+        "done": 15_268,
+        "skipped": 0,
+        "silent": 20,
+        "lateness_p50_us": 104.0,
+        "lateness_p90_us": 171.0,
+        "lateness_p99_us": 223.0,
+        "lateness_max_us": 238.0,
+        "lateness_ticks": 1200,
+    },
+    "frames": {
+        "received": 273_294,
+        "rejected": {},
+        "out_of_order": 0,
+        "dropped": 0,
+        "sent": 30_496,
+        "unsent": {},
+        "confirmed": {"PCU1": 15_248, "PCU2": 15_248},
+        "foreign_commands": {"PCU1": 0, "PCU2": 0},
+        "blocked_by_gate": {},
+        "receiver_bugs": 0,
+    },
+    "api": {
+        "clients": 2,
+        "accepted": 5,
+        "turned_away": 0,
+        "requests": 4_711,
+        "errors": {},
+        "closed": {},
+        "lost_updates": 0,
+    },
+    "log_lines_dropped": 0,
+    "versions": {
+        "vcu_gateway": "0.1.0",
+        "python": "3.11.7",
+        "python_can": "4.6.1",
+        "kernel": "Linux 6.18.0",
+    },
+}
+
+
+@functools.cache
+def _driven(seconds: float) -> Picture:
+    codec = Codec(dbc.load(packaged("vcu.dbc")))
+    gateway = Gateway(codec, Settings(bench_demand=CRUISE, auto_arm=True), START_NS)
+    nodes = simulator.build(codec, START_NS)
+    now_ns, tick_ns = START_NS, START_NS + 7_000_000
+    while now_ns < START_NS + seconds * S_NS:
+        now_ns = min(tick_ns, nodes.next_due_ns())
+        for frame in nodes.due(now_ns):
+            gateway.intake.receive(Frame(frame.can_id, frame.data, now_ns))
+        if now_ns == tick_ns:
+            result = gateway.tick(now_ns)
+            for sent in result.frames:
+                gateway.sent(sent, True, now_ns)
+                gateway.intake.receive(Frame(sent.can_id, sent.data, now_ns, own_echo=True))
+                nodes.receive(sent.can_id, sent.data, now_ns)
+            tick_ns += gateway.settings.period_ns
+    why = gateway.why(result.snapshot.now_ns)
+    state = report.state(result.snapshot, Latest(result, why))
+    return Picture(state, report.why(why), HEALTH)
+
+
+def driving() -> Picture:
+    """A healthy vehicle under way, to change at will."""
+    return copy.deepcopy(_driven(8.0))
+
+
+def starting() -> Picture:
+    """Just started: most has never been heard."""
+    return copy.deepcopy(_driven(0.06))
+
+
+def cause(effect: str = "stop", **changes: object) -> Cause:
+    """One reason as the API tells it."""
+    made = {
+        "cause": "stale",
+        "subject": "BMS_Status",
+        "detail": "1700 ms",
+        "effect": effect,
+        "since_ms": 3200.0,
+        "stands": True,
+    }
+    return made | changes  # type: ignore[return-value]
+
+
+def faulty() -> Picture:
+    """Latched, with reasons of every kind, and counts that ought to be 0."""
+    picture = driving()
+    state, why, health = picture.state, picture.why, picture.health
+    assert state is not None
+    assert why is not None
+    assert health is not None
+    state["mode"] = why["mode"] = "fault"
+    for command in state["commands"].values():
+        command |= {"throttle_pct": 0.0, "power_mode": "safety", "power_limit_w": 0.0}
+    why["latch"] = {
+        "fault_class": "service",
+        "reason": "BMS_Status.Overtemperature 2 (level2): cut",
+        "since_ms": 4300.0,
+    }
+    hot = {"cause": "code", "subject": "BMS_Status.Overtemperature", "detail": "2 (level2)"}
+    why["blocks"] = [cause("cut", **hot)]
+    why["limits"] = [cause("power limit", subject="PCU1_Status1", stands=False)]
+    why["alarms"] = [cause("alarm", subject="ARD2_SteeringWheel", detail="never received")]
+    why["next_step"] = "first: BMS_Status.Overtemperature 2 (level2) stands; then service reset"
+    why["sentence"] = (
+        "fault; latched (service): BMS_Status.Overtemperature 2 (level2): cut; blocked by "
+        "BMS_Status.Overtemperature 2 (level2): cut (for 4.3 s); limited by PCU1_Status1 1700 ms:"
+        " power limit (for 3.2 s, gone and held); alarm ARD2_SteeringWheel never received: alarm"
+        " (for 3.2 s); demand of driver 30 ms old; " + why["next_step"]
+    )
+    wheels = state["messages"]["ARD2_SteeringWheel"]
+    wheels |= {"age_ms": None, "period_ms": None, "stale": True, "frame_count": 0}
+    for signal in wheels["signals"].values():
+        signal |= {"value": None, "raw": None, "quality": "never"}
+    pcu1 = state["messages"]["PCU1_Status1"]
+    pcu1 |= {"age_ms": 1712.0, "stale": True}
+    for signal in pcu1["signals"].values():
+        signal["quality"] = "stale"
+    state["messages"]["PCU2_Status2"]["signals"]["MotorSpeed"] |= {
+        "value": 6400,
+        "raw": 6400,
+        "quality": "out of range",
+    }
+    health["frames"] |= {"rejected": {"unknown": 3, "length": 1}, "dropped": 12}
+    health["ticks"]["skipped"] = 2
+    return picture
+
+
+def unreachable() -> Picture:
+    """The gateway that drove has gone."""
+    gone = driving()
+    trouble = Trouble(
+        "/run/vcu-gateway/control.sock: Connection refused; is the gateway running?",
+        datetime(2026, 5, 4, 14, 3, 11),
+    )
+    return Picture(gone.state, gone.why, gone.health, trouble)
+
+
+class Scripted:
+    """A source that shows what it is told to, and notes what was asked of it."""
+
+    def __init__(self, picture: Picture | None = None) -> None:
+        self.picture = driving() if picture is None else picture
+        self.asked: list[str] = []
+        self.refusal = ""
+        self.looks = 0
+        self.on_look: Callable[[], None] = lambda: None
+
+    def latest(self) -> Picture:
+        self.looks += 1
+        self.on_look()
+        return self.picture
+
+    def estop(self) -> None:
+        self._ask("estop")
+
+    def disarm(self) -> None:
+        self._ask("disarm")
+
+    def _ask(self, what: str) -> None:
+        self.asked.append(what)
+        if self.refusal:
+            raise RefusedError(self.refusal)
