@@ -181,6 +181,7 @@ def test_the_latest_ticks_are_kept_for_exact_percentiles_and_no_more_of_them():
     [
         ([], 0.5, None),
         ([7], 0.0, 7),
+        ([3, 1, 2, 4], 0.0, 1),
         ([7], 1.0, 7),
         ([3, 1, 2, 4], 0.5, 2),
         ([3, 1, 2, 4], 0.51, 3),
