@@ -136,7 +136,9 @@ def test_a_cut_names_the_level_of_its_reset(refusal, step):
 
 def why(now_ns: int, detail: str = "1101 ms", effect: Effect = Effect.POWER_LIMIT) -> Why:
     limits = (Held(Finding("late", "BMS_Status", effect, detail), 0, now_ns),)
-    return Why(now_ns, now_ns, Mode.ACTIVE, None, (), limits, (), (), "driver", 50 * MS, 200, True, "drive")
+    return Why(
+        now_ns, now_ns, Mode.ACTIVE, None, (), limits, (), (), "driver", 50 * MS, 200, True, "drive"
+    )
 
 
 def test_the_same_answer_at_another_time_has_the_same_signature():

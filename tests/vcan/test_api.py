@@ -1,4 +1,4 @@
-"""The API on a real bus: the dead-man, arbitration, rights, reload and flood.
+"""The API on a real bus: the dead-man, arbitration, rights and reload.
 
 By the kernel's stamps of a recorder that is a process of its own.
 """
@@ -11,7 +11,6 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.context import ForkProcess
 from pathlib import Path
@@ -27,7 +26,6 @@ LEEWAY_MS = 5
 TTL_MS = 200
 NOBODY = 65534
 THROTTLE_RAW = 51  # 20 %
-SHARES = (0.5, 0.9, 0.99)
 QUIET = "steps:\n  - {at_s: 0, fault: silence, of: IMU}\n"
 
 
@@ -250,48 +248,3 @@ def test_a_reload_leaves_no_gap_in_the_commands(drive: Drive, figures: list[str]
         assert widest_ms < 1.5 * PERIOD_MS
     limits_w = [int.from_bytes(frame.data[6:8], "little") for frame in commands]
     assert limits_w[-1] == 30000
-
-
-def lateness_ms(stamps_ns: list[int]) -> Callable[[float], float]:
-    """Percentiles of how late frames are against the best grid of 50 ms through them."""
-    phases = sorted(stamp % (PERIOD_MS * MS) for stamp in stamps_ns)
-    gaps = [b - a for a, b in itertools.pairwise([*phases, phases[0] + PERIOD_MS * MS])]
-    widest = max(range(len(gaps)), key=gaps.__getitem__)
-    origin = phases[(widest + 1) % len(phases)]
-    late = sorted((stamp - origin) % (PERIOD_MS * MS) / MS for stamp in stamps_ns)
-    return lambda share: late[min(len(late) - 1, int(share * len(late)))]
-
-
-@pytest.mark.parametrize(
-    "seconds", [8, pytest.param(30, marks=[pytest.mark.slow, pytest.mark.timeout(300)])]
-)
-def test_a_flood_by_fifty_clients_does_not_make_the_ticks_late(
-    drive: Drive, figures: list[str], seconds: int
-):
-    """Percentiles with the flood within twice those without it, in the same run."""
-    drive.owner()
-    drive.until_driving()
-    quiet_from_ns = time.time_ns()
-    time.sleep(seconds)
-    flood_from_ns = time.time_ns()
-    flood = drive.stand.start(
-        "flood",
-        *("python3", "-m", "tests.api.flood", str(drive.stand.socket_path)),
-        *("--clients", "50", "--seconds", str(seconds)),
-    )
-    wait_until(lambda: flood.popen.poll() is not None, "the flood's end", seconds + 30)
-    flood_to_ns = time.time_ns()
-    commands = [f for f in drive.commands_until_the_end() if f.can_id == COMMANDS[0]]
-    quiet = lateness_ms(
-        [f.stamp_ns for f in commands if quiet_from_ns < f.stamp_ns < flood_from_ns]
-    )
-    flooded = [f for f in commands if flood_from_ns < f.stamp_ns < flood_to_ns]
-    during = lateness_ms([f.stamp_ns for f in flooded])
-    figures.append(f"flood of {seconds} s: {flood.out.read_text().strip()}")
-    figures.extend(
-        f"late at {share:.0%}: {quiet(share):.2f} ms without, {during(share):.2f} ms with"
-        for share in SHARES
-    )
-    assert {frame.data[1] for frame in flooded} == {THROTTLE_RAW}, "the owner drives on"
-    for share in SHARES:
-        assert during(share) <= 2 * quiet(share), share

@@ -1,0 +1,106 @@
+"""A flood of the API costs its senders, not the ticks.
+
+Any busy process delays the gateway where it has no priority, so the ordinary run compares with
+a process that is as busy and leaves the API alone. The nightly one compares with silence, on a
+machine that has nothing else to do.
+"""
+
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from vcu_gateway.client import Client, DemandOwner
+
+SHARES = (0.5, 0.9, 0.99)
+CLIENTS = 50
+BUSY = [sys.executable, "-c", "while True: pass"]
+
+
+@dataclass
+class Ticking:
+    """A gateway that is driven, and the times at which something was done to it."""
+
+    folder: Path
+    process: subprocess.Popen[str]
+    owner: DemandOwner
+
+    @property
+    def flood(self) -> list[str]:
+        socket_path = str(self.folder / "control.sock")
+        clients = ["--clients", str(CLIENTS), "--seconds", "100"]
+        return [sys.executable, "-m", "tests.api.flood", socket_path, *clients]
+
+    def during(self, command: list[str], seconds: float) -> tuple[int, int]:
+        """Begin and end of so many seconds with this process beside it."""
+        begin_ns = time.monotonic_ns()
+        with contextlib.ExitStack() as stack:
+            if command:
+                process = stack.enter_context(subprocess.Popen(command))
+                stack.callback(process.kill)
+            time.sleep(seconds)
+        return begin_ns, time.monotonic_ns()
+
+    def lateness_us(self, begin_ns: int, end_ns: int) -> list[float]:
+        """Percentiles of the ticks in between, once the gateway has ended."""
+        lines = (self.folder / "lateness").read_text().splitlines()
+        ticks = [tuple(map(int, line.split())) for line in lines]
+        late = sorted(lateness for deadline, lateness in ticks if begin_ns <= deadline < end_ns)
+        return [late[int(share * len(late))] / 1000 for share in SHARES]
+
+    def end(self) -> None:
+        self.process.terminate()
+        self.process.wait(20)
+
+
+@pytest.fixture
+def ticking(tmp_path: Path) -> Iterator[Ticking]:
+    command = [sys.executable, "-m", "tests.serving.ticking", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert "ready\n" in process.stdout
+            socket_path = tmp_path / "control.sock"
+            with Client(socket_path) as client, client.demand("driver", hold_s=None) as owner:
+                client.arm()
+                yield Ticking(tmp_path, process, owner)
+        finally:
+            process.kill()
+
+
+def told(name: str, percentiles_us: list[float]) -> str:
+    shares = zip(SHARES, percentiles_us, strict=True)
+    return f"{name}: " + ", ".join(f"{share:.0%} of the ticks {us:.0f} us" for share, us in shares)
+
+
+def still_drives(ticking: Ticking) -> bool:
+    return ticking.owner.last_answer is not None and ticking.owner.last_answer["mode"] == "active"
+
+
+def test_a_flood_makes_the_ticks_no_later_than_any_busy_process_does(ticking: Ticking, capsys):
+    busy, flood = ticking.during(BUSY, 4), ticking.during(ticking.flood, 5)
+    assert still_drives(ticking)
+    ticking.end()
+    beside, flooded = ticking.lateness_us(*busy), ticking.lateness_us(*flood)
+    with capsys.disabled():
+        print(f"\n{told('beside a busy process', beside)}\n{told('flooded', flooded)}")
+    for without, during in zip(beside[:2], flooded[:2], strict=True):
+        assert during <= 2 * without
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(200)
+def test_a_flood_of_30_s_keeps_the_lateness_of_the_ticks_within_twice(ticking: Ticking, capsys):
+    quiet, flood = ticking.during([], 30), ticking.during(ticking.flood, 31)
+    assert still_drives(ticking), "its owner's demand stayed fresh"
+    ticking.end()
+    without, flooded = ticking.lateness_us(*quiet), ticking.lateness_us(*flood)
+    with capsys.disabled():
+        print(f"\n{told('quiet', without)}\n{told('flooded', flooded)}")
+    for before, during in zip(without, flooded, strict=True):
+        assert during <= 2 * before
