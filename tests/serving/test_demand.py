@@ -5,15 +5,18 @@ The same on a real vcan0, by kernel stamps: tests/vcan/test_api.py.
 
 import itertools
 import json
+import re
 import socket
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from tests.driven import Driven, driven
 from vcu_gateway.client import RefusedError
 
+README = Path(__file__).parents[2] / "README.md"
 NAMES = (f"driver{number}" for number in itertools.count())
 
 
@@ -205,3 +208,12 @@ def test_an_emergency_stop_cuts_and_needs_a_service_reset(fresh):
             client.reset()
         fresh.until(lambda: fresh.latest_why.next_step == "service reset", "the hold's end")
         assert client.reset("service")["mode"] == "standby"
+
+
+def test_the_program_in_the_readme_drives(running, monkeypatch, capsys):
+    (program,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    running.until_ready()
+    monkeypatch.setenv("VCU_GATEWAY_SOCKET", str(running.socket_path))
+    exec(compile(program, str(README), "exec"), {})
+    assert capsys.readouterr().out.splitlines()[-1].startswith("active; demand of driver ")
+    running.until_mode("standby")
