@@ -33,7 +33,7 @@ test-core: setup
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
 
 test-rest: setup
-	-@tests/monitoring/fetch-promtool
+	-@scripts/test-tools
 	$(BIN)/pytest -q -m 'not slow' tests --ignore=tests/core --ignore=tests/vcan --ignore=tests/lab
 	$(BIN)/pytest -q $(EXHAUSTIVE)
 
@@ -43,7 +43,7 @@ test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has 
 	$(LAB) run --timeout 900 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest -m 'not slow' tests/vcan
 
 nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
-	tests/monitoring/fetch-promtool
+	scripts/test-tools
 	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest --ignore=tests/vcan --ignore=tests/lab
 	$(LAB) install
 	$(LAB) run --timeout 1800 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest -s tests/vcan

@@ -110,3 +110,11 @@ def test_the_cause_is_kept_for_those_who_look(path):
         connect(path)
     assert isinstance(raised.value.__cause__, OSError)
     assert raised.value.__cause__.errno == errno.ENOENT
+
+
+def test_trying_in_vain_leaves_nothing_open(path):
+    before = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(UnreachableError) as raised:
+        connect(path)
+    assert raised.value.__traceback__  # It holds on to what connect() had in its hands.
+    assert len(os.listdir("/proc/self/fd")) == before

@@ -60,7 +60,9 @@ def test_a_repeated_demand_is_vouched_for_anew(driving):
 
 
 def test_the_hold_counts_from_the_last_set_not_from_the_last_repetition(driving):
-    driving.repeat(START_NS + 400 * MS)
+    driving.repeat(START_NS + 350 * MS)
+    assert driving.due_ns == START_NS + 450 * MS
+    driving.repeat(START_NS + 450 * MS)
     assert driving.due_ns == START_NS + 500 * MS
 
 
@@ -135,6 +137,13 @@ def test_after_a_refusal_no_motion_is_due_at_once(driving):
     driving.refused(refusal())
     assert driving.due_ns <= START_NS
     assert driving.repeat(START_NS + MS)["values"] == ZERO
+
+
+def test_a_refusal_of_no_motion_is_not_answered_at_once(driving):
+    driving.refused(refusal())
+    driving.repeat(START_NS)
+    driving.refused(refusal())
+    assert driving.due_ns > START_NS
 
 
 def test_a_refusal_is_told_even_where_no_motion_was_granted_since(driving):

@@ -104,6 +104,15 @@ def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, s
     standin.wait_for(lambda: not standin.open_connections)
 
 
+def test_a_failed_entry_does_not_wait_for_the_next_repetition(gateway, standin):
+    standin.faults.silent.add("demand.set")
+    owner = Client(gateway, timeout_s=0.1).demand("driver", ttl_ms=120_000)
+    before_s = time.monotonic()
+    with pytest.raises(ApiTimeoutError), owner:
+        pytest.fail("it was entered")
+    assert time.monotonic() - before_s < PATIENCE_S
+
+
 def test_a_full_gateway_says_so_to_an_owner_too(client, standin):
     standin.faults.full = True
     with pytest.raises(ApiError) as raised, client.demand("driver"):

@@ -43,6 +43,11 @@ def test_a_line_break_inside_a_value_does_not_end_the_line():
     assert wire.request(1, "demand.release", {"source": "a\nb"}).count(b"\n") == 1
 
 
+def test_a_number_that_json_does_not_have_is_not_sent():
+    with pytest.raises(ValueError, match="JSON"):
+        wire.request(1, "state.subscribe", {"rate_hz": float("nan")})
+
+
 def test_half_a_line_waits_for_its_end():
     inbox = wire.Inbox()
     assert inbox.feed(RESULT[:20]) == []
@@ -143,16 +148,27 @@ def test_an_error_without_data_still_has_a_word():
     assert answer.error.word == "method_not_found"
 
 
+def test_the_gateways_own_word_counts():
+    error = b'{"code":-32099,"message":"new","data":{"word":"too_warm"}}'
+    (answer,) = wire.Inbox().feed(b'{"jsonrpc":"2.0","id":7,"error":' + error + b"}\n")
+    assert answer.error.word == "too_warm"
+
+
 def test_an_error_of_a_later_gateway_is_an_api_error_of_an_unknown_word():
     line = b'{"jsonrpc":"2.0","id":7,"error":{"code":-32099,"message":"new"}}\n'
     (answer,) = wire.Inbox().feed(line)
     assert (type(answer.error), answer.error.word) == (ApiError, "unknown")
 
 
-def test_an_answer_ends_its_own_request_only():
-    answer = wire.Answer(7, {}, None)
+@pytest.mark.parametrize("error", [None, ApiError(-32004, "not_ready", "try again")])
+def test_an_answer_ends_its_own_request_only(error):
+    answer = wire.Answer(7, {}, error)
     assert answer.concerns(7)
     assert not answer.concerns(8)
+
+
+def test_the_value_of_an_answer_is_its_result():
+    assert wire.Answer(7, {"mode": "standby"}, None).value() == {"mode": "standby"}
 
 
 def test_an_error_without_an_id_ends_whatever_waits():

@@ -128,7 +128,7 @@ def test_the_readme_has_commands_and_its_links_lead_somewhere():
 
 
 def test_starting_imports_nothing_that_the_first_tick_does_not_need():
-    heavy = ("simulator", "view", "recording", "demonstration", "protocol.definition")
+    heavy = ("simulator", "watch", "recording", "demonstration", "protocol.definition")
     code = f"""
 import sys, vcu_gateway.cli.run
 print([name for name in {heavy} if "vcu_gateway." + name in sys.modules])

@@ -14,7 +14,7 @@ from vcu_gateway.watch.app import WatchApp
 FONTS = "Fira Code, DejaVu Sans Mono, Menlo, Consolas, monospace"
 
 
-async def draw(columns: int, lines: int, world: str = "driving") -> str:
+async def draw(columns: int, lines: int, world: str = "limited") -> str:
     """The view as SVG that fetches nothing."""
     app = WatchApp(worlds.Scripted(getattr(worlds, world)()))
     async with app.run_test(size=(columns, lines)) as pilot:
@@ -26,6 +26,6 @@ async def draw(columns: int, lines: int, world: str = "driving") -> str:
 
 if __name__ == "__main__":
     given = sys.argv[2:]
-    columns, lines, world = [*given, *["120", "40", "driving"][len(given) :]]
+    columns, lines, world = [*given, *["120", "40", "limited"][len(given) :]]
     svg = asyncio.run(draw(int(columns), int(lines), world))
     Path(sys.argv[1]).write_text(svg, encoding="utf-8")

@@ -6,14 +6,17 @@ import re
 from collections.abc import AsyncIterator, Callable
 
 import pytest
+from textual.color import Color
 from textual.pilot import Pilot
 
 from tests.watch import worlds
 from tests.watch.picture import draw
+from vcu_gateway.watch import app as app_module
 from vcu_gateway.watch.app import WatchApp
 from vcu_gateway.watch.lines import Lines
 
 WAIT_S = 5.0
+BLACK = Color(0, 0, 0)
 
 
 class Shown:
@@ -35,7 +38,6 @@ class Shown:
 
     async def press(self, *keys: str) -> None:
         await self.pilot.press(*keys)
-        await self.pilot.pause()
 
     async def until(self, condition: Callable[[], object]) -> None:
         """Wait for what has to come, however slow this machine is."""
@@ -47,11 +49,10 @@ class Shown:
 @contextlib.asynccontextmanager
 async def shown(size=(80, 24), source=None, **options) -> AsyncIterator[Shown]:
     source = source or worlds.Scripted()
-    app = WatchApp(source, refresh_hz=50, **options)
+    app = WatchApp(source, refresh_hz=20, **options)
     async with app.run_test(size=size) as pilot:
         view = Shown(pilot, source)
-        await view.until(lambda: source.looks >= 2)
-        await pilot.pause()
+        await view.until(lambda: source.looks >= 2 and "q quit" in view.screen)
         yield view
 
 
@@ -244,6 +245,37 @@ def test_escape_takes_the_question_back():
     run(check)
 
 
+def test_a_question_is_not_taken_back_by_an_earlier_one(monkeypatch):
+    monkeypatch.setattr(app_module, "_TOLD_S", 0.6)
+
+    async def check(view: Shown) -> None:
+        await view.press("d")
+        await view.until(lambda: "q quit" in view.last_line)  # its time is over
+        await view.press("d")
+        await view.pilot.pause(0.4)
+        await view.press("e")
+        await view.pilot.pause(0.4)
+        await view.press("E")
+        await view.until(lambda: view.source.asked == ["estop"])
+
+    run(check)
+
+
+def test_a_late_answer_does_not_take_back_the_next_question():
+    async def check(view: Shown) -> None:
+        view.source.may_answer.clear()
+        await view.press("d", "D")
+        await view.until(lambda: view.source.asked == ["disarm"])
+        await view.press("e")
+        view.source.may_answer.set()
+        await view.pilot.pause(0.2)
+        assert "Emergency stop" in view.last_line
+        await view.press("E")
+        await view.until(lambda: view.source.asked == ["disarm", "estop"])
+
+    run(check)
+
+
 def test_a_refusal_says_why():
     async def check(view: Shown) -> None:
         view.source.refusal = "the mode is standby"
@@ -305,11 +337,11 @@ def colours(view: Shown) -> set[str]:
     filters = view.pilot.app.get_line_filters()
     found = set()
     for strip in view.pilot.app.screen._compositor.render_strips():
+        segments = list(strip)
         for line_filter in filters:
-            strip = strip.apply_filter(line_filter, view.pilot.app.styles.background)
-        for segment in strip:
-            for colour in (segment.style.color, segment.style.bgcolor) if segment.style else ():
-                found |= {colour.name} if colour is not None else set()
+            segments = line_filter.apply(segments, BLACK)
+        for style in [segment.style for segment in segments if segment.style]:
+            found |= {colour.name for colour in (style.color, style.bgcolor) if colour}
     return found
 
 
@@ -329,6 +361,16 @@ def test_there_are_colours_but_with_no_color_none_at_all(monkeypatch):
     run(coloured, source=worlds.Scripted(worlds.faulty()))
     monkeypatch.setenv("NO_COLOR", "1")
     run(colourless, source=worlds.Scripted(worlds.faulty()))
+
+
+def test_old_values_are_dim():
+    async def check(view: Shown) -> None:
+        strips = view.pilot.app.screen._compositor.render_strips()
+        for words in ("PCU1 told", "received", "SteeringAngle"):
+            strip = next(strip for strip in strips if words in strip.text)
+            assert all(one.style.dim for one in strip if one.text.strip())
+
+    run(check, source=worlds.Scripted(worlds.unreachable()))
 
 
 def test_the_readmes_picture_can_be_drawn_and_fetches_nothing():

@@ -260,6 +260,10 @@ def test_a_gateway_that_has_gone_is_said_to_be_and_its_values_are_old():
     text = page(worlds.unreachable())
     assert " NOT REACHABLE  since 14:03:11, trying again: /run/vcu" in text
     assert "old values" in text
+    for size in ((80, 24), (120, 40)):
+        lines = upper_lines("vcu-gateway", worlds.unreachable(), *size)
+        assert styles(lines, "PCU1 told") == "dim"
+        assert not re.search("green|red", styles(lines, "received"))
     assert "ACTIVE" not in text
     listed = signals(worlds.unreachable(), old=True)
     assert re.search(r"PackVoltage +75\.\d\d V +old", listed)

@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import threading
 from collections.abc import Callable
 from datetime import datetime
 
@@ -73,10 +74,10 @@ HEALTH: Health = {
 
 
 @functools.cache
-def _driven(seconds: float) -> Picture:
+def _driven(seconds: float, soc_pct: float = 80.0) -> Picture:
     codec = Codec(dbc.load(packaged("vcu.dbc")))
     gateway = Gateway(codec, Settings(bench_demand=CRUISE, auto_arm=True), START_NS)
-    nodes = simulator.build(codec, START_NS)
+    nodes = simulator.build(codec, START_NS, soc_pct=soc_pct)
     now_ns, tick_ns = START_NS, START_NS + 7_000_000
     while now_ns < START_NS + seconds * S_NS:
         now_ns = min(tick_ns, nodes.next_due_ns())
@@ -97,6 +98,11 @@ def _driven(seconds: float) -> Picture:
 def driving() -> Picture:
     """A healthy vehicle under way, to change at will."""
     return copy.deepcopy(_driven(8.0))
+
+
+def limited() -> Picture:
+    """Under way with a battery that is nearly empty."""
+    return copy.deepcopy(_driven(8.0, soc_pct=14.0))
 
 
 def starting() -> Picture:
@@ -178,6 +184,8 @@ class Scripted:
         self.picture = driving() if picture is None else picture
         self.asked: list[str] = []
         self.refusal = ""
+        self.may_answer = threading.Event()
+        self.may_answer.set()
         self.looks = 0
         self.on_look: Callable[[], None] = lambda: None
 
@@ -194,5 +202,6 @@ class Scripted:
 
     def _ask(self, what: str) -> None:
         self.asked.append(what)
+        self.may_answer.wait()
         if self.refusal:
             raise RefusedError(self.refusal)

@@ -4,18 +4,14 @@ import contextlib
 import signal
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
 
 import click
 
 from vcu_gateway.cli.watch import extra_needed
 from vcu_gateway.demonstration.child import Child, Wanted
-
-if TYPE_CHECKING:
-    from vcu_gateway.watch.picture import Source
 
 _IFF_UP = 1
 _PLAIN_EVERY_S = 2.0
@@ -55,27 +51,24 @@ def command(duration_s: float | None, throttle_pct: float, battery_speedup: floa
     with extra_needed():
         from vcu_gateway.watch import terminal
         from vcu_gateway.watch.asking import GatewaySource
+        from vcu_gateway.watch.plain import plain
+        from vcu_gateway.watch.run import watch
     real = vcan0_is_up()
     interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
     wanted = Wanted(interface, channel, throttle_pct, battery_speedup, duration_s)
     with Child(wanted) as child, GatewaySource(child.socket_path) as source:
-        (_show_live if terminal.is_full() else _show_plain)(source, child)
+        if terminal.is_full():
+            watch(source, _TITLE, child.has_ended)
+        else:
+            _print(lambda: plain(_TITLE, source.latest()), child)
     click.echo(child.summary)
 
 
-def _show_live(source: "Source", child: Child) -> None:
-    from vcu_gateway.watch.run import watch
-
-    watch(source, _TITLE, child.has_ended)
-
-
-def _show_plain(source: "Source", child: Child) -> None:
-    """Print the picture now and then, for a pipe or a file."""
-    from vcu_gateway.watch.plain import plain
-
+def _print(picture: Callable[[], str], child: Child) -> None:
+    """The picture now and then, for a pipe or a file."""
     with stopped_by_signals() as stop:
         while not stop.wait(_PLAIN_EVERY_S) and not child.has_ended():
-            click.echo(plain(_TITLE, source.latest()))
+            click.echo(picture())
 
 
 def vcan0_is_up() -> bool:

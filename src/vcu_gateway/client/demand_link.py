@@ -36,7 +36,7 @@ class DemandLink:
         self._inbox = wire.Inbox()
         self._broken = False
         self._released = False
-        self._unanswered: dict[int, str] = {}
+        self._unanswered: dict[int | None, str] = {}
         self._heard_ns = 0
         self._retry_ns = 0
         self._next_pause_ns = _FIRST_RETRY_NS
@@ -56,7 +56,6 @@ class DemandLink:
         self.socket = connect(self._path)
         self._inbox = wire.Inbox()
         self._unanswered.clear()
-        self._broken = False
         self.keeping.still()
         self._send_demand(self.keeping.repeat(now_ns), now_ns)
 
@@ -140,7 +139,7 @@ class DemandLink:
                 self._heed(incoming)
 
     def _heed(self, answer: wire.Answer) -> None:
-        method = "" if answer.id is None else self._unanswered.pop(answer.id, "")
+        method = self._unanswered.pop(answer.id, "")
         if answer.id is not None and method != "demand.set":
             return
         if answer.error is None:

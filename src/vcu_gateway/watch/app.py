@@ -7,7 +7,7 @@ from typing import ClassVar
 from rich.segment import Segment
 from rich.text import Text
 from textual.app import App, ComposeResult
-from textual.binding import BindingType
+from textual.binding import Binding, BindingType
 from textual.color import Color
 from textual.events import Resize
 from textual.filter import LineFilter
@@ -55,18 +55,24 @@ class WatchApp(App[None]):
     #hints, #find { dock: bottom; height: 1; border: none; padding: 0; }
     #find, #help { display: none; }
     """
+    # With priority: the keys are handled in the order in which they come, also fast ones.
     BINDINGS: ClassVar[list[BindingType]] = [
-        ("q,ctrl+c,ctrl+q", "quit", "quit"),
-        ("space,p", "pause", "pause"),
-        ("m", "step(1)", "next message"),
-        ("M", "step(-1)", "message before"),
-        ("slash", "find", "find"),
-        ("escape", "leave", "back"),
-        ("question_mark,h", "help", "help"),
-        ("e", "ask('estop')", "emergency stop"),
-        ("E", "confirm('estop')", "confirm"),
-        ("d", "ask('disarm')", "disarm"),
-        ("D", "confirm('disarm')", "confirm"),
+        Binding(key, action, priority=True)
+        for key, action in (
+            ("ctrl+c,ctrl+q", "quit"),
+            ("q", "end"),
+            ("space,p", "pause"),
+            ("m", "step(1)"),
+            ("M", "step(-1)"),
+            ("slash", "find"),
+            ("enter", "keep"),
+            ("escape", "leave"),
+            ("question_mark,h", "help"),
+            ("e", "ask('estop')"),
+            ("E", "confirm('estop')"),
+            ("d", "ask('disarm')"),
+            ("D", "confirm('disarm')"),
+        )
     ]
 
     def __init__(
@@ -87,6 +93,10 @@ class WatchApp(App[None]):
         self._filter = ""
         self._asked = ""
         self._told = ""
+        # Held here: at the end a timer may still fire when the screen has no widgets any more.
+        self._upper, self._signals, self._keys = Lines("upper"), Lines("signals"), Lines("hints")
+        self._find = Input(id="find", placeholder="part of a name; Enter keeps it, Esc ends it")
+        self._help = Static(keys.HELP, id="help", markup=False)
 
     def get_line_filters(self) -> Sequence[LineFilter]:
         """NO_COLOR means none at all, not shades of grey."""
@@ -94,21 +104,14 @@ class WatchApp(App[None]):
 
     def compose(self) -> ComposeResult:
         """Help or page, the signals, and the line of keys or of the text to find."""
-        yield Static(keys.HELP, id="help", markup=False)
-        yield Lines("upper")
-        yield Lines("signals")
-        yield Lines("hints")
-        yield Input(id="find", placeholder="part of a name; Enter keeps it, Esc ends it")
+        yield from (self._help, self._upper, self._signals, self._keys, self._find)
 
     def on_mount(self) -> None:
         """Begin to look."""
-        self._signals.focus()
+        self.screen.set_focus(self._signals)
+        self._forgetting = self.set_timer(_TOLD_S, self._forget)
         self.set_interval(self._refresh_s, self._look)
         self._look()
-
-    @property
-    def _signals(self) -> Lines:
-        return self.query_one("#signals", Lines)
 
     def _look(self) -> None:
         if self._over():
@@ -129,9 +132,8 @@ class WatchApp(App[None]):
         page = upper_lines(self._heading, self._picture, width, height, self._paused)
         old = self._picture.trouble is not None
         rows = signal_lines(self._picture.state, width, self._filter, old)
-        upper = self.query_one("#upper", Lines)
-        upper.styles.height = len(page)
-        upper.show(page)
+        self._upper.styles.height = len(page)
+        self._upper.show(page)
         self._signals.show(rows)
         self._show_hints()
 
@@ -139,7 +141,7 @@ class WatchApp(App[None]):
         where = self._signals.where()
         room = self.size.width - len(where) - 1
         hints = line(cell(self._hints(), room), " ", where)
-        self.query_one("#hints", Lines).show([hints])
+        self._keys.show([hints])
 
     def _hints(self) -> Text:
         if self._asked:
@@ -151,6 +153,17 @@ class WatchApp(App[None]):
         return Text(keys.HINTS, "dim")
 
     # Keys
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """While a text to find is written, most keys are letters of it."""
+        del parameters
+        if self._find.display:
+            return action in ("quit", "keep", "leave")
+        return action != "keep"
+
+    def action_end(self) -> None:
+        """Quit."""
+        self.exit()
 
     def action_pause(self) -> None:
         """Let the picture stand still, or go on."""
@@ -171,56 +184,46 @@ class WatchApp(App[None]):
 
     def action_find(self) -> None:
         """Ask for a text to find."""
-        self.query_one("#hints").display = False
-        find = self.query_one("#find", Input)
-        find.display = True
-        find.value = ""
-        find.focus()
+        self._keys.display, self._find.display = False, True
+        self._find.value = ""
+        # At once: focus() comes after the next keys.
+        self.screen.set_focus(self._find)
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Show what has it in its name while it is written."""
         self._show_only(event.value.strip())
 
-    def on_input_submitted(self, event: Input.Submitted) -> None:
+    def action_keep(self) -> None:
         """Keep what was found."""
-        del event
-        self._end_finding()
-
-    def _end_finding(self) -> None:
-        self.query_one("#find").display = False
-        self.query_one("#hints").display = True
-        self._signals.focus()
+        self._keys.display, self._find.display = True, False
+        self.screen.set_focus(self._signals)
 
     def action_leave(self) -> None:
         """End whatever was begun: question, help, finding, filter."""
         self._asked = self._told = ""
         self._show_help(False)
-        self._end_finding()
+        self.action_keep()
         self._show_only("")
 
     def action_help(self) -> None:
         """Show what the keys do, or end that."""
-        self._show_help(not self.query_one("#help").display)
+        self._show_help(not self._help.display)
 
     def _show_help(self, shown: bool) -> None:
-        self.query_one("#help").display = shown
-        for name in ("#upper", "#signals"):
-            self.query_one(name).display = not shown
+        self._help.display = shown
+        self._upper.display = self._signals.display = not shown
         if not shown:
-            self._signals.focus()
+            self.screen.set_focus(self._signals)
 
     # Stopping
 
     def action_ask(self, what: str) -> None:
         """Ask before stopping: a key is pressed easily."""
-        self._asked, self._told = what, ""
-        self.set_timer(_TOLD_S, self._forget)
-        self._show_hints()
+        self._say("", asked=what)
 
     def action_confirm(self, what: str) -> None:
         """Stop, if that was asked for a moment ago."""
         if self._asked == what:
-            self._asked = ""
             self._say(f"{keys.NAMES[what]} ...")
             self.run_worker(lambda: self._stop(what), thread=True)
 
@@ -232,11 +235,12 @@ class WatchApp(App[None]):
             answer = f"{keys.NAMES[what]} not granted: {refusal}"
         else:
             answer = f"{keys.NAMES[what]} granted"
-        self.call_from_thread(self._say, answer)
+        self.call_from_thread(lambda: self._say(answer, self._asked))
 
-    def _say(self, words: str) -> None:
-        self._told = words
-        self.set_timer(_TOLD_S, self._forget)
+    def _say(self, words: str, asked: str = "") -> None:
+        self._told, self._asked = words, asked
+        self._forgetting.stop()  # that of the words before
+        self._forgetting = self.set_timer(_TOLD_S, self._forget)
         self._show_hints()
 
     def _forget(self) -> None:
