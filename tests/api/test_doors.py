@@ -136,6 +136,49 @@ def test_a_socket_of_another_kind_is_left_alone(path):
         assert path.is_socket()
 
 
+def test_a_socket_that_may_not_be_opened_is_left_alone(path, folder):
+    with listener_at(path) as other:
+        other.listen()
+        path.chmod(0)
+        folder.chmod(0o777)
+        with a_stranger():
+            assert "Permission denied" in refusal(path)
+        assert path.is_socket()
+
+
+def test_a_left_over_socket_that_cannot_be_removed_is_told(path):
+    listener_at(path).close()
+    path.chmod(0o777)
+    path.parent.chmod(0o555)
+    with a_stranger():
+        assert f"{path} is left over, and cannot be removed" in refusal(path)
+    path.parent.chmod(0o755)
+    assert path.is_socket()
+
+
+def test_a_path_with_a_zero_byte_is_told(folder):
+    assert "cannot be a socket" in refusal(folder / "a\0b")
+
+
+def test_a_refusal_leaves_no_descriptor_behind(path):
+    path.mkdir()
+    files = len(os.listdir("/proc/self/fd"))
+    for _ in range(3):
+        refusal(path / "none" / "control.sock")
+        refusal(path / "control.sock", owner="no-such-user")
+    assert len(os.listdir("/proc/self/fd")) == files
+
+
+def test_without_privileges_the_socket_stays_its_makers(path, folder):
+    folder.chmod(0o777)
+    with a_stranger():
+        door = UnixDoor(ServerSettings(path, POLICY))
+        assert path.stat().st_uid == os.geteuid()
+        assert "CAP_CHOWN" in refusal(path.with_name("other"), owner=0 if os.geteuid() else 1)
+        door.close()
+    assert not any(folder.iterdir())
+
+
 def test_closing_removes_the_socket(path):
     door = UnixDoor(ServerSettings(path, POLICY))
     door.close()

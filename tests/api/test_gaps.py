@@ -2,11 +2,10 @@
 
 import pytest
 
-from vcu_gateway.api.gaps import Gaps, Room
+from vcu_gateway.api.gaps import DEFAULT_ROOM, Gaps
 
 MS = 1_000_000
 PERIOD = 50 * MS
-ROOM = Room(before_ns=2_500_000, after_ns=MS, share=0.4, look_ns=MS)
 SHARE = 20 * MS
 
 
@@ -29,7 +28,7 @@ class Machine:
         self.gaps = Gaps(
             lambda: self.deadline_ns,
             PERIOD,
-            ROOM,
+            DEFAULT_ROOM,
             lambda: self.now_ns,
             lambda: self.worked_ns,
             self.sleep,
@@ -85,8 +84,11 @@ def test_what_costs_more_begins_earlier_or_after_the_tick(machine):
     assert machine.waited_from(PERIOD - 10 * MS + 1, cost_ns=10 * MS) == 11 * MS - 1
 
 
-def test_what_costs_more_than_a_period_waits_for_most_of_one_and_goes_on(machine):
+def test_what_costs_more_than_there_is_ever_room_for_gets_half_a_share(machine):
+    machine.work(SHARE // 2)
     assert machine.waited_from(PERIOD - 20 * MS, cost_ns=1000 * MS) == 0
+    machine.work(1)
+    assert machine.waited_from(PERIOD - 20 * MS + 1, cost_ns=1000 * MS) == 21 * MS - 1
 
 
 @pytest.mark.parametrize("since_ns", [60_001, MS - 1])

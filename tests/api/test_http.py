@@ -170,6 +170,15 @@ def test_a_head_that_comes_too_slowly_costs_the_connection(port_api):
     assert port_api.counts()["closed"] == {"line not finished in time": 2}
 
 
+def test_the_port_can_be_had_again_at_once(port_api):
+    """The side that ends a connection keeps its port occupied for a minute, but for an option."""
+    assert answer_to(port_api.connect_to_port(), GET)[0] == 200
+    port = port_api.server.metrics_port
+    port_api.server.close()
+    port_api.start(metrics_port=port)
+    assert answer_to(port_api.connect_to_port(), GET)[0] == 200
+
+
 def test_a_silent_connection_to_the_port_is_ended(port_api):
     assert port_api.connect_to_port().rest() == b""
 

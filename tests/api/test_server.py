@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import json
 import os
 import resource
 import socket
@@ -29,7 +30,7 @@ from vcu_gateway.api.reception import Guests, Reception
 from vcu_gateway.api.rights import Right
 from vcu_gateway.api.subscriptions import Subscription
 
-SHORT = Limits(patience_ns=150 * MS)
+SHORT = Limits(patience_ns=300 * MS)
 BIG = "x" * 400_000  # more than the kernel buffers for a connection
 DEMAND = {"source": "pedal", "sequence": 1, "values": {}}
 
@@ -265,6 +266,30 @@ def test_an_emergency_stop_counts_even_if_its_sender_left_at_once(api):
     eventually(lambda: len(api.service.told("gone")) == 20)
 
 
+def test_all_that_a_peer_sent_before_it_left_is_carried_out(api):
+    """Up to its limits: nobody would hear what became of the rest."""
+    client = api.connect()
+    client.send(b'{"jsonrpc":"2.0","method":"why"}\n' * 40)
+    client.close()
+    eventually(lambda: len(api.service.begun) == 40)
+    eventually(lambda: api.counts()["clients"] == 0)
+
+
+def test_waiting_for_an_answer_of_a_half_closed_connection_costs_nothing(api, client):
+    client.ask("state.subscribe", rate_hz=50)
+    client.request("arm", 2)
+    client.half_close()
+    eventually(lambda: api.service.told("gone"))
+    ended_ns, before_ns = time.monotonic_ns(), time.process_time_ns()
+    time.sleep(0.3)
+    assert time.process_time_ns() - before_ns < 50 * MS
+    api.service.release()
+    messages = [json.loads(line) for line in client.rest().splitlines()]
+    assert messages[-1]["id"] == 2
+    states = [message["params"]["state"] for message in messages[:-1]]
+    assert all(state["monotonic_ns"] < ended_ns for state in states)
+
+
 def test_no_demand_comes_from_a_connection_that_has_ended(api):
     """The order at the service matters: a demand after `gone` would have nobody to end it."""
     for _ in range(50):
@@ -356,7 +381,11 @@ def test_a_silent_connection_may_stay(idle_api):
     assert client.ask("why")
     other.send(b"{")
     assert other.line() is None  # the patience is over by now
-    assert client.ask("why")
+    line = b'{"jsonrpc":"2.0","id":1,"method":"why"}\n'
+    client.send(line[:20])
+    time.sleep(0.02)
+    client.send(line[20:])
+    assert client.line()["result"]
 
 
 def test_a_reader_that_stands_still_costs_its_connection(idle_api):
@@ -369,17 +398,20 @@ def test_a_reader_that_stands_still_costs_its_connection(idle_api):
 
 
 def test_a_reader_that_reads_on_slowly_keeps_its_connection(idle_api):
-    idle_api.service.filler = BIG
-    idle_api.start(Limits(patience_ns=1000 * MS, output_bytes=10**7))
+    idle_api.service.filler = BIG * 3
+    idle_api.start(Limits(patience_ns=600 * MS, output_bytes=10**7))
     client = idle_api.connect()
     begin_ns = time.monotonic_ns()
     client.request("state.get")
+    client.send(b'{"jsonrpc":"2.0","id":2,"me')  # nor is this counted as late: it was not read
     data = b""
     while not data.endswith(b"\n"):
         data += client.sock.recv(16384)
-        time.sleep(0.05)
-    assert time.monotonic_ns() - begin_ns > 1000 * MS
-    assert len(data) > len(BIG)
+        time.sleep(0.02)
+    assert time.monotonic_ns() - begin_ns > 1200 * MS
+    assert len(data) > len(BIG) * 3
+    client.send(b'thod":"arm"}\n')
+    eventually(lambda: idle_api.service.held)
 
 
 def test_more_output_than_may_wait_costs_the_connection(idle_api):
@@ -411,17 +443,53 @@ def test_sixteen_requests_of_a_connection_wait_and_the_next_is_not_read(api, cli
     assert [client.line()["id"] for _ in range(20)] == list(range(20))
 
 
-def test_waiting_for_answers_is_not_counted_as_a_late_line(idle_api):
+@pytest.mark.parametrize("is_notified", [False, True])
+def test_waiting_for_answers_is_not_counted_as_a_late_line(idle_api, is_notified):
     client = idle_api.start(SHORT).connect()
     for number in range(16):
-        client.request("arm", number)
+        if is_notified:
+            client.notify("arm")
+        else:
+            client.request("arm", number)
     line = b'{"jsonrpc":"2.0","id":16,"method":"why"}\n'
     client.send(line[:10])
     eventually(lambda: len(idle_api.service.held) == 16)
-    time.sleep(0.2)
+    time.sleep(0.4)
     idle_api.service.release()
+    time.sleep(0.02)
     client.send(line[10:])
-    assert [client.line()["id"] for _ in range(17)] == list(range(17))
+    first = 16 if is_notified else 0
+    assert [client.line()["id"] for _ in range(first, 17)] == list(range(first, 17))
+
+
+def test_waiting_for_a_client_costs_nothing(api, client):
+    for number in range(40):
+        client.request("arm", number)
+    other = api.connect()
+    api.service.filler = BIG[:200_000]
+    for _ in range(8):
+        other.request("state.get")
+    eventually(lambda: len(api.service.held) == 16)
+    eventually(other.has_news)
+    before_ns = time.process_time_ns()
+    time.sleep(0.3)
+    assert time.process_time_ns() - before_ns < 50 * MS
+
+
+def test_the_limits_are_those_of_the_documentation():
+    assert Limits() == Limits(
+        clients=16,
+        kept_places=4,
+        metrics_clients=4,
+        accepts_per_s=100,
+        rate_per_s=200,
+        burst=50,
+        unanswered=16,
+        output_bytes=262_144,
+        patience_ns=10_000 * MS,
+        pause_ns=1_000 * MS,
+        linger_ns=300 * MS,
+    )
 
 
 def test_too_many_requests_wait_and_are_answered_later(idle_api):
@@ -707,6 +775,18 @@ def test_closing_answers_what_is_pending_and_removes_the_socket(api, client):
     assert api.server.failed is None
 
 
+def test_closing_lets_a_reader_read_on(idle_api):
+    idle_api.service.filler = BIG
+    client = idle_api.start(Limits(output_bytes=10**7, linger_ns=3000 * MS)).connect()
+    client.request("state.get")
+    eventually(client.has_news)
+    closing = threading.Thread(target=idle_api.server.close)
+    closing.start()
+    eventually(lambda: not idle_api.path.exists())
+    assert client.line()["result"]["filler"] == BIG
+    closing.join()
+
+
 def test_closing_waits_for_a_short_while_only(idle_api):
     client = idle_api.start(Limits(linger_ns=50 * MS)).connect()
     client.request("arm")
@@ -750,6 +830,17 @@ def test_a_bug_ends_the_api_and_not_the_program(api, client):
     assert len(api.service.told("gone")) == 2
     eventually(lambda: not api.path.exists())
     api.server.close()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_bug_at_the_end_of_a_connection_ends_the_others_too(api, client):
+    others = [api.connect() for _ in range(3)]
+    assert all(other.ask("why") for other in others)
+    api.service.bug_at_end = ZeroDivisionError("a bug")
+    client.close()
+    eventually(lambda: api.server.failed)
+    assert "ZeroDivisionError" in api.server.failed
+    assert [other.line() for other in others] == [None] * 3
 
 
 def test_a_server_that_runs_or_has_ended_well_has_not_failed(api, client):

@@ -95,7 +95,10 @@ ABOUT_JSON = {
     b'{"id":' + b"[" * 16 + b"]" * 16 + b"}": "nested more than 16 deep",
     b"[" * 2000: "nested more than 16 deep",
     b'{"a":' * 2000: "nested more than 16 deep",
-    b"[" + b"1," * 600 + b"1]": "more than 512 values",
+    b'{"b":1,"a":1,"a":1}': '"a" stands twice',
+    b"[" + b"1," * 512 + b"1]": "more than 512 values",
+    b"[[1],[" + b"1," * 509 + b"1]]": "more than 512 values",
+    b'{"a":' * 17 + b"1" + b"}" * 17: "nested more than 16 deep",
     b"[" * MAX_LINE_BYTES: "more commas and brackets",
     b"[" + b"1," * 30000 + b"1]": "more commas and brackets",
 }
@@ -112,6 +115,18 @@ def test_what_is_no_strict_json_is_refused_with_a_null_id(line, sentence):
 def test_nesting_of_16_is_read():
     line = b'{"jsonrpc":"2.0","id":1,"method":"arm","params":' + b"[" * 15 + b"]" * 15 + b"}"
     assert refused(line).failure.code is Code.INVALID_PARAMS
+
+
+def test_512_values_are_read():
+    assert refused(b"[" + b"1," * 511 + b"1]").failure.code is Code.INVALID_REQUEST
+    assert refused(b"[[1],[" + b"1," * 508 + b"1]]").failure.code is Code.INVALID_REQUEST
+
+
+def test_the_first_three_things_that_are_wrong_are_named_and_the_others_counted():
+    sentence = code_and_sentence(line_with(params={"a": 1, "b": 1, "c": 1}))[1]
+    assert sentence == "; ".join(f'there is no parameter "{name}"' for name in "abc")
+    sentence = code_and_sentence(line_with(params=dict.fromkeys("abcde", 1)))[1]
+    assert sentence.endswith('parameter "c"; and 2 more')
 
 
 def test_a_whole_surrogate_pair_is_a_character():
@@ -324,7 +339,8 @@ def test_lines_come_out_as_they_went_in_however_they_were_cut():
         assert lines.is_partial
         lines.end()
         assert lines.take() == b"four"
-        assert not lines.is_partial
+        lines.end()
+        assert len(lines) == 0
         assert not lines.has_line
 
 
@@ -333,7 +349,19 @@ def test_a_line_of_exactly_64_kib_passes_and_one_byte_more_does_not():
     lines.feed(b"a" * MAX_LINE_BYTES)
     assert not lines.is_too_long
     lines.feed(b"\n")
+    assert lines.has_line
+    assert not lines.is_partial
     assert len(lines.take()) == MAX_LINE_BYTES
+    lines.feed(b"\n" + b"a" * MAX_LINE_BYTES + b"bc")
+    assert lines.has_line
+    assert not lines.is_partial
+    assert not lines.is_too_long
+    assert lines.take() == b""
+    assert lines.is_too_long
+
+
+def test_no_line_of_more_than_64_kib_can_be_taken():
+    lines = Lines()
     lines.feed(b"a" * (MAX_LINE_BYTES + 1))
     assert lines.is_too_long
     lines.feed(b"\n")

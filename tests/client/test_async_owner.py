@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from tests.client.scripted import Scripted
 from tests.client.standin import PATIENCE_S
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.client import (
@@ -15,6 +16,7 @@ from vcu_gateway.client import (
     ClientError,
     RefusedError,
     UnreachableError,
+    async_owner,
 )
 
 TTL_MS = 60
@@ -48,6 +50,7 @@ def test_what_was_set_reaches_the_command(gateway):
                 assert (await client.arm())["mode"] == "active"
                 owner.set(throttle_pct=20)
                 await until(lambda: owner.last_answer["mode"] == "active")
+                assert owner.connected
                 command = (await client.state([]))["commands"]["PCU1"]
                 assert command["throttle_pct"] == 20
             assert (await client.state([]))["mode"] == "standby"
@@ -78,6 +81,30 @@ def test_without_a_hold_the_values_go_on(gateway, standin):
         async with AsyncClient(gateway).demand("driver", ttl_ms=TTL_MS, hold_s=None) as owner:
             owner.set(throttle_pct=33)
             await until(lambda: throttles(standin).count(33) >= 5)
+
+    asyncio.run(drive())
+
+
+def test_keeping_a_demand_costs_next_to_no_processor_time(gateway, standin):
+    async def drive():
+        async with AsyncClient(gateway).demand("driver", ttl_ms=300, hold_s=None) as owner:
+            before_cpu_s = time.process_time()
+            await asyncio.sleep(0.5)
+            assert time.process_time() - before_cpu_s < 0.1
+            assert len(standin.demands()) >= 2
+            standin.stop()
+            await until(lambda: not owner.connected)
+            before_cpu_s = time.process_time()
+            await asyncio.sleep(0.3)
+            assert time.process_time() - before_cpu_s < 0.06
+
+    asyncio.run(drive())
+
+
+def test_nothing_can_be_set_before_it_is_entered(gateway):
+    async def drive():
+        with pytest.raises(ClientError, match="not entered"):
+            AsyncClient(gateway).demand("driver").set(throttle_pct=1)
 
     asyncio.run(drive())
 
@@ -173,6 +200,27 @@ def test_leaving_leaves_no_task(gateway):
     asyncio.run(drive())
 
 
+def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypatch):
+    monkeypatch.setattr(async_owner, "_FAREWELL_S", PATIENCE_S)
+
+    def speak(gateway):
+        gateway.grant()
+        assert gateway.read()["params"]["values"]["throttle_pct"] == 0
+        assert gateway.has_nothing_to_read()
+        gateway.grant(gateway.last)
+        assert gateway.read()["method"] == "demand.release"
+        gateway.grant(gateway.last)
+
+    async def drive():
+        with Scripted(tmp_path / "scripted.sock") as gateway:
+            speaking = asyncio.create_task(asyncio.to_thread(speak, gateway))
+            async with AsyncClient(gateway.path, timeout_s=60).demand("driver", ttl_ms=60_000):
+                pass
+            await speaking
+
+    asyncio.run(drive())
+
+
 def test_releasing_by_hand_ends_it_and_once_more_does_nothing(gateway, standin):
     async def drive():
         async with AsyncClient(gateway).demand("driver") as owner:
@@ -205,7 +253,7 @@ def test_a_demand_that_is_refused_from_the_start_is_not_entered(gateway, standin
 
     async def drive():
         with pytest.raises(RefusedError, match="cruise owns"):
-            async with AsyncClient(gateway).demand("driver"):
+            async with AsyncClient(gateway, timeout_s=60).demand("driver"):
                 pytest.fail("it was entered")
         assert not other_tasks()
 
@@ -279,16 +327,20 @@ def test_many_tasks_share_a_client_and_each_gets_its_own_answer(gateway, standin
     assert standin.accepted == 1
 
 
-def test_a_request_that_does_not_get_its_turn_in_time_is_a_timeout(gateway, standin):
-    standin.faults.silent.add("why")
-
+def test_a_request_that_does_not_get_its_turn_in_time_is_not_sent(gateway, standin):
     async def main():
-        async with AsyncClient(gateway, timeout_s=0.1) as client:
-            results = await asyncio.gather(client.why(), client.health(), return_exceptions=True)
-        assert [type(result) for result in results] == [ApiTimeoutError, ApiTimeoutError]
+        standin.faults.late["why"] = threading.Event()
+        async with AsyncClient(gateway, timeout_s=60) as client:
+            waiting = asyncio.create_task(client.why())
+            await until(lambda: "why" in standin.methods())
+            client.timeout_s = 0.01
+            with pytest.raises(ApiTimeoutError, match="arm"):
+                await client.arm()
+            standin.faults.late["why"].set()
+            assert (await waiting)["mode"] == "standby"
 
     asyncio.run(main())
-    assert "health" not in standin.methods()
+    assert "arm" not in standin.methods()
 
 
 def test_a_cancelled_subscription_can_be_read_on_and_leaves_no_task(gateway):

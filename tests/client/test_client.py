@@ -2,9 +2,11 @@
 
 import socket
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from tests.client.scripted import Scripted
 from tests.client.standin import METRICS, PATIENCE_S, page
 from tests.client.vehicle import MESSAGES
 from vcu_gateway.api.failures import Code, Failure
@@ -284,6 +286,14 @@ def test_no_answer_in_time_is_a_timeout_and_the_next_call_is_undisturbed(hasty, 
     assert standin.methods() == ["why"]
     hasty.timeout_s = PATIENCE_S
     assert hasty.disarm()["granted"]
+
+
+def test_an_answer_that_never_ends_is_a_timeout(kind, tmp_path):
+    with Scripted(tmp_path / "scripted.sock") as gateway, ThreadPoolExecutor(1) as threads:
+        dribbling = threads.submit(gateway.dribble)
+        with kind(gateway.path, timeout_s=0.3) as client, pytest.raises(ApiTimeoutError):
+            client.why()
+        dribbling.result()
 
 
 def test_a_change_without_an_answer_in_time_is_said_to_be_unknown(hasty, standin):

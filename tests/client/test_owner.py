@@ -6,9 +6,11 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from tests.client.scripted import Scripted
 from tests.client.standin import PATIENCE_S
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.client import (
@@ -19,6 +21,7 @@ from vcu_gateway.client import (
     NoRightError,
     RefusedError,
     UnreachableError,
+    blocking_owner,
 )
 
 TTL_MS = 60
@@ -29,7 +32,8 @@ OTHER_OWNER = Failure(Code.REFUSED, "cruise owns the demand", "other_owner")
 
 @pytest.fixture
 def client(gateway):
-    with Client(gateway) as client:
+    """Patient: whatever is not noticed at once hangs."""
+    with Client(gateway, timeout_s=60) as client:
         yield client
 
 
@@ -193,6 +197,12 @@ def test_the_demand_stays_fresh_while_nobody_calls_set(client, driver, standin):
     assert client.state([])["mode"] == "active"
 
 
+def test_keeping_a_demand_costs_next_to_no_processor_time(driver, standin):
+    seen, before_s, before_cpu_s = len(standin.demands()), time.monotonic(), time.process_time()
+    standin.wait_for(lambda: len(standin.demands()) >= seen + 2)
+    assert time.process_time() - before_cpu_s < 0.2 * (time.monotonic() - before_s)
+
+
 def test_a_number_that_is_not_finite_is_refused_here_and_the_last_values_stand(owner, standin):
     owner.set(throttle_pct=33)
     with pytest.raises(ValueError, match="throttle_pct"):
@@ -216,6 +226,11 @@ def test_several_threads_may_set_and_no_number_comes_twice(owner, standin):
     numbers = [demand.params["sequence"] for demand in standin.demands()]
     assert numbers == sorted(set(numbers))
     assert owner.refusal is None
+
+
+def test_nothing_can_be_set_before_it_is_entered(client):
+    with pytest.raises(ClientError, match="not entered"):
+        client.demand("driver").set(throttle_pct=1)
 
 
 # Refusals.
@@ -284,6 +299,23 @@ def test_leaving_by_an_exception_does_the_same_and_lets_it_pass(client, standin)
     assert_left_with_no_motion_and_released(standin)
 
 
+def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypatch):
+    monkeypatch.setattr(blocking_owner, "_FAREWELL_S", PATIENCE_S)
+    with Scripted(tmp_path / "scripted.sock") as gateway, ThreadPoolExecutor(1) as threads:
+        owner = Client(gateway.path, timeout_s=60).demand("driver", ttl_ms=60_000)
+        entered = threads.submit(owner.__enter__)
+        gateway.grant()
+        entered.result()
+        released = threads.submit(owner.release)
+        assert gateway.read()["params"]["values"]["throttle_pct"] == 0
+        assert gateway.has_nothing_to_read()
+        gateway.grant(gateway.last)
+        assert gateway.read()["method"] == "demand.release"
+        assert not released.done()
+        gateway.grant(gateway.last)
+        released.result()
+
+
 def test_leaving_ends_the_drive(client):
     with client.demand("driver", ttl_ms=LONG_TTL_MS) as owner:
         client.arm()
@@ -343,6 +375,14 @@ def test_an_owner_reconnects_to_a_restarted_gateway(owner, standin):
     standin.restart()
     standin.wait_for(lambda: standin.open_connections)
     eventually(lambda: owner.connected)
+
+
+def test_waiting_for_a_gateway_costs_next_to_no_processor_time(owner, standin):
+    standin.stop()
+    eventually(lambda: not owner.connected)
+    before_cpu_s = time.process_time()
+    threading.Event().wait(0.3)
+    assert time.process_time() - before_cpu_s < 0.06
 
 
 def test_sequences_rise_across_reconnects(owner, standin):

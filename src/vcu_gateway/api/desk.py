@@ -54,10 +54,10 @@ class Desk:
         try:
             result = self._result(connection, request, now_ns)
         except Failure as failure:
-            # Not kept in a variable: with its traceback it would keep itself alive.
-            self._send_if_asked(connection, request.id, failure, now_ns)
-        else:
-            self._send_if_asked(connection, request.id, result, now_ns)
+            # Without its traceback, or it would keep itself alive through this frame.
+            result = failure.with_traceback(None)
+        if result is not None and request.id is not None:
+            self._send(connection, request.id, result, now_ns)
 
     def answer(self, connection: Connection, number: int, reply: Reply, now_ns: int) -> None:
         """Send the service's reply to the request of this number; the first one counts."""

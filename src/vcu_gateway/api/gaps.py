@@ -56,8 +56,9 @@ class Gaps:
         self._deadline_ns = next_deadline_ns()
         self._looked_ns = now_ns()
         self._open_ns = self._looked_ns
-        self._share_from_ns = self._looked_ns
-        self._worked_before_ns: int | None = None
+        # Begun on the first look: that is on the thread whose time counts.
+        self._share_from_ns = self._looked_ns - period_ns
+        self._worked_before_ns = 0
 
     def wait(self, cost_ns: int = UNIT_NS) -> None:
         """Return when there is room for work of this cost; at once where there is.
@@ -105,9 +106,7 @@ class Gaps:
         self._worked_before_ns = self._worked_ns()
 
     def _share_open_at(self, now_ns: int, cost_ns: int) -> int:
-        if self._worked_before_ns is None:
-            self._begin_share(now_ns)
-        worked_ns = self._worked_ns() - (self._worked_before_ns or 0)
+        worked_ns = self._worked_ns() - self._worked_before_ns
         if worked_ns + cost_ns <= self._share_ns:
             return now_ns
         return self._share_from_ns + self._period_ns

@@ -1,5 +1,6 @@
 """The API's loop: every connection gets its turn, in the gaps between the ticks."""
 
+import contextlib
 import select
 import time
 
@@ -80,10 +81,10 @@ class Rounds:
                 self._desk.answer(connection, number, ending, self._now_ns())
 
     def close(self) -> None:
-        """End every connection."""
-        for connection in list(self._connections.values()):
-            self._end(connection, "")
-        self._epoll.close()
+        """End every connection, also where the service has a bug at one of them."""
+        with self._epoll, contextlib.ExitStack() as ends:
+            for connection in list(self._connections.values()):
+                ends.callback(self._end, connection, "")
 
     def _now_ns(self) -> int:
         """The time after room for one unit of work was found."""
@@ -213,13 +214,13 @@ class Rounds:
         del self._watched[connection.sock.fileno()]
         del self._connections[connection.sock.fileno()]
         self._counters.clients -= connection.caller is not None
-        connection.sock.close()
         connection.peer_ended = True
-        self._tell_if_gone(connection)
-        if reason:
-            self._counters.count_closed(reason)
-            if connection.caller is not None:
-                self._service.closed(connection.caller, reason)
+        with connection.sock:  # closed last: whoever sees the end finds it told and counted
+            self._tell_if_gone(connection)
+            if reason:
+                self._counters.count_closed(reason)
+                if connection.caller is not None:
+                    self._service.closed(connection.caller, reason)
 
     def _is_pending(self) -> bool:
         return any(c.unanswered or c.has_output for c in self._connections.values())

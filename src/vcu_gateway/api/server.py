@@ -48,12 +48,12 @@ class Server:
         self._metrics_sock: socket.socket | None = None
         self._thread: threading.Thread | None = None
         self._is_closing = False
-        self._failure: BaseException | None = None
+        self._failed: str | None = None
 
     @property
     def failed(self) -> str | None:
         """The exception that ended the thread; None while there was none."""
-        return None if self._failure is None else repr(self._failure)
+        return self._failed
 
     @property
     def metrics_port(self) -> int | None:
@@ -100,7 +100,9 @@ class Server:
                 self._close_doors()
                 rounds.wind_up()
         finally:
-            self._failure = sys.exception()
+            if sys.exception() is not None:
+                # As text: the exception would keep every connection alive.
+                self._failed = repr(sys.exception())
             self._mailbox.shut()
             self._close_doors()
 

@@ -69,7 +69,8 @@ def parse(line: bytes) -> Request | Refused:
         return _request(message, request_id)
     except Failure as failure:
         is_answered = "id" in message or failure.code is Code.INVALID_REQUEST
-        return Refused(failure, request_id, is_answered)
+        # Without its traceback, or it would keep itself alive through the frames of the caller.
+        return Refused(failure.with_traceback(None), request_id, is_answered)
 
 
 def result_line(request_id: RequestId, result: Mapping[str, Any]) -> bytes:
@@ -201,11 +202,17 @@ def _params(model: type[Params], values: object) -> Params:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        found = error.errors(include_url=False, include_context=False, include_input=False)
-        complaints = [_complaint(model, one) for one in found[:_MAX_COMPLAINTS]]
-        if len(found) > _MAX_COMPLAINTS:
-            complaints.append(f"and {len(found) - _MAX_COMPLAINTS} more")
-        raise _failure(Code.INVALID_PARAMS, "; ".join(complaints)) from None
+        complaints = _complaints(model, error)
+    raise _failure(Code.INVALID_PARAMS, complaints)
+
+
+def _complaints(model: type[Params], error: ValidationError) -> str:
+    """What is wrong with the parameters: the first few things."""
+    found = error.errors(include_url=False, include_context=False, include_input=False)
+    complaints = [_complaint(model, one) for one in found[:_MAX_COMPLAINTS]]
+    if len(found) > _MAX_COMPLAINTS:
+        complaints.append(f"and {len(found) - _MAX_COMPLAINTS} more")
+    return "; ".join(complaints)
 
 
 def _complaint(model: type[Params], error: Any) -> str:
