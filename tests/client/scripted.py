@@ -49,6 +49,11 @@ class Scripted:
         answer = {"jsonrpc": "2.0", "id": answered["id"], "result": {"granted": True}}
         self.connection.sendall(json.dumps(answer).encode() + b"\n")
 
+    def end_unread(self) -> None:
+        """End the connection once a request has come, without reading it."""
+        select.select([self.connection], [], [], PATIENCE_S)
+        self.connection.close()
+
     def dribble(self) -> None:
         """Answer the next request with an endless line, a little at a time."""
         self.read()

@@ -6,6 +6,8 @@ from typing import Any
 
 from vcu_gateway.client import AsyncClient
 
+_END = object()
+
 
 class Bridged:
     """Each call runs in a loop of its own keeping."""
@@ -49,10 +51,10 @@ class BridgedSubscription:
 
     def __next__(self) -> Any:
         async def following() -> Any:
-            return await anext(self._updates, None)
+            return await anext(self._updates, _END)
 
         update = self._runner.run(following())
-        if update is None:
+        if update is _END:
             raise StopIteration
         return update
 

@@ -273,7 +273,7 @@ def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, s
     standin.faults.silent.add("demand.set")
 
     async def drive():
-        with pytest.raises(ApiTimeoutError):
+        with pytest.raises(ApiTimeoutError, match="took no demand within"):
             async with AsyncClient(gateway, timeout_s=0.1).demand("driver"):
                 pytest.fail("it was entered")
         assert not other_tasks()
@@ -353,6 +353,18 @@ def test_a_cancelled_subscription_can_be_read_on_and_leaves_no_task(gateway):
             await asyncio.wait({reading})
             assert (await anext(updates))["state"]["mode"] == "standby"
             assert not other_tasks()
+
+    asyncio.run(main())
+
+
+def test_a_loop_over_a_subscription_ends_with_its_connection(gateway, standin):
+    async def main():
+        count = 0
+        async for update in AsyncClient(gateway).subscribe(rate_hz=50):
+            count += update["state"]["mode"] == "standby"
+            if count == 2:
+                standin.hang_up()
+        assert count >= 2
 
     asyncio.run(main())
 

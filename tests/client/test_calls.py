@@ -67,3 +67,18 @@ def test_both_clients_have_the_same_methods_with_the_same_parameters(one, other)
         }
 
     assert signatures(one) == signatures(other)
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "default"),
+    [
+        (Client, "timeout_s", 2.0),
+        (Client.subscribe, "rate_hz", 10.0),
+        (Client.events, "limit", 50),
+        (Client.reset, "level", "driver"),
+        (Client.demand, "ttl_ms", 200),
+        (Client.demand, "hold_s", 0.5),
+    ],
+)
+def test_what_is_left_out_has_its_documented_default(function, name, default):
+    assert inspect.signature(function).parameters[name].default == default

@@ -1,5 +1,6 @@
 """Calls of both clients: results, errors, breaks, time."""
 
+import os
 import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -164,7 +165,14 @@ def test_after_a_second_break_it_is_given_up(client, standin):
     assert standin.methods() == ["why", "why"]
 
 
-@pytest.mark.parametrize("method", ["arm", "disarm", "reset", "estop", "reload"])
+@pytest.mark.parametrize("method", ["disarm", "estop"])
+def test_what_stops_the_vehicle_is_rather_sent_twice_than_left_in_doubt(client, standin, method):
+    standin.faults.hang_up[method] = 1
+    getattr(client, method)()
+    assert standin.methods() == [method, method]
+
+
+@pytest.mark.parametrize("method", ["arm", "reset", "reload"])
 def test_a_call_that_changes_something_is_never_sent_twice(client, standin, method):
     wire_name = "config.reload" if method == "reload" else method
     standin.faults.hang_up[wire_name] = 1
@@ -218,6 +226,43 @@ def test_a_subscription_that_was_closed_brings_nothing_more(client, standin):
     standin.wait_for(lambda: len(standin.open_connections) == 0)
 
 
+@pytest.fixture
+def open_files(client, standin):
+    """How many there are more than before the test, once the stand-in has closed its own."""
+    client.metrics()
+    standin.wait_for(lambda: not standin.open_connections)
+    before = len(os.listdir("/proc/self/fd"))
+
+    def more():
+        standin.wait_for(lambda: not standin.open_connections)
+        return len(os.listdir("/proc/self/fd")) - before
+
+    return more
+
+
+def test_a_subscription_that_was_left_leaves_nothing_open(client, open_files):
+    with client.subscribe(rate_hz=50) as updates:
+        next(updates)
+    assert open_files() == 0
+    assert next(updates, None) is None
+
+
+def test_a_subscription_that_ended_leaves_nothing_open(client, standin, open_files):
+    updates = client.subscribe(rate_hz=50)
+    next(updates)
+    standin.hang_up()
+    assert all(update["lost"] == 0 for update in updates)
+    assert open_files() == 0
+    assert next(updates, None) is None
+
+
+def test_a_subscription_that_was_refused_leaves_nothing_open(client, open_files):
+    with pytest.raises(ApiError) as raised:
+        next(client.subscribe(["NO_SUCH_MESSAGE"]))
+    assert open_files() == 0
+    assert raised.value.__traceback__  # It holds on to what the call had in its hands.
+
+
 # An answer that is slow, cut up, or none.
 
 
@@ -231,6 +276,14 @@ def test_half_an_answer_is_no_answer(client, standin):
     standin.faults.hang_up["arm"] = 1
     with pytest.raises(DisconnectedError, match="unknown whether arm was carried out"):
         client.arm()
+
+
+def test_a_gateway_that_ends_with_the_request_unread_is_a_break(kind, tmp_path):
+    with Scripted(tmp_path / "scripted.sock") as gateway, ThreadPoolExecutor(1) as threads:
+        ending = threads.submit(gateway.end_unread)
+        with kind(gateway.path) as client, pytest.raises(DisconnectedError, match="unknown"):
+            client.arm()
+        ending.result()
 
 
 @pytest.mark.parametrize("rubbish", [b"HTTP/1.1 400 Bad\r\n\r\n", b"\xff\n", b"{}\n", b"\n"])

@@ -103,7 +103,8 @@ def test_a_demand_that_is_refused_from_the_start_is_not_entered(client, standin,
 
 def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, standin):
     standin.faults.silent.add("demand.set")
-    with pytest.raises(ApiTimeoutError), Client(gateway, timeout_s=0.1).demand("driver"):
+    owner = Client(gateway, timeout_s=0.1).demand("driver")
+    with pytest.raises(ApiTimeoutError, match="took no demand within"), owner:
         pytest.fail("it was entered")
     standin.wait_for(lambda: not standin.open_connections)
 

@@ -25,7 +25,8 @@ class AsyncClient:
 
     It connects on first use and again after a break. A request that only tells is then sent
     once more; one that changes something is not, and raises DisconnectedError, unless it is
-    certain that the gateway never got it. It starts no task; only a demand has one.
+    certain that the gateway never got it, or it stops the vehicle (`estop`, `disarm`). It
+    starts no task; only a demand has one.
 
     Every method raises UnreachableError, ApiTimeoutError, DisconnectedError or ApiError.
     """

@@ -26,7 +26,7 @@ class Client:
 
     It connects on first use and again after a break. A request that only tells is then sent
     once more; one that changes something is not, and raises DisconnectedError, unless it is
-    certain that the gateway never got it.
+    certain that the gateway never got it, or it stops the vehicle (`estop`, `disarm`).
 
     Every method raises UnreachableError, ApiTimeoutError, DisconnectedError or ApiError.
     """

@@ -16,16 +16,18 @@ class Call(NamedTuple, Generic[ResultT]):
     """A request that waits for a connection.
 
     Attributes:
-        changes: it does more than tell; such a request is never sent twice.
+        changes: it does more than tell; such a request is never sent twice,
+        stops: unless it stops the vehicle: twice is better than in doubt.
     """
 
     method: str
     params: Mapping[str, object]
     changes: bool = False
+    stops: bool = False
 
     def may_go_again(self, broken: DisconnectedError) -> bool:
-        """Whether sending it on a new connection cannot carry it out twice."""
-        return broken.carried_out is False or not self.changes
+        """Whether it may be sent on a new connection."""
+        return broken.carried_out is False or self.stops or not self.changes
 
     @property
     def doubt(self) -> str:
@@ -87,7 +89,7 @@ def arm() -> Call[shapes.Granted]:
 
 def disarm() -> Call[shapes.Granted]:
     """From active to standby."""
-    return Call("disarm", {}, changes=True)
+    return Call("disarm", {}, changes=True, stops=True)
 
 
 def reset(level: Literal["driver", "service"]) -> Call[shapes.Granted]:
@@ -97,7 +99,7 @@ def reset(level: Literal["driver", "service"]) -> Call[shapes.Granted]:
 
 def estop() -> Call[shapes.Granted]:
     """Cut the power of both controllers."""
-    return Call("estop", {}, changes=True)
+    return Call("estop", {}, changes=True, stops=True)
 
 
 def reload() -> Call[shapes.Reloaded]:
