@@ -156,6 +156,11 @@ def test_a_large_head_below_that_is_answered(client):
     assert answer_to(client, GET[:-2] + field * 7 + b"\r\n")[0] == 200
 
 
+def test_what_follows_a_head_does_not_count_as_head(client):
+    body = b"x" * 89 + b"\n"
+    assert answer_to(client, b"POST /metrics HTTP/1.1\r\nHost: x\r\n\r\n" + body * 100)[0] == 405
+
+
 def test_a_head_that_comes_too_slowly_costs_the_connection(port_api):
     for client in (port_api.connect(), port_api.connect_to_port()):
         client.send(GET[:-2])

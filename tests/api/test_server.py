@@ -107,6 +107,18 @@ def test_a_notification_is_carried_out_and_not_answered(api, client):
     assert client.ask("why", 3)
 
 
+def test_a_notification_that_fails_is_neither_answered_nor_counted(api, client):
+    client.notify("x")
+    client.notify("state.get", x=1)
+    client.notify("state.unsubscribe", subscription=1)
+    client.notify("arm")
+    eventually(lambda: api.service.held)
+    api.service.release(Failure(Code.REFUSED, "not now", "not_allowed_now"))
+    assert client.ask("why", 3)
+    assert api.counts()["errors"] == {}
+    assert api.counts()["requests"] == 5
+
+
 def test_lines_may_arrive_in_any_pieces(client):
     data = b'{"jsonrpc":"2.0","id":1,"method":"why"}\n' * 3
     for start in range(0, len(data), 7):
@@ -500,7 +512,11 @@ def test_too_many_requests_wait_and_are_answered_later(idle_api):
         client.request("why", number)
     assert [client.line()["id"] for _ in range(40)] == list(range(40))
     assert time.monotonic_ns() - begin_ns >= 290 * MS
-    assert idle_api.server.delayed >= 25
+    delayed = idle_api.server.delayed
+    assert 25 <= delayed <= 30
+    time.sleep(0.05)  # now there is room for one again
+    assert client.ask("why", 40)
+    assert idle_api.server.delayed == delayed
     assert idle_api.counts()["closed"] == {}
 
 
@@ -523,6 +539,22 @@ def test_a_flood_on_one_connection_does_not_hold_up_another(api, client):
     stop.set()
     thread.join()
     reading.join()
+
+
+def test_whoever_makes_demands_is_served_between_all_the_others(idle_api):
+    """A flood of others must not use up a demand's time to live."""
+    api, server = idle_api, idle_api.make()
+    server.open()
+    driver, others = api.connect(), [api.connect() for _ in range(8)]
+    for sequence in range(10):
+        driver.request("demand.set", sequence, source="driver", sequence=sequence, values={})
+        for other in others:
+            other.request("why", sequence)
+    server.start()
+    eventually(lambda: len(api.service.begun) == 90)
+    order = [method for method, _, _ in api.service.begun]
+    last = max(index for index, method in enumerate(order) if method == "demand.set")
+    assert last < 40, "turn by turn it would be among the last"
 
 
 @pytest.mark.parametrize(("late_ns", "at_once"), [(0, 3), (9 * MS, 3), (100 * MS, 3)])
@@ -712,6 +744,7 @@ def test_a_slow_reader_loses_updates_and_is_told_how_many(api, client):
         lost = update["lost"]
     assert lost >= 10
     assert updates < 8
+    eventually(lambda: client.line()["params"]["lost"] == 0)
     assert api.counts()["closed"] == {}
 
 

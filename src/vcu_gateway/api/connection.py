@@ -57,6 +57,7 @@ class Connection:
         head: the lines of an HTTP request so far; None while it speaks JSON.
         peer_ended: the peer sends no more; `peer_is_gone`: nor does it read.
         is_told: the service knows of that.
+        drives: it has made a demand; it is served between all the others.
         waited: the next request was held up by the rate.
         is_new: no line was taken yet.
     """
@@ -72,7 +73,7 @@ class Connection:
         self.subscriptions: dict[int, Subscription] = {}
         self.head: list[bytes] | None = [] if caller is None else None
         self.peer_ended = self.peer_is_gone = self.is_told = False
-        self.waited = False
+        self.waited = self.drives = False
         self.is_new = True
         self._limits = limits
         self._out = bytearray()

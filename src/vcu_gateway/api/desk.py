@@ -104,6 +104,7 @@ class Desk:
 
     def _begin(self, connection: Connection, caller: Caller, request: wire.Request) -> None:
         number = next(self._numbers)
+        connection.drives = connection.drives or request.method == "demand.set"
         connection.unanswered[number] = request.id
         reply = functools.partial(self._reply, caller.connection, number)
         self._service.begin(request.method, request.params, caller, reply)

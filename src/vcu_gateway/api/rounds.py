@@ -62,6 +62,7 @@ class Rounds:
             self._mailbox.hush()
         self._deliver()
         for connection in list(self._connections.values()):
+            self._serve_drivers()
             self._serve(connection)
         self._send_updates()
         self._look_at_all()
@@ -134,6 +135,12 @@ class Rounds:
             self._handle_line(connection, self._now_ns())
         elif connection.peer_ended:
             self._receive(connection, self._now_ns())  # epoll tells nothing more of it
+
+    def _serve_drivers(self) -> None:
+        """Whoever makes demands waits for nobody's turn: its dead-man's time runs."""
+        for connection in [one for one in self._connections.values() if one.drives]:
+            self._receive(connection, self._now_ns())
+            self._serve(connection)
 
     def _receive(self, connection: Connection, now_ns: int) -> None:
         if connection.wants_bytes:
