@@ -78,8 +78,10 @@ def stand_in_for_confirm() -> None:
 
     Here the wire sends it back one byte too long, and the kernel's "cut off" flag stands in.
     """
-    from vcu_gateway.bus import socketcan
+    from vcu_gateway.bus import interface, socketcan
 
+    there = interface.Interface(number=1, is_can=True, up=True, carrier=True, tx_queue_frames=0)
+    setattr(interface.Interfaces, "look", lambda self, name: there)  # noqa: B010
     vars(socketcan).update(_FD_FRAME_BYTES=16)
     vars(socket).update(MSG_CONFIRM=socket.MSG_TRUNC)
 

@@ -9,20 +9,22 @@ from types import FrameType
 from typing import NamedTuple
 
 from vcu_gateway.bus.door import Door
+from vcu_gateway.bus.keeper import Keeper
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.output import OutFrame
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.why import Why
-from vcu_gateway.errors import UnavailableError
 from vcu_gateway.inbox import Inbox
 from vcu_gateway.journal import Journal
+from vcu_gateway.linking import Linking
 from vcu_gateway.log import log
 
 _SWITCH_INTERVAL_S = 0.0005
 # No work for others is begun so shortly before a tick; sleeping to it is the most punctual.
 _PUNCTUAL_NS = 3_000_000
 _COLLECT_EVERY_TICKS = 1200
+_FIRST_LOOK_WITHIN_S = 0.5
 _NS_PER_S = 1_000_000_000
 _NS_PER_MS = 1_000_000
 
@@ -41,6 +43,7 @@ class Daemon:
 
     Attributes:
         inbox: what others want done on the ticking thread; journal: what happened.
+        keeper: opens the bus, now and after every loss.
         latest: the last tick; None before the first.
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.
         silent_ticks: ticks that sent nothing, listening before talking.
@@ -56,16 +59,14 @@ class Daemon:
         self.gateway = gateway
         self.door = door
         self.schedule = Schedule(time.monotonic_ns(), gateway.settings.period_ns)
-        self._reopen_ns = reopen_ms * _NS_PER_MS
-        self._next_open_ns = 0
-        self._was_open = False
-        self._told_lost: str | None = None
         self._observers = [] if observer is None else [observer]
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
         self.inbox = Inbox()
         self.journal = Journal()
+        self.keeper = Keeper(door, reopen_ms)
+        self._linking = Linking(gateway, door, self.keeper, self.journal)
         self.latest: Latest | None = None
         self._on_hangup: Callable[[], None] | None = None
         self._told_why: tuple[object, ...] = ()
@@ -94,12 +95,18 @@ class Daemon:
             self.stop(signal.Signals(number).name)
 
     def run(self, duration_s: float | None = None) -> None:
-        """Tick every period until stopped, or for `duration_s` seconds; then end safely."""
+        """Tick every period until stopped, or for `duration_s` seconds; then end safely.
+
+        Raises UnavailableError where another gateway of this machine has the interface.
+        """
+        self.door.claim()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
         gc.collect()
         gc.freeze()
         gc.disable()  # collected below, right after a tick, when nothing is due
-        self._try_to_open()
+        self._linking.begin(time.monotonic_ns())
+        self.keeper.start()
+        self.keeper.tried.wait(_FIRST_LOOK_WITHIN_S)
         schedule = self.schedule = Schedule(time.monotonic_ns(), self.schedule.period_ns)
         self.door.align(schedule.origin_ns, schedule.period_ns)
         end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * _NS_PER_S)
@@ -116,7 +123,8 @@ class Daemon:
         finally:
             gc.enable()
             gc.unfreeze()
-            self.door.close()
+            self.keeper.stop()
+            self.door.release()
         self._log_end()
 
     @staticmethod
@@ -131,6 +139,7 @@ class Daemon:
             gateway.requests.terminate()
         self.inbox.do_waiting()
         now_ns = time.monotonic_ns()
+        self._linking.before_tick(now_ns)
         result = gateway.tick(now_ns)
         for frame in result.frames:
             gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
@@ -141,7 +150,7 @@ class Daemon:
         self._tell(tick, result)
         for observe in self._observers:
             observe(tick, result)
-        self._mind_the_link(now_ns)
+        self._linking.after_tick(now_ns)
         if tick.index % _COLLECT_EVERY_TICKS == _COLLECT_EVERY_TICKS - 1:
             gc.collect()
 
@@ -169,30 +178,6 @@ class Daemon:
         """A request changed something: `latest` is to tell before the next tick."""
         if self.latest is not None:
             self.latest = self.latest._replace(why=self.gateway.why(time.monotonic_ns()))
-
-    def _mind_the_link(self, now_ns: int) -> None:
-        if self.door.is_open or self._stopping is not None:
-            return
-        self.gateway.link_lost(now_ns)
-        if self._was_open:
-            self._was_open = False
-            self.journal.tell(Event("link_lost", Severity.ERROR, {"reason": self.door.lost}))
-        if now_ns >= self._next_open_ns:
-            self._next_open_ns = now_ns + self._reopen_ns
-            self._try_to_open()
-
-    def _try_to_open(self) -> None:
-        try:
-            self.door.open()
-        except UnavailableError as error:
-            self.gateway.link_lost(time.monotonic_ns())
-            if str(error) != self._told_lost:
-                self._told_lost = str(error)
-                self.journal.tell(Event("link_unavailable", Severity.ERROR, {"reason": str(error)}))
-        else:
-            self._was_open, self._told_lost = True, None
-            self.gateway.link_opened(time.monotonic_ns())
-            self.journal.tell(Event("link_open", Severity.INFO))
 
     def _log_end(self) -> None:
         schedule = self.schedule

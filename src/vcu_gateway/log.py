@@ -1,8 +1,13 @@
 """structlog, set up so that writing a line never waits for whoever reads it."""
 
+import os
+import queue
+import select
 import sys
 import threading
-from collections import deque
+import traceback
+from collections.abc import Callable
+from types import TracebackType
 from typing import Literal, TextIO
 
 import structlog
@@ -10,8 +15,9 @@ import structlog
 from vcu_gateway.core.events import Event, Severity
 
 _QUEUE_LINES = 1000
-_FLUSH_S = 1.0
-
+_LINE_CHARACTERS = 16_384
+# The end of the program waits no longer than this for a reader that does not read.
+_DRAIN_S = 0.2
 
 log = structlog.get_logger()
 """The program's log: log.info("event_name", field=value)."""
@@ -20,27 +26,36 @@ log = structlog.get_logger()
 class QueuedWriter:
     """A file-like object that hands lines to a writing thread and never blocks.
 
-    Attributes:
-        dropped: lines lost because the reader did not keep up, or there was none.
+    It writes to a descriptor of its own: nobody can close that one, and no lock of the stream's
+    is held while a reader keeps it waiting, which would stop the interpreter's end.
+
+    `tell_lost` is called, on the writing thread, with the number of lines that were lost, once
+    the reader takes lines again.
     """
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self._lines: deque[str] = deque()
-        self._wake = threading.Event()
-        self._idle = threading.Event()
-        self._idle.set()
-        self.dropped = 0
+    def __init__(
+        self, stream: TextIO | None, tell_lost: Callable[[int], None] = lambda lines: None
+    ) -> None:
+        self._put_out = _sink(stream)
+        self._tell_lost = tell_lost
+        self._queue: queue.SimpleQueue[str | threading.Event] = queue.SimpleQueue()
+        self._refused = self._failed = self._told = 0
+        self._reader_reads = False
         threading.Thread(target=self._work, name="log writer", daemon=True).start()
+
+    @property
+    def dropped(self) -> int:
+        """Lines lost because the reader did not keep up, or there was none."""
+        return self._refused + self._failed
 
     def write(self, text: str) -> int:
         """Queue text; dropped and counted where the queue is full."""
-        if len(self._lines) >= _QUEUE_LINES:
-            self.dropped += 1
+        if self._queue.qsize() >= _QUEUE_LINES:
+            self._refused += 1
+        elif len(text) > _LINE_CHARACTERS:
+            self._queue.put(f"{text[:_LINE_CHARACTERS]} ...\n")
         else:
-            self._lines.append(text)
-            self._idle.clear()
-            self._wake.set()
+            self._queue.put(text)
         return len(text)
 
     def flush(self) -> None:
@@ -48,32 +63,97 @@ class QueuedWriter:
 
     def drain(self) -> None:
         """Give the reader a moment to take what is queued, at the end of the program."""
-        self._idle.wait(_FLUSH_S)
+        written = threading.Event()
+        self._queue.put(written)
+        written.wait(_DRAIN_S)
 
     def _work(self) -> None:
         while True:
-            self._wake.wait()
-            self._wake.clear()
-            while self._lines:
-                self._write_out(self._lines.popleft())
-            self._idle.set()
+            self._do(self._queue.get())
+
+    def _do(self, work: str | threading.Event) -> None:
+        if isinstance(work, str):
+            self._write_out(work)
+            if self._queue.empty():
+                self._told_what_is_lost()
+        elif self._told_what_is_lost():
+            self._queue.put(work)  # what was told comes before
+        else:
+            work.set()
 
     def _write_out(self, text: str) -> None:
         try:
-            self._stream.write(text)
-            self._stream.flush()
+            self._put_out(text)
+            self._reader_reads = True
         except (OSError, ValueError):
             # Closed, full or gone: the program goes on without its log.
-            self.dropped += 1
+            self._failed += 1
+            self._reader_reads = False
+
+    def _told_what_is_lost(self) -> bool:
+        """Tell it where there is anything to tell, and anybody."""
+        lost = self.dropped - self._told
+        if not lost or not self._reader_reads:
+            return False
+        self._told += lost
+        self._tell_lost(lost)
+        return True
+
+
+def _sink(stream: TextIO | None) -> Callable[[str], None]:
+    """What writes a text out, waiting as long as it takes, or raises OSError or ValueError."""
+    if stream is None:  # closed before the program began
+        return _nowhere
+    try:
+        return _Descriptor(os.dup(stream.fileno()))
+    except (OSError, ValueError):  # closed, or in memory
+
+        def write(text: str) -> None:
+            stream.write(text)
+
+        return write
+
+
+def _nowhere(text: str) -> None:
+    raise OSError(f"nowhere to write {len(text)} characters")
+
+
+class _Descriptor:
+    """Writes whole lines, also where somebody made the descriptor non-blocking."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._torn = False
+
+    def __call__(self, text: str) -> None:
+        left = text.encode("utf-8", "backslashreplace")
+        if self._torn:
+            left = b"\n" + left
+        while left:
+            written = self._write_some(left)
+            left = left[written:]
+            self._torn = bool(left)
+
+    def _write_some(self, data: bytes) -> int:
+        try:
+            return os.write(self._number, data)
+        except BlockingIOError:
+            poll = select.poll()
+            poll.register(self._number, select.POLLOUT)
+            poll.poll()
+            return 0
 
 
 def configure(
     level: str, form: Literal["auto", "json", "console"], stream: TextIO | None = None
 ) -> QueuedWriter:
-    """Set structlog up; JSON lines unless a person is looking."""
-    stream = stream or sys.stderr
+    """Set structlog up; JSON lines unless a person is looking.
+
+    Without a stream the log is the program's own: it goes to stderr, and crashes go into it.
+    """
+    own, stream = stream is None, stream or sys.stderr
     person = form == "console" or (form == "auto" and _is_terminal(stream))
-    writer = QueuedWriter(stream)
+    writer = QueuedWriter(stream, _log_lost)
     renderer = (
         structlog.dev.ConsoleRenderer(colors=_is_terminal(stream))
         if person
@@ -88,14 +168,50 @@ def configure(
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.WriteLoggerFactory(writer),  # type: ignore[arg-type]
     )
+    if own:
+        _log_crashes(writer)
     return writer
 
 
-def _is_terminal(stream: TextIO) -> bool:
+def _is_terminal(stream: TextIO | None) -> bool:
     try:
-        return stream.isatty()
+        return stream is not None and stream.isatty()
     except ValueError:  # closed
         return False
+
+
+def _log_lost(lines: int) -> None:
+    log.warning("log_lines_dropped", lines=lines)
+
+
+def _log_crashes(writer: QueuedWriter) -> None:
+    """Write what nobody caught, in any thread, into the log.
+
+    Python's own way writes to stderr and waits for its reader: a crashed program would not end.
+    """
+
+    def of_thread(crash: threading.ExceptHookArgs) -> None:
+        name = crash.thread.name if crash.thread else "unknown"
+        _log_crash(name, crash.exc_type, crash.exc_value, crash.exc_traceback)
+
+    def of_main(
+        kind: type[BaseException], error: BaseException, trace: TracebackType | None
+    ) -> None:
+        _log_crash("main", kind, error, trace)
+        writer.drain()
+
+    threading.excepthook = of_thread
+    sys.excepthook = of_main
+
+
+def _log_crash(
+    thread: str,
+    kind: type[BaseException],
+    error: BaseException | None,
+    trace: TracebackType | None,
+) -> None:
+    lines = traceback.format_exception(kind, error, trace)
+    log.critical("crashed", thread=thread, error=repr(error), trace="".join(lines))
 
 
 def log_event(event: Event) -> None:

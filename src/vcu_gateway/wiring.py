@@ -12,7 +12,10 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon import Daemon, Observer
-from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.protocol import agreement, dbc, packaged
+
+_MOST_DIFFERENCES = 20
 
 
 def load_protocol(config: Config) -> ProtocolSpec:
@@ -23,6 +26,17 @@ def load_protocol(config: Config) -> ProtocolSpec:
 def dbc_path(config: Config) -> Path:
     """The DBC in use."""
     return packaged("vcu.dbc") if config.protocol.dbc is None else config.protocol.dbc
+
+
+def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
+    """DataError where a DBC contradicts the protocol that the safety rules were written for."""
+    if config.protocol.dbc is None:
+        return
+    found = list(agreement.differences(protocol, dbc.load(packaged("vcu.dbc"))))
+    if found:
+        remedy = "the safety rules are written for dbc/vcu.yaml; change it, and the rules with it"
+        where = str(config.protocol.dbc)
+        raise DataError(*[Problem(what, where, remedy) for what in found[:_MOST_DIFFERENCES]])
 
 
 def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = None) -> Daemon:
@@ -70,6 +84,7 @@ def bus_settings(config: Config) -> BusSettings:
         kernel_filters=bus.kernel_filters,
         gather_s=bus.gather_ms / 1000,
         receive_buffer_bytes=bus.receive_buffer_bytes,
+        bit_rate_bit_s=bus.bit_rate_bit_s,
     )
 
 

@@ -2,7 +2,18 @@
 
 import pytest
 
-from vcu_gateway.core.link import Link, LinkState, after_error_frame
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.intake import Intake
+from vcu_gateway.core.link import (
+    ERROR_CLASSES,
+    Carrier,
+    Link,
+    LinkBook,
+    LinkState,
+    after_error_frame,
+    with_carrier,
+)
 
 CONTROLLER, BUS_OFF, RESTARTED, LOST_ARBITRATION = 0x004, 0x040, 0x100, 0x002
 UP, WARNING, PASSIVE, OFF = LinkState.UP, LinkState.WARNING, LinkState.PASSIVE, LinkState.BUS_OFF
@@ -71,3 +82,141 @@ def test_the_time_in_a_state_counts_from_its_beginning():
     for at_ns in (10, 20, 30):
         link = after_error_frame(link, CONTROLLER, controller_byte(0x10), at_ns)
     assert link == Link(PASSIVE, 10)
+
+
+def test_only_the_classes_that_can_move_the_link_are_asked_of_the_kernel():
+    assert ERROR_CLASSES == CONTROLLER | BUS_OFF | RESTARTED
+    for bit in range(29):
+        classes = 1 << bit
+        moved = any(
+            after_error_frame(Link(before, 3), classes, controller_byte(bits), 9).state
+            is not before
+            for before in (UP, OFF)
+            for bits in (0, 0x10, 0x40)
+        )
+        assert moved == bool(classes & ERROR_CLASSES), hex(classes)
+
+
+# The carrier.
+
+
+@pytest.mark.parametrize("told", [UP, WARNING, PASSIVE])
+def test_without_a_carrier_the_bus_is_off_whatever_error_frames_told(told):
+    assert with_carrier(Link(told, 3), Carrier(False, 7)) == Link(OFF, 7)
+    assert with_carrier(Link(told, 3), Carrier(True, 7)) == Link(told, 3)
+    assert with_carrier(Link(told, 3), None) == Link(told, 3)
+
+
+def test_a_bus_off_that_error_frames_told_keeps_its_beginning_without_a_carrier():
+    assert with_carrier(Link(OFF, 3), Carrier(False, 7)) == Link(OFF, 3)
+    assert with_carrier(Link(OFF, 3), None) == Link(OFF, 3)
+
+
+def test_a_carrier_that_came_back_after_it_ends_a_bus_off():
+    assert with_carrier(Link(OFF, 7), Carrier(True, 8)) == Link(UP, 8)
+    assert with_carrier(Link(OFF, 7), Carrier(True, 7)) == Link(OFF, 7)
+    assert with_carrier(Link(OFF, 7), Carrier(True, 3)) == Link(OFF, 7), "older than the bus-off"
+
+
+# The book of both.
+
+
+@pytest.fixture
+def book() -> LinkBook:
+    return LinkBook(100)
+
+
+def test_a_fresh_book_says_up(book):
+    book.begin_tick()
+    assert book.link == Link(UP, 100)
+
+
+def test_error_frames_and_carrier_are_held_together(book):
+    book.take_error_frame(CONTROLLER, controller_byte(0x04), 110)
+    assert book.link == Link(WARNING, 110)
+    book.note_carrier(Carrier(False, 120))
+    assert book.link == Link(OFF, 120)
+    book.note_carrier(Carrier(True, 130))
+    assert book.link == Link(WARNING, 110)
+
+
+def test_an_opening_ends_what_was_said_before_it_and_nothing_after_it(book):
+    book.take_error_frame(BUS_OFF, bytes(8), 110)
+    book.note_carrier(Carrier(False, 120))
+    book.begin(Link(UP, 200))
+    assert book.link == Link(UP, 200)
+    book.take_error_frame(CONTROLLER, controller_byte(0x10), 210)
+    assert book.link == Link(PASSIVE, 210), "the bus-off before it is over"
+    book.begin(Link(UP, 205))
+    assert book.link == Link(PASSIVE, 210), "told after the opening that is taken in only now"
+    book.begin(Link(WARNING, 210))
+    assert book.link == Link(PASSIVE, 210)
+
+
+def test_an_opening_can_begin_in_a_bad_state(book):
+    book.begin(Link(PASSIVE, 200), Carrier(True, 200))
+    assert book.link == Link(PASSIVE, 200)
+    book.begin(Link(UP, 300), Carrier(False, 300))
+    assert book.link == Link(OFF, 300)
+
+
+def test_a_state_that_is_told_again_after_an_opening_counts_from_then(book):
+    book.take_error_frame(CONTROLLER, controller_byte(0x10), 110)
+    book.begin(Link(UP, 200))
+    book.take_error_frame(CONTROLLER, controller_byte(0x10), 250)
+    assert book.link == Link(PASSIVE, 250)
+
+
+def test_a_bus_off_that_came_and_went_between_two_ticks_counts_in_one_of_them(book):
+    book.begin_tick()
+    book.take_error_frame(BUS_OFF, bytes(8), 110)
+    book.take_error_frame(RESTARTED, bytes(8), 120)
+    assert book.link == Link(UP, 120)
+    book.begin_tick()
+    assert book.link == Link(OFF, 110)
+    book.begin_tick()
+    assert book.link == Link(UP, 120)
+
+
+def test_a_bus_off_that_a_tick_has_seen_is_over_with_the_restart(book):
+    book.take_error_frame(BUS_OFF, bytes(8), 110)
+    book.begin_tick()
+    assert book.link == Link(OFF, 110)
+    book.take_error_frame(RESTARTED, bytes(8), 120)
+    book.begin_tick()
+    assert book.link == Link(UP, 120)
+
+
+def test_bus_off_told_twice_is_one_bus_off(book):
+    book.take_error_frame(BUS_OFF, bytes(8), 110)
+    book.begin_tick()
+    book.take_error_frame(BUS_OFF, bytes(8), 115)
+    book.take_error_frame(RESTARTED, bytes(8), 120)
+    book.begin_tick()
+    assert book.link == Link(UP, 120)
+
+
+def test_the_last_of_several_bus_offs_between_two_ticks_is_told(book):
+    for at_ns in (110, 130):
+        book.take_error_frame(BUS_OFF, bytes(8), at_ns)
+        book.take_error_frame(RESTARTED, bytes(8), at_ns + 10)
+    book.begin_tick()
+    assert book.link == Link(OFF, 130)
+
+
+def test_a_new_bus_off_is_told_before_one_that_was_missed(book):
+    book.take_error_frame(BUS_OFF, bytes(8), 110)
+    book.take_error_frame(RESTARTED, bytes(8), 120)
+    book.begin_tick()
+    book.take_error_frame(BUS_OFF, bytes(8), 130)
+    assert book.link == Link(OFF, 130)
+
+
+def test_the_intake_enters_error_frames_and_nothing_else(codec: Codec):
+    intake = Intake(codec, {}, 0)
+    intake.receive(Frame(BUS_OFF, bytes(8), 9, extended=False))
+    assert intake.link == Link(UP, 0)
+    intake.receive(Frame(BUS_OFF, bytes(8), 10, error=True))
+    assert intake.link == Link(OFF, 10)
+    intake.link = Link(UP, 20)
+    assert intake.link == Link(UP, 20)

@@ -33,6 +33,7 @@ TESTS = {
     "rules": ["rules"],
     "supervisor": ["supervisor"],
     "demand": ["demand"],
+    "link": ["link"],
     "requests": ["requests", "gateway"],
     "ending": ["ending", "gateway"],
     "commands": ["commands"],

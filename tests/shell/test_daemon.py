@@ -1,20 +1,25 @@
 """The running loop on the virtual bus: ticks, links and a safe end."""
 
+import contextlib
 import gc
 import threading
 import time
 import uuid
+from collections.abc import Iterator
 
 import can
 import pytest
 
 from vcu_gateway import simulator
 from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus.lock import Claim
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon import Daemon
+from vcu_gateway.errors import UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
 
 COMMANDS = (0x0008A7D0, 0x0008A8D0)
@@ -58,6 +63,21 @@ def rig(codec):
         one.ear.shutdown()
 
 
+@contextlib.contextmanager
+def vehicle_on(one: Rig, codec) -> Iterator[None]:
+    """The simulated vehicle on the rig's channel."""
+    nodes = simulator.build(codec, time.monotonic_ns())
+    bus, stop = open_bus("virtual", one.channel, nodes.command_ids), threading.Event()
+    vehicle = threading.Thread(target=play, args=(bus, nodes), kwargs={"stop": stop})
+    vehicle.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        vehicle.join()
+        bus.shutdown()
+
+
 def test_it_listens_for_a_second_and_then_sends_both_frames_every_tick(rig):
     one, start_s = rig(), time.time()
     one.daemon.run(duration_s=1.5)
@@ -85,36 +105,67 @@ def test_a_stop_ends_with_three_safe_frames_for_each_controller(rig):
 
 def test_a_healthy_vehicle_is_driven_by_an_auto_armed_bench_demand(rig, codec):
     one = rig(Settings(bench_demand=ControllerDemand(throttle_pct=20), auto_arm=True))
-    nodes = simulator.build(codec, time.monotonic_ns())
-    vehicle_bus, stop = open_bus("virtual", one.channel, nodes.command_ids), threading.Event()
-    vehicle = threading.Thread(target=play, args=(vehicle_bus, nodes), kwargs={"stop": stop})
-    vehicle.start()
-    one.daemon.run(duration_s=5)
-    stop.set()
-    vehicle.join()
-    vehicle_bus.shutdown()
+    with vehicle_on(one, codec):
+        one.daemon.run(duration_s=5)
     order = list(dict.fromkeys(one.modes))
     assert order == [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE, Mode.STOPPING]
     throttles = {f.data[1] for f in one.heard() if f.arbitration_id == COMMANDS[0]}
     assert max(throttles) == 51
 
 
-def test_a_lost_link_is_opened_again_and_is_unarmed(rig):
+def test_a_lost_link_is_opened_again_and_is_unarmed(rig, codec):
+    one = rig(Settings(bench_demand=ControllerDemand(throttle_pct=20), auto_arm=True))
+    with vehicle_on(one, codec):
+        threading.Timer(3, lambda: one.door.lose("unplugged")).start()
+        one.daemon.run(duration_s=4.5)
+    order = list(dict.fromkeys(one.modes))
+    assert order == [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE, Mode.FAULT, Mode.STOPPING]
+    assert one.gateway.link.state is LinkState.UP
+    assert 1 <= one.door.counters.refused["closed"] <= 4, "frames leave again soon"
+    frames = [frame for frame in one.heard() if frame.arbitration_id == COMMANDS[0]]
+    driven = [number for number, frame in enumerate(frames) if frame.data[1]]
+    afterwards = {bytes(frame.data) for frame in frames[driven[-1] + 1 :]}
+    assert afterwards == {ZERO_TORQUE}, "the first frames on the new link are safe, and all after"
+    lost = next(entry for entry in one.daemon.journal.latest(99) if entry.event.name == "link_lost")
+    assert lost.event.fields == {"reason": "unplugged"}
+
+
+def test_closing_and_opening_never_hold_up_a_tick(rig, monkeypatch):
     one = rig()
-    threading.Timer(1.2, lambda: one.door._on_lost("unplugged")).start()
-    one.daemon.run(duration_s=2.5)
-    assert one.modes[-4] is Mode.STARTING
-    assert one.door.counters.refused.get("closed", 0) <= 4
-    assert one.door.counters.sent >= 40, "frames leave again soon"
+    close = one.door.close
+
+    def close_slowly(why="closed"):
+        time.sleep(0.3)
+        close(why)
+
+    monkeypatch.setattr(one.door, "close", close_slowly)
+    threading.Timer(0.5, lambda: one.door.lose("unplugged")).start()
+    one.daemon.run(duration_s=1.5)
+    assert one.daemon.schedule.skipped == 0
+    assert one.gateway.link.state is LinkState.UP
 
 
-def test_an_interface_that_is_missing_is_waited_for_without_blocking_the_ticks(codec):
+def test_a_keeper_that_dies_ends_the_loop(rig, monkeypatch):
+    one = rig()
+    monkeypatch.setattr(one.door, "open", lambda: 1 / 0)
+    monkeypatch.setattr(threading, "excepthook", lambda told: None)
+    with pytest.raises(RuntimeError, match="link keeper has died"):
+        one.daemon.run(duration_s=1)
+
+
+def test_a_missing_interface_is_waited_for_by_one_gateway_without_blocking_its_ticks(codec):
     gateway = Gateway(codec, Settings(), 0)
-    door = Door(BusSettings("socketcan", "nocan9"), codec.identifiers(), gateway.intake.receive)
+    settings = BusSettings("socketcan", f"no{uuid.uuid4().hex[:12]}")
+    door = Door(settings, codec.identifiers(), gateway.intake.receive)
     daemon = Daemon(gateway, door, 50)
+    first = Claim(settings.channel)
+    with pytest.raises(UnavailableError, match="another gateway"):
+        daemon.run(duration_s=0.5)
+    first.release()
     daemon.run(duration_s=0.5)
     assert daemon.schedule.ticks + daemon.schedule.skipped >= 10
     assert door.counters.sent == 0
+    Claim(settings.channel).release()
 
 
 def test_the_garbage_collector_is_as_before_afterwards(rig):

@@ -1,5 +1,6 @@
 """The bus door on python-can's virtual bus: frames in, frames out, failures told once."""
 
+import errno
 import threading
 import time
 import uuid
@@ -49,6 +50,7 @@ def door(channel, inbox):
     settings = BusSettings("virtual", channel)
     door = Door(settings, [0x1808D0F4, 0x0008A7D0], inbox)
     door.open()
+    door.admit()
     yield door
     door.close()
 
@@ -113,6 +115,7 @@ def test_sending_on_a_closed_door_is_refused_and_counted(door):
 
 
 def test_a_door_can_be_opened_again(door, other, inbox):
+    door.close()
     door.open()
     assert door.is_open
     other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
@@ -139,14 +142,97 @@ def test_a_bug_in_the_receiver_costs_its_frame_and_nothing_else(channel):
     door.close()
 
 
-def test_a_failed_bus_is_told_as_lost_and_nothing_is_raised(channel, inbox):
-    door = Door(BusSettings("virtual", channel), [0x1808D0F4], inbox)
+def test_nothing_is_sent_on_a_door_that_the_ticking_thread_has_not_admitted(door, other, inbox):
     door.open()
-    listener = door._listener()
-    listener.on_error(can.CanOperationError("Failed to receive: Network is down", 100))
+    assert not door.send(COMMAND)
+    assert door.counters.refused == {"closed": 1}
+    other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
+    inbox.wait_for(1)  # but it receives
+    door.admit()
+    assert door.send(COMMAND)
+
+
+class BrokenBus(can.BusABC):
+    """Fails as told when read, and never sends."""
+
+    channel_info = "broken"
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__("broken")
+        self._error = error
+        self.reads = 0
+
+    def _recv_internal(self, timeout):
+        self.reads += 1
+        raise self._error
+
+    def send(self, msg, timeout=None):
+        raise can.CanOperationError("Transmit buffer full")
+
+
+def test_a_failed_bus_is_told_as_lost_and_nothing_is_raised(door, monkeypatch):
+    told = threading.Semaphore(0)
+    door.on_lost = told.release
+    failure = can.CanOperationError("Failed to receive: Network is down", 100)
+    monkeypatch.setattr(door, "_open_bus", lambda: BrokenBus(failure))
+    door.open()
+    assert told.acquire(timeout=PATIENCE_S)
     assert door.lost == "Failed to receive: Network is down [Error Code 100]"
+    door.admit()
     assert not door.send(COMMAND)
     door.close()
+    assert not told.acquire(blocking=False), "told once, however often the reader failed"
+
+
+def test_what_the_reader_of_an_earlier_opening_says_does_not_count(door):
+    listener = door._listener(BrokenBus(OSError()))
+    listener.on_error(can.CanOperationError("Failed to receive: Network is down", 100))
+    assert door.is_open
+
+
+def test_a_full_queue_without_an_errno_is_counted_as_one_with(door, channel, monkeypatch):
+    monkeypatch.setattr(door, "_admitted", BrokenBus(OSError()))
+    began_ns = time.monotonic_ns()
+    assert not door.send(COMMAND)
+    assert time.monotonic_ns() - began_ns < 5_000_000
+    assert door.counters.refused == {"ENOBUFS": 1}
+
+
+@pytest.mark.parametrize(
+    ("number", "name", "lost"),
+    [
+        (errno.ENOBUFS, "ENOBUFS", False),
+        (errno.EAGAIN, "ENOBUFS", False),  # our own share of the queue is full
+        (errno.EINVAL, "EINVAL", False),
+        (9999, "9999", False),
+        # The kernel tells it once, and may tell it to the sender alone.
+        (errno.ENETDOWN, "ENETDOWN", True),
+        (errno.ENODEV, "ENODEV", True),
+        (errno.ENXIO, "ENXIO", True),
+    ],
+)
+def test_a_frame_that_is_not_taken_is_counted_by_its_errno_and_may_tell_of_a_loss(
+    door, monkeypatch, number, name, lost
+):
+    refusing = BrokenBus(OSError())
+    monkeypatch.setattr(refusing, "send", lambda message: refuse(OSError(number, "no")))
+    monkeypatch.setattr(door, "_admitted", refusing)
+    assert not door.send(COMMAND)
+    assert door.counters.refused == {name: 1}
+    assert door.is_open is not lost
+
+
+def refuse(error: Exception) -> None:
+    raise error
+
+
+def test_sending_never_waits_for_a_door_that_is_being_closed(door):
+    with door._sending:
+        began_ns = time.monotonic_ns()
+        assert not door.send(COMMAND)
+        assert time.monotonic_ns() - began_ns < 5_000_000
+    assert door.counters.refused == {"closed": 1}
+    assert door.send(COMMAND)
 
 
 def test_an_interface_that_is_not_there_is_explained_with_what_to_do(inbox):
@@ -164,4 +250,5 @@ def test_the_report_has_every_counter_as_plain_data(door):
     assert report["sent"] == 1
     assert set(report) == {
         "received", "sent", "refused", "receiver_bugs", "last_bug", "dropped", "lost",
+        "repeated_errors",
     }  # fmt: skip

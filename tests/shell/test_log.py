@@ -1,15 +1,22 @@
 """The log: one line an event, and nobody waits for its reader."""
 
+import fcntl
 import io
 import json
 import os
+import subprocess
+import sys
 import threading
+import time
+from typing import TextIO
 
 import pytest
 
 from vcu_gateway import log
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.log import QueuedWriter
+
+F_SETPIPE_SZ = 1031
 
 
 class Terminal(io.StringIO):
@@ -54,32 +61,180 @@ def test_a_person_at_a_terminal_reads_words_not_json():
     assert not text.startswith("{")
 
 
-def test_a_reader_that_does_not_read_costs_lines_and_never_the_writer():
+@pytest.fixture
+def pipe():
+    """A pipe of one page: its end to read, and its other end as a stream."""
     reading, writing = os.pipe()
-    stream = os.fdopen(writing, "w")
-    writer = QueuedWriter(stream)
+    fcntl.fcntl(writing, F_SETPIPE_SZ, 4096)
+    with open(writing, "w") as stream, open(reading) as reader:
+        yield reader, stream
+
+
+def read_lines(reader: TextIO, count: int) -> list[str]:
+    return [reader.readline().rstrip("\n") for _ in range(count)]
+
+
+def fill(writer: QueuedWriter, count: int) -> None:
+    """Write so many lines from a thread that must not wait."""
     done = threading.Event()
 
-    def fill() -> None:
-        for _ in range(5000):
-            writer.write("x" * 100 + "\n")
+    def write() -> None:
+        for number in range(count):
+            writer.write(f"{number:099d}\n")
         done.set()
 
-    threading.Thread(target=fill, daemon=True).start()
+    threading.Thread(target=write, daemon=True).start()
     assert done.wait(5), "writing waited for the reader"
-    assert writer.dropped > 0
-    reader = threading.Thread(target=os.fdopen(reading).read)
-    reader.start()
+
+
+def test_a_reader_that_does_not_read_costs_lines_and_never_the_writer(pipe):
+    reading, stream = pipe
+    writer = QueuedWriter(stream)
+    fill(writer, 5000)
+    in_the_pipe = 4096 // 100 + 1  # and the line that waits to be written
+    assert 5000 - 1000 - in_the_pipe <= writer.dropped <= 5000 - 1000
+    kept = 5000 - writer.dropped
+    lines = read_lines(reading, kept)
+    assert [int(line) for line in lines] == list(range(kept)), "the oldest are kept, in order"
+
+
+def test_lost_lines_are_told_once_the_reader_reads_again(pipe):
+    reading, stream = pipe
+    told: list[int] = []
+    writer = QueuedWriter(stream, told.append)
+    fill(writer, 3000)
+    dropped = writer.dropped
+    assert told == []
+    read_lines(reading, 3000 - dropped)
     writer.drain()
-    stream.close()
-    reader.join()
+    assert told == [dropped]
 
 
-def test_a_closed_stream_is_survived_and_counted():
-    stream = io.StringIO()
-    stream.close()
+def test_the_end_waits_only_a_moment_for_a_reader_that_does_not_read(pipe):
+    _, stream = pipe
+    writer = QueuedWriter(stream)
+    fill(writer, 100)
+    begun_s = time.monotonic()
+    writer.drain()
+    assert time.monotonic() - begun_s < 1.0
+
+
+def test_a_program_ends_in_order_although_nobody_reads_its_log(pipe):
+    """Python's own stderr would be locked by the waiting thread, and abort the program."""
+    _, stream = pipe
+    code = (
+        "from vcu_gateway import log\n"
+        "writer = log.configure('info', 'json')\n"
+        "for number in range(200): log.log.info('line', number=number)\n"
+        "writer.drain()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stderr=stream, timeout=20)
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize("thread", ["main", "worker"])
+def test_a_crash_is_a_line_of_the_log_and_ends_although_nobody_reads(thread, pipe):
+    reading, stream = pipe
+    crash = "one = threading.Thread(target=int, args=('x',), name='worker'); one.start()"
+    code = (
+        "import threading\n"
+        "from vcu_gateway import log\n"
+        "writer = log.configure('info', 'json')\n"
+        "for number in range(9): log.log.info('line', text='x' * 300)\n"
+        f"{crash + '; one.join()' if thread == 'worker' else ''}\n"
+        "int('x')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stderr=stream, timeout=20)
+    assert done.returncode == 1
+    crashes = [json.loads(line) for line in read_lines(reading, 10)][9:]
+    assert crashes[0]["event"] == "crashed"
+    assert crashes[0]["thread"] == thread
+    assert crashes[0]["error"].startswith("ValueError(")
+    assert crashes[0]["trace"].startswith("Traceback")
+
+
+def test_a_full_disk_costs_lines_which_are_counted():
+    with open("/dev/full", "w") as stream:
+        writer = QueuedWriter(stream)
+        for _ in range(10):
+            writer.write("lost\n")
+        writer.drain()
+        assert writer.dropped == 10
+
+
+def test_lines_come_again_when_the_disk_has_room_again(tmp_path):
+    """A file-size limit stands for the full disk: it too cuts a line in the middle."""
+    path = tmp_path / "log"
+    code = (
+        "import resource, signal\n"
+        "from vcu_gateway import log\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (25, resource.RLIM_INFINITY))\n"
+        "writer = log.QueuedWriter(open('log', 'w'))\n"
+        "for number in range(5): writer.write(f'line {number} 345678\\n')\n"
+        "writer.drain()\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)\n"
+        "writer.write('room again\\n')\n"
+        "writer.drain()\n"
+        "print(writer.dropped)\n"
+    )
+    run = [sys.executable, "-c", code]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=20, cwd=tmp_path)
+    assert done.stdout == "4\n", done.stderr
+    assert path.read_text().splitlines() == ["line 0 345678", "line 1 3456", "room again"]
+
+
+def test_a_reader_that_is_gone_is_survived_and_counted(pipe):
+    reading, stream = pipe
+    reading.close()
     writer = QueuedWriter(stream)
     writer.write("lost\n")
     writer.drain()
     assert writer.dropped == 1
-    assert log.configure("info", "auto", stream) is not None
+
+
+def test_a_stream_that_somebody_made_non_blocking_loses_nothing(pipe):
+    reading, stream = pipe
+    os.set_blocking(stream.fileno(), False)
+    writer = QueuedWriter(stream)
+    fill(writer, 900)
+    assert [int(line) for line in read_lines(reading, 900)] == list(range(900))
+    assert writer.dropped == 0
+
+
+def test_nobody_can_close_the_log_under_the_writer(pipe):
+    reading, stream = pipe
+    writer = QueuedWriter(stream)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    writer.write("still here\n")
+    assert read_lines(reading, 1) == ["still here"]
+
+
+def test_a_line_without_end_is_cut(pipe):
+    reading, stream = pipe
+    writer = QueuedWriter(stream)
+    writer.write("x" * 1_000_000 + "\n")
+    line = read_lines(reading, 1)[0]
+    assert line.endswith("x ...")
+    assert len(line) < 20_000
+
+
+@pytest.mark.parametrize("stream", ["closed", None])
+def test_a_stream_that_is_closed_before_the_start_is_survived_and_counted(stream):
+    if stream == "closed":
+        stream = io.StringIO()
+        stream.close()
+    writer = QueuedWriter(stream)
+    writer.write("lost\n")
+    writer.drain()
+    assert writer.dropped == 1
+
+
+def test_lost_lines_are_themselves_a_line_of_the_log(pipe):
+    reading, stream = pipe
+    writer = log.configure("info", "json", stream)
+    fill(writer, 2000)
+    dropped = writer.dropped
+    lines = read_lines(reading, 2000 - dropped + 1)
+    entry = json.loads(lines[-1])
+    assert (entry["event"], entry["lines"]) == ("log_lines_dropped", dropped)

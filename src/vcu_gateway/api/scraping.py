@@ -31,11 +31,9 @@ class Scraping:
         """Add one line of the head; the empty one at its end brings the answer."""
         head = connection.head = connection.head or []
         head.append(line)
-        if line.strip(b"\r"):
-            self.check_extent(connection, now_ns)
-            return
-        answer = http.judge(head[:-1], must_be_local=connection.caller is None)
-        self._end(connection, answer, now_ns)
+        if not line.strip(b"\r"):
+            answer = http.judge(head[:-1], must_be_local=connection.caller is None)
+            self._end(connection, answer, now_ns)
 
     def _end(self, connection: Connection, answer: http.Answer, now_ns: int) -> None:
         text = functools.partial(self._text, now_ns)

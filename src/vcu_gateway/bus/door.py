@@ -1,80 +1,77 @@
 """Opening, receiving, sending, closing: frames in and out, whatever the interface.
 
 Received frames go to one callable on the Notifier's thread. A failed interface is told once
-through `lost`; opening again is the daemon's decision.
+through `lost`; opening again is the keeper's decision, sending again the ticking thread's.
 """
 
 import dataclasses
 import errno
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import can
 
-from vcu_gateway.bus.clocks import read_clocks
+from vcu_gateway.bus.complaints import unopened
+from vcu_gateway.bus.counters import BusCounters
+from vcu_gateway.bus.listener import Listener
+from vcu_gateway.bus.lock import Claim
+from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.core import j1939
-from vcu_gateway.core.clock import arrival_ns
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.output import OutFrame
-from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.errors import UnavailableError
 
-Interface = Literal["socketcan", "virtual", "udp_multicast"]
+__all__ = ["BusCounters", "BusSettings", "Door", "kernel_filters"]
 
 # The reader wakes this often without frames, so that its life can be told from its counter.
 _NOTIFIER_TIMEOUT_S = 0.1
-_NS_PER_S = 1_000_000_000
+
+# The interface is down or gone, whatever the next attempt would give.
+_GONE = {"ENETDOWN", "ENODEV", "ENXIO"}
 
 
-@dataclass(frozen=True, slots=True)
-class BusSettings:
-    """What the configuration says of the bus; see config/gateway.yaml."""
+class _Opening:
+    """One bus and its reader, from an opening to its close."""
 
-    interface: Interface
-    channel: str
-    kernel_filters: bool = True
-    gather_s: float = 0.017
-    receive_buffer_bytes: int | None = None
+    def __init__(self, bus: can.BusABC, listener: Listener) -> None:
+        self.bus = bus
+        self._notifier = can.Notifier(bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
 
-
-@dataclass(slots=True)
-class BusCounters:
-    """What passed the door; each counter is written by one thread.
-
-    Attributes:
-        refused: frames that could not be sent at once, by errno name.
-        receiver_bugs: exceptions of our own receiving code; the frame is lost, the rest goes on.
-    """
-
-    received: int = 0
-    sent: int = 0
-    refused: dict[str, int] = field(default_factory=dict)
-    receiver_bugs: int = 0
-    last_bug: str = ""
+    def close(self) -> None:
+        """Stop the reader, then close; it takes as long as a wake-up of the reader."""
+        self._notifier.stop()
+        if isinstance(self.bus, DrainingSocketcanBus):
+            self.bus.finish()
+        self.bus.shutdown()
 
 
 class Door:
     """One bus, open or lost.
 
+    Opening, closing and their waiting belong to one thread at a time; `send` and `admit` to
+    the ticking thread; `lose` may come from any.
+
     Attributes:
-        lost: why the interface failed, as a sentence; None while it is open.
+        lost: why the interface cannot be used, as a sentence; None while it is open.
+        on_lost: called on the thread that noticed, once for each opening.
     """
 
     def __init__(
         self, settings: BusSettings, identifiers: Iterable[int], receive: Callable[[Frame], None]
     ) -> None:
-        self._settings = settings
+        self.settings = settings
         self._filters = kernel_filters(identifiers) if settings.kernel_filters else None
         self._receive = receive
-        self._lock = threading.Lock()
-        self._bus: can.BusABC | None = None
-        self._notifier: can.Notifier | None = None
-        self._dropped_before = 0
+        self._opening: _Opening | None = None
+        self._admitted: can.BusABC | None = None
+        self._sending = threading.Lock()
         self._grid: tuple[int, int] | None = None
+        self._claim: Claim | None = None
         self.counters = BusCounters()
         self.lost: str | None = "not opened yet"
+        self.on_lost: Callable[[], None] = _nobody_asked
 
     @property
     def is_open(self) -> bool:
@@ -82,24 +79,36 @@ class Door:
         return self.lost is None
 
     @property
-    def confirms_sending(self) -> bool:
-        """True where our own frames come back once they have left."""
-        return self._settings.interface != "udp_multicast"
+    def dropped(self) -> int | None:
+        """Frames that arrived and were never read; None where that cannot be known."""
+        return self.counters.dropped if self.settings.interface == "socketcan" else None
 
     @property
-    def dropped(self) -> int | None:
-        """Frames dropped by the kernel's receive buffer; None where that cannot be known."""
-        if self._settings.interface != "socketcan":
-            return None
-        now = self._bus.dropped if isinstance(self._bus, DrainingSocketcanBus) else 0
-        return self._dropped_before + now
+    def receive_buffer_bytes(self) -> int | None:
+        """What the kernel gave, in the measure of what is asked; None where it has none."""
+        bus = self._opening and self._opening.bus
+        return bus.receive_buffer_bytes if isinstance(bus, DrainingSocketcanBus) else None
 
     def report(self) -> dict[str, Any]:
         """The counters as plain data."""
         return {**dataclasses.asdict(self.counters), "dropped": self.dropped, "lost": self.lost}
 
+    def claim(self) -> None:
+        """Be the only gateway on this interface of the machine, until `release`.
+
+        Raises UnavailableError where another gateway is.
+        """
+        if self._claim is None and self.settings.interface == "socketcan":
+            self._claim = Claim(self.settings.channel)
+
+    def release(self) -> None:
+        """Let another gateway have the interface."""
+        claim, self._claim = self._claim, None
+        if claim is not None:
+            claim.release()
+
     def open(self) -> None:
-        """Open the bus and start receiving.
+        """Open the bus and start receiving; nothing is sent before `admit`.
 
         Raises UnavailableError, with what to do, where the interface is not there.
         """
@@ -107,21 +116,21 @@ class Door:
         try:
             bus = self._open_bus()
         except (OSError, can.CanError, ImportError) as error:
-            raise UnavailableError(_explain(error, self._settings)) from error
+            raise UnavailableError(unopened(error, self.settings)) from error
+        if self._grid is not None and isinstance(bus, DrainingSocketcanBus):
+            bus.align(*self._grid)
         self.lost = None
-        self._bus = bus
-        if self._grid is not None:
-            self.align(*self._grid)
-        self._notifier = can.Notifier(bus, [self._listener()], timeout=_NOTIFIER_TIMEOUT_S)
+        self._opening = _Opening(bus, self._listener(bus))
 
     def _open_bus(self) -> can.BusABC:
-        settings = self._settings
+        settings = self.settings
         if settings.interface == "socketcan":
             return DrainingSocketcanBus(
                 settings.channel,
                 self._filters,
                 settings.gather_s,
                 settings.receive_buffer_bytes,
+                self.counters,
             )
         own: Any = {"receive_own_messages": True} if settings.interface == "virtual" else {}
         return can.Bus(
@@ -131,33 +140,56 @@ class Door:
             **own,
         )
 
-    def _listener(self) -> "_Listener":
-        stamps_are_monotonic = self._settings.interface == "socketcan"
-        return _Listener(self._receive, self.counters, self._on_lost, stamps_are_monotonic)
+    def _listener(self, bus: can.BusABC) -> Listener:
+        def lost(why: str) -> None:
+            if self._opening is None or self._opening.bus is bus:
+                self.lose(why)  # the word of a reader that was closed does not count
 
-    def _on_lost(self, why: str) -> None:
-        self.lost = why
+        stamps_are_monotonic = self.settings.interface == "socketcan"
+        return Listener(self._receive, self.counters, lost, stamps_are_monotonic)
 
     def align(self, origin_ns: int, period_ns: int) -> None:
         """Read all that waits shortly before every point of this grid: the ticks."""
         self._grid = (origin_ns, period_ns)
-        if isinstance(self._bus, DrainingSocketcanBus):
-            self._bus.align(origin_ns, period_ns)
+        if self._opening is not None and isinstance(self._opening.bus, DrainingSocketcanBus):
+            self._opening.bus.align(origin_ns, period_ns)
+
+    def admit(self) -> None:
+        """Send on what is open from now on."""
+        opening = self._opening
+        self._admitted = opening.bus if opening is not None and self.is_open else None
+
+    def lose(self, why: str) -> None:
+        """The interface cannot be used any more: nothing is sent on it again."""
+        if self.lost is None:
+            self.lost = why
+            self.on_lost()
 
     def send(self, frame: OutFrame) -> bool:
-        """Send now or not at all; False, and counted, where the interface did not take it."""
-        bus = self._bus
-        if bus is None or self.lost is not None:
+        """Send now or not at all; False, and counted, where the interface did not take it.
+
+        It never waits, not for another thread either: a door that is being closed is closed.
+        """
+        if self.lost is not None or not self._sending.acquire(blocking=False):
             return self.withhold("closed")
         try:
-            if isinstance(bus, DrainingSocketcanBus):
-                bus.send_now(frame.can_id, frame.data)
-            else:
-                bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data))
+            bus = self._admitted
+            if bus is None:
+                return self.withhold("closed")
+            _hand_over(bus, frame)
         except (OSError, can.CanError) as error:
-            return self.withhold(_errno_name(error))
+            return self._not_sent(error)
+        finally:
+            self._sending.release()
         self.counters.sent += 1
         return True
+
+    def _not_sent(self, error: Exception) -> bool:
+        name = _errno_name(error)
+        if name in _GONE:
+            # The kernel tells it once, to whoever asks first: the reader may never hear of it.
+            self.lose(f"Failed to send: {error}")
+        return self.withhold(name)
 
     def withhold(self, why: str) -> bool:
         """Count a frame that is not sent, by its reason; False."""
@@ -165,66 +197,25 @@ class Door:
         refused[why] = refused.get(why, 0) + 1
         return False
 
-    def close(self) -> None:
+    def close(self, why: str = "closed") -> None:
         """Stop receiving, then close; nothing happens where it is closed already."""
-        with self._lock:
-            notifier, self._notifier = self._notifier, None
-            bus, self._bus = self._bus, None
-        self.lost = self.lost or "closed"
-        if notifier is not None:
-            notifier.stop()
-        if isinstance(bus, DrainingSocketcanBus):
-            self._dropped_before += bus.dropped
-        if bus is not None:
-            bus.shutdown()
+        self.lost = self.lost or why
+        with self._sending:
+            self._admitted = None
+        opening, self._opening = self._opening, None
+        if opening is not None:
+            opening.close()
 
 
-class _Listener:
-    """What the Notifier calls; it never raises."""
+def _hand_over(bus: can.BusABC, frame: OutFrame) -> None:
+    if isinstance(bus, DrainingSocketcanBus):
+        bus.send_now(frame.can_id, frame.data)
+    else:
+        bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data))
 
-    def __init__(
-        self,
-        receive: Callable[[Frame], None],
-        counters: BusCounters,
-        lost: Callable[[str], None],
-        stamps_are_monotonic: bool,
-    ) -> None:
-        self._receive = receive
-        self._counters = counters
-        self._lost = lost
-        self._stamps_are_monotonic = stamps_are_monotonic
-        self._clocks = read_clocks()
 
-    def __call__(self, message: can.Message) -> None:
-        """Hand one frame on."""
-        self._counters.received += 1
-        stamp_ns = int(message.timestamp * _NS_PER_S)
-        self._receive(
-            Frame(
-                message.arbitration_id,
-                message.data,
-                stamp_ns if self._stamps_are_monotonic else self._to_monotonic(stamp_ns),
-                message.is_extended_id,
-                message.is_remote_frame,
-                message.is_error_frame,
-                not message.is_rx,
-            )
-        )
-
-    def _to_monotonic(self, stamp_wall_ns: int) -> int:
-        before, self._clocks = self._clocks, read_clocks()
-        return arrival_ns(stamp_wall_ns, before, self._clocks)
-
-    def on_error(self, error: Exception) -> None:
-        """A failed interface is told on; a bug of ours costs its frame and is counted."""
-        if isinstance(error, (OSError, can.CanError)):
-            self._lost(str(error))
-        else:
-            self._counters.receiver_bugs += 1
-            self._counters.last_bug = repr(error)
-
-    def stop(self) -> None:
-        """Nothing to flush."""
+def _nobody_asked() -> None:
+    """Nobody wants to know of a loss."""
 
 
 def kernel_filters(identifiers: Iterable[int]) -> list[Any]:
@@ -234,25 +225,9 @@ def kernel_filters(identifiers: Iterable[int]) -> list[Any]:
 
 
 def _errno_name(error: Exception) -> str:
-    """ENOBUFS and so on; python-can reports a full queue without a number."""
-    code = getattr(error, "errno", None) or getattr(error, "error_code", None)
-    return errno.errorcode.get(code, str(code)) if code else "ENOBUFS"
+    """ENOBUFS and so on; python-can reports a full queue without a number.
 
-
-def _explain(error: Exception, settings: BusSettings) -> Problem:
-    code = getattr(error, "errno", None)
-    channel = settings.channel
-    if settings.interface == "udp_multicast" and isinstance(error, ImportError):
-        remedy = "install the extra: pip install 'vcu-gateway[multicast]'"
-    elif settings.interface != "socketcan":
-        remedy = "check bus.interface and bus.channel"
-    elif code == errno.EAFNOSUPPORT:
-        remedy = "this kernel has no CAN; try `vcu-gateway demo`, or a kernel with the can modules"
-    elif code == errno.ENODEV:
-        remedy = (
-            f"for a bench: ip link add dev {channel} type vcan && ip link set {channel} up; "
-            f"for an adapter: plug it in and ip link set {channel} up type can bitrate 250000"
-        )
-    else:
-        remedy = f"look at: ip -details link show {channel}"
-    return Problem(f"cannot open {settings.interface} {channel}: {error}", remedy=remedy)
+    EAGAIN is a full queue too: our own share of it.
+    """
+    code: int = getattr(error, "errno", None) or getattr(error, "error_code", None) or errno.ENOBUFS
+    return errno.errorcode.get(errno.ENOBUFS if code == errno.EAGAIN else code, str(code))

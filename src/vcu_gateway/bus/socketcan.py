@@ -5,7 +5,7 @@ flag are lost, every frame costs a wake-up, and time-outs follow the wall clock.
 replaces waiting and reading; sockets, filters and the Notifier above stay python-can's.
 """
 
-import errno
+import contextlib
 import select
 import socket
 import struct
@@ -17,16 +17,21 @@ import can
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
 from vcu_gateway.bus.clocks import read_clocks
+from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.core.clock import ClockPair, arrival_ns, steady
+from vcu_gateway.core.link import ERROR_CLASSES
 from vcu_gateway.core.schedule import next_drain_ns
 
-_SO_TIMESTAMPNS = 35
-_SO_RXQ_OVFL = 40
+_SO_MEMINFO = 55
+_CAN_RAW_ERR_FILTER = 2
+_MEMINFO_DROPS = 8
 _FRAME_BYTES = 16
 _FD_FRAME_BYTES = 72
-_ANCILLARY_BYTES = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(4)
+_ANCILLARY_BYTES = socket.CMSG_SPACE(16)
 _EFF_FLAG, _RTR_FLAG, _ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _DRAIN_AT_MOST = 256
+_FAILURES_AT_MOST = 4
+_CONTROLLER_BYTE = 9
 _NS_PER_S = 1_000_000_000
 # Waking and reading all that gathered in 10 ms on a saturated bus takes less than this.
 _LEAD_NS = 2_000_000
@@ -34,7 +39,7 @@ _LEAD_NS = 2_000_000
 _head = struct.Struct("=IB3x")
 _frame = struct.Struct("=IB3x8s")
 _timespec = struct.Struct("@qq")
-_counter = struct.Struct("@I")
+_meminfo = struct.Struct("@9I")
 
 
 class DrainingSocketcanBus(SocketcanBus):
@@ -43,8 +48,9 @@ class DrainingSocketcanBus(SocketcanBus):
     `Message.timestamp` is the kernel's arrival stamp in seconds of the MONOTONIC clock.
     `Message.is_rx` is False only for our own frame that has come back because it left.
 
+    What the kernel drops is counted in `BusCounters.dropped`, by the reader and then by `finish`.
+
     Attributes:
-        dropped: frames that the kernel dropped because the receive buffer was full.
         wakes: times that the reader woke, frames or not.
     """
 
@@ -54,6 +60,7 @@ class DrainingSocketcanBus(SocketcanBus):
         can_filters: Any,
         gather_s: float,
         receive_buffer_bytes: int | None,
+        counters: BusCounters,
     ) -> None:
         self._pending: deque[can.Message] = deque()
         self._gather_ns = int(gather_s * _NS_PER_S)
@@ -61,19 +68,34 @@ class DrainingSocketcanBus(SocketcanBus):
         self._distance_ns: int | None = None
         self._failed = False
         self._clocks = read_clocks()
-        self.dropped = 0
+        self._counters = counters
+        self._drops_before = 0
+        self._last_error: tuple[int, int] | None = None
         self.wakes = 0
-        super().__init__(channel=channel, receive_own_messages=True, can_filters=can_filters)
-        self.socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+        try:
+            super().__init__(channel=channel, receive_own_messages=True, can_filters=can_filters)
+            self._set_up(receive_buffer_bytes)
+        except BaseException:
+            self._is_shutdown = True  # nothing more to close than the socket
+            if hasattr(self, "socket"):
+                self.socket.close()
+            raise
+
+    def _set_up(self, receive_buffer_bytes: int | None) -> None:
+        option = self.socket.setsockopt
+        option(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, ERROR_CLASSES)
+        # The least that the kernel grants: about six frames of ours wait, however long the
+        # interface's queue is. What waits is stale when it leaves.
+        option(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)
         if receive_buffer_bytes is not None:
-            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
+            option(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
         self._poll = select.poll()
         self._poll.register(self.socket, select.POLLIN)
 
     @property
     def receive_buffer_bytes(self) -> int:
-        """The receive buffer that the kernel really gave (it doubles what was asked)."""
-        return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        """The receive buffer that the kernel really gave, in the measure of what is asked."""
+        return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next frame, or None after `timeout` seconds of the monotonic clock.
@@ -120,17 +142,54 @@ class DrainingSocketcanBus(SocketcanBus):
         # The clocks are read after the frames, so no stamp lies in their future.
         before, self._clocks = self._clocks, read_clocks()
         self._distance_ns = self._clocks.distance_ns if steady(before, self._clocks) else None
-        self._pending.extend(self._dissect(received, before) for received in read)
+        self._last_error = None
+        for received in read:
+            if (message := self._dissect(received, before)) is not None:
+                self._pending.append(message)
+        self._count_drops()
         if failure is not None:
-            # The interface going down is told once and mends itself; other errors do not.
-            self._failed = failure.errno != errno.ENETDOWN
+            # The interface is down or gone, and the socket tells it once. It is not read again:
+            # whoever listens closes it and opens another.
+            self._failed = True
             raise can.CanOperationError(
                 f"Failed to receive: {failure.strerror}", failure.errno
             ) from failure
 
-    def _dissect(self, received: Any, before: ClockPair) -> can.Message:
+    def _count_drops(self) -> None:
+        """Take over the kernel's 32-bit counter: SO_RXQ_OVFL's, at this instant."""
+        told = self.socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _meminfo.size)
+        now = _meminfo.unpack(told)[_MEMINFO_DROPS]
+        self._counters.dropped += (now - self._drops_before) & 0xFFFF_FFFF
+        self._drops_before = now
+
+    def finish(self) -> None:
+        """Let no more frames in; those that arrived and that nobody read count as dropped.
+
+        Only when the reader has ended; afterwards the counters account for every frame.
+        """
+        with contextlib.suppress(OSError):  # the interface may be gone: nothing comes then
+            self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+            self.socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, 0)
+        self._counters.dropped += len(self._pending) + self._left()
+        self._count_drops()
+
+    def _left(self) -> int:
+        left, failures = 0, 0
+        while failures < _FAILURES_AT_MOST:
+            try:
+                self.socket.recv(_FD_FRAME_BYTES, socket.MSG_DONTWAIT)
+                left += 1
+            except BlockingIOError:
+                break
+            except OSError:
+                failures += 1  # each kind is told once, before what waits behind it
+        return left
+
+    def _dissect(self, received: Any, before: ClockPair) -> can.Message | None:
         raw, ancillary, flags, _ = received
         can_id, length = _head.unpack_from(raw)
+        if can_id & _ERR_FLAG and self._repeats(can_id, raw[_CONTROLLER_BYTE]):
+            return None
         extended = can_id & _EFF_FLAG != 0
         return can.Message(
             self._arrival_s(ancillary, before),
@@ -145,19 +204,22 @@ class DrainingSocketcanBus(SocketcanBus):
             not flags & socket.MSG_CONFIRM,
         )
 
+    def _repeats(self, can_id: int, controller_bits: int) -> bool:
+        """Whether this error frame says what the last one of this reading said: a flood does."""
+        said = can_id, controller_bits
+        repeats = said == self._last_error
+        self._last_error = said
+        self._counters.repeated_errors += repeats
+        return repeats
+
     def _arrival_s(self, ancillary: Any, before: ClockPair) -> float:
-        at_ns = None
-        for _level, kind, payload in ancillary:
-            if kind == _SO_TIMESTAMPNS:
-                seconds, nanoseconds = _timespec.unpack(payload)
-                stamp_ns = seconds * _NS_PER_S + nanoseconds
-                if self._distance_ns is None:
-                    at_ns = arrival_ns(stamp_ns, before, self._clocks)
-                else:
-                    at_ns = stamp_ns - self._distance_ns
-            elif kind == _SO_RXQ_OVFL:
-                self.dropped = _counter.unpack(payload)[0]
-        return (before.monotonic_ns if at_ns is None else at_ns) / _NS_PER_S
+        if not ancillary:
+            return before.monotonic_ns / _NS_PER_S
+        seconds, nanoseconds = _timespec.unpack(ancillary[0][2])
+        stamp_ns: int = seconds * _NS_PER_S + nanoseconds
+        if self._distance_ns is None:
+            return arrival_ns(stamp_ns, before, self._clocks) / _NS_PER_S
+        return (stamp_ns - self._distance_ns) / _NS_PER_S
 
     def send_now(self, can_id: int, data: bytes) -> None:
         """Hand one extended data frame to the kernel without waiting.

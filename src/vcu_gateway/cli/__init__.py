@@ -1,9 +1,13 @@
 """The command line: one module a verb, imported only when it is called."""
 
+import contextlib
+import functools
 import importlib
 import os
 import signal
 import sys
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import click
 
@@ -38,8 +42,29 @@ or not answered in time, 77 not permitted, 78 wrong configuration.
 A first look: vcu-gateway demo"""
 
 
+class _ReaderGoneError(Exception):
+    """Whoever read our output has gone (`| head`)."""
+
+
+@contextlib.contextmanager
+def _without_a_reader() -> Iterator[None]:
+    """Say it in our own words: click makes exit code 1 of a broken pipe."""
+    try:
+        yield
+    except BrokenPipeError as error:
+        raise _ReaderGoneError from error
+
+
 class _Verbs(click.Group):
     """Knows every verb's name and help without importing it."""
+
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        with _without_a_reader():
+            return super().make_context(*args, **extra)
+
+    def invoke(self, ctx: click.Context) -> object:
+        with _without_a_reader():
+            return super().invoke(ctx)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
@@ -70,18 +95,41 @@ def group() -> None:
 
 def main() -> None:
     """Entry point: every expected failure is a line on stderr and an exit code."""
+    _fill_standard_descriptors()
     try:
         group.main(standalone_mode=False, prog_name="vcu-gateway")
+        with _without_a_reader():
+            _flush()
     except click.ClickException as error:
-        error.show()
+        _tell(error.show)
         sys.exit(error.exit_code)
     except click.exceptions.Abort:
         sys.exit(128 + signal.SIGINT)
     except GatewayError as error:
         for problem in error.problems:
-            click.echo(f"error: {problem}", err=True)
+            _tell(functools.partial(click.echo, f"error: {problem}", err=True))
         sys.exit(error.exit_code)
-    except BrokenPipeError:
-        # The reader of our output is gone (`| head`); nobody is left to tell.
+    except _ReaderGoneError:
+        # Nobody is left to tell; what is still buffered goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+
+
+def _fill_standard_descriptors() -> None:
+    """Where one is closed, put /dev/null: else the bus's socket would get its number."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+
+
+def _flush() -> None:
+    if sys.stdout is not None:  # closed before the program began
+        sys.stdout.flush()
+
+
+def _tell(say: Callable[[], None]) -> None:
+    """Say it on stderr, where anybody reads it."""
+    with contextlib.suppress(OSError):
+        say()

@@ -10,7 +10,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway import log, report, wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.daemon import Daemon
-from vcu_gateway.errors import ConfigError
+from vcu_gateway.errors import ConfigError, Problem, UnavailableError
 from vcu_gateway.serving import Serving
 
 
@@ -41,8 +41,10 @@ def command(config_path: Path | None, duration_s: float | None, state_path: Path
     protocol = wiring.load_protocol(config)
     if problems := configuration.check_against(config, protocol):
         raise ConfigError(*problems)
+    wiring.check_protocol(config, protocol)
     writer = log.configure(config.log.level, config.log.format)
     daemon = wiring.build(config, protocol)
+    daemon.door.claim()
     serving = Serving(config, protocol, daemon, lambda: writer.dropped)
     daemon.handle_signals(on_hangup=serving.reloader.on_hangup)
     daemon.observe_with(serving.observe)
@@ -51,9 +53,17 @@ def command(config_path: Path | None, duration_s: float | None, state_path: Path
         daemon.run(duration_s)
     finally:
         serving.close()
-    if state_path is not None:
-        state_path.write_text(json.dumps(_last_state(daemon), indent=1) + "\n", encoding="utf-8")
     writer.drain()
+    if state_path is not None:
+        _write_state(state_path, daemon)
+
+
+def _write_state(path: Path, daemon: Daemon) -> None:
+    try:
+        path.write_text(json.dumps(_last_state(daemon), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        what = f"cannot be written: {error.strerror}"
+        raise UnavailableError(Problem(what, str(path))) from error
 
 
 def _last_state(daemon: Daemon) -> dict[str, object]:

@@ -56,13 +56,15 @@ class Bus(Section):
         default=None,
         ge=4096,
         le=16_777_216,
-        description="The socket's receive buffer; null leaves it as the kernel has it.",
+        description="The socket's receive buffer; null leaves it as the kernel has it. A warning"
+        " tells where the kernel gives less.",
     )
     reopen_ms: int = Field(
         default=200,
         ge=50,
         le=1000,
-        description="Pause between attempts to reopen a lost interface.",
+        description="First pause before an interface that keeps failing is opened again; it"
+        " doubles up to 800 ms.",
     )
 
     @field_validator("channel")

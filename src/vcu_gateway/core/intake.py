@@ -1,6 +1,7 @@
 """What comes from the bus, sorted on the receiving thread.
 
-Everything here is written by the receiving thread alone and read by any.
+Everything here is written by the receiving thread alone and read by any; what the ticking
+thread knows of the link stands apart (`LinkBook`).
 """
 
 from collections.abc import Mapping
@@ -9,7 +10,7 @@ from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.link import Link, LinkState, after_error_frame
+from vcu_gateway.core.link import Link, LinkBook
 from vcu_gateway.core.state import Store
 
 OWN_NODE = "VCU"
@@ -24,7 +25,7 @@ class Intake:
         confirmed: own command frames that came back because they had left, by controller.
         foreign_commands: command frames from another sender, by controller.
         foreign_id: identifier of the last one of them.
-        link: what the error frames say of the bus.
+        book: what error frames and carrier say of the bus; `link` is the result.
     """
 
     def __init__(self, codec: Codec, stale_after_ns: Mapping[str, int], now_ns: int) -> None:
@@ -39,7 +40,17 @@ class Intake:
         self.confirmed = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_commands = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_id: int | None = None
-        self.link = Link(LinkState.UP, now_ns)
+        self.book = LinkBook(now_ns)
+
+    @property
+    def link(self) -> Link:
+        """What error frames and carrier say of the bus."""
+        return self.book.link
+
+    @link.setter
+    def link(self, opened: Link) -> None:
+        """The interface was opened: what was said before no longer counts."""
+        self.book.begin(opened)
 
     def receive(self, frame: Frame) -> None:
         """Take in one frame; one that is not decoded is counted and changes no message."""
@@ -56,7 +67,7 @@ class Intake:
     def _reject(self, reason: Reason, frame: Frame) -> None:
         self.rejected[reason] += 1
         if reason is Reason.ERROR:
-            self.link = after_error_frame(self.link, frame.can_id, frame.data, frame.arrival_ns)
+            self.book.take_error_frame(frame.can_id, frame.data, frame.arrival_ns)
         elif frame.extended and not frame.own_echo:
             # Another sender of our identifiers is one whatever it sends in them.
             controller = self._controller_by_key.get(j1939.match_key(frame.can_id))

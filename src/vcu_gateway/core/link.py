@@ -1,12 +1,16 @@
-"""What the bus itself says: error frames, loss, and whether our frames leave."""
+"""What the bus itself says: error frames, the carrier, loss."""
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 # Classes and bits of include/uapi/linux/can/error.h.
 _CLASS_CONTROLLER = 0x004
 _CLASS_BUS_OFF = 0x040
 _CLASS_RESTARTED = 0x100
+ERROR_CLASSES = _CLASS_CONTROLLER | _CLASS_BUS_OFF | _CLASS_RESTARTED
+"""The only ones that move the link; the others may come by the thousand."""
+
 _CONTROLLER_BYTE = 1
 _WARNING_BITS = 0x04 | 0x08
 _PASSIVE_BITS = 0x10 | 0x20
@@ -14,7 +18,7 @@ _ACTIVE_BIT = 0x40
 
 
 class LinkState(Enum):
-    """The controller's state as far as error frames told; LOST: interface down or gone."""
+    """The controller's state as far as it is known; LOST: interface down or gone."""
 
     UP = "up"
     WARNING = "error warning"
@@ -58,3 +62,74 @@ def _after_controller_byte(link: Link, bits: int, at_ns: int) -> Link:
     elif bits & _ACTIVE_BIT:
         return link.moved(LinkState.UP, at_ns)
     return link if link.state is LinkState.BUS_OFF else link.moved(state, at_ns)
+
+
+class Carrier(NamedTuple):
+    """What the kernel says of the interface itself: a controller in bus-off has no carrier."""
+
+    present: bool
+    since_ns: int
+
+
+def with_carrier(link: Link, carrier: Carrier | None) -> Link:
+    """The link that error frames told, held against the carrier; None is not known.
+
+    Without a carrier the bus is off, whether an error frame was seen or not. A carrier that
+    came back after a bus-off ends it: the error frame that tells of the restart may be lost.
+    """
+    if carrier is None:
+        return link
+    off = link.state is LinkState.BUS_OFF
+    if not carrier.present:
+        return link if off else Link(LinkState.BUS_OFF, carrier.since_ns)
+    if off and carrier.since_ns > link.since_ns:
+        return Link(LinkState.UP, carrier.since_ns)
+    return link
+
+
+class LinkBook:
+    """What is known of the link since it was opened.
+
+    Error frames are entered by the receiving thread, everything else by the ticking thread; each
+    writes pages of its own.
+    """
+
+    def __init__(self, now_ns: int) -> None:
+        self._told = Link(LinkState.UP, now_ns)
+        self._last_off: Link | None = None
+        self._opened = self._told
+        self._carrier: Carrier | None = None
+        self._last_off_seen: Link | None = None
+        self._missed: Link | None = None
+
+    def take_error_frame(self, can_id: int, data: bytes | bytearray, at_ns: int) -> None:
+        """On the receiving thread."""
+        told = after_error_frame(self._latest(), can_id, data, at_ns)
+        if told.state is LinkState.BUS_OFF:
+            self._last_off = told
+        self._told = told
+
+    def begin(self, opened: Link, carrier: Carrier | None = None) -> None:
+        """The interface was opened then, in this state; what was said before is over."""
+        self._opened, self._carrier = opened, carrier
+
+    def note_carrier(self, carrier: Carrier) -> None:
+        """The carrier came or went."""
+        self._carrier = carrier
+
+    def begin_tick(self) -> None:
+        """A bus-off that came and went since the last tick is to count in the one that begins."""
+        last = self._last_off
+        self._missed = None if last is self._last_off_seen else last
+        self._last_off_seen = last
+
+    @property
+    def link(self) -> Link:
+        """The worst that is known; any thread may ask."""
+        link = with_carrier(self._latest(), self._carrier)
+        return link if link.state is LinkState.BUS_OFF else self._missed or link
+
+    def _latest(self) -> Link:
+        """What error frames told, where they told it after the opening."""
+        told, opened = self._told, self._opened
+        return told if told.since_ns >= opened.since_ns else opened

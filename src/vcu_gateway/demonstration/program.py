@@ -42,6 +42,7 @@ def run(wanted: Wanted, folder: Path) -> None:
     config = configuration.parse(_config(wanted, folder / "control.sock"), "demo")
     protocol = wiring.load_protocol(config)
     daemon = wiring.build(config, protocol)
+    daemon.door.claim()
     serving = Serving(config, protocol, daemon, lambda: writer.dropped)
     daemon.handle_signals()
     daemon.observe_with(serving.observe)

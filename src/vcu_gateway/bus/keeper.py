@@ -1,0 +1,210 @@
+"""Keeps the door open: on a thread of its own, because opening and closing wait.
+
+What it finds is handed to the ticking thread as news, in order; it decides nothing else.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from vcu_gateway.bus import complaints, netlink
+from vcu_gateway.bus.door import Door
+from vcu_gateway.bus.interface import Interface, Interfaces
+from vcu_gateway.bus.netlink import Details
+from vcu_gateway.core.link import LinkState
+from vcu_gateway.errors import UnavailableError
+
+_LOOK_EVERY_S = 0.1
+_STEADY_NS = 5_000_000_000
+_PAUSE_AT_MOST_NS = 800_000_000
+_END_WITHIN_S = 1.0
+_NS_PER_MS = 1_000_000
+
+# A bus without a network interface: always there.
+_NO_INTERFACE = Interface(number=0, is_can=True, up=True, carrier=True, tx_queue_frames=0)
+
+
+class Opened(NamedTuple):
+    """The door was opened.
+
+    Attributes:
+        at_ns: shortly before; what the bus said since then counts.
+        receive_buffer_bytes: what the kernel gave; None where it has none.
+    """
+
+    at_ns: int
+    interface: Interface
+    details: Details
+    receive_buffer_bytes: int | None
+
+    @property
+    def state(self) -> LinkState:
+        """The controller's state then; UP where that is not known."""
+        return self.details.state or LinkState.UP
+
+    @property
+    def carrier(self) -> bool:
+        """Whether there was a carrier."""
+        told = self.details.carrier
+        return self.interface.carrier if told is None else told
+
+
+class Lost(NamedTuple):
+    """The interface in use cannot be used any more."""
+
+    at_ns: int
+    why: str
+
+
+class Unavailable(NamedTuple):
+    """The door cannot be opened; told once for each reason."""
+
+    why: str
+
+
+class CarrierChanged(NamedTuple):
+    """The interface's carrier came or went.
+
+    Attributes:
+        at_ns: when it was seen to be gone, or last seen to be gone still.
+    """
+
+    at_ns: int
+    present: bool
+
+
+News = Opened | Lost | Unavailable | CarrierChanged
+
+
+class Keeper:
+    """Opens the door when its interface is there, and again after every loss.
+
+    Looks ten times a second, and at once when the reader tells of a loss. An interface that
+    was steady is opened at once; one that keeps failing is given pauses from `pause_ms`,
+    doubling up to 0.8 s.
+
+    Attributes:
+        news: what happened, for the ticking thread to take from the left.
+        tried: set after the first look.
+    """
+
+    def __init__(
+        self,
+        door: Door,
+        pause_ms: int,
+        look: Callable[[], Interface | None] | None = None,
+        name_of: Callable[[int], str | None] | None = None,
+        details: Callable[[str], Details] = netlink.details,
+    ) -> None:
+        self._door = door
+        self._interfaces = Interfaces()
+        self._look = look or self._look_at_channel
+        self._name_of = name_of or self._interfaces.name_of
+        self._details = details
+        self._pause_ns = self._first_pause_ns = pause_ms * _NS_PER_MS
+        self._next_ns = 0
+        self._opened_ns = self._looked_ns = 0
+        self._opened: Interface | None = None
+        self._last_number: int | None = None
+        self._complaint: str | None = None
+        self._wake = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._work, name="link keeper", daemon=True)
+        self.news: deque[News] = deque()
+        self.tried = threading.Event()
+        door.on_lost = self._wake.set
+
+    def _look_at_channel(self) -> Interface | None:
+        settings = self._door.settings
+        if settings.interface != "socketcan":
+            return _NO_INTERFACE
+        return self._interfaces.look(settings.channel)
+
+    # The thread.
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Close the door and end; called when nothing is to be sent any more."""
+        self._ended = True
+        self._wake.set()
+        if self._thread.ident is not None:
+            self._thread.join(_END_WITHIN_S)
+
+    def check(self) -> None:
+        """Raise RuntimeError where the thread has died of a bug: nobody would open again."""
+        if self._thread.ident is not None and not self._thread.is_alive() and not self._ended:
+            raise RuntimeError("the link keeper has died; its exception is on stderr")
+
+    def _work(self) -> None:
+        while not self._ended:
+            self.step(time.monotonic_ns())
+            self.tried.set()
+            self._wake.wait(_LOOK_EVERY_S)
+            self._wake.clear()
+        self._door.close()
+        self._interfaces.close()
+
+    # One look.
+
+    def step(self, now_ns: int) -> None:
+        """Look once, and do what is to be done."""
+        found = self._look()
+        if self._opened is not None:
+            self._check(self._opened, found, now_ns)
+        if self._opened is None:
+            self._try_to_open(found, now_ns)
+        self._looked_ns = now_ns
+
+    def _check(self, opened: Interface, found: Interface | None, now_ns: int) -> None:
+        channel = self._door.settings.channel
+        why = complaints.left(opened, found, channel, self._name_of)
+        if why is not None or not self._door.is_open:
+            self._give_up(why or self._door.lost or "closed", now_ns)
+        elif found is not None and found.carrier != opened.carrier:
+            self._opened = found
+            at_ns = self._looked_ns if found.carrier else now_ns
+            self.news.append(CarrierChanged(at_ns, found.carrier))
+
+    def _give_up(self, why: str, now_ns: int) -> None:
+        self._door.lose(why)
+        self._door.lost = why
+        self._opened = None
+        self.news.append(Lost(now_ns, why))
+        if now_ns - self._opened_ns >= _STEADY_NS:
+            self._pause_ns, self._next_ns = self._first_pause_ns, now_ns
+        self._door.close()
+
+    def _try_to_open(self, found: Interface | None, now_ns: int) -> None:
+        gone = found is None and self._last_number is not None
+        renamed_to = self._name_of(self._last_number or 0) if gone else None
+        if problem := complaints.unfit(found, self._door.settings, renamed_to):
+            self._complain(str(problem))
+        elif found is not None and now_ns >= self._next_ns:
+            self._next_ns = now_ns + self._pause_ns
+            self._pause_ns = min(2 * self._pause_ns, max(_PAUSE_AT_MOST_NS, self._first_pause_ns))
+            self._open(found, now_ns)
+
+    def _open(self, found: Interface, now_ns: int) -> None:
+        try:
+            self._door.open()
+        except UnavailableError as error:
+            self._complain(str(error))
+            return
+        self._opened, self._last_number = found, found.number
+        self._opened_ns, self._complaint = now_ns, None
+        details = Details()
+        if self._door.settings.interface == "socketcan":
+            details = self._details(self._door.settings.channel)
+        buffer_bytes = self._door.receive_buffer_bytes
+        self.news.append(Opened(now_ns, found, details, buffer_bytes))
+
+    def _complain(self, why: str) -> None:
+        self._door.lost = why
+        if why != self._complaint:
+            self._complaint = why
+            self.news.append(Unavailable(why))

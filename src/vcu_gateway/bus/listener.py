@@ -1,0 +1,60 @@
+"""What python-can's Notifier calls on its thread."""
+
+from collections.abc import Callable
+
+import can
+
+from vcu_gateway.bus.clocks import read_clocks
+from vcu_gateway.bus.counters import BusCounters
+from vcu_gateway.core.clock import arrival_ns
+from vcu_gateway.core.frame import Frame
+
+_NS_PER_S = 1_000_000_000
+
+
+class Listener:
+    """Hands frames on; it never raises."""
+
+    def __init__(
+        self,
+        receive: Callable[[Frame], None],
+        counters: BusCounters,
+        lost: Callable[[str], None],
+        stamps_are_monotonic: bool,
+    ) -> None:
+        self._receive = receive
+        self._counters = counters
+        self._lost = lost
+        self._stamps_are_monotonic = stamps_are_monotonic
+        self._clocks = read_clocks()
+
+    def __call__(self, message: can.Message) -> None:
+        """Hand one frame on."""
+        self._counters.received += 1
+        stamp_ns = int(message.timestamp * _NS_PER_S)
+        self._receive(
+            Frame(
+                message.arbitration_id,
+                message.data,
+                stamp_ns if self._stamps_are_monotonic else self._to_monotonic(stamp_ns),
+                message.is_extended_id,
+                message.is_remote_frame,
+                message.is_error_frame,
+                not message.is_rx,
+            )
+        )
+
+    def _to_monotonic(self, stamp_wall_ns: int) -> int:
+        before, self._clocks = self._clocks, read_clocks()
+        return arrival_ns(stamp_wall_ns, before, self._clocks)
+
+    def on_error(self, error: Exception) -> None:
+        """A failed interface is told on; a bug of ours costs its frame and is counted."""
+        if isinstance(error, (OSError, can.CanError)):
+            self._lost(str(error))
+        else:
+            self._counters.receiver_bugs += 1
+            self._counters.last_bug = repr(error)
+
+    def stop(self) -> None:
+        """Nothing to flush."""

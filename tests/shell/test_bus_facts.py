@@ -1,0 +1,172 @@
+"""What the kernel is asked of an interface, and the lock: no CAN is needed for either."""
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+import uuid
+
+import pytest
+
+from vcu_gateway.bus import netlink
+from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus.interface import Interfaces
+from vcu_gateway.bus.lock import Claim
+from vcu_gateway.bus.netlink import Details, parsed
+from vcu_gateway.core.link import LinkState
+from vcu_gateway.errors import UnavailableError
+
+
+def test_the_loopback_interface_is_up_and_no_can():
+    interfaces = Interfaces()
+    found = interfaces.look("lo")
+    assert (found.up, found.is_can) == (True, False)
+    assert found.number == socket.if_nametoindex("lo")
+    assert interfaces.name_of(found.number) == "lo"
+    interfaces.close()
+
+
+def test_an_interface_that_is_not_there_is_none():
+    interfaces = Interfaces()
+    assert interfaces.look("nocan9") is None
+    assert interfaces.name_of(99_999) is None
+    interfaces.close()
+
+
+def test_looking_costs_no_further_descriptor():
+    interfaces = Interfaces()
+    interfaces.look("lo")
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(100):
+        interfaces.look("lo")
+    assert len(os.listdir("/proc/self/fd")) == before
+    interfaces.close()
+
+
+# The kernel's answer to RTM_GETLINK, of a controller: include/uapi/linux/can/netlink.h.
+
+
+def attribute(kind: int, value: bytes) -> bytes:
+    return struct.pack("=HH", 4 + len(value), kind) + value + bytes(-len(value) % 4)
+
+
+def answer(flags: int, *attributes: bytes) -> bytes:
+    body = struct.pack("=BxHiII", 0, 280, 3, flags, 0) + b"".join(attributes)
+    return struct.pack("=IHHII", 16 + len(body), 16, 0, 1, 0) + body
+
+
+def controller(state: int, bit_rate: int) -> bytes:
+    timing = attribute(1, struct.pack("=8I", bit_rate, 875, 0, 0, 0, 0, 0, 0))
+    data = timing + attribute(4, struct.pack("=I", state))
+    return attribute(18, attribute(1, b"can\0") + attribute(2 | 0x8000, data))
+
+
+@pytest.mark.parametrize(
+    ("state", "meaning"),
+    [
+        (0, LinkState.UP),
+        (1, LinkState.WARNING),
+        (2, LinkState.PASSIVE),
+        (3, LinkState.BUS_OFF),
+        (4, None),  # stopped
+        (9, None),
+    ],
+)
+def test_a_controller_tells_its_state_bit_rate_echo_and_carrier(state, meaning):
+    queue = attribute(6, b"pfifo_fast\0")
+    told = answer(0x40000 | 0x10000 | 0x41, attribute(3, b"can0\0"), queue)
+    assert parsed(told) == Details(True, True, None, None, True)
+    told = answer(0x41, queue, controller(state, 250_000))
+    assert parsed(told) == Details(False, True, meaning, 250_000, False)
+
+
+def test_an_interface_without_a_queue_is_known():
+    assert parsed(answer(0x41, attribute(6, b"noqueue\0"))).queue_is_used is False
+    assert parsed(answer(0x41)).queue_is_used is None
+
+
+def test_a_bit_rate_that_was_not_set_is_not_known():
+    assert parsed(answer(0x41, controller(0, 0))).bit_rate_bit_s is None
+
+
+@pytest.mark.parametrize("length", range(120))
+def test_a_torn_answer_is_no_more_than_unknown(length):
+    whole = answer(0x41, attribute(6, b"noqueue\0"), controller(2, 250_000))
+    try:
+        told = parsed(whole[:length])
+    except struct.error:
+        return
+    assert set(told) <= {None, True, False, LinkState.PASSIVE, 250_000}
+
+
+def test_an_error_instead_of_an_answer_is_unknown():
+    refusal = struct.pack("=IHHIIi", 20, 2, 0, 1, 0, -19)
+    assert parsed(refusal) == Details()
+
+
+def test_an_attribute_shorter_than_its_head_ends_the_reading():
+    assert parsed(answer(0x41, struct.pack("=HH", 0, 6) * 20)).queue_is_used is None
+
+
+def test_asking_about_the_loopback_or_about_nothing_raises_nothing():
+    assert netlink.details("lo").state is None
+    assert netlink.details("nocan9") == Details()
+
+
+# The lock.
+
+
+@pytest.fixture
+def channel() -> str:
+    return f"t{uuid.uuid4().hex[:12]}"
+
+
+def test_a_second_gateway_of_this_machine_is_refused_by_name_of_the_first(channel):
+    first = Claim(channel)
+    with pytest.raises(UnavailableError) as caught:
+        Claim(channel)
+    assert str(caught.value) == (
+        f"another gateway, process {os.getpid()}, commands on {channel} already; a second one"
+        " would fight it; stop that one first, or set bus.channel to another interface"
+    )
+    assert caught.value.exit_code == 69
+    Claim(f"{channel}x").release()
+    first.release()
+    Claim(channel).release()
+
+
+def test_a_hundred_refusals_do_not_wear_it_out(channel):
+    first = Claim(channel)
+    for _ in range(100):
+        with pytest.raises(UnavailableError, match="another gateway"):
+            Claim(channel)
+    first.release()
+
+
+def test_a_gateway_that_was_killed_leaves_no_lock_behind(channel):
+    program = (
+        f"from vcu_gateway.bus.lock import Claim; c = Claim({channel!r});print(flush=True); input()"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    child.stdout.readline()
+    with pytest.raises(UnavailableError, match=f"process {child.pid},"):
+        Claim(channel)
+    child.kill()
+    child.communicate()
+    Claim(channel).release()
+
+
+def test_only_a_network_interface_is_claimed_and_a_door_claims_once(channel):
+    door = Door(BusSettings("socketcan", channel), (), lambda frame: None)
+    door.claim()
+    door.claim()
+    virtual = Door(BusSettings("virtual", channel), (), lambda frame: None)
+    virtual.claim()
+    virtual.release()
+    with pytest.raises(UnavailableError):
+        Claim(channel)
+    door.release()
+    Claim(channel).release()

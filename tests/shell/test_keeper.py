@@ -1,0 +1,214 @@
+"""The keeper of the link, look by look, with a scripted clock, interface and door."""
+
+import itertools
+
+import pytest
+
+from vcu_gateway.bus.door import BusSettings
+from vcu_gateway.bus.interface import Interface
+from vcu_gateway.bus.keeper import CarrierChanged, Keeper, Lost, Opened, Unavailable
+from vcu_gateway.bus.netlink import Details
+from vcu_gateway.errors import Problem, UnavailableError
+
+MS = 1_000_000
+UP = Interface(number=3, is_can=True, up=True, carrier=True, tx_queue_frames=4)
+DOWN = UP._replace(up=False, carrier=False)
+
+
+class FakeDoor:
+    """Opens when it is told to, and counts."""
+
+    def __init__(self) -> None:
+        self.settings = BusSettings("socketcan", "can0")
+        self.receive_buffer_bytes = 212_992
+        self.lost: str | None = "not opened yet"
+        self.refusal: str | None = None
+        self.openings = self.closings = 0
+        self.on_lost = lambda: None
+
+    @property
+    def is_open(self) -> bool:
+        return self.lost is None
+
+    def open(self) -> None:
+        self.openings += 1
+        if self.refusal is not None:
+            raise UnavailableError(Problem(self.refusal))
+        self.lost = None
+
+    def lose(self, why: str) -> None:
+        self.lost = self.lost or why
+
+    def close(self) -> None:
+        self.closings += 1
+
+
+class Stage:
+    """A keeper that looks every 100 ms of simulated time at what the test puts there."""
+
+    def __init__(self) -> None:
+        self.now_ns = 1_000 * MS
+        self.door = FakeDoor()
+        self.found: Interface | None = UP
+        self.names = {3: "can0"}
+        self.keeper = Keeper(
+            self.door,
+            200,
+            look=lambda: self.found,
+            name_of=self.names.get,
+            details=lambda channel: Details(),
+        )
+
+    def look(self, times: int = 1) -> list[object]:
+        """The news of so many looks."""
+        for _ in range(times):
+            self.keeper.step(self.now_ns)
+            self.now_ns += 100 * MS
+        news = list(self.keeper.news)
+        self.keeper.news.clear()
+        return news
+
+
+@pytest.fixture
+def stage() -> Stage:
+    return Stage()
+
+
+@pytest.fixture
+def steady(stage: Stage) -> Stage:
+    """Open for longer than it takes to count as steady."""
+    (opened,) = stage.look()
+    assert isinstance(opened, Opened)
+    stage.look(60)
+    return stage
+
+
+def kinds(news: list[object]) -> list[type]:
+    return [type(one) for one in news]
+
+
+def test_an_interface_that_is_there_is_opened_at_once(stage: Stage):
+    (opened,) = stage.look()
+    assert (opened.interface, opened.receive_buffer_bytes) == (UP, 212_992)
+    assert stage.look(100) == [], "and then left alone"
+    assert stage.door.openings == 1
+
+
+@pytest.mark.parametrize(
+    ("found", "sentence"),
+    [
+        (None, "cannot open socketcan can0: no such interface; "),
+        (DOWN, "can0 is down; ip link set can0 up"),
+        (
+            UP._replace(is_can=False),
+            "cannot open socketcan can0: it is no CAN interface; bus.channel must be one of: ip ",
+        ),
+    ],
+)
+def test_an_interface_that_cannot_be_used_is_told_of_once_and_waited_for(stage, found, sentence):
+    stage.found = found
+    (unavailable,) = stage.look(50)
+    assert unavailable.why.startswith(sentence)
+    assert stage.door.lost == unavailable.why
+    assert stage.door.openings == 0, "nothing is tried in vain"
+    stage.found = UP
+    assert kinds(stage.look()) == [Opened]
+
+
+@pytest.mark.parametrize(
+    ("found", "names", "why"),
+    [
+        (DOWN, {3: "can0"}, "can0 is down"),
+        (None, {}, "can0 is gone"),
+        (None, {3: "can7"}, "can0 was renamed to can7"),
+        (UP._replace(number=9), {9: "can0"}, "can0 is gone"),  # made again under its name
+        (UP._replace(number=9), {3: "can1", 9: "can0"}, "can0 was renamed to can1"),
+    ],
+)
+def test_an_interface_that_changes_under_us_is_lost_even_if_the_socket_is_silent(
+    steady, found, names, why
+):
+    steady.found = found
+    steady.names.clear()
+    steady.names.update(names)
+    news = steady.look()
+    assert news[0] == Lost(steady.now_ns - 100 * MS, why)
+    assert steady.door.closings == 1
+    is_there_again = found is not None and found.up
+    assert kinds(news[1:]) == [Opened if is_there_again else Unavailable]
+
+
+def test_an_interface_that_is_down_and_then_renamed_is_told_with_its_new_name(steady: Stage):
+    steady.found = DOWN
+    assert kinds(steady.look()) == [Lost, Unavailable]
+    steady.found = None
+    steady.names[3] = "can7"
+    sentence = "can0 was renamed to can7; rename it back, or set bus.channel to can7"
+    assert steady.look(5) == [Unavailable(sentence)]
+    steady.names.clear()
+    (gone,) = steady.look(5)
+    assert "no such interface" in gone.why
+
+
+def test_what_the_reader_told_is_the_reason_where_the_interface_looks_well(steady: Stage):
+    steady.door.lose("Failed to receive: Network is down")
+    lost, opened = steady.look()
+    assert lost.why == "Failed to receive: Network is down"
+    assert isinstance(opened, Opened), "at once: it was steady"
+
+
+def test_a_link_that_comes_back_is_opened_at_the_next_look(steady: Stage):
+    steady.found = None
+    steady.look(300)
+    steady.found = UP._replace(number=4)
+    assert kinds(steady.look()) == [Opened]
+
+
+def test_a_flickering_link_is_opened_with_growing_pauses_and_always_within_a_second(stage: Stage):
+    opened_ns = []
+    for _ in range(400):
+        opened_ns += [stage.now_ns for one in stage.look() if isinstance(one, Opened)]
+        stage.door.lose("flickers")
+    pauses_ms = [(b - a) // MS for a, b in itertools.pairwise(opened_ns)]
+    assert pauses_ms[:4] == [200, 400, 800, 800]
+    assert set(pauses_ms[2:]) == {800}
+
+
+def test_after_a_steady_time_the_pauses_begin_anew(stage: Stage):
+    stage.look()
+    for _ in range(50):
+        stage.door.lose("flickers")
+        stage.look()
+    stage.look(8)
+    stage.look(50)
+    stage.door.lose("once")
+    assert kinds(stage.look()) == [Lost, Opened]
+    stage.door.lose("twice")
+    assert kinds(stage.look(3)) == [Lost, Opened], "after 200 ms, no longer after 800"
+
+
+def test_an_opening_that_fails_is_told_once_for_each_reason_and_tried_again(stage: Stage):
+    stage.door.refusal = "no file descriptors"
+    assert stage.look(30) == [Unavailable("no file descriptors")]
+    assert 3 <= stage.door.openings <= 6, "with pauses"
+    stage.door.refusal = "no memory"
+    assert stage.look(30) == [Unavailable("no memory")]
+    stage.door.refusal = None
+    assert kinds(stage.look(8)) == [Opened]
+
+
+def test_the_carrier_is_told_when_it_changes_and_never_as_there_before_it_was(steady: Stage):
+    steady.found, gone_ns = UP._replace(carrier=False), steady.now_ns
+    assert steady.look(5) == [CarrierChanged(gone_ns, False)]
+    steady.found, still_gone_ns = UP, steady.now_ns - 100 * MS
+    assert steady.look(5) == [CarrierChanged(still_gone_ns, True)]
+    assert steady.door.openings == 1
+
+
+def test_the_carrier_at_the_opening_is_the_better_of_both_words(stage: Stage):
+    stage.found = UP._replace(carrier=False)  # the flag follows up to a second later
+    stage.keeper._details = lambda channel: Details(carrier=True)
+    (opened,) = stage.look()
+    assert opened.carrier
+    stage.keeper._details = lambda channel: Details()
+    assert not opened._replace(details=Details()).carrier
