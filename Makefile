@@ -4,10 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
+# What needs a bus runs in the lab, the faults in a lab for each kind of bus.
+BUS_ROOMS := vcan lab faults/vcan faults/slcan faults/netem
+NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS))
+IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
+WITH_SLCAN := --modules slcan
+WITH_NETEM := --module-param vcan:echo=1 --modules "sch_netem sch_tbf"
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py
 
-.PHONY: help setup demo test test-quick test-core test-rest test-vcan lint nightly mutants bench lock clean
+.PHONY: help setup demo test test-quick test-core test-rest test-vcan lint nightly faults mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,19 +40,33 @@ test-core: setup
 
 test-rest: setup
 	-@scripts/test-tools
-	$(BIN)/pytest -q -m 'not slow' tests --ignore=tests/core --ignore=tests/vcan --ignore=tests/lab
+	$(BIN)/pytest -q -m 'not slow' tests --ignore=tests/core $(NO_BUS)
 	$(BIN)/pytest -q $(EXHAUSTIVE)
 
 test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	$(LAB) install
 	$(BIN)/pytest tests/lab
-	$(LAB) run --timeout 900 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest -m 'not slow' tests/vcan
+	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan tests/faults/vcan
+	$(IN_LAB) --timeout 300 $(WITH_SLCAN) -- $(BIN)/pytest -m 'not slow' tests/faults/slcan
+	$(IN_LAB) --timeout 300 $(WITH_NETEM) -- $(BIN)/pytest -m 'not slow' tests/faults/netem
 
 nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
-	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest --ignore=tests/vcan --ignore=tests/lab
+	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
 	$(LAB) install
-	$(LAB) run --timeout 1800 --env VCU_REQUIRE_CAN=1 -- $(BIN)/pytest -s tests/vcan
+	$(IN_LAB) --timeout 2400 -- $(BIN)/pytest -s tests/vcan tests/faults/vcan
+	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan
+	$(IN_LAB) --timeout 900 $(WITH_NETEM) -- $(BIN)/pytest tests/faults/netem
+
+FAULTS := build/faults
+faults: setup  ## every fault that the gateway survives; writes docs/faults.md
+	rm -rf $(FAULTS)
+	$(LAB) install
+	-VCU_FAULT_RESULTS=$(FAULTS) $(BIN)/pytest -q -m 'not slow' tests/faults/pure
+	-$(IN_LAB) --timeout 900 --env VCU_FAULT_RESULTS=$(FAULTS) -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan
+	-$(IN_LAB) --timeout 300 --env VCU_FAULT_RESULTS=$(FAULTS) $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
+	-$(IN_LAB) --timeout 300 --env VCU_FAULT_RESULTS=$(FAULTS) $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
+	$(BIN)/python -m tests.faults.page $(FAULTS)
 
 mutants: setup  ## change the safety core on purpose: every mistake must turn a test red
 	scripts/mutants $(BIN)

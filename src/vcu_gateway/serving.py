@@ -92,7 +92,7 @@ class Serving:
         del tick, result
         if self._server.failed is not None and not self._told_failure:
             self._told_failure = True
-            self._tell("api_failed", repr(self._server.failed))
+            self._tell("api_failed", self._server.failed)
 
     def _api_counts(self) -> ApiCounts:
         return self._server.counts()

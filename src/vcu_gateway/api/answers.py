@@ -4,6 +4,7 @@
 subscriptions on the other name the same methods; a test says so.
 """
 
+import time
 from collections.abc import Callable, Mapping
 
 from vcu_gateway import config as configuration
@@ -11,6 +12,7 @@ from vcu_gateway.api import methods, reading, shapes
 from vcu_gateway.api.asking import Asking
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.api.program import Program
+from vcu_gateway.api.restraint import Restraint
 from vcu_gateway.api.service import Caller, Reply
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.reload import Outcome
@@ -25,6 +27,7 @@ class Answers:
         self._program = program
         self._inbox = program.daemon.inbox
         self._asking = Asking(program)
+        self._restraint = Restraint()
 
     def begin(
         self,
@@ -94,9 +97,11 @@ class Answers:
         self._note("api_client_closed", caller, {"reason": reason})
 
     def _note(self, name: str, caller: Caller, fields: Mapping[str, object]) -> None:
-        if self._inbox.full:
+        what = (name, caller.peer.uid, *fields.values())
+        untold = self._restraint.untold(what, time.monotonic_ns())
+        if untold is None:
             return
-        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid}
+        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid, "untold": untold}
         event = Event(name, Severity.WARNING, {**fields, **peer})
         self._inbox.post(lambda: self._program.daemon.journal.tell(event))
 
