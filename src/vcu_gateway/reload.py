@@ -66,7 +66,11 @@ class Reloader:
         if not self._busy.acquire(blocking=False):
             done(Outcome(False, problems=("a reload is under way already",)))
             return
-        threading.Thread(target=self._read, args=(done,), name="reload", daemon=True).start()
+        try:
+            threading.Thread(target=self._read, args=(done,), name="reload", daemon=True).start()
+        except RuntimeError as error:  # no memory or no more threads: no reason to stop a vehicle
+            self._busy.release()
+            done(self._told(Outcome(False, problems=(f"a reload cannot be begun: {error}",))))
 
     def on_hangup(self) -> None:
         """SIGHUP: as `begin`, for nobody who waits; the journal has the outcome."""

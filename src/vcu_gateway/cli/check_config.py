@@ -23,7 +23,9 @@ def command(config_path: Path | None, as_json: bool) -> None:
     """
     path = resolve_config(config_path)
     config = configuration.load(path)
-    if problems := configuration.check_against(config, wiring.load_protocol(config)):
+    protocol = wiring.load_protocol(config)
+    wiring.check_protocol(config, protocol)
+    if problems := configuration.check_against(config, protocol):
         raise ConfigError(*problems)
     if as_json:
         click.echo(json.dumps(configuration.effective(config), indent=2, ensure_ascii=False))

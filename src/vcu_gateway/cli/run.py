@@ -39,9 +39,9 @@ def command(config_path: Path | None, duration_s: float | None, state_path: Path
     """
     config = configuration.load(resolve_config(config_path))
     protocol = wiring.load_protocol(config)
+    wiring.check_protocol(config, protocol)
     if problems := configuration.check_against(config, protocol):
         raise ConfigError(*problems)
-    wiring.check_protocol(config, protocol)
     writer = log.configure(config.log.level, config.log.format)
     daemon = wiring.build(config, protocol)
     daemon.door.claim()

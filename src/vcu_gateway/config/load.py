@@ -52,6 +52,9 @@ def _resolved(config: Config, folder: Path) -> Config:
     dbc = config.protocol.dbc
     if dbc is not None:
         update["protocol"] = config.protocol.model_copy(update={"dbc": folder.absolute() / dbc})
+    if "ttl_default_ms" not in config.demand.model_fields_set:
+        ttl_ms = min(config.demand.ttl_default_ms, config.demand.ttl_max_ms)
+        update["demand"] = config.demand.model_copy(update={"ttl_default_ms": ttl_ms})
     demand = config.bench.demand
     if demand is not None:
         unset = _DEMAND_LIMITS.keys() - demand.model_fields_set
@@ -64,6 +67,10 @@ def _resolved(config: Config, folder: Path) -> Config:
 
 def _contradictions(config: Config) -> Iterator[Finding]:
     """What each key allows and two of them, or the files on disk, do not."""
+    ttl_ms, longest_ms = config.demand.ttl_default_ms, config.demand.ttl_max_ms
+    if ttl_ms > longest_ms:
+        what = f"must be at most {longest_ms} ms, not {ttl_ms}"
+        yield Finding(("demand", "ttl_default_ms"), what, "demand.ttl_max_ms says so")
     dbc = config.protocol.dbc
     if dbc is not None and not os.path.isfile(dbc):
         yield Finding(("protocol", "dbc"), f"no file can be found at {dbc}")

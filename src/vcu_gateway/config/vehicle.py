@@ -118,7 +118,8 @@ class Demand(Section):
         default=200,
         ge=50,
         le=1000,
-        description="Time to live of a demand that carries none.",
+        description="Time to live of a demand that carries none; at most demand.ttl_max_ms, which"
+        " is also the default where that is lower.",
     )
     priorities: Mapping[SourceName, Priority] = Field(
         default={},
