@@ -13,7 +13,7 @@ WITH_NETEM := --module-param vcan:echo=1 --modules "sch_netem sch_tbf"
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py
 
-.PHONY: help setup demo test test-quick test-core test-rest test-vcan lint nightly faults mutants bench lock clean
+.PHONY: help setup demo test test-quick test-core test-rest test-vcan test-on-bus test-faults lint nightly soak faults mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,9 +46,15 @@ test-rest: setup
 test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	$(LAB) install
 	$(BIN)/pytest tests/lab
-	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan tests/faults/vcan
-	$(IN_LAB) --timeout 300 $(WITH_SLCAN) -- $(BIN)/pytest -m 'not slow' tests/faults/slcan
-	$(IN_LAB) --timeout 300 $(WITH_NETEM) -- $(BIN)/pytest -m 'not slow' tests/faults/netem
+	@$(MAKE) --no-print-directory -j2 --output-sync=target test-on-bus test-faults
+
+test-on-bus: setup
+	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
+	$(IN_LAB) --timeout 300 $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
+	$(IN_LAB) --timeout 300 $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
+
+test-faults: setup
+	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan
 
 nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
@@ -57,6 +63,12 @@ nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
 	$(IN_LAB) --timeout 2400 -- $(BIN)/pytest -s tests/vcan tests/faults/vcan
 	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan
 	$(IN_LAB) --timeout 900 $(WITH_NETEM) -- $(BIN)/pytest tests/faults/netem
+	$(MAKE) soak MINUTES=60
+
+MINUTES := 10
+soak: setup  ## nominal traffic with random faults for MINUTES=10, in the lab
+	$(LAB) install
+	$(LAB) run --timeout $$(( $(MINUTES) * 60 + 180 )) -- $(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
 
 FAULTS := build/faults
 faults: setup  ## every fault that the gateway survives; writes docs/faults.md

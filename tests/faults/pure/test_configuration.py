@@ -1,0 +1,302 @@
+"""Wrong configurations, at the start and while driving; a DBC that is another one."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.core.safety_world import ZERO_TORQUE
+from tests.driven import driven
+from tests.faults.conftest import ROOT, Seen
+from tests.faults.machine import program
+from tests.faults.pure.test_process import commands, moving
+from tests.shell.test_config import HEALTHY
+from vcu_gateway import config as configuration
+from vcu_gateway.errors import ConfigError
+from vcu_gateway.protocol import packaged
+
+
+def written(path: Path, text: str | bytes) -> Path:
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+def loop(path: Path) -> Path:
+    path.symlink_to(path)
+    return path
+
+
+def pipe(path: Path) -> Path:
+    os.mkfifo(path)
+    return path
+
+
+def folder(path: Path) -> Path:
+    path.mkdir()
+    return path
+
+
+def unreadable(path: Path) -> Path:
+    written(path, HEALTHY).chmod(0)
+    return path
+
+
+# What is wrong, how the file comes about, and a word of the refusal.
+WRONG = {
+    "unknown key": ("bus: {chanel: can0}", r':1: bus.chanel: unknown key; did you mean "channel"'),
+    "wrong type": ("bus:\n  reopen_ms: soon", r":2: bus.reopen_ms: must be a whole number in ms"),
+    "a unit": ("bus:\n  reopen_ms: 200 ms", r":2: bus.reopen_ms: must be a whole number in ms"),
+    "out of range": ("bus:\n  reopen_ms: 1", r":2: bus.reopen_ms: must be at least 50 ms"),
+    "duplicate key": ("bus:\n  reopen_ms: 60\n  reopen_ms: 70", r":3: .*reopen_ms"),
+    "duplicate id": (
+        "protocol:\n  aliases:\n    0x040CD079: IMU_Acceleration\n",
+        r":3: .*stands for IMU_Attitude already",
+    ),
+    "limits crossed": (
+        "freshness:\n  stale_after_ms: {BMS_Status: 900}\n  late_after_ms: {BMS_Status: 1000}\n",
+        r":3: freshness.late_after_ms.BMS_Status: must be at most 900 ms",
+    ),
+    "more asked than allowed": (
+        "limits: {power_limit_max_w: 1000}\n"
+        "bench:\n  demand: {bench_use_only: true, power_limit_w: 2000}\n",
+        r":3: bench.demand.power_limit_w: must be at most 1000 W",
+    ),
+    "not a number": ("bus:\n  gather_ms: .nan", r":2: bus.gather_ms: must be a finite number"),
+    "infinity": ("bus:\n  gather_ms: 1e999", r":2: bus.gather_ms: must be a finite number"),
+    "10 MB": (b"# x\n" * 2_500_000, "is larger than 1 MiB"),
+    "binary": (b"bus: \0\1\2", "is binary"),
+    "UTF-16": ("bus: {}".encode("utf-16"), "is UTF-16 text"),
+    "no UTF-8": (b"bus:\n  channel: \xff", r":2: is not UTF-8 text"),
+    "empty": ("", "."),
+    "only a comment": ("# nothing\n", "."),
+    "a tab": ("bus:\n\tchannel: can0\n", ":2"),
+    "a bomb of aliases": ("a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", ":2"),
+    "missing": (lambda path: path, "there is no such file"),
+    "through a file": (lambda path: written(path, "") / "x", "there is no such file"),
+    "a loop": (loop, "leads back to itself"),
+    "a folder": (folder, "is a directory"),
+    "a pipe": (pipe, "is no regular file"),
+    "unreadable": (unreadable, "may not read it"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_f60_a_wrong_configuration_is_refused_and_nothing_starts(what, tmp_path, seen: Seen):
+    contents, expected = WRONG[what]
+    path = tmp_path / "gateway.yaml"
+    path = contents(path) if callable(contents) else written(path, contents)
+    if what == "unreadable" and os.geteuid() == 0:
+        sentence = _refused_to_somebody(path)
+    else:
+        with pytest.raises(ConfigError) as refused:
+            _loaded(path)
+        assert refused.value.exit_code == os.EX_CONFIG
+        sentence = str(refused.value)
+    assert re.search(expected, sentence), sentence
+    assert str(path) in sentence, "it says which file"
+    seen(sentence.replace(str(tmp_path), "...").splitlines()[0][:120])
+
+
+def _loaded(path: Path) -> None:
+    config = configuration.load(path)
+    from vcu_gateway import wiring
+
+    if problems := configuration.check_against(config, wiring.load_protocol(config)):
+        raise ConfigError(*problems)
+
+
+def _refused_to_somebody(path: Path) -> str:
+    """What a process without root's rights is told."""
+    for parent in (path.parent, *path.parents[1:3]):
+        parent.chmod(0o755)
+    code = (
+        "import os, sys; sys.path[:0] = sys.argv[2:]; os.setuid(65534)\n"
+        "from pathlib import Path; from vcu_gateway.config.text import read\n"
+        "from vcu_gateway.errors import ConfigError\n"
+        "try: read(Path(sys.argv[1]))\n"
+        "except ConfigError as error: print(error)\n"
+    )
+    # Imported before the rights are given up: the program may lie where nobody else can read.
+    code = code.replace("; os.setuid(65534)", "").replace("try:", "os.setuid(65534)\ntry:")
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, cwd=ROOT
+    )
+    return done.stdout.strip() or done.stderr
+
+
+def test_f60_the_program_ends_with_78_and_what_is_right_is_no_error(tmp_path, seen: Seen):
+    path = written(tmp_path / "gateway.yaml", "bus: {chanel: can0}\nbus2: 5\n")
+    run = [sys.executable, "-m", "vcu_gateway", "run", "-c", str(path), "--duration", "1"]
+    done = subprocess.run(run, capture_output=True, text=True, cwd=ROOT, timeout=60)
+    assert done.returncode == os.EX_CONFIG
+    assert len(done.stderr.splitlines()) == 2, "each thing wrong, and nothing else"
+    assert done.stdout == ""
+    for text in (b"\xef\xbb\xbf" + HEALTHY.encode(), HEALTHY.replace("\n", "\r\n").encode()):
+        _loaded(written(path, text))
+    seen("exit 78, a line for each mistake; BOM and CRLF are read")
+
+
+BROKEN = ("limits: [", "limits: {power_limit_max_w: -1}", "lgo: {}", "\0", "# x\n" * 400_000)
+
+
+def test_f61_an_invalid_reload_changes_nothing_and_leaves_no_gap(tmp_path, seen: Seen):
+    with driven(tmp_path) as whole, moving(whole) as asker:
+        before = asker.result("config.get")
+        schedule = whole.daemon.schedule
+        skipped, ticks = schedule.skipped, schedule.ticks
+        commands(whole)
+        problems: list[str] = []
+        while schedule.ticks < ticks + 20:
+            for text in BROKEN:
+                written(whole.file, whole._head + text)
+                problems += asker.say("config.reload")["error"]["data"]["problems"]
+        whole.file.unlink()
+        problems += asker.say("config.reload")["error"]["data"]["problems"]
+        assert asker.result("config.get") == before
+        missed, done = schedule.skipped - skipped, schedule.ticks - ticks
+        heard = commands(whole)
+        assert {frame[1] for frame in heard} == {77}, "full throttle all the while"
+    assert len(problems) >= 6
+    assert len(heard) >= 2 * (done - 1)
+    assert missed <= 1, "a busy machine may take one"
+    seen(f"{len(problems)} problems told; {len(heard)} command frames, {missed} ticks skipped")
+
+
+def test_f62_a_reload_while_armed_takes_stricter_limits_and_nothing_else(tmp_path, seen: Seen):
+    with driven(tmp_path) as whole, moving(whole) as asker:
+        told = {}
+        for text, changed in {
+            "limits: {throttle_slew_pct_per_s: 200}": None,
+            "limits: {power_limit_max_w: 20000}": ["limits.power_limit_max_w"],
+            "limits: {power_limit_max_w: 10000, throttle_slew_pct_per_s: 200}": None,
+            "limits: {power_limit_max_w: 60000}": None,
+            "protocol: {transmit_priority: 3}": None,
+            "bus: {reopen_ms: 100}": None,
+        }.items():
+            written(whole.file, whole._head.replace("bus: {", "bus: {reopen_ms: 100, ") if
+                    text.startswith("bus") else f"{whole._head}{text}")  # fmt: skip
+            answer = asker.say("config.reload")
+            told[text] = answer["result"]["changed"] if "result" in answer else None
+            assert told[text] == changed, answer
+            assert whole.mode == "active"
+        assert asker.result("config.get")["values"]["limits"]["power_limit_max_w"] == 20_000
+        whole.until(
+            lambda: {frame[6:8] for frame in commands(whole)} == {b"\x20\x4e"}, "20 kW on the bus"
+        )
+    seen(f"taken: {sum(map(bool, told.values()))} of {len(told)}; the rest refused whole")
+
+
+# The DBC.
+
+DBC = packaged("vcu.dbc").read_text()
+
+
+def message(name: str) -> re.Match[str]:
+    """The lines of one message of the DBC."""
+    block = re.search(rf"^BO_ (\d+) {name}: .*\n( SG_ .*\n)*", DBC, re.MULTILINE)
+    assert block
+    return block
+
+
+def changed(name: str, old: str, new: str) -> str:
+    """The DBC with something else in one message."""
+    block = message(name)[0]
+    assert old in block
+    return DBC.replace(block, block.replace(old, new))
+
+
+def without(name: str, signal_name: str) -> str:
+    """The DBC with one signal of one message left out."""
+    block = message(name)
+    text = DBC.replace(block[0], re.sub(rf" SG_ {signal_name} .*\n", "", block[0]))
+    return re.sub(
+        rf"^(VAL_|CM_ SG_|BA_.* SG_) {block[1]} {signal_name} .*;\n", "", text, flags=re.MULTILINE
+    )
+
+
+def started_with(folder_: Path, dbc: str) -> subprocess.CompletedProcess[str]:
+    written(folder_ / "other.dbc", dbc)
+    config = written(
+        folder_ / "gateway.yaml",
+        "bus: {interface: virtual, channel: alone}\nprotocol: {dbc: other.dbc}\n"
+        f"api: {{enabled: false, socket_path: {folder_ / 'control.sock'}}}\n",
+    )
+    run = [sys.executable, "-m", "vcu_gateway", "run", "-c", str(config), "--duration", "0.3"]
+    return subprocess.run(run, capture_output=True, text=True, cwd=ROOT, timeout=60)
+
+
+DAMAGED = {
+    "cut in a line": DBC[: DBC.index("SG_ MotorSpeed") + 5],
+    "empty": "",
+    "binary": "\x7fELF\1\2\3",
+    "a message of four bytes": DBC.replace("BMS_Status: 8", "BMS_Status: 4"),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGED)
+def test_f63_a_damaged_dbc_is_refused_at_the_start(what, tmp_path, seen: Seen):
+    done = started_with(tmp_path, DAMAGED[what])
+    assert done.returncode in (os.EX_DATAERR, os.EX_CONFIG), done.stderr
+    first = done.stderr.splitlines()[0]
+    assert first.startswith("error: ")
+    seen(first.replace(str(tmp_path), "...")[:110])
+
+
+OTHER = {
+    "no battery message": DBC.replace("BMS_Status", "BMS_Other"),
+    "no throttle": without("VCU_PCU1_Command", "Throttle"),
+    "no motor speed": without("PCU2_Status2", "MotorSpeed"),
+    "no fault level": without("BMS_Status", "CellUndervoltage"),
+    "no life signal": without("BMS_Status", "LifeSignal"),
+    "throttle elsewhere": changed("VCU_PCU1_Command", "Throttle : 8|8", "Throttle : 24|8"),
+    "throttle of another scale": changed("VCU_PCU1_Command", "8|8@1+ (0.39", "8|8@1+ (1"),
+    "no periods": re.sub(r"^BA_ .*Cycle.*\n", "", DBC, flags=re.MULTILINE),
+    "another identifier": DBC.replace(str(0x8008A7D0), str(0x8008A9D0)),
+}
+
+
+@pytest.mark.parametrize("what", OTHER)
+def test_f63_a_dbc_of_another_vehicle_is_refused_at_the_start(what, tmp_path, seen: Seen):
+    done = started_with(tmp_path, OTHER[what])
+    assert done.returncode in (os.EX_DATAERR, os.EX_CONFIG), done.stderr[-300:]
+    assert "other.dbc" in done.stderr.splitlines()[0]
+    seen(f"{what}: {done.stderr.splitlines()[0].replace(str(tmp_path), '...')[:110]}")
+
+
+def test_f63_a_dbc_that_changes_under_a_running_gateway_changes_nothing(tmp_path, seen: Seen):
+    dbc = written(tmp_path / "own.dbc", DBC)
+    with program(tmp_path, "protocol: {dbc: own.dbc}\n") as one:
+        one.until_serving()
+        digest = one.health()["protocol_digest"]
+        written(dbc, DBC + "\n")
+        one.process.send_signal(signal.SIGHUP)
+        time.sleep(0.3)
+        after = one.health()
+        assert one.end() < 5
+    assert after["protocol_digest"] == digest
+    with program(tmp_path, "protocol: {dbc: own.dbc}\n") as one:
+        one.until_serving()
+        another = one.health()["protocol_digest"]
+    assert another != digest
+    seen(f"digest {digest} told before and after the change, {another} after a restart")
+
+
+def test_f63_a_throttle_in_another_place_never_leaves_the_gate(tmp_path, seen: Seen):
+    written(tmp_path / "own.dbc", OTHER["throttle elsewhere"])
+    config = (
+        "protocol: {dbc: own.dbc}\n"
+        "bench: {auto_arm: true, demand: {bench_use_only: true, throttle_pct: 50}}\n"
+    )
+    with driven(tmp_path, config) as whole:
+        whole.until_mode("fault")
+        blocked = dict(whole.daemon.gateway.output.gate.blocked)
+        sentence = whole.latest_why.sentence()
+        time.sleep(0.3)
+        assert set(commands(whole)) == {ZERO_TORQUE}
+    assert blocked
+    seen(f"the gate blocked {blocked} and latched: {sentence[:60]}")

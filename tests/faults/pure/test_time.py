@@ -1,0 +1,276 @@
+"""Time goes wrong: late ticks, pauses, long uptimes, counters at their end, odd places."""
+
+import gc
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from datetime import datetime
+from types import SimpleNamespace
+
+import pytest
+
+from tests.core import safety_world
+from tests.core.safety_world import MS, PERIOD_NS, ZERO_TORQUE, Drive, active
+from tests.driven import driven
+from tests.faults.conftest import ROOT, Seen
+from tests.faults.pure.test_process import commands, moving
+from tests.faults.speaking import Speaker
+from vcu_gateway.bus.socketcan import DrainingSocketcanBus
+from vcu_gateway.core.codec import Reason
+from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
+from vcu_gateway.core.schedule import Schedule
+from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.report import counters
+
+FULL = ControllerDemand(throttle_pct=100, power_mode=PowerMode.NORMAL)
+SLEW_RAW = 5 / 0.39  # of one period, in codes of the throttle
+DAY_NS = 86_400 * 1_000_000_000
+
+
+def on_the_bench(ticks: int) -> Drive:
+    """Driving on a demand that never expires, its throttle still on the rise."""
+    drive = Drive(bench_demand=FULL, auto_arm=True)
+    drive.asked = None
+    drive.until(Mode.ACTIVE)
+    for _ in range(ticks):
+        drive.tick()
+    return drive
+
+
+@pytest.mark.parametrize("slept_s", [1, 60, 8 * 3600, 30 * 86_400])
+def test_f56_time_that_passed_without_the_program_is_a_late_tick(slept_s, seen: Seen):
+    drive = on_the_bench(6)
+    assert 0 < drive.commands[0][1] < 200
+    drive.silent = set(safety_world.RECEIVED)
+    result = drive.tick(after_ns=slept_s * 1_000_000_000)
+    assert drive.commands == [ZERO_TORQUE] * 2
+    assert len(result.frames) == 2, "nothing is made up"
+    assert drive.mode is Mode.FAULT
+    assert [event for event in drive.events if event.fields.get("cause") == "tick_late"]
+    drive.silent = set()
+    drive.run(5000)
+    assert drive.mode is Mode.FAULT, "latched"
+    seen(f"{slept_s} s: zero torque in the first tick, latched", reaction_ms=0)
+
+
+@pytest.mark.parametrize("periods", [1, 2, 3, 4, 5, 40])
+def test_f57_a_late_tick_skips_what_was_missed_and_earns_one_period_at_most(periods, seen: Seen):
+    schedule = Schedule(0, PERIOD_NS)
+    assert schedule.due(0)
+    tick = schedule.due((1 + periods) * PERIOD_NS)
+    assert tick is not None
+    assert (tick.skipped, schedule.skipped) == (periods, periods)
+    assert schedule.due((1 + periods) * PERIOD_NS) is None, "no burst"
+    drive = on_the_bench(6)
+    before = drive.commands[0][1]
+    drive.tick(after_ns=(1 + periods) * PERIOD_NS)
+    after = drive.commands[0][1]
+    assert after - before <= SLEW_RAW + 1
+    # Controllers answer commands only: after 4 missed ones their answers are stale.
+    assert drive.mode is (Mode.ACTIVE if periods < 4 else Mode.FAULT)
+    late = any(event.fields.get("cause") == "tick_late" for event in drive.events)
+    assert late is (periods > 4)
+    seen(f"{periods} late: {periods} skipped, throttle {before} to {after}, {drive.mode.value}")
+
+
+def test_f59_a_full_collection_finds_nothing_to_walk_and_a_forced_pause_is_a_late_tick(
+    tmp_path, seen: Seen
+):
+    """What lives at the start is frozen: a collection while driving walks what came since."""
+    heap = [{"number": [number]} for number in range(400_000)]
+    begun_s = time.monotonic()
+    gc.collect()
+    before_ms = (time.monotonic() - begun_s) * 1000
+    with driven(tmp_path) as whole, moving(whole):
+        assert gc.get_freeze_count() > len(heap)
+        assert not gc.isenabled(), "none by itself"
+        schedule = whole.daemon.schedule
+        pauses_ms: list[float] = []
+
+        def collect() -> None:
+            begun_s = time.monotonic()
+            gc.collect()
+            pauses_ms.append((time.monotonic() - begun_s) * 1000)
+
+        for _ in range(5):
+            whole.daemon.inbox.post(collect)
+            time.sleep(0.06)
+        whole.until(lambda: len(pauses_ms) == 5, "five collections")
+        assert whole.mode == "active"
+        skipped = schedule.skipped
+        whole.daemon.inbox.post(lambda: time.sleep(0.3))
+        whole.until_mode("fault")
+        time.sleep(0.2)
+        commands(whole)
+        time.sleep(0.2)
+        assert set(commands(whole)) == {ZERO_TORQUE}
+        missed = schedule.skipped - skipped
+    del heap
+    assert min(pauses_ms) < before_ms / 4
+    assert missed >= 5
+    seen(
+        f"a collection took {before_ms:.0f} ms before the freeze, {min(pauses_ms):.1f} ms while"
+        f" driving; a forced pause of 300 ms: {missed} ticks skipped, zero torque, latched"
+    )
+
+
+# Long uptimes.
+
+ORIGINS_NS = {
+    "200 days": 200 * DAY_NS,
+    "where a float loses whole nanoseconds": 2**53 - 3 * 1_000_000_000,
+    "ten years": 3652 * DAY_NS,
+    "the end of 64 bits": 2**63 - 60 * 1_000_000_000,
+}
+
+
+def history(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
+    """Everything that a drive with its limits, silences and its end says, from this origin."""
+    monkeypatch.setattr(safety_world, "NOW_NS", origin_ns)
+    told: list[tuple[object, ...]] = []
+    drive = active(clear_hold_ms=1000)
+    drive.asked = FULL
+    schedule = Schedule(drive.now_ns, PERIOD_NS)
+    for tick in range(300):
+        drive.codes = {"BMS_Status.CellUndervoltage": 1} if 60 <= tick < 90 else {}
+        drive.silent = {"PCU2_Status2"} if 150 <= tick < 160 else set()
+        jitter_ns = 7 * MS * (tick % 3 == 1) - 7 * MS * (tick % 3 == 2) + (tick % 5 == 0)
+        result = drive.tick(after_ns=PERIOD_NS + jitter_ns)
+        due = schedule.due(drive.now_ns)
+        age_ns = result.snapshot.age_ns("BMS_Status")
+        lateness_ns = due and due.lateness_ns
+        told.append((drive.mode, tuple(drive.commands), age_ns, lateness_ns, schedule.skipped))
+        if tick == 220:
+            drive.asked = ControllerDemand()
+            drive.tick()
+            told.append((drive.reset().sentence, drive.mode))
+    return told
+
+
+@pytest.mark.parametrize("uptime", ORIGINS_NS)
+def test_f81_a_long_uptime_is_as_exact_as_the_first_second(uptime, monkeypatch, seen: Seen):
+    origin_ns = ORIGINS_NS[uptime]
+    # The battery speaks on a grid of half seconds from 0: both origins lie alike on it.
+    origin_ns -= origin_ns % (500 * MS)
+    late, early = history(origin_ns, monkeypatch), history(1000 * MS, monkeypatch)
+    assert late == early
+    modes = {told[0] for told in late}
+    assert {Mode.ACTIVE, Mode.FAULT} <= modes
+    seen(f"{uptime}: {len(late)} ticks with limits, silence, latch and reset, equal to the bit")
+
+
+# Counters.
+
+
+def test_f82_counters_at_their_end_stay_right(tmp_path, seen: Seen):
+    drive = active()
+    drive.asked = FULL
+    intake = drive.gateway.intake
+    highest = (2**32 - 1, 2**53, 2**64 - 1)
+    for value in highest:
+        intake.rejected = dict.fromkeys(Reason, value)
+        intake.store.out_of_order = value
+        intake.confirmed = dict.fromkeys(intake.confirmed, value)
+        drive.run(500)
+        assert drive.mode is Mode.ACTIVE
+        assert drive.commands[0][1] > 0
+        drive.gateway.intake.receive(safety_world.Frame(0x123, b"", drive.now_ns, extended=False))
+        assert counters(drive.gateway)["rejected"]["standard_id"] == value + 1
+        assert intake.confirmed["PCU1"] == value + 10
+    drive._sequence = 2**63 - 20
+    drive.run(500)
+    assert drive.commands[0][1] > 0
+    last = drive.offer(FULL, sequence=2**63 - 1)
+    assert last.granted
+    assert drive.offer(FULL, sequence=2**63 - 1).refusal is Refusal.OLD_SEQUENCE
+    drops = _drops_over_the_end()
+    with driven(tmp_path) as whole:
+        whole.until_ready()
+        whole.daemon.gateway.intake.rejected[Reason.UNKNOWN] = 2**64
+        with Speaker(whole.socket_path) as speaker:
+            told = speaker.result("health")["frames"]["rejected"]["unknown"]
+            beyond = speaker.demand(2**63, 0)["error"]["message"]
+    assert told >= 2**64
+    seen(
+        f"statistics beyond {max(highest)} count on; the kernel's 32-bit drops over their end:"
+        f" {drops}; sequence 2^63: {beyond}"
+    )
+
+
+def _drops_over_the_end() -> str:
+    """The kernel's counter as the door takes it over, given a socket that rolls over."""
+    told = iter([2**32 - 5, 2**32 - 1, 3])
+
+    def getsockopt(*_: int) -> bytes:
+        return b"".join(n.to_bytes(4, sys.byteorder) for n in (*(0,) * 8, next(told)))
+
+    bus = SimpleNamespace(
+        socket=SimpleNamespace(getsockopt=getsockopt),
+        _counters=SimpleNamespace(dropped=0),
+        _drops_before=0,
+    )
+    seen = []
+    for _ in range(3):
+        DrainingSocketcanBus._count_drops(bus)  # type: ignore[arg-type]
+        seen.append(bus._counters.dropped)
+    assert seen == [2**32 - 5, 2**32 - 1, 2**32 + 3]
+    return f"{seen[1]} then {seen[2]}"
+
+
+# Places.
+
+PLACES = {
+    "Turkish": {"LANG": "tr_TR.UTF-8", "LC_ALL": "tr_TR.UTF-8"},
+    "C": {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "a zone with summer time": {"TZ": "Europe/Berlin"},
+    "no zone data": {"TZ": "Asia/Taipei", "TZDIR": "/nonexistent", "PYTHONTZPATH": ""},
+    "a zone that does not exist": {"TZ": ":/dev/null"},
+}
+
+
+def test_f83_language_and_time_zone_change_neither_words_nor_stamps(tmp_path, seen: Seen):
+    config = tmp_path / "gateway.yaml"
+    config.write_text(
+        "bus: {interface: virtual, channel: alone}\n"
+        f"api: {{enabled: false, socket_path: {tmp_path / 'control.sock'}}}\n"
+    )
+    outputs: dict[str, list[str]] = {}
+    begun_s = time.time()
+    threads = [
+        threading.Thread(target=_run_at, args=(place, config, outputs))
+        for place in ("here", *PLACES)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    here = outputs.pop("here")
+    assert len(here) >= 5
+    for place, lines in outputs.items():
+        assert _without_figures(lines) == _without_figures(here), place
+        for stamp in re.findall(r'"timestamp": "([^"]*)"', "\n".join(lines)):
+            assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{6}Z", stamp)
+            told_s = datetime.fromisoformat(stamp).timestamp()
+            assert begun_s - 1 < told_s < time.time() + 1, f"{place}: {stamp} is no UTC"
+    seen(f"{len(here)} log lines the same words in {len(outputs)} places, stamps in UTC")
+
+
+def _run_at(place: str, config, outputs: dict[str, list[str]]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "vcu_gateway", "run", "-c", str(config), "--duration", "1.3"],
+        env={**os.environ, **PLACES.get(place, {})},
+        capture_output=True,
+        timeout=60,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+    outputs[place] = done.stderr.decode("ascii").splitlines()
+
+
+def _without_figures(lines: list[str]) -> list[str]:
+    """The words; of what depends on the second nothing, a tick may be missed."""
+    words = [re.sub(r"[\d.]+", "#", re.sub(r'"timestamp": "[^"]*"', "", line)) for line in lines]
+    return [re.sub(r"late[^,]*,?", "", line) for line in words if "ticks_skipped" not in line]

@@ -1,0 +1,223 @@
+"""More on the bus than one can read: what is lost is counted exactly, and no tick waits."""
+
+import functools
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import pytest
+
+from tests.faults import metronome
+from tests.faults.conftest import Seen
+from tests.faults.driving import MS, BusStand, Driving, record, set_up, stopped_within_ms
+from tests.faults.flood import EFF, ERR, Flood, poured, send
+from tests.vcan.conftest import COMMANDS, wait_until
+
+BMS_STATUS, BMS_TEMPERATURES = 0x1808D0F4, 0x1809D0F4
+FLOODED = {"IMU_Acceleration": 0x040AD079, "IMU_AngularRate": 0x040BD079}
+TRAFFIC = (*COMMANDS, BMS_STATUS, BMS_TEMPERATURES, 0x0808D0A7, 0x0808D0A8, 0x0809D0A7,
+           0x0809D0A8, 0x040AD092)  # fmt: skip
+FOREIGN = ((EFF | 0x00000001, bytes(8)), (0x001, bytes(8)), (EFF | 0x0CF00400, bytes(8)))
+LEVEL = bytes.fromhex("a81ea81ea81e0000")
+OWN = tuple((EFF | can_id, LEVEL) for can_id in FLOODED.values())
+QUEUED_FRAMES = 278
+TICK_MS = 50 + 5
+QUIET_BUSY_S, FLOOD_BUSY_S = 0.0005, 0.0025
+
+
+@pytest.fixture
+def flooded(alone: BusStand) -> Iterator[Driving]:
+    """Drives; everything with our identifiers but the flood is recorded."""
+    alone.bus = ", gather_ms: 17"
+    one = Driving(alone, recording=record(alone, "", TRAFFIC))
+    one.until_serving()
+    one.start_vehicle()
+    yield one
+    one.let_go()
+
+
+def accounted_for(driving: Driving, counts: Counter[int], seen: Seen) -> dict[str, Any]:
+    """End it; every frame with our identifiers was received or is counted as dropped."""
+    state = driving.ended()
+    own = sum(n for can_id, n in counts.items() if can_id & ~EFF in FLOODED.values())
+    others = len(driving.recording.frames())
+    bus = state["bus"]
+    assert bus["received"] + bus["dropped"] == own + others, "each frame is here or there"
+    received = {name: state["messages"][name]["frame_count"] for name in FLOODED}
+    lost = own - sum(received.values())
+    assert 0 <= lost <= bus["dropped"]
+    seen(
+        f"{sum(counts.values())} frames flooded, {own} of them with our identifiers: "
+        f"{sum(received.values())} taken in, {bus['dropped']} counted as dropped with the "
+        f"{others} others, none unaccounted for"
+    )
+    return state
+
+
+class Spell(NamedTuple):
+    """So many seconds of driving.
+
+    Attributes:
+        stalls: ticks that another Python process missed, as busy as the gateway.
+        p99_ms: lateness of the gateway's ticks, up to the latest 1200.
+    """
+
+    ticks: int
+    skipped: int
+    stalls: int
+    p99_ms: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.skipped} of {self.ticks} ticks skipped, {self.stalls} by a bystander, "
+            f"late p99 {self.p99_ms:.1f} ms"
+        )
+
+
+def spell(driving: Driving, duration_s: float, bystander_busy_s: float) -> Spell:
+    path, before = driving.stand.folder / "beats", driving.client.health()
+    work = functools.partial(metronome.beat, path, duration_s, bystander_busy_s)
+    driving.stand.run(work)
+    wait_until(path.exists, "the metronome", duration_s + 60)
+    after, stalls = driving.client.health(), metronome.skipped(path)
+    path.unlink()
+    skipped = after["ticks"]["skipped"] - before["ticks"]["skipped"]
+    done = after["ticks"]["done"] - before["ticks"]["done"]
+    p99_ms = (after["ticks"]["lateness_p99_us"] or 0) / 1000
+    return Spell(skipped + done, skipped, stalls, p99_ms)
+
+
+@pytest.mark.parametrize(
+    "duration_s", [5, pytest.param(60, marks=[pytest.mark.slow, pytest.mark.timeout(400)])]
+)
+def test_f34_a_full_bus_costs_no_tick_and_every_dropped_frame_is_counted(
+    flooded: Driving, seen: Seen, duration_s: int
+):
+    flooded.until_driving()
+    quiet = spell(flooded, duration_s, QUIET_BUSY_S)
+    counts_path = flooded.stand.folder / "counts"
+    # One in eight is for us: more is more than the lab's one processor reads.
+    flood = Flood((*FOREIGN * 7, *OWN, OWN[0]), 8000, duration_s)
+    begun_s = time.monotonic()
+    flooded.stand.run(functools.partial(flood.pour, counts_path))
+    full = spell(flooded, duration_s, FLOOD_BUSY_S)
+    counts = poured(counts_path)
+    rate_hz = sum(counts.values()) / (time.monotonic() - begun_s)
+    state = accounted_for(flooded, counts, seen)
+    flooded.check()
+    seen(f"{rate_hz:.0f} frames/s for {duration_s} s: {full}; as long without them: {quiet}")
+    assert state["bus"]["receiver_bugs"] == 0
+    # What the machine takes from every process is no fault of the flood; one tick in twenty of
+    # leeway tells from a gateway that is held up by it, which would miss most.
+    assert full.skipped <= 2 * (full.stalls + quiet.skipped) + full.ticks // 20
+
+
+def test_f34_what_is_for_us_and_more_than_can_be_read_is_dropped_and_counted_exactly(
+    flooded: Driving, seen: Seen
+):
+    flooded.until_driving()
+    counts_path = flooded.stand.folder / "counts"
+    begun_s = time.monotonic()
+    flooded.stand.run(functools.partial(Flood(OWN, 8000, 4).pour, counts_path))
+    full = spell(flooded, 4, FLOOD_BUSY_S)
+    counts = poured(counts_path)
+    rate_hz = sum(counts.values()) / (time.monotonic() - begun_s)
+    accounted_for(flooded, counts, seen)
+    flooded.check()
+    # How many ticks come is a question of the machine: one processor has nothing left for them.
+    seen(f"{rate_hz:.0f} frames/s, all for us: {full}")
+
+
+def test_f35_after_an_overflow_old_frames_count_as_old_and_the_lost_ones_are_counted(
+    flooded: Driving, seen: Seen
+):
+    flooded.until_driving()
+    pid = flooded.gateway.popen.pid
+    assert pid is not None
+    counts_path = flooded.stand.folder / "counts"
+    os.kill(pid, signal.SIGSTOP)
+    stopped_ns = time.time_ns()
+    assert flooded.vehicle is not None
+    flooded.vehicle.stop()
+    flood = Flood(OWN, 500, 2)
+    flood.pour(counts_path)
+    counts = poured(counts_path)
+    os.kill(pid, signal.SIGCONT)
+    resumed_ns = time.time_ns()
+    wait_until(lambda: flooded.mode() != "active", "the disarming")
+    age_ms = flooded.client.state(["BMS_Status"])["messages"]["BMS_Status"]["age_ms"]
+    assert age_ms is not None
+    held_ms = (resumed_ns - stopped_ns) / MS
+    assert age_ms >= held_ms, "what waited is as old as it is, though it was read just now"
+    wait_until(lambda: len(flooded.commands(resumed_ns)) >= 8, "command frames")
+    stop_ms = stopped_within_ms(flooded, resumed_ns)
+    wait_until(lambda: flooded.events("frames_dropped") != [], "the word")
+    state = accounted_for(flooded, counts, seen)
+    dropped = state["bus"]["dropped"]
+    assert dropped >= sum(counts.values()) - QUEUED_FRAMES
+    flooded.check()
+    seen(
+        f"held for {held_ms:.0f} ms: zero torque {stop_ms:.0f} ms after it went on; battery's "
+        f"last word {age_ms:.0f} ms old",
+        reaction_ms=stop_ms,
+    )
+    assert stop_ms <= 2 * TICK_MS
+
+
+def test_f35_what_waited_in_a_socket_whose_link_went_down_is_counted_as_dropped(
+    alone: BusStand, seen: Seen
+):
+    alone.bus = ", receive_buffer_bytes: 16777216"
+    driving = Driving(alone, recording=record(alone, "", TRAFFIC))
+    driving.until_serving()
+    wait_until(lambda: driving.events("receive_buffer_small") != [], "the caution")
+    caution = driving.events("receive_buffer_small")[0]
+    assert caution["command"] == "sysctl -w net.core.rmem_max=16777216"
+    pid = driving.gateway.popen.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    counts_path = driving.stand.folder / "counts"
+    Flood(OWN, 2000, 1).pour(counts_path)
+    set_up("vcan0", up=False)
+    set_up("vcan0")
+    os.kill(pid, signal.SIGCONT)
+    wait_until(lambda: driving.events("link_open")[1:] != [], "the second opening")
+    driving.until_link("up")
+    state = accounted_for(driving, poured(counts_path), seen)
+    driving.let_go()
+    assert state["bus"]["dropped"] >= 1000
+    seen(f"a buffer of {caution['given_bytes']} of {caution['asked_bytes']} bytes was told")
+
+
+@pytest.mark.parametrize(
+    ("classes", "bits", "rate_hz"),
+    [(0x088, 0x00, 10_000), (0x004, 0x08, 2_000)],
+    ids=["bus errors", "warnings"],
+)
+def test_f36_a_flood_of_error_frames_neither_hides_data_nor_fills_the_log(
+    driving: Driving, seen: Seen, classes: int, bits: int, rate_hz: int
+):
+    counts_path = driving.stand.folder / f"errors-{classes:03x}"
+    frame = (ERR | classes, bytes([0, bits, 0, 0, 0, 0, 0, 0]))
+    log_before, before = len(driving.gateway.log()), driving.client.health()["frames"]
+    flood = Flood([frame], rate_hz, 3)
+    driving.stand.run(functools.partial(flood.pour, counts_path))
+    full = spell(driving, 3, QUIET_BUSY_S)
+    counts, after = poured(counts_path), driving.client.health()["frames"]
+    confirmed = after["confirmed"]["PCU1"] - before["confirmed"]["PCU1"]
+    handled = after["rejected"]["error"] - before["rejected"]["error"]
+    lines = len(driving.gateway.log()) - log_before - full.skipped
+    assert driving.mode() == "active"
+    assert after["dropped"] == before["dropped"], "no frame was lost to them"
+    seen(
+        f"{sum(counts.values())} error frames of class {classes:#05x}: {handled} looked at, "
+        f"{lines} lines of log, {confirmed} own frames confirmed meanwhile, active; {full}"
+    )
+    send((ERR | 0x004, bytes([0, 0x40, 0, 0, 0, 0, 0, 0])))
+    driving.until_link("up")
+    assert handled <= 3 * 80, "no more than readings of the socket"
+    assert lines <= 6
+    assert confirmed >= 40
