@@ -62,8 +62,10 @@ WRONG = {
         r":3: freshness.late_after_ms.BMS_Status: must be at most 900 ms",
     ),
     "more asked than allowed": (
-        "limits: {power_limit_max_w: 1000}\n"
-        "bench:\n  demand: {bench_use_only: true, power_limit_w: 2000}\n",
+        (
+            "limits: {power_limit_max_w: 1000}\n"
+            "bench:\n  demand: {bench_use_only: true, power_limit_w: 2000}\n"
+        ),
         r":3: bench.demand.power_limit_w: must be at most 1000 W",
     ),
     "not a number": ("bus:\n  gather_ms: .nan", r":2: bus.gather_ms: must be a finite number"),
