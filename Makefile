@@ -13,7 +13,7 @@ WITH_NETEM := --module-param vcan:echo=1 --modules "sch_netem sch_tbf"
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py
 
-.PHONY: help setup demo test test-quick test-core test-rest test-vcan test-on-bus test-faults lint nightly soak faults mutants bench lock clean
+.PHONY: help setup demo test test-quick test-core test-rest test-more test-vcan test-on-bus test-faults lint nightly soak faults mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -30,7 +30,8 @@ demo: setup  ## gateway and simulated vehicle with a live table, without hardwar
 test: setup lint test-quick test-vcan  ## everything: lint, types, tests, tests on a real vcan0
 
 test-quick: setup  ## the tests that need no CAN, two runs at a time
-	@$(MAKE) --no-print-directory -j2 --output-sync=target test-core test-rest
+	-@scripts/test-tools
+	@$(MAKE) --no-print-directory -j2 --output-sync=target test-rest test-core test-more
 
 test-core: setup
 	$(BIN)/coverage erase
@@ -39,8 +40,10 @@ test-core: setup
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
 
 test-rest: setup
-	-@scripts/test-tools
-	$(BIN)/pytest -q -m 'not slow' tests --ignore=tests/core $(NO_BUS)
+	$(BIN)/pytest -q -m 'not slow' tests --ignore=tests/core --ignore=tests/watch --ignore=tests/faults $(NO_BUS)
+
+test-more: setup
+	$(BIN)/pytest -q -m 'not slow' tests/watch tests/faults/pure
 	$(BIN)/pytest -q $(EXHAUSTIVE)
 
 test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
