@@ -211,7 +211,7 @@ def _log_crash(
     trace: TracebackType | None,
 ) -> None:
     lines = traceback.format_exception(kind, error, trace)
-    log.critical("crashed", thread=thread, error=repr(error), trace="".join(lines))
+    log.critical("crashed", thread=thread, error=repr(error), exception="".join(lines))
 
 
 def log_event(event: Event) -> None:

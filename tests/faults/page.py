@@ -18,17 +18,20 @@ ROOT = HERE.parents[1]
 PAGE = ROOT / "docs" / "faults.md"
 FAULTS = 84
 _SHOWN = 2
+_LONGEST = 280
 
-HEAD = """<!-- Made by `python -m tests.faults.page`; do not change it here. -->
+HEAD = """<!-- Made by `make faults`; do not change it here. -->
 
 # What may go wrong, and what was seen when it did
 
 {automated} of {all} faults are brought about by a test, {passed} of them passed. A fault has one
 test or several (`tests/faults/`, named with its number); each says what it saw, and the slowest of
-its reactions stands here. Where a bus is needed it is a real SocketCAN one, and times are the
-kernel's stamps in another process. Reactions are counted from the cause's frame on the bus to the
-later of both controllers' safe frames, where nothing else is said. Run on {kernels}; on the lab's
-one slow processor a reaction holds for that machine only, its bound for every one.
+its reactions stands here. Where the fault needs a bus it is a real SocketCAN one, and times are the
+kernel's stamps in another process; elsewhere they are the gateway's own, or simulated. A reaction
+is counted from the cause's frame on the bus to the later of both controllers' safe frames, where
+nothing else is said. Run on {kernels}; the buses are in the lab
+([its limits](../tests/lab/README.md)), on one slow processor: what a reaction took holds for that
+machine, its bound for every one.
 
 | # | fault | injected how | expected | seen | reaction | test |
 | --- | --- | --- | --- | --- | --- | --- |
@@ -88,8 +91,9 @@ def _functions(path: Path) -> Iterator[str]:
 
 
 def results(folder: Path) -> list[dict[str, Any]]:
-    """What the tests wrote."""
-    return [json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))]
+    """What the tests wrote, in the order of their names."""
+    found = [json.loads(path.read_text()) for path in folder.glob("*.json")]
+    return sorted(found, key=lambda one: (one["number"], one["test"]))
 
 
 def rows(told: Iterable[dict[str, Any]]) -> list[Row]:
@@ -112,7 +116,8 @@ def rows(told: Iterable[dict[str, Any]]) -> list[Row]:
 
 def page(all_rows: list[Row]) -> str:
     """The whole page."""
-    kernels = sorted({one["kernel"] for row in all_rows for one in row.results})
+    releases = {one["kernel"] for row in all_rows for one in row.results}
+    kernels = sorted({".".join(release.split(".")[:2]) for release in releases})
     head = HEAD.format(
         automated=sum(row.state != "no test" for row in all_rows),
         passed=sum(row.state == "passed" for row in all_rows),
@@ -147,10 +152,14 @@ def _line(row: Row) -> str:
 def _seen(row: Row) -> str:
     if row.state == "no test":
         return f"no test: {row.fault['untested']}"
-    told = list(dict.fromkeys(one["seen"] for one in row.results if one["seen"]))
+    told = list(dict.fromkeys(_cut(one["seen"]) for one in row.results if one["seen"]))
     mark = [] if row.state == "passed" else [f"**{row.state}**"]
     more = [f"(and {len(told) - _SHOWN} more cases)"] if len(told) > _SHOWN + 1 else []
     return "<br>".join(mark + (told[:_SHOWN] + more if more else told))
+
+
+def _cut(sentence: str) -> str:
+    return sentence if len(sentence) <= _LONGEST else f"{sentence[:_LONGEST]} ..."
 
 
 def _reaction(row: Row) -> str:

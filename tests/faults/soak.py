@@ -304,11 +304,15 @@ class Soaked(NamedTuple):
     descriptors_left: int
 
     @property
+    def long(self) -> bool:
+        """Long enough to say anything of memory."""
+        return self.seconds > 300
+
+    @property
     def wrong(self) -> list[str]:
-        """What is not as it must be; memory is judged of a run of minutes only."""
-        long = self.seconds > 300
+        """What is not as it must be."""
         checks = {
-            f"memory grew by {self.growth_kb} kB": not long or self.growth_kb <= GROWTH_MAX_KB,
+            f"memory grew by {self.growth_kb} kB": not self.long or self.growth_kb <= GROWTH_MAX_KB,
             f"{self.descriptors_left} descriptors left over": self.descriptors_left <= 0,
             f"{self.unaccounted} ticks unaccounted for": abs(self.unaccounted) <= 2,
             f"{self.missing} frames sent and not recorded": self.missing == 0,
@@ -321,9 +325,15 @@ class Soaked(NamedTuple):
             f"{self.seconds:.0f} s, {self.faults} faults, {self.frames} command frames"
             f" ({self.with_torque / max(self.frames, 1):.0%} with torque) without a violation;"
             f" {self.ticks} ticks and {self.skipped} skipped, {self.unaccounted} unaccounted for;"
-            f" {self.missing} sent frames not recorded; memory +{self.growth_kb} kB,"
-            f" {self.slope_kb_per_h:+.0f} kB/h; {self.descriptors_left} descriptors left over"
+            f" {self.missing} sent frames not recorded; {self._memory}"
+            f"{self.descriptors_left} descriptors left over"
         )
+
+    @property
+    def _memory(self) -> str:
+        if not self.long:
+            return ""
+        return f"memory {self.growth_kb:+} kB, {self.slope_kb_per_h:+.0f} kB/h; "
 
 
 class Soak:

@@ -94,8 +94,10 @@ def test_a_reader_that_does_not_read_costs_lines_and_never_the_writer(pipe):
     in_the_pipe = 4096 // 100 + 1  # and the line that waits to be written
     assert 5000 - 1000 - in_the_pipe <= writer.dropped <= 5000 - 1000
     kept = 5000 - writer.dropped
-    lines = read_lines(reading, kept)
-    assert [int(line) for line in lines] == list(range(kept)), "the oldest are kept, in order"
+    numbers = [int(line) for line in read_lines(reading, kept)]
+    assert numbers[:1000] == list(range(1000)), "the oldest are kept"
+    # Whatever the pipe takes later makes room for as many later ones.
+    assert numbers == sorted(set(numbers))
 
 
 def test_lost_lines_are_told_once_the_reader_reads_again(pipe):
@@ -150,7 +152,7 @@ def test_a_crash_is_a_line_of_the_log_and_ends_although_nobody_reads(thread, pip
     assert crashes[0]["event"] == "crashed"
     assert crashes[0]["thread"] == thread
     assert crashes[0]["error"].startswith("ValueError(")
-    assert crashes[0]["trace"].startswith("Traceback")
+    assert crashes[0]["exception"].startswith("Traceback")
 
 
 def test_a_full_disk_costs_lines_which_are_counted():

@@ -150,6 +150,22 @@ def history(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[objec
     return told
 
 
+def edges(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """What a nanosecond before, at and after a deadline makes of it, from this origin."""
+    monkeypatch.setattr(safety_world, "NOW_NS", origin_ns)
+    drive = active()
+    latest = drive.tick().snapshot.latest("PCU2_Status2")
+    assert latest is not None
+    drive.silent = {"PCU2_Status2"}
+    told: list[object] = []
+    for past_ns in (-1, 0, 1):
+        after_ns = latest.arrival_ns + 200 * MS + past_ns - drive.now_ns
+        told.append(drive.tick(after_ns).snapshot.stale("PCU2_Status2"))
+    schedule = Schedule(origin_ns, PERIOD_NS)
+    points_ns = (-1, 0, PERIOD_NS - 1, PERIOD_NS + PERIOD_NS // 2 - 1)
+    return told + [schedule.due(origin_ns + past_ns) is None for past_ns in points_ns]
+
+
 @pytest.mark.parametrize("uptime", ORIGINS_NS)
 def test_f81_a_long_uptime_is_as_exact_as_the_first_second(uptime, monkeypatch, seen: Seen):
     origin_ns = ORIGINS_NS[uptime]
@@ -157,9 +173,11 @@ def test_f81_a_long_uptime_is_as_exact_as_the_first_second(uptime, monkeypatch, 
     origin_ns -= origin_ns % (500 * MS)
     late, early = history(origin_ns, monkeypatch), history(1000 * MS, monkeypatch)
     assert late == early
+    assert edges(origin_ns, monkeypatch) == [False, False, True, True, False, True, False]
     modes = {told[0] for told in late}
     assert {Mode.ACTIVE, Mode.FAULT} <= modes
-    seen(f"{uptime}: {len(late)} ticks with limits, silence, latch and reset, equal to the bit")
+    seen(f"{uptime}: {len(late)} ticks with limits, silence, latch and reset equal to the bit;"
+         " deadlines to the nanosecond")  # fmt: skip
 
 
 # Counters.
