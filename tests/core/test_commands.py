@@ -586,3 +586,15 @@ def test_a_replaced_command_that_was_not_sent_leaves_the_one_before_it(drive):
     drive.commander.not_sent("PCU1")
     assert drive.commander.last["PCU1"].throttle_pct == 20
     assert drive.commander.last["PCU2"].throttle_pct == 0
+
+
+def test_the_directions_of_a_gateway_before_are_taken_over_where_they_are_known():
+    commander = Commander(Settings())
+    commander.take_over({"PCU2": True})
+    commander.take_over({})
+    assert {name: one.motor_reverse for name, one in commander.last.items()} == {
+        "PCU1": False,
+        "PCU2": True,
+    }
+    told = commander.safe(Settings(), power_cut=False, now_ns=0)
+    assert told["PCU2"].motor_reverse

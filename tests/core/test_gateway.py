@@ -962,3 +962,81 @@ def test_another_source_cannot_end_the_demand():
     assert drive.commands[0] != ZERO_TORQUE
     assert not drive.gateway.requests.end_demand("remote", drive.now_ns).granted
     assert drive.mode is Mode.ACTIVE
+
+
+# Ended and started again.
+
+
+@pytest.mark.parametrize(("restarts", "granted"), [(0, True), (1, True), (2, True), (3, False)])
+def test_three_unexpected_restarts_in_one_drive_end_arming(restarts, granted):
+    drive = standby()
+    drive.gateway.restarted(restarts)
+    answer = drive.arm()
+    assert answer.granted is granted
+    assert granted or answer.sentence == (
+        "the gateway was restarted 3 times in this drive; find out why, then restart the service"
+    )
+
+
+def test_a_gateway_that_was_told_of_no_restart_counts_none():
+    assert Drive().gateway.requests.restarts == 0
+
+
+def test_why_says_that_restarts_ended_arming():
+    drive = standby()
+    drive.gateway.restarted(4)
+    assert "before arming: the gateway was restarted 4 times in this drive" in drive.sentence
+
+
+def test_a_bench_does_not_arm_itself_after_three_restarts():
+    drive = Drive(bench_demand=BENCH, auto_arm=True)
+    drive.gateway.restarted(3)
+    drive.run(5000)
+    assert drive.mode is Mode.STANDBY
+
+
+@pytest.mark.parametrize("mode", [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE])
+def test_the_safe_frames_of_any_mode_are_zero_torque(mode):
+    drive = in_mode(mode)
+    drive.asked = ControllerDemand(throttle_pct=50)
+    drive.run(300)
+    frames = drive.gateway.safe_frames()
+    assert {frame.controller: frame.data for frame in frames} == dict.fromkeys(
+        ("PCU1", "PCU2"), ZERO_TORQUE
+    )
+    assert [frame.can_id for frame in frames] == [COMMAND_IDS["PCU1"], COMMAND_IDS["PCU2"]]
+
+
+def test_the_safe_frames_keep_a_power_cut_and_the_direction():
+    drive = standby()
+    drive.asked = ControllerDemand(motor_reverse=True)
+    drive.tick()
+    drive.gateway.requests.emergency_stop()
+    drive.tick()
+    assert [frame.data.hex() for frame in drive.gateway.safe_frames()] == ["9c000000e02e0000"] * 2
+
+
+def test_asking_for_the_safe_frames_changes_nothing():
+    drive = active()
+    drive.asked = ControllerDemand(throttle_pct=10)
+    drive.run(500)
+    before = drive.commands
+    drive.gateway.safe_frames()
+    drive.tick()
+    assert drive.commands == before
+
+
+def test_the_first_frames_keep_the_direction_that_each_controller_echoes():
+    drive = Drive()
+    drive.codes = {"PCU1_Status1.MotorReverse": 1}
+    drive.asked = None
+    drive.until(Mode.STANDBY)
+    assert [command[0] & 0x10 for command in drive.commands] == [0x10, 0]
+
+
+def test_an_echo_after_the_first_frames_changes_no_direction():
+    drive = standby()
+    drive.codes = {f"PCU{n}_Status1.MotorReverse": 1 for n in (1, 2)}
+    drive.asked = None
+    drive.run(2000)
+    assert drive.commands == [ZERO_TORQUE] * 2

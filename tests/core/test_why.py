@@ -167,3 +167,33 @@ def test_between_two_ticks_a_cause_stands_as_the_last_tick_judged_it():
     sentence = drive.gateway.why(drive.now_ns + 20 * MS).sentence()
     assert "power limit (for " in sentence
     assert "gone and held" not in sentence
+
+
+def test_the_headline_names_the_first_of_many_causes_and_how_many_more():
+    drive = Drive()
+    drive.silent |= {"BMS_Status", "PCU1_Status2"}
+    drive.tick()
+    assert drive.gateway.why(drive.now_ns).headline() == (
+        "starting; blocked by BMS_Status never received: stop and 2 more; "
+        "listening for another sender of our frames; wait"
+    )
+
+
+def test_the_headline_of_a_healthy_standby_is_short():
+    drive = standby()
+    assert drive.gateway.why(drive.now_ns).headline() == "standby; arm"
+
+
+def test_the_headline_of_a_limited_drive_names_the_limit():
+    drive = active()
+    drive.codes["BMS_Status.CellUndervoltage"] = 1
+    drive.run(600)
+    assert drive.gateway.why(drive.now_ns).headline() == (
+        "active; limited by BMS_Status.CellUndervoltage 1 (level1): power limit; "
+        "drive; disarm to end"
+    )
+
+
+def test_the_headline_of_a_fault_names_what_latched():
+    drive = in_mode(Mode.FAULT)
+    assert drive.gateway.why(drive.now_ns).headline().startswith("fault; latched: ")

@@ -78,6 +78,13 @@ class Commander:
         self.override_latched = False
         self._ramps = dict.fromkeys(CONTROLLERS, Ramps(settings.power_limit_max_w, _FULL_PCT))
 
+    def take_over(self, reverse: Mapping[str, bool]) -> None:
+        """Begin in these directions, by controller: what a gateway before this one applied."""
+        self.last = {
+            name: replace(last, motor_reverse=reverse.get(name, last.motor_reverse))
+            for name, last in self.last.items()
+        }
+
     def reverse_pending(self, asked: Mapping[str, ControllerDemand]) -> bool:
         """True where a controller's asked direction is not the applied one."""
         return any(
@@ -85,10 +92,11 @@ class Commander:
         )
 
     def safe(self, settings: Settings, power_cut: bool, now_ns: int) -> Mapping[str, Command]:
-        """ZERO_TORQUE or POWER_CUT for both; directions stay as they were applied."""
-        return self._decided(self._zero_torque(settings, power_cut), now_ns)
+        """Command ZERO_TORQUE or POWER_CUT to both."""
+        return self._decided(self.zero_torque(settings, power_cut), now_ns)
 
-    def _zero_torque(self, settings: Settings, power_cut: bool) -> dict[str, Command]:
+    def zero_torque(self, settings: Settings, power_cut: bool) -> dict[str, Command]:
+        """ZERO_TORQUE or POWER_CUT for both, in the directions as they were applied."""
         return {
             name: Command(
                 motor_reverse=last.motor_reverse,
@@ -112,7 +120,7 @@ class Commander:
         known, fresh and below the change speed.
         """
         self._move_ramps(effects, settings, now_ns)
-        commands = self._zero_torque(settings, power_cut=False)
+        commands = self.zero_torque(settings, power_cut=False)
         if asked is not None:
             self._note_override(asked)
             if slow and self._standing():
@@ -188,7 +196,7 @@ class Commander:
     def replaced(self, settings: Settings, power_cut: bool = False) -> Mapping[str, Command]:
         """A safe command instead of this tick's, in the directions of the tick before."""
         self.last = self._before
-        self.last = self._zero_torque(settings, power_cut)
+        self.last = self.zero_torque(settings, power_cut)
         return self.last
 
     def not_sent(self, controller: str) -> None:

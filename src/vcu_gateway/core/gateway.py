@@ -99,6 +99,10 @@ class Gateway:
         self.intake.link = Link(LinkState.UP, now_ns)
         self._listening.again(now_ns)
 
+    def restarted(self, unexpectedly: int) -> None:
+        """How often the gateway was started in this drive without having ended in order."""
+        self.requests.restarts = unexpectedly
+
     @property
     def link(self) -> Link:
         """What is known of the bus."""
@@ -117,6 +121,10 @@ class Gateway:
         """STOPPING has sent what it must, or cannot send; asked after each tick's sending."""
         return self._ending.over(self._listening.over)
 
+    def safe_frames(self) -> tuple[OutFrame, ...]:
+        """What is to be sent instead of this process, should it not be there to send."""
+        return self.output.encoded(self._commander.zero_torque(self.settings, self._power_is_cut))
+
     # The tick.
 
     def tick(self, now_ns: int) -> TickResult:
@@ -126,6 +134,8 @@ class Gateway:
         if world.foreign_sender is not None or self._lost is not None:
             self._listening.again(now_ns)  # without a bus nobody can be heard
         talking = self._listening.update(now_ns)
+        if not self.output.sending.begun:
+            self._commander.take_over(_echoed_directions(snapshot))
         hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
         self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
         self._supervise(snapshot)
@@ -254,6 +264,14 @@ def _stimulus_of(finding: Finding) -> Stimulus:
     if finding.effect is Effect.CUT:
         return Stimulus.CUT
     return Stimulus.LATCHING_STOP if finding.latches else Stimulus.STOP
+
+
+def _echoed_directions(snapshot: Snapshot) -> Mapping[str, bool]:
+    """Reverse or not, of each controller that says what it was told last."""
+    readings = {name: snapshot.reading(f"{name}_Status1", "MotorReverse") for name in CONTROLLERS}
+    return {
+        name: bool(one.good_value) for name, one in readings.items() if one.good_value is not None
+    }
 
 
 def _speeds_rpm(snapshot: Snapshot) -> SpeedsRpm:

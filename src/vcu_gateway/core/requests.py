@@ -22,6 +22,9 @@ from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.startup import Listening
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 
+# With this many unexpected starts in one drive nobody knows what the next minute brings.
+_RESTARTS_AT_MOST = 2
+
 LISTENING = "listening for another sender of our frames"
 
 Apply = Callable[[Stimulus, int, str], None]
@@ -47,7 +50,8 @@ class Requests:
     Attributes:
         settings: what is in effect.
         desk: whose demand counts.
-        emergency_stop: asked for since the last tick; terminating: asked to end.
+        emergency_stop_asked: since the last tick; terminating: asked to end.
+        restarts: unexpected starts of this gateway in this drive.
     """
 
     def __init__(self, settings: Settings, parts: Parts) -> None:
@@ -55,6 +59,7 @@ class Requests:
         self.desk = DemandDesk(settings.bench_demand)
         self.emergency_stop_asked = False
         self.terminating = False
+        self.restarts = 0
         self._parts = parts
 
     def offer(self, demand: Demand, now_ns: int) -> Answer:
@@ -123,6 +128,8 @@ class Requests:
     def against_arming(self, now_ns: int) -> str:
         """Why ACTIVE cannot be entered now; empty where nothing speaks against it."""
         parts = self._parts
+        if self.restarts > _RESTARTS_AT_MOST:
+            return _restarted_too_often(self.restarts)
         if not parts.listening.over:
             return LISTENING
         asked = self.asked(now_ns)
@@ -152,3 +159,10 @@ class Requests:
             name: dataclasses.replace(asked, throttle_pct=0.0)
             for name, asked in demand.controllers.items()
         }
+
+
+def _restarted_too_often(times: int) -> str:
+    return (
+        f"the gateway was restarted {times} times in this drive; find out why, then restart"
+        " the service"
+    )

@@ -47,6 +47,15 @@ class Why:
         parts += [self._told("alarm", self.alarms), *self.waits, self._demand(), self.next_step]
         return "; ".join(part for part in parts if part)
 
+    def headline(self) -> str:
+        """The same in some words: of several causes only the first."""
+        parts = [self.mode.value]
+        if self.latch is not None:
+            parts.append(f"latched: {self.latch.reason}")
+        parts += [_first("blocked by", self.blocks) or _first("limited by", self.limits)]
+        parts += [*self.waits[:1], self.next_step]
+        return "; ".join(part for part in parts if part)
+
     def _told(self, what: str, held: tuple[Held, ...]) -> str:
         if not held:
             return ""
@@ -69,6 +78,11 @@ class Why:
         """What a person would call the same answer: all but ages and values."""
         keys = tuple(held.finding.key for held in self.blocks + self.limits + self.alarms)
         return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
+
+
+def _first(what: str, held: tuple[Held, ...]) -> str:
+    more = f" and {len(held) - 1} more" if len(held) > 1 else ""
+    return f"{what} {held[0].finding}{more}" if held else ""
 
 
 class Facts(NamedTuple):
