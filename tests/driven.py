@@ -16,6 +16,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Why
 from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
+from vcu_gateway.starts import Start
 
 PATIENCE_S = 10.0
 
@@ -39,7 +40,7 @@ class Driven:
         loaded = configuration.load(self.file)
         protocol = wiring.load_protocol(loaded)
         self.daemon = wiring.build(loaded, protocol)
-        self.serving = Serving(loaded, protocol, self.daemon, lambda: 0)
+        self.serving = Serving(loaded, protocol, self.daemon, lambda: 0, Start(3, 1))
         self.daemon.observe_with(self.serving.observe)
         self.nodes = simulator.build(Codec(protocol), time.monotonic_ns())
         self.ear = can.Bus(interface="virtual", channel=channel)

@@ -15,6 +15,7 @@ from vcu_gateway.bus.door import BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core.schedule import Schedule, percentile_ns
 from vcu_gateway.daemon import Daemon
+from vcu_gateway.starts import Start
 
 _NS_PER_MS = 1_000_000
 _NS_PER_US = 1_000
@@ -32,12 +33,12 @@ class Facts:
     """What is known of this run from its start on.
 
     Attributes:
-        starts: since the machine booted, this one included; None where that is not known.
+        start: this start; None where starts are not counted.
         log_lines_dropped: asks the log's writer.
     """
 
     protocol_digest: str
-    starts: int | None
+    start: Start | None
     log_lines_dropped: Callable[[], int]
     started_ns: int = field(default_factory=time.monotonic_ns)
 
@@ -50,7 +51,8 @@ def health(
     return {
         "pid": os.getpid(),
         "uptime_ms": report.milliseconds(now_ns - facts.started_ns) or 0.0,
-        "starts": facts.starts,
+        "starts": facts.start and facts.start.number,
+        "unexpected_restarts": facts.start and facts.start.unexpected,
         "config_file": config.source.file,
         "config_digest": configuration.digest(config),
         "protocol_digest": facts.protocol_digest,

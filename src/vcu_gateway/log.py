@@ -8,7 +8,7 @@ import threading
 import traceback
 from collections.abc import Callable
 from types import TracebackType
-from typing import Literal, TextIO
+from typing import Any, Literal, TextIO
 
 import structlog
 
@@ -18,6 +18,9 @@ _QUEUE_LINES = 1000
 _LINE_CHARACTERS = 16_384
 # The end of the program waits no longer than this for a reader that does not read.
 _DRAIN_S = 0.2
+
+# syslog's.
+_PRIORITIES = {"debug": 7, "info": 6, "warning": 4, "error": 3, "critical": 2}
 
 log = structlog.get_logger()
 """The program's log: log.info("event_name", field=value)."""
@@ -154,16 +157,18 @@ def configure(
     own, stream = stream is None, stream or sys.stderr
     person = form == "console" or (form == "auto" and _is_terminal(stream))
     writer = QueuedWriter(stream, _log_lost)
-    renderer = (
+    render: structlog.typing.Processor = (
         structlog.dev.ConsoleRenderer(colors=_is_terminal(stream))
         if person
         else structlog.processors.JSONRenderer()
     )
+    if _is_journal(stream, os.environ.get("JOURNAL_STREAM", "")):
+        render = _for_the_journal(render)
     structlog.configure(
         processors=[
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
-            renderer,
+            render,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.WriteLoggerFactory(writer),  # type: ignore[arg-type]
@@ -178,6 +183,25 @@ def _is_terminal(stream: TextIO | None) -> bool:
         return stream is not None and stream.isatty()
     except ValueError:  # closed
         return False
+
+
+def _is_journal(stream: TextIO | None, told: str) -> bool:
+    """Whether this stream is the one to the journal; `told` is systemd's DEVICE:INODE of it."""
+    try:
+        status = None if stream is None else os.fstat(stream.fileno())
+    except (OSError, ValueError):  # closed, or in memory
+        return False
+    return status is not None and told == f"{status.st_dev}:{status.st_ino}"
+
+
+def _for_the_journal(render: structlog.typing.Processor) -> structlog.typing.Processor:
+    """Each line begins with its priority, which the journal takes off: `journalctl -p warning`."""
+
+    def rendered(logger: Any, name: str, fields: structlog.typing.EventDict) -> str:
+        priority = _PRIORITIES.get(fields.get("level", ""), _PRIORITIES["info"])
+        return f"<{priority}>{render(logger, name, fields)!s}"
+
+    return rendered
 
 
 def _log_lost(lines: int) -> None:

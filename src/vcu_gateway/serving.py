@@ -23,16 +23,16 @@ from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon import Daemon
-from vcu_gateway.errors import ConfigError, UnavailableError
+from vcu_gateway.errors import UnavailableError
 from vcu_gateway.reload import InEffect, Reloader
-from vcu_gateway.starts import count_start
+from vcu_gateway.starts import Start
 
 _NS_PER_S = 1_000_000_000
 _DIGEST_CHARACTERS = 16
 
 
 class Serving:
-    """The API of one run, open or not.
+    """The API of one run, open or not; the accounts in its configuration exist.
 
     An API that cannot be had is told as an event, and the gateway goes on without: the
     controllers must hear from it in any case.
@@ -44,16 +44,15 @@ class Serving:
         protocol: ProtocolSpec,
         daemon: Daemon,
         log_lines_dropped: Callable[[], int],
+        start: Start | None = None,
     ) -> None:
-        if problems := configuration.check_accounts(config):
-            raise ConfigError(*problems)
         self._daemon = daemon
         self._config = config
         in_effect = InEffect(config)
         self.reloader = Reloader(in_effect, protocol, daemon, wiring.settings)
         facts = health.Facts(
             protocol_digest=digest_of(config),
-            starts=count_start(Path(config.api.socket_path).parent),
+            start=start,
             log_lines_dropped=log_lines_dropped,
         )
         self._program = Program(
@@ -110,7 +109,7 @@ class Serving:
             config_digest=lambda: configuration.digest(in_effect.config),
             started_ns=facts.started_ns,
             started_s=time.time() - (time.monotonic_ns() - facts.started_ns) / _NS_PER_S,
-            starts=facts.starts,
+            starts=facts.start and facts.start.number,
             log_lines_dropped=facts.log_lines_dropped,
         )
         try:

@@ -1,26 +1,69 @@
-"""How often the gateway has started since the machine booted."""
+"""How often the gateway has started, and how often without having ended before."""
 
 import contextlib
+import os
 from pathlib import Path
+from typing import NamedTuple
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _NAME = "starts"
+_RUNNING, _ENDED = "running", "ended"
 
 
-def count_start(folder: Path) -> int | None:
-    """Count this start in a file in `folder`; None where that cannot be kept."""
+class Start(NamedTuple):
+    """One start of the gateway.
+
+    Attributes:
+        number: since the machine booted, from 1.
+        unexpected: starts of this drive that no end came before: killed, hung or crashed.
+            A drive begins with the first start after an orderly end.
+    """
+
+    number: int
+    unexpected: int
+
+
+class Starts:
+    """The account of one gateway, in a file of its runtime folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / _NAME
+        self._now: Start | None = None
+
+    def begin(self) -> Start | None:
+        """Count this start; None where that cannot be kept."""
+        before, ended = self._known()
+        now = Start(before.number + 1, 0 if ended else before.unexpected + 1)
+        self._now = now if self._write(now, _RUNNING) else None
+        return self._now
+
+    def end(self) -> None:
+        """This was an orderly end: the next start begins a new drive."""
+        if self._now is not None:
+            self._write(self._now, _ENDED)
+
+    def _known(self) -> tuple[Start, bool]:
+        with contextlib.suppress(OSError, ValueError):
+            boot, number, unexpected, state = self._path.read_text(encoding="ascii").split()
+            if boot == _boot_id():
+                return Start(int(number), int(unexpected)), state == _ENDED
+        return Start(0, 0), True
+
+    def _write(self, start: Start, state: str) -> bool:
+        """Replace the file whole: a kill must not leave half of it."""
+        beside = self._path.with_name(f"{_NAME}.new")
+        text = f"{_boot_id()} {start.number} {start.unexpected} {state}\n"
+        try:
+            beside.write_text(text, encoding="ascii")
+            os.replace(beside, self._path)
+        except OSError:
+            return False
+        return True
+
+
+def _boot_id() -> str:
+    """The boot's number, or a dash where it is hidden: /run does not outlive a boot anyway."""
     try:
-        boot = _BOOT_ID.read_text().strip()
-        number = _known(folder / _NAME, boot) + 1
-        (folder / _NAME).write_text(f"{boot} {number}\n")
+        return _BOOT_ID.read_text(encoding="ascii").strip() or "-"
     except OSError:
-        return None
-    return number
-
-
-def _known(path: Path, boot: str) -> int:
-    with contextlib.suppress(OSError, ValueError):
-        written, number = path.read_text(encoding="ascii").split()
-        if written == boot:
-            return int(number)
-    return 0
+        return "-"

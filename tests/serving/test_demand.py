@@ -201,7 +201,7 @@ def test_each_controller_may_be_asked_for_its_own(running):
 def test_an_emergency_stop_cuts_and_needs_a_service_reset(fresh):
     with fresh.client() as client:
         client.estop()
-        fresh.until_mode("fault")
+        fresh.until(lambda: client.why()["mode"] == "fault", "the fault in the answers")
         assert client.why()["latch"]["fault_class"] == "service"
         assert client.state(())["commands"]["PCU1"]["power_cut"] is True
         with pytest.raises(RefusedError, match="service level"):

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 VERBS = [
     *("run", "status", "why", "watch", "demand", "arm", "disarm", "reset", "estop", "events"),
     *("reload", "simulate", "demo", "decode", "check-config", "schema", "dbc", "completion"),
-    "version",
+    *("doctor", "version"),
 ]
 
 

@@ -198,7 +198,7 @@ def test_dropped_frames_are_told_at_most_every_ten_seconds(world: World):
             {
                 "wanted_bit_s": 250_000,
                 "found_bit_s": 500_000,
-                "command": "ip link set can0 down type can bitrate 250000",
+                "command": "ip link set can0 down && ip link set can0 up type can bitrate 250000",
             },
         ),
         (

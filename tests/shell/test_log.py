@@ -240,3 +240,27 @@ def test_lost_lines_are_themselves_a_line_of_the_log(pipe):
     lines = read_lines(reading, 2000 - dropped + 1)
     entry = json.loads(lines[-1])
     assert (entry["event"], entry["lines"]) == ("log_lines_dropped", dropped)
+
+
+def test_in_the_journal_each_line_begins_with_its_priority(tmp_path, monkeypatch):
+    with (tmp_path / "journal").open("w+") as stream:
+        status = (tmp_path / "journal").stat()
+        monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino}")
+        writer = log.configure("debug", "auto", stream)
+        for level in ("debug", "info", "warning", "error", "critical"):
+            getattr(log.log, level)("told")
+        writer.drain()
+        stream.seek(0)
+        lines = stream.read().splitlines()
+    assert [line[:4] for line in lines] == ["<7>{", "<6>{", "<4>{", "<3>{", "<2>{"]
+    assert json.loads(lines[2][3:])["level"] == "warning"
+
+
+def test_a_stream_that_is_not_the_journals_has_no_priorities(tmp_path, monkeypatch):
+    monkeypatch.setenv("JOURNAL_STREAM", "1:2")
+    with (tmp_path / "file").open("w+") as stream:
+        writer = log.configure("info", "json", stream)
+        log.log.info("told")
+        writer.drain()
+        stream.seek(0)
+        assert stream.read().startswith("{")

@@ -280,7 +280,8 @@ def test_the_log_holds_what_was_sent_and_received(
     assert [NAMES[frame.arbitration_id] for frame in received] == [COMMAND]
     assert received[0].data[1] == 100
     assert len(frames) - 1 == sum(played.sent.values())
-    stamps_s = [frame.timestamp for frame in frames]
+    # What is received is written when it is seen: a busy machine sees it late.
+    stamps_s = [frame.timestamp for frame in frames if not frame.is_rx]
     assert stamps_s == sorted(stamps_s)
     assert stamps_s[0] == pytest.approx(time.time(), abs=60)
 

@@ -21,6 +21,7 @@ HEALTH: Health = {
     "pid": 812,
     "uptime_ms": 764_000.0,
     "starts": 1,
+    "unexpected_restarts": 0,
     "config_file": "/etc/vcu-gateway/gateway.yaml",
     "config_digest": "5d41402abc4b2a76b9719d911017c592",
     "protocol_digest": "7d793037a0760186574b0282f2f435e7",

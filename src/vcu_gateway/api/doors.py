@@ -14,6 +14,7 @@ from vcu_gateway.errors import Problem, UnavailableError
 
 _MAX_PATH_BYTES = 107
 _BACKLOG = 64
+_AS_MADE = -1, -1  # of an owner and a group: chown leaves both as they are
 _REMEDIES = {
     errno.ENOENT: "create the folder {folder}; a service gets it from RuntimeDirectory=",
     errno.ENOTDIR: "{folder} must be a folder",
@@ -53,7 +54,10 @@ class UnixDoor:
         try:
             self.sock.bind(self._path)
             self._identity = _identity(self._path)
-            os.chown(self._path, *_owners(settings))
+            if (owners := _owners(settings)) != _AS_MADE:
+                os.chown(
+                    self._path, *owners
+                )  # the service's sandbox refuses even to change nothing
             os.chmod(self._path, settings.mode)
             self.sock.listen(_BACKLOG)  # last: nobody connects before the rights are set
         except OSError as error:

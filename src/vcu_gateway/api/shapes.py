@@ -208,7 +208,9 @@ class Health(TypedDict):
     pid: int
     uptime_ms: float
     starts: int | None
-    """Starts since the machine booted, this one included; null where that is not known."""
+    """Starts since the machine booted, this one included; null where they are not counted."""
+    unexpected_restarts: int | None
+    """Starts of this drive that no orderly end came before; three of them end arming."""
     config_file: str
     config_digest: str
     protocol_digest: str

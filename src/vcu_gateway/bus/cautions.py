@@ -35,7 +35,8 @@ def _buffer(opened: Opened, asked: int | None) -> Iterator[Event]:
 def _bit_rate(opened: Opened, settings: BusSettings) -> Iterator[Event]:
     found, wanted = opened.details.bit_rate_bit_s, settings.bit_rate_bit_s
     if None not in (found, wanted) and found != wanted:
-        command = f"ip link set {settings.channel} down type can bitrate {wanted}"
+        link = f"ip link set {settings.channel}"  # only one that is down takes a bit rate
+        command = f"{link} down && {link} up type can bitrate {wanted}"
         yield _caution("bit_rate_differs", command, wanted_bit_s=wanted, found_bit_s=found)
 
 

@@ -89,6 +89,12 @@ class Door:
         bus = self._opening and self._opening.bus
         return bus.receive_buffer_bytes if isinstance(bus, DrainingSocketcanBus) else None
 
+    @property
+    def reader_wakes(self) -> int | None:
+        """Counts on while the reader lives; None where nothing is open or the bus cannot tell."""
+        bus = self._opening and self._opening.bus
+        return bus.wakes if self.is_open and isinstance(bus, DrainingSocketcanBus) else None
+
     def report(self) -> dict[str, Any]:
         """The counters as plain data."""
         return {**dataclasses.asdict(self.counters), "dropped": self.dropped, "lost": self.lost}

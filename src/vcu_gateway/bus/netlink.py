@@ -2,23 +2,39 @@
 
 Asked by rtnetlink (RTM_GETLINK). It may make the driver ask its hardware, so it is not asked
 often; where it cannot be asked, everything is unknown and the gateway goes on without.
+`describe` tells all of it, counters included, for who examines the machine.
 """
 
+import errno
 import os
 import socket
 import struct
 from collections.abc import Iterator
-from typing import NamedTuple
 
+from vcu_gateway.bus.description import (
+    Controller,
+    Description,
+    Details,
+    DeviceCounters,
+    ErrorCounters,
+    Mode,
+    Traffic,
+)
 from vcu_gateway.core.link import LinkState
 
-_RTM_NEWLINK, _RTM_GETLINK = 16, 18
+__all__ = ["Details", "describe", "described", "details", "parsed"]
+
+_NLMSG_ERROR, _RTM_NEWLINK, _RTM_GETLINK = 2, 16, 18
 _NLM_F_REQUEST = 1
 _IFLA_IFNAME, _IFLA_QDISC, _IFLA_LINKINFO, _IFLA_EXT_MASK = 3, 6, 18, 29
-_IFLA_INFO_DATA, _IFLA_CAN_BITTIMING, _IFLA_CAN_STATE = 2, 1, 4
+_IFLA_TXQLEN, _IFLA_STATS64 = 13, 23
+_IFLA_INFO_KIND, _IFLA_INFO_DATA, _IFLA_INFO_XSTATS = 1, 2, 3
+_IFLA_CAN_BITTIMING, _IFLA_CAN_STATE, _IFLA_CAN_CTRLMODE = 1, 4, 5
+_IFLA_CAN_RESTART_MS, _IFLA_CAN_BERR_COUNTER = 6, 8
 _RTEXT_FILTER_SKIP_STATS = 8
 _TYPE_MASK = 0x3FFF
-_IFF_LOWER_UP, _IFF_ECHO = 0x1_0000, 0x4_0000
+_IFF_UP, _IFF_LOWER_UP, _IFF_ECHO = 0x1, 0x1_0000, 0x4_0000
+_ARPHRD_CAN = 280
 _MOST_BYTES = 65_536
 _PATIENCE_S = 0.3
 
@@ -26,6 +42,11 @@ _header = struct.Struct("=IHHII")
 _link = struct.Struct("=BxHiII")
 _attribute = struct.Struct("=HH")
 _number = struct.Struct("=I")
+_error = struct.Struct("=i")
+_mode = struct.Struct("=4xI")
+_error_counters = struct.Struct("=2H")
+_device_counters = struct.Struct("=6I")
+_statistics = struct.Struct("=12Q")
 
 _STATES: dict[int | None, LinkState] = {
     0: LinkState.UP,
@@ -35,40 +56,34 @@ _STATES: dict[int | None, LinkState] = {
 }
 
 
-class Details(NamedTuple):
-    """Of one CAN interface; None is not known.
-
-    Attributes:
-        driver_echoes: our frames come back from the driver once they have left; where it does
-            not, the kernel sends them back at once, which proves nothing.
-        queue_is_used: False where frames go to the driver without any queue (vcan).
-        state: of the controller; None too where there is no controller.
-        bit_rate_bit_s: that the controller is set to.
-        carrier: as it is at this instant.
-    """
-
-    driver_echoes: bool | None = None
-    queue_is_used: bool | None = None
-    state: LinkState | None = None
-    bit_rate_bit_s: int | None = None
-    carrier: bool | None = None
-
-
 def details(name: str) -> Details:
     """Ask the kernel; nothing is raised."""
     try:
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as asked:
-            asked.settimeout(_PATIENCE_S)
-            asked.send(_request(name))
-            return parsed(asked.recv(_MOST_BYTES))
+        return parsed(_answer(_request(name)))
     except (OSError, struct.error):
         return Details()
 
 
-def _request(name: str) -> bytes:
+def describe(name: str) -> Description:
+    """Ask the kernel for everything; OSError where it does not tell, ENODEV where none is."""
+    try:
+        return described(_answer(_request(name, with_counters=True)))
+    except struct.error as error:
+        raise OSError(errno.EBADMSG, os.strerror(errno.EBADMSG)) from error
+
+
+def _answer(request: bytes) -> bytes:
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as asked:
+        asked.settimeout(_PATIENCE_S)
+        asked.send(request)
+        return asked.recv(_MOST_BYTES)
+
+
+def _request(name: str, *, with_counters: bool = False) -> bytes:
     body = _link.pack(socket.AF_UNSPEC, 0, 0, 0, 0)
     body += _packed(_IFLA_IFNAME, os.fsencode(name) + b"\0")
-    body += _packed(_IFLA_EXT_MASK, _number.pack(_RTEXT_FILTER_SKIP_STATS))
+    if not with_counters:
+        body += _packed(_IFLA_EXT_MASK, _number.pack(_RTEXT_FILTER_SKIP_STATS))
     return _header.pack(_header.size + len(body), _RTM_GETLINK, _NLM_F_REQUEST, 1, 0) + body
 
 
@@ -93,6 +108,58 @@ def parsed(answer: bytes) -> Details:
         bit_rate_bit_s=_first(controller, _IFLA_CAN_BITTIMING) or None,
         carrier=bool(flags & _IFF_LOWER_UP),
     )
+
+
+def described(answer: bytes) -> Description:
+    """The kernel's answer; struct.error where it is torn, OSError where it refuses."""
+    length, kind, _, _, _ = _header.unpack_from(answer)
+    if kind == _NLMSG_ERROR:
+        number = -_error.unpack_from(answer, _header.size)[0]
+        raise OSError(number, os.strerror(number))
+    _, hardware, _, flags, _ = _link.unpack_from(answer, _header.size)
+    found = dict(_attributes(answer[_header.size + _link.size : length]))
+    info = dict(_attributes(found.get(_IFLA_LINKINFO, b"")))
+    return Description(
+        details=parsed(answer),
+        up=bool(flags & _IFF_UP),
+        is_can=hardware == _ARPHRD_CAN,
+        kind=_word(info, _IFLA_INFO_KIND),
+        discipline=_word(found, _IFLA_QDISC),
+        tx_queue_frames=_first(found, _IFLA_TXQLEN),
+        controller=_controller(info) if _IFLA_INFO_DATA in info else None,
+        traffic=_traffic(found),
+    )
+
+
+def _controller(info: dict[int, bytes]) -> Controller | None:
+    told = dict(_attributes(info[_IFLA_INFO_DATA]))
+    if _IFLA_CAN_STATE not in told:
+        return None
+    modes = told.get(_IFLA_CAN_CTRLMODE)
+    errors = _fields(_error_counters, told.get(_IFLA_CAN_BERR_COUNTER))
+    counters = _fields(_device_counters, info.get(_IFLA_INFO_XSTATS))
+    return Controller(
+        _first(told, _IFLA_CAN_RESTART_MS),
+        None if modes is None else Mode(_mode.unpack_from(modes)[0]),
+        None if errors is None else ErrorCounters._make(errors),
+        None if counters is None else DeviceCounters._make(counters),
+    )
+
+
+def _fields(layout: struct.Struct, value: bytes | None) -> tuple[int, ...] | None:
+    return None if value is None else layout.unpack_from(value)
+
+
+def _traffic(found: dict[int, bytes]) -> Traffic | None:
+    """Of struct rtnl_link_stats64, as far as it is looked at."""
+    if _IFLA_STATS64 not in found:
+        return None
+    told = _statistics.unpack_from(found[_IFLA_STATS64])
+    return Traffic(told[0], told[1], told[6], told[7], told[11])
+
+
+def _word(attributes: dict[int, bytes], kind: int) -> str:
+    return attributes.get(kind, b"").rstrip(b"\0").decode(errors="replace")
 
 
 def _first(attributes: dict[int, bytes], kind: int) -> int | None:

@@ -29,6 +29,7 @@ _VERBS = {
     "demo": "gateway and simulated vehicle together, live",
     "decode": "decode a recording to JSON lines or CSV",
     "check-config": "check a configuration file",
+    "doctor": "check this machine, and say what mends it",
     "schema": "JSON Schema of the configuration, OpenRPC document of the API",
     "dbc": "generate the DBC and the protocol page, or check that they are current",
     "completion": "print the completion script of a shell",

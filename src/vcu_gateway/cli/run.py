@@ -1,16 +1,20 @@
 """`vcu-gateway run`: the gateway on its bus."""
 
 import json
+import os
 import time
 from pathlib import Path
 
 import click
 
 from vcu_gateway import config as configuration
-from vcu_gateway import log, report, wiring
+from vcu_gateway import log, memory, report, wiring
 from vcu_gateway.cli.options import config_option, resolve_config
+from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import Daemon
-from vcu_gateway.errors import ConfigError, Problem, UnavailableError
+from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
+from vcu_gateway.notify import ServiceManager
+from vcu_gateway.service import Service
 from vcu_gateway.serving import Serving
 
 
@@ -30,32 +34,85 @@ from vcu_gateway.serving import Serving
     metavar="FILE",
     help="Write the last state and all counters as JSON when it stops.",
 )
-def command(config_path: Path | None, duration_s: float | None, state_path: Path | None) -> None:
+@click.option(
+    "--lock-memory",
+    is_flag=True,
+    help="Keep the program in memory, so that no tick waits for the disk.",
+)
+def command(
+    config_path: Path | None,
+    duration_s: float | None,
+    state_path: Path | None,
+    lock_memory: bool,
+) -> None:
     """Run the gateway: decode what the bus says, command both controllers every 50 ms.
 
     Runs until SIGTERM or Ctrl-C; SIGHUP reloads the configuration. The log goes to stderr, as
     JSON lines unless stderr is a terminal. A missing interface is waited for: the gateway opens
     it when it appears.
+
+    A service manager is told over $NOTIFY_SOCKET when it is ready, how it fares and that it
+    lives. Starts are counted, and the safe frames are kept for `safe_stop`, in
+    $RUNTIME_DIRECTORY where that is set.
     """
+    manager = ServiceManager.of_this_process()
+    try:
+        _run(manager, config_path, duration_s, state_path, lock_memory)
+    except GatewayError as error:
+        manager.status(f"error: {error.problems[0]}")
+        raise
+
+
+def _run(
+    manager: ServiceManager,
+    config_path: Path | None,
+    duration_s: float | None,
+    state_path: Path | None,
+    lock_memory: bool,
+) -> None:
     config = configuration.load(resolve_config(config_path))
     protocol = wiring.load_protocol(config)
     wiring.check_protocol(config, protocol)
-    if problems := configuration.check_against(config, protocol):
+    problems = [
+        *configuration.check_against(config, protocol),
+        *configuration.check_accounts(config),
+    ]
+    if problems:
         raise ConfigError(*problems)
     writer = log.configure(config.log.level, config.log.format)
     daemon = wiring.build(config, protocol)
     daemon.door.claim()
-    serving = Serving(config, protocol, daemon, lambda: writer.dropped)
+    if lock_memory:
+        _lock_memory(daemon)
+    service = Service(manager, _runtime_folder(), daemon)
+    service.begin()
+    serving = Serving(config, protocol, daemon, lambda: writer.dropped, service.start)
     daemon.handle_signals(on_hangup=serving.reloader.on_hangup)
     daemon.observe_with(serving.observe)
+    daemon.observe_with(service.observe)
     serving.open()
     try:
         daemon.run(duration_s)
+        service.end()
     finally:
         serving.close()
-    writer.drain()
+        writer.drain()
     if state_path is not None:
         _write_state(state_path, daemon)
+
+
+def _lock_memory(daemon: Daemon) -> None:
+    try:
+        memory.lock()
+    except UnavailableError as error:
+        reason = str(error)
+        daemon.journal.tell(Event("memory_not_locked", Severity.WARNING, {"reason": reason}))
+
+
+def _runtime_folder() -> Path | None:
+    """The first of systemd's RuntimeDirectory=."""
+    first = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    return Path(first) if first else None
 
 
 def _write_state(path: Path, daemon: Daemon) -> None:

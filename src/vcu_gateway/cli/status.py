@@ -91,6 +91,8 @@ def _ticks(ticks: shapes.Ticks) -> str:
 
 def _program(health: shapes.Health) -> str:
     starts = "" if health["starts"] is None else f", start {health['starts']} since boot"
+    if health["unexpected_restarts"]:
+        starts += f", {health['unexpected_restarts']} of them unexpected in this drive"
     return (
         f"{health['versions']['vcu_gateway']}, pid {health['pid']}, up {age(health['uptime_ms'])}"
         f"{starts}, {health['config_file']} ({health['config_digest']})"

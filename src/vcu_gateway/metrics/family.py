@@ -22,7 +22,7 @@ class Facts(NamedTuple):
 
     Attributes:
         started_ns: when it started, CLOCK_MONOTONIC; started_s: the same, seconds since 1970.
-        starts: since the machine booted, this one included; None where that is not known.
+        starts: since the machine booted, this one included; None where they are not counted.
         config_digest: called at every scrape, as a reload changes it.
     """
 

@@ -90,7 +90,7 @@ FAMILIES: tuple[Family, ...] = (
     ),
     counter(
         "starts",
-        "Starts since the machine booted, this one included; absent where that is not known.",
+        "Starts since the machine booted, this one included; absent where they are not counted.",
         lambda at: one(at.facts.starts),
     ),
     gauge(

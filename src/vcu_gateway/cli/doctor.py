@@ -1,0 +1,93 @@
+"""`vcu-gateway doctor`: what this machine lacks before the gateway can drive."""
+
+import json
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+import click
+
+from vcu_gateway.cli.options import config_option, resolve_config
+from vcu_gateway.doctor.examination import examine
+from vcu_gateway.doctor.finding import Finding, Kind
+from vcu_gateway.errors import ConfigError, Problem
+
+_COLOURS = {Kind.OK: "green", Kind.WARNING: "yellow", Kind.WRONG: "red", Kind.UNKNOWN: "cyan"}
+_SEVEREST_FIRST = (Kind.WRONG, Kind.WARNING, Kind.UNKNOWN, Kind.OK)
+_HELP = """Check everything that the gateway needs before it can drive.
+
+Looks at the configuration and its DBC, the interface, time, permissions, buffers, process,
+service and the running gateway. A line each: how it is, the subject, what was found, and after
+a semicolon the command that mends it. Nothing is changed and nothing is sent; run as root it
+tells more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
+
+\b
+--json prints one object:
+  healthy   true where nothing is wrong
+  counts    how many lines are ok, warning, wrong, unknown
+  findings  a list of objects: subject, check (a stable word), kind, what, remedy (or "")
+"""
+
+
+@click.command("doctor", help=_HELP)
+@config_option
+@click.option("--listen", is_flag=True, help="Also listen on the bus for a second: who talks?")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+def command(config_path: Path | None, listen: bool, as_json: bool) -> None:
+    """Examine, show, and exit with the answer."""
+    path, missing = _file(config_path)
+    findings = list(examine(path, missing, listen=listen))
+    click.echo(_as_json(findings) if as_json else _as_text(findings), color=_colour())
+    if any(finding.kind is Kind.WRONG for finding in findings):
+        sys.exit(1)
+
+
+def _file(given: Path | None) -> tuple[Path | None, tuple[Problem, ...]]:
+    try:
+        return resolve_config(given), ()
+    except ConfigError as error:
+        return None, error.problems
+
+
+def _colour() -> bool | None:
+    """On a terminal alone, and not where NO_COLOR is set (no-color.org)."""
+    return False if os.environ.get("NO_COLOR") else None
+
+
+def _as_json(findings: list[Finding]) -> str:
+    counts = _counts(findings)
+    told = {
+        "healthy": not counts[Kind.WRONG],
+        "counts": {kind.value: counts[kind] for kind in Kind},
+        "findings": [{**finding._asdict(), "kind": finding.kind.value} for finding in findings],
+    }
+    return json.dumps(told, ensure_ascii=False)
+
+
+def _as_text(findings: list[Finding]) -> str:
+    width = max((len(finding.subject) for finding in findings), default=0)
+    return "\n".join([*(_line(finding, width) for finding in findings), _summary(findings)])
+
+
+def _line(finding: Finding, width: int) -> str:
+    kind = click.style(f"{finding.kind.value:<7}", fg=_COLOURS[finding.kind])
+    remedy = f"; {finding.remedy}" if finding.remedy else ""
+    return f"{kind}  {finding.subject:<{width}}  {finding.what}{remedy}"
+
+
+def _summary(findings: list[Finding]) -> str:
+    counts = _counts(findings)
+    told = ", ".join(_counted(kind, counts[kind]) for kind in _SEVEREST_FIRST if counts[kind])
+    more = counts[Kind.UNKNOWN] and os.geteuid() != 0
+    return told + ("; sudo vcu-gateway doctor tells more" if more else "")
+
+
+def _counted(kind: Kind, count: int) -> str:
+    plural = "s" if kind is Kind.WARNING and count > 1 else ""
+    return f"{count} {kind.value}{plural}"
+
+
+def _counts(findings: Iterable[Finding]) -> Counter[Kind]:
+    return Counter(finding.kind for finding in findings)

@@ -1,0 +1,147 @@
+"""The configuration file: found, valid, and in nobody's hands but its owner's."""
+
+import os
+import pwd
+import shlex
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from vcu_gateway import config as configuration
+from vcu_gateway.config import Config
+from vcu_gateway.doctor.finding import Finding, Subject
+from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.errors import ConfigError, Problem
+
+SAY = Subject("configuration")
+_OTHERS_WRITE, _GROUP_WRITES = stat.S_IWOTH, stat.S_IWGRP
+_ROOT = 0
+
+
+class Standing(NamedTuple):
+    """Who may change a file or folder."""
+
+    mode: int
+    uid: int
+    gid: int
+
+
+class Facts(NamedTuple):
+    """What was read.
+
+    Attributes:
+        path: None where no file was found.
+        config: None where there is no valid one.
+        problems: what is wrong with it, in check-config's words.
+        accounts: users and groups that it names and this machine does not have.
+        unread: why it could not be read by this user; None where it could be.
+        own_uid: this user.
+    """
+
+    path: Path | None
+    config: Config | None = None
+    problems: tuple[Problem, ...] = ()
+    accounts: tuple[Problem, ...] = ()
+    unread: Unread | None = None
+    file: Standing | None = None
+    folder: Standing | None = None
+    owner: str = ""
+    own_uid: int = _ROOT
+
+    @property
+    def can_be_held_to(self) -> bool:
+        """There is a valid one; or none at all, and the defaults stand in."""
+        return self.config is not None or self.path is None
+
+    @property
+    def in_effect(self) -> Config:
+        """The configuration, or the defaults where there is none."""
+        return self.config or Config()
+
+
+def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> Facts:
+    """Read the file at `path`; `missing` says why there is none."""
+    if path is None:
+        return Facts(None, problems=missing)
+    facts = Facts(path, own_uid=os.geteuid())
+    try:
+        file, folder = _standing(path), _standing(path.absolute().parent)
+        facts = facts._replace(file=file, folder=folder, owner=_name(file.uid))
+    except PermissionError as error:
+        return facts._replace(unread=Unread(f"this user may not look at it: {error.strerror}"))
+    except OSError as error:
+        return facts._replace(problems=(Problem(error.strerror or str(error), str(path)),))
+    if not os.access(path, os.R_OK):
+        return facts._replace(unread=Unread("this user may not read it"))
+    return _with_contents(facts, path)
+
+
+def _with_contents(facts: Facts, path: Path) -> Facts:
+    try:
+        config = configuration.load(path)
+    except ConfigError as error:
+        return facts._replace(problems=error.problems)
+    return facts._replace(config=config, accounts=tuple(configuration.check_accounts(config)))
+
+
+def _standing(path: Path) -> Standing:
+    found = path.stat()
+    return Standing(found.st_mode, found.st_uid, found.st_gid)
+
+
+def _name(uid: int) -> str:
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return str(uid)
+
+
+def judge(facts: Facts) -> Iterator[Finding]:
+    """What to say of it."""
+    if facts.unread is not None:
+        what = f"{facts.path}: {facts.unread.reason}"
+        yield SAY.unknown("readable", what, "sudo vcu-gateway doctor")
+    for problem in facts.problems:
+        yield _problem("valid", problem)
+    if facts.path is None:
+        yield SAY.ok("defaults", "what follows is held against the defaults of every key")
+    elif facts.config is None:
+        what = "protocol, interface, permissions and buffers wait for a configuration to hold to"
+        yield SAY.unknown("dependent", what)
+    if facts.config is not None:
+        digest = configuration.digest(facts.config)
+        yield SAY.ok("valid", f"{facts.path}: valid, digest {digest}")
+        yield from _bench(facts.path, facts.config)
+    for problem in facts.accounts:
+        yield _problem("accounts", problem)
+    if facts.path is not None and facts.file is not None:
+        yield from _standing_findings(facts, str(facts.path), facts.file)
+
+
+def _problem(check: str, problem: Problem) -> Finding:
+    where = f"{problem.where}: " if problem.where else ""
+    return SAY.wrong(check, f"{where}{problem.what}", problem.remedy)
+
+
+def _bench(path: Path | None, config: Config) -> Iterator[Finding]:
+    if config.bench.demand is None:
+        return
+    what = f"{path}: a static demand, that nobody holds and that never ends: for a bench alone"
+    yield SAY.warning("bench", what, "in a vehicle, remove the section bench")
+
+
+def _standing_findings(facts: Facts, path: str, file: Standing) -> Iterator[Finding]:
+    quoted = shlex.quote(path)
+    if file.mode & _OTHERS_WRITE:
+        yield SAY.wrong("mode", f"{path}: everybody may change it", f"sudo chmod o-w {quoted}")
+    if file.mode & _GROUP_WRITES and file.gid != _ROOT:
+        yield SAY.warning("group", f"{path}: its group may change it", f"sudo chmod g-w {quoted}")
+    if file.uid not in (_ROOT, facts.own_uid):
+        what = f"{path} belongs to {facts.owner}, who may change every limit in it"
+        yield SAY.warning("owner", what, f"sudo chown root: {quoted}")
+    folder = facts.folder
+    if folder is not None and folder.mode & _OTHERS_WRITE and not folder.mode & stat.S_ISVTX:
+        parent = shlex.quote(os.path.dirname(os.path.abspath(path)))
+        what = f"{path} may be replaced by everybody: its folder is open to all"
+        yield SAY.wrong("folder", what, f"sudo chmod o-w {parent}")

@@ -1,0 +1,64 @@
+"""What an examination says: one thing a line."""
+
+from collections.abc import Iterable, Iterator
+from enum import Enum
+from typing import NamedTuple
+
+
+class Kind(Enum):
+    """How it is; only WRONG keeps the gateway from driving safely."""
+
+    OK = "ok"
+    WARNING = "warning"
+    WRONG = "wrong"
+    UNKNOWN = "unknown"
+
+
+class Finding(NamedTuple):
+    """One thing that was looked at.
+
+    Attributes:
+        check: stable word for machines, unique within its subject but for problems of a file.
+        what: what was found, as a person reads it.
+        remedy: the command or the step that mends it; empty where there is none to take.
+    """
+
+    subject: str
+    check: str
+    kind: Kind
+    what: str
+    remedy: str = ""
+
+
+Told = str | Finding
+"""A check's answer: a few words for the line of what is well, or a finding of its own."""
+
+
+class Subject(NamedTuple):
+    """Makes the findings of one subject."""
+
+    name: str
+
+    def ok(self, check: str, what: str, remedy: str = "") -> Finding:
+        """It is as it should be; a remedy here is a hint."""
+        return Finding(self.name, check, Kind.OK, what, remedy)
+
+    def warning(self, check: str, what: str, remedy: str = "") -> Finding:
+        """It works, and should be otherwise."""
+        return Finding(self.name, check, Kind.WARNING, what, remedy)
+
+    def wrong(self, check: str, what: str, remedy: str = "") -> Finding:
+        """The gateway cannot drive, or not safely."""
+        return Finding(self.name, check, Kind.WRONG, what, remedy)
+
+    def unknown(self, check: str, what: str, remedy: str = "") -> Finding:
+        """It could not be found out; `what` says why."""
+        return Finding(self.name, check, Kind.UNKNOWN, what, remedy)
+
+    def summed(self, opening: str, told: Iterable[Told | None]) -> Iterator[Finding]:
+        """All that is well in one line, then every finding; None says nothing."""
+        answers = [one for one in told if one]
+        well = ", ".join(one for one in answers if isinstance(one, str))
+        if well:
+            yield self.ok("well", f"{opening}: {well}" if opening else well)
+        yield from (one for one in answers if isinstance(one, Finding))

@@ -1,0 +1,155 @@
+"""The running gateway, asked twice through its API: how it is and why it does what it does."""
+
+import os
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from vcu_gateway import config as configuration
+from vcu_gateway.api import shapes
+from vcu_gateway.client import Client, ClientError
+from vcu_gateway.config import Config
+from vcu_gateway.doctor.finding import Finding, Subject, Told
+from vcu_gateway.doctor.reading import Unread
+
+SAY = Subject("gateway")
+_PATIENCE_S = 0.5
+_DRIVING = "active"
+_LONGEST = 160
+
+
+class Facts(NamedTuple):
+    """What was read.
+
+    Attributes:
+        answers: why and health; None where the API is switched off.
+        barred: this user may not open the socket.
+        expected: a process of it is known, so it ought to answer.
+        file, digest: of the configuration that was checked; empty where there is none.
+    """
+
+    socket_path: str
+    answers: tuple[shapes.Why, shapes.Health] | Unread | None
+    barred: bool = False
+    expected: bool = False
+    file: str = ""
+    digest: str = ""
+
+    @property
+    def pid(self) -> int | None:
+        """The process that answered."""
+        if self.answers is None or isinstance(self.answers, Unread):
+            return None
+        return self.answers[1]["pid"]
+
+
+def read(config: Config, expected: bool) -> Facts:
+    """Two requests that only read; they wait for each other and then the socket is closed."""
+    path = config.api.socket_path
+    file = config.source.file
+    facts = Facts(path, None, expected=expected)
+    if file:
+        facts = facts._replace(file=os.path.abspath(file), digest=configuration.digest(config))
+    return _asked(facts) if config.api.enabled else facts
+
+
+def _asked(facts: Facts) -> Facts:
+    try:
+        with Client(facts.socket_path, timeout_s=_PATIENCE_S) as client:
+            return facts._replace(answers=(client.why(), client.health()))
+    except ClientError as error:
+        barred = isinstance(error.__cause__, PermissionError)
+        return facts._replace(answers=Unread(str(error)), barred=barred)
+
+
+def judge(facts: Facts) -> Iterator[Finding]:
+    """What to say of it."""
+    if facts.answers is None:
+        yield SAY.ok("answers", "api.enabled is false: nobody can ask it")
+    elif not isinstance(facts.answers, Unread):
+        yield from _alive(facts, *facts.answers)
+    elif facts.barred:
+        yield SAY.unknown("answers", facts.answers.reason)
+    elif facts.expected:
+        what = f"a gateway runs and does not answer: {facts.answers.reason}"
+        yield SAY.wrong("answers", what, "systemctl status vcu-gateway")
+    else:
+        yield SAY.ok("answers", f"no gateway runs at {facts.socket_path}")
+
+
+def _alive(facts: Facts, why: shapes.Why, health: shapes.Health) -> Iterator[Finding]:
+    yield _mode(why)
+    ticks, frames = health["ticks"], health["frames"]
+    good = (_link(health["link"]), _skipped(ticks), _dropped(frames), _same(facts, health))
+    yield from SAY.summed(f"process {health['pid']}", good)
+
+
+def _short(why: shapes.Why) -> str:
+    """The sentence, or the most important of it where it is long."""
+    if len(why["sentence"]) <= _LONGEST:
+        return why["sentence"]
+    latch, blocks = why["latch"], why["blocks"]
+    parts: list[str] = [why["mode"]]
+    if latch is not None:
+        parts.append(f"latched ({latch['fault_class']}): {latch['reason']}")
+    if blocks:
+        others = f" and {len(blocks) - 1} more" if len(blocks) > 1 else ""
+        parts.append(f"blocked by {blocks[0]['subject']} {blocks[0]['detail']}{others}")
+    return "; ".join([*parts, why["next_step"]])
+
+
+def _mode(why: shapes.Why) -> Finding:
+    sentence = _short(why)
+    if why["mode"] == _DRIVING:
+        return SAY.ok("mode", f"{sentence}; somebody drives: change nothing now")
+    if why["mode"] == "standby":
+        return SAY.ok("mode", sentence)
+    if why["mode"] == "fault":
+        return SAY.wrong("mode", sentence, "vcu-gateway reset, once the cause is gone")
+    return SAY.warning("mode", sentence, "vcu-gateway why")
+
+
+def _link(link: shapes.Link) -> Told:
+    name = f"{link['interface']} {link['channel']}"
+    if link["state"] == "up":
+        return f"{name} up"
+    reason = f": {link['lost']}" if link["lost"] else ""
+    what = f"its link to {name} is {link['state']}{reason}"
+    if link["state"] == "error warning":
+        return SAY.warning("link", what, "see interface")
+    return SAY.wrong("link", what, "see interface")
+
+
+def _skipped(ticks: shapes.Ticks) -> Told:
+    if not ticks["skipped"]:
+        return f"no tick of {ticks['done']} skipped"
+    what = f"{ticks['skipped']} ticks of {ticks['done']} were skipped: the machine was too slow"
+    return SAY.warning("ticks", what, "see process; vcu-gateway events")
+
+
+def _dropped(frames: shapes.FrameCounts) -> Told | None:
+    if frames["dropped"] is None:
+        return None
+    if not frames["dropped"]:
+        return f"no frame of {frames['received']} dropped"
+    what = f"the kernel dropped {frames['dropped']} received frames of {frames['received']}"
+    return SAY.warning("frames", what, "see buffers and process")
+
+
+def _same(facts: Facts, health: shapes.Health) -> Told | None:
+    if not facts.digest:
+        return None
+    running = health["config_file"]
+    if not _is_same(running, facts.file):
+        what = f"it runs with {running}, not with {facts.file}"
+        return SAY.warning("config_file", what, f"vcu-gateway doctor -c {running}")
+    if health["config_digest"] != facts.digest:
+        what = f"{facts.file} has changed since the gateway read it"
+        return SAY.warning("config_digest", what, "vcu-gateway reload, while it stands")
+    return "configuration as on disk"
+
+
+def _is_same(running: str, checked: str) -> bool:
+    """A relative path is relative to the gateway's folder, which nobody else knows."""
+    if os.path.isabs(running):
+        return os.path.normpath(running) == checked
+    return os.path.basename(running) == os.path.basename(checked)

@@ -1,0 +1,59 @@
+"""The DBC in use: readable, and what the safety rules were written for."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from vcu_gateway import config as configuration
+from vcu_gateway.config import Config
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.doctor.finding import Finding, Subject
+from vcu_gateway.errors import GatewayError, Problem
+
+SAY = Subject("protocol")
+
+
+class Facts(NamedTuple):
+    """What was read.
+
+    Attributes:
+        file: the configured DBC; None is the packaged one.
+        spec: None where it cannot be read.
+        contradictions: with the protocol that the safety rules know.
+        unknown_names: messages of the configuration that the protocol does not have.
+    """
+
+    file: str | None
+    spec: ProtocolSpec | None = None
+    contradictions: tuple[Problem, ...] = ()
+    unknown_names: tuple[Problem, ...] = ()
+
+
+def read(config: Config) -> Facts:
+    """Read it as the gateway does; cantools is imported only here."""
+    from vcu_gateway import wiring
+
+    facts = Facts(None if config.protocol.dbc is None else str(config.protocol.dbc))
+    try:
+        spec = wiring.load_protocol(config)
+        facts = facts._replace(spec=spec)
+        wiring.check_protocol(config, spec)
+    except GatewayError as error:
+        return facts._replace(contradictions=error.problems)
+    return facts._replace(unknown_names=tuple(configuration.check_against(config, spec)))
+
+
+def judge(facts: Facts) -> Iterator[Finding]:
+    """What to say of it."""
+    for problem in facts.contradictions:
+        yield _wrong("dbc", problem)
+    for problem in facts.unknown_names:
+        yield _wrong("names", problem)
+    if facts.spec is not None and not facts.contradictions:
+        which = facts.file or "the packaged DBC"
+        messages = len(facts.spec.messages)
+        yield SAY.ok("dbc", f"{which}: {messages} messages, as the safety rules know them")
+
+
+def _wrong(check: str, problem: Problem) -> Finding:
+    where = f"{problem.where}: " if problem.where else ""
+    return SAY.wrong(check, f"{where}{problem.what}", problem.remedy)

@@ -1,0 +1,171 @@
+"""The systemd unit: installed, enabled, running, and how often it had to be started again."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from vcu_gateway.doctor.finding import Finding, Subject, Told
+from vcu_gateway.doctor.reading import Unread
+
+SAY = Subject("service")
+_BOOTED = "/run/systemd/system"
+_PATIENCE_S = 2.0
+_BAD_CONFIGURATION = ("65", "66", "78")
+_INSTANCES = Path("/etc/vcu-gateway")
+_PROPERTIES = (
+    *("LoadState", "UnitFileState", "ActiveState", "SubState", "MainPID", "StatusText"),
+    *("NRestarts", "Result", "ExecMainStatus", "User", "NeedDaemonReload"),
+    *("LimitMEMLOCK", "CPUSchedulingPolicy", "ExecStart"),
+    *("RootDirectory", "BindReadOnlyPaths", "BindPaths"),
+)
+
+
+class Facts(NamedTuple):
+    """What was read: systemd's properties by name, Unread, or None where it does not run."""
+
+    unit: str
+    told: Mapping[str, str] | Unread | None
+
+    def get(self, name: str) -> str:
+        """A property; empty where it is not known."""
+        return self.told.get(name, "") if isinstance(self.told, Mapping) else ""
+
+    @property
+    def is_installed(self) -> bool:
+        """The unit's file is there and could be read."""
+        return self.get("LoadState") == "loaded"
+
+    @property
+    def pid(self) -> int | None:
+        """The main process, while there is one."""
+        return int(self.get("MainPID") or 0) or None
+
+    @property
+    def is_active(self) -> bool:
+        """It runs and has said that it is ready."""
+        return self.get("ActiveState") == "active"
+
+    @property
+    def shown(self) -> tuple[str, ...] | None:
+        """The only folders that the unit lets its process see; None where it sees all."""
+        if not self.get("RootDirectory"):
+            return None
+        binds = self.get("BindReadOnlyPaths"), self.get("BindPaths")
+        return tuple(word.lstrip("-").partition(":")[0] for one in binds for word in one.split())
+
+    def runs_with(self, path: Path | None) -> bool:
+        """It is started with this configuration file; None is the usual one."""
+        words = self.get("ExecStart").split()
+        return self.is_installed and (path is None or str(path.absolute()) in words)
+
+
+def unit_of(path: Path | None) -> str:
+    """The unit that runs with this configuration: an instance has a file of its name."""
+    if path is not None and path.absolute().parent == _INSTANCES and path.stem != "gateway":
+        return f"vcu-gateway@{path.stem}.service"
+    return "vcu-gateway.service"
+
+
+def read(unit: str, booted: str = _BOOTED) -> Facts:
+    """Ask systemd, once and not for long; `booted` is a folder that only it makes."""
+    if not os.path.isdir(booted):
+        return Facts(unit, None)
+    program = shutil.which("systemctl")
+    if program is None:
+        return Facts(unit, Unread("there is no systemctl"))
+    command = [program, "show", unit, "--property", ",".join(_PROPERTIES)]
+    try:
+        done = subprocess.run(  # noqa: S603 - systemd's own program
+            command,
+            check=False,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_PATIENCE_S,
+        )
+    except subprocess.TimeoutExpired:
+        return Facts(unit, Unread(f"systemd did not answer within {_PATIENCE_S:g} s"))
+    except OSError as error:
+        return Facts(unit, Unread(f"systemctl: {error.strerror}"))
+    if done.returncode != 0:
+        return Facts(unit, Unread(f"systemctl: {' '.join(done.stderr.split())}"))
+    return Facts(unit, parsed(done.stdout))
+
+
+def parsed(output: str) -> dict[str, str]:
+    """The lines `Name=value` of `systemctl show`."""
+    pairs = (line.partition("=") for line in output.splitlines())
+    return {name: value for name, equals, value in pairs if equals}
+
+
+def judge(facts: Facts) -> Iterator[Finding]:
+    """What to say of it."""
+    if facts.told is None:
+        yield SAY.ok("systemd", "no systemd here: the gateway is started by hand")
+    elif isinstance(facts.told, Unread):
+        yield SAY.unknown("systemd", facts.told.reason)
+    elif facts.get("LoadState") == "not-found":
+        yield SAY.ok("installed", f"{facts.unit} is not installed; a vehicle computer needs it")
+    elif not facts.is_installed:
+        what = f"{facts.unit} cannot be loaded: {facts.get('LoadState')}"
+        is_masked = facts.get("LoadState") == "masked"
+        command = "sudo systemctl unmask" if is_masked else "systemctl status"
+        yield SAY.wrong("installed", what, f"{command} {facts.unit}")
+    else:
+        checks = (_active(facts), _enabled(facts), _restarts(facts), _changed(facts))
+        yield from SAY.summed(facts.unit, checks)
+
+
+def _enabled(facts: Facts) -> Told:
+    state = facts.get("UnitFileState")
+    if state.startswith("enabled") or state in ("static", "generated"):
+        return "starts at boot"
+    what = f"{facts.unit} does not start at boot ({state or 'state not known'})"
+    remedy = "unmask" if state.startswith("masked") else "enable"
+    return SAY.warning("enabled", what, f"sudo systemctl {remedy} {facts.unit}")
+
+
+def _active(facts: Facts) -> Told:
+    state, unit = facts.get("ActiveState"), facts.unit
+    text = facts.get("StatusText")
+    if state == "active":
+        return f"running as {facts.pid}" + (f' ("{text}")' if text else "")
+    journal = f"journalctl -u {unit} -n 50"
+    if state == "failed":
+        return SAY.wrong("active", f"{unit} has failed: {_why(facts)}", _mend(facts, journal))
+    if facts.get("SubState") == "auto-restart":
+        what = f"{unit} ends again and again: {_why(facts)}"
+        return SAY.wrong("active", what, _mend(facts, journal))
+    if state in ("activating", "reloading", "deactivating"):
+        return SAY.warning("active", f"{unit} is {state}", "look again in some seconds")
+    return SAY.warning("active", f"{unit} does not run", f"sudo systemctl start {unit}")
+
+
+def _why(facts: Facts) -> str:
+    status = facts.get("ExecMainStatus")
+    exited = f"{facts.get('Result')}, status {status}"
+    return f"{exited} ({facts.get('StatusText')})" if facts.get("StatusText") else exited
+
+
+def _mend(facts: Facts, otherwise: str) -> str:
+    if facts.get("ExecMainStatus") in _BAD_CONFIGURATION:
+        return f"mend the configuration, then sudo systemctl start {facts.unit}"
+    return otherwise
+
+
+def _restarts(facts: Facts) -> Told | None:
+    count = facts.get("NRestarts")
+    if not count.isdecimal() or int(count) == 0:
+        return None
+    what = f"{facts.unit} had to be started again {count} times"
+    return SAY.warning("restarts", what, f"journalctl -u {facts.unit} -p warning")
+
+
+def _changed(facts: Facts) -> Told | None:
+    if facts.get("NeedDaemonReload") != "yes":
+        return None
+    what = f"{facts.unit} has changed on disk since systemd read it"
+    return SAY.warning("changed", what, "sudo systemctl daemon-reload")

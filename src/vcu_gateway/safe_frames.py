@@ -1,0 +1,58 @@
+"""What is to be sent if this process cannot: kept in a file for `safe_stop`."""
+
+import contextlib
+import os
+from pathlib import Path
+
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.schedule import Tick
+from vcu_gateway.journal import Journal
+
+NAME = "safe-frames"
+
+
+class SafeFrames:
+    """The file: the interface, then one frame a line as identifier#data.
+
+    Written anew when they change: a latched power cut stays one, and a direction is kept. It is
+    there from the first frames that were sent to the orderly end.
+    """
+
+    def __init__(self, folder: Path, channel: str, gateway: Gateway, journal: Journal) -> None:
+        self._path = folder / NAME
+        self._channel = channel
+        self._gateway = gateway
+        self._journal = journal
+        self._basis: object = None
+        self._told_failure = False
+
+    def observe(self, tick: Tick, result: TickResult) -> None:
+        """After each tick."""
+        del tick
+        applied = tuple((one.motor_reverse, one.power_cut) for one in result.commands.values())
+        basis = applied, self._gateway.settings
+        if result.frames and basis != self._basis and self._written():
+            self._basis = basis
+
+    def _written(self) -> bool:
+        """Write them; False, and told once, where that cannot be: the next tick tries again."""
+        frames = self._gateway.safe_frames()
+        lines = [self._channel, *(f"{one.can_id:08X}#{one.data.hex().upper()}" for one in frames)]
+        beside = self._path.with_name(f"{NAME}.new")
+        try:
+            beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            os.replace(beside, self._path)  # whole, whenever it is read
+        except OSError as error:
+            if not self._told_failure:
+                fields = {"file": str(self._path), "reason": error.strerror}
+                self._journal.tell(Event("safe_frames_unwritten", Severity.WARNING, fields))
+            self._told_failure = True
+            return False
+        self._told_failure = False
+        return True
+
+    def end(self) -> None:
+        """An orderly end has sent its own: nobody is to send more."""
+        with contextlib.suppress(OSError):
+            self._path.unlink(missing_ok=True)

@@ -1,0 +1,143 @@
+"""The running gateway: a real one on the virtual bus; break one thing of what it answers."""
+
+import copy
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.doctor.told import complaints, only, well
+from tests.driven import Driven, driven
+from vcu_gateway import config as configuration
+from vcu_gateway.doctor import gateway
+from vcu_gateway.doctor.gateway import Facts, judge
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
+    with driven(tmp_path_factory.mktemp("running")) as one:
+        one.until_ready()
+        yield one
+
+
+@pytest.fixture
+def healthy(running: Driven) -> Facts:
+    """Its figures may come from a busy machine: no tick was skipped, no frame dropped."""
+    facts = gateway.read(configuration.load(running.file), expected=True)
+    assert isinstance(facts.answers, tuple), facts.answers
+    why, health = copy.deepcopy(facts.answers)
+    health["ticks"]["skipped"] = health["frames"]["dropped"] = 0
+    return facts._replace(answers=(why, health))
+
+
+def changed(facts: Facts, section: str, **values: object) -> Facts:
+    why, health = facts.answers
+    target = why if section == "why" else health if section == "health" else health[section]
+    target.update(values)
+    return facts
+
+
+def test_a_gateway_in_standby_is_well_and_its_process_known(healthy):
+    assert complaints(judge(healthy)) == {}
+    assert healthy.pid == os.getpid()
+    assert "no tick of" in well(judge(healthy))
+    assert "configuration as on disk" in well(judge(healthy))
+
+
+@pytest.mark.parametrize(
+    ("section", "values", "check", "kind"),
+    [
+        ("why", {"mode": "fault"}, "mode", "wrong"),
+        ("why", {"mode": "starting"}, "mode", "warning"),
+        ("why", {"mode": "stopping"}, "mode", "warning"),
+        ("link", {"state": "error warning"}, "link", "warning"),
+        ("link", {"state": "error passive"}, "link", "wrong"),
+        ("link", {"state": "bus off"}, "link", "wrong"),
+        ("link", {"state": "lost", "lost": "can0 is down"}, "link", "wrong"),
+        ("ticks", {"skipped": 1}, "ticks", "warning"),
+        ("frames", {"dropped": 1}, "frames", "warning"),
+        ("health", {"config_digest": "0"}, "config_digest", "warning"),
+        ("health", {"config_file": "/etc/other.yaml"}, "config_file", "warning"),
+        ("health", {"config_file": "other.yaml"}, "config_file", "warning"),
+    ],
+)
+def test_each_trouble_of_a_running_gateway_is_one_finding(healthy, section, values, check, kind):
+    found = only(judge(changed(healthy, section, **values)))
+    assert (found.subject, found.check, found.kind.value) == ("gateway", check, kind)
+    assert found.remedy
+
+
+def test_while_somebody_drives_nothing_is_to_be_changed(healthy):
+    findings = list(judge(changed(healthy, "why", mode="active")))
+    assert complaints(findings) == {}
+    assert "somebody drives: change nothing now" in well(findings)
+
+
+def test_a_long_reason_is_told_in_short_with_what_to_do(healthy):
+    cause = {"subject": "BMS_Status", "detail": "never received"}
+    latch = {"fault_class": "driver", "reason": "bus off"}
+    why = {"sentence": "x" * 161, "blocks": [cause, cause, cause], "next_step": "wait"}
+    found = only(judge(changed(healthy, "why", mode="fault", latch=latch, **why)))
+    expected = "latched (driver): bus off; blocked by BMS_Status never received and 2 more; wait"
+    assert found.what == f"fault; {expected}"
+    found = only(judge(changed(healthy, "why", sentence="x" * 160)))
+    assert found.what == "x" * 160
+
+
+@pytest.mark.parametrize(
+    ("section", "values"),
+    [("frames", {"dropped": None}), ("health", {"config_file": "gateway.yaml"})],
+)
+def test_what_cannot_be_known_is_not_complained_of(healthy, section, values):
+    assert complaints(judge(changed(healthy, section, **values))) == {}
+
+
+def test_only_two_requests_are_made_and_none_that_changes(running):
+    with running.client() as client:
+        before = client.health()["api"]
+        gateway.read(configuration.load(running.file), expected=True)
+        after = client.health()["api"]
+    assert after["accepted"] - before["accepted"] == 1
+    assert after["requests"] - before["requests"] == 3
+
+
+def at(path: Path, expected: bool) -> Facts:
+    api = configuration.Api(socket_path=str(path))
+    return gateway.read(configuration.Config(api=api), expected)
+
+
+def test_no_gateway_is_well_unless_one_ought_to_answer(tmp_path):
+    assert complaints(judge(at(tmp_path / "none.sock", expected=False))) == {}
+    found = only(judge(at(tmp_path / "none.sock", expected=True)))
+    assert (found.check, found.kind.value) == ("answers", "wrong")
+
+
+def test_one_that_hangs_is_given_half_a_second(tmp_path):
+    path = tmp_path / "deaf.sock"
+    with socket.socket(socket.AF_UNIX) as deaf:
+        deaf.bind(str(path))
+        deaf.listen()
+        found = only(judge(at(path, expected=True)))
+    assert "within 0.5 s" in found.what
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="root alone can become another user")
+def test_a_socket_that_this_user_may_not_open_is_unknown(tmp_path):
+    path = tmp_path / "control.sock"
+    os.chmod(tmp_path, 0o700)
+    with socket.socket(socket.AF_UNIX) as private:
+        private.bind(str(path))
+        private.listen()
+        os.seteuid(65534)
+        try:
+            facts = at(path, expected=True)
+        finally:
+            os.seteuid(0)
+    assert complaints(judge(facts)) == {"answers": "unknown"}
+
+
+def test_a_gateway_without_an_api_is_well():
+    api = configuration.Api(enabled=False)
+    assert complaints(judge(gateway.read(configuration.Config(api=api), expected=True))) == {}

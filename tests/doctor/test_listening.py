@@ -1,0 +1,111 @@
+"""Who talks on the bus: everybody at the right rate; break one thing."""
+
+from collections import Counter
+
+import pytest
+
+from tests.doctor.told import complaints, only, well
+from vcu_gateway.core.settings import REQUIRED_MESSAGES
+from vcu_gateway.doctor.listening import Facts, Heard, judge, listen
+from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.protocol import dbc, packaged
+
+SPEC = dbc.load(packaged("vcu.dbc"))
+SECONDS = 2.0
+COMMANDS = tuple(message.can_id for message in SPEC.sent_by("VCU"))
+OTHER_PRIORITY = 0x18000000
+
+
+def frames(*skipped: str) -> Counter[int]:
+    return Counter(
+        {
+            message.can_id: int(SECONDS * 1000 / (message.period_ms or 1000))
+            for message in SPEC.received_by("VCU")
+            if message.name not in skipped
+        }
+    )
+
+
+SENT = Counter(dict.fromkeys(COMMANDS, 40))
+HEALTHY = Facts("can0", Heard(SENT, frames(), SECONDS), SPEC, REQUIRED_MESSAGES, True)
+
+
+def heard(local: Counter[int], remote: Counter[int], **changed: object) -> list:
+    return list(judge(HEALTHY._replace(heard=Heard(local, remote, SECONDS), **changed)))
+
+
+def test_a_whole_vehicle_is_one_line_with_every_rate():
+    findings = list(judge(HEALTHY))
+    assert complaints(findings) == {}
+    for word in ("BMS_Status 2/s", "PCU1_Status2 20/s", "IMU_Attitude 100/s", "PCU2_Command sent"):
+        assert word in well(findings)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *((name, "wrong") for name in REQUIRED_MESSAGES),
+        *((name, "warning") for name in ("IMU_Attitude", "BMS_Temperatures", "PCU1_Status1")),
+    ],
+)
+def test_a_missing_message_is_wrong_where_nothing_moves_without_it(name, kind):
+    found = only(heard(SENT, frames(name)))
+    assert (found.subject, found.check, found.kind.value) == ("bus", "missing", kind)
+    assert name in found.what
+
+
+def test_a_message_at_less_than_half_its_rate_is_a_warning_and_at_half_is_not():
+    imu = SPEC.message("IMU_Attitude").can_id
+    assert only(heard(SENT, frames() + Counter({imu: -101}))).check == "slow"
+    assert complaints(heard(SENT, frames() + Counter({imu: -100}))) == {}
+
+
+def test_an_alias_and_another_priority_count_for_their_message():
+    imu = SPEC.message("IMU_Attitude").can_id
+    for one in (0x08F02DE2, imu ^ OTHER_PRIORITY):
+        spec = HEALTHY.protocol
+        aliased = Facts("can0", HEALTHY.heard, _with_alias(spec), REQUIRED_MESSAGES, True)
+        remote = frames("IMU_Attitude") + Counter({one: 200})
+        assert complaints(judge(aliased._replace(heard=Heard(SENT, remote, SECONDS)))) == {}
+
+
+def _with_alias(spec):
+    import dataclasses
+
+    return dataclasses.replace(spec, aliases={0x08F02DE2: "IMU_Attitude"})
+
+
+def test_a_silent_bus_is_one_wrong_line():
+    found = only(heard(Counter(), Counter()))
+    assert (found.check, found.kind.value) == ("silent", "wrong")
+
+
+def test_controllers_that_nobody_commands_need_not_answer():
+    remote = frames("PCU1_Status2", "PCU2_Status2")
+    assert complaints(heard(Counter(), remote, gateway_runs=False)) == {}
+    assert complaints(heard(SENT, remote)) == {"missing": "wrong"}
+
+
+@pytest.mark.parametrize("can_id", [COMMANDS[0], COMMANDS[1], COMMANDS[0] ^ OTHER_PRIORITY])
+def test_a_command_from_another_node_is_wrong_beside_a_gateway_or_without(can_id):
+    remote = frames() + Counter({can_id: 1})
+    for local, runs in ((SENT, True), (Counter(), False)):
+        found = only(heard(local, remote, gateway_runs=runs))
+        assert (found.check, found.kind.value) == ("other_sender", "wrong")
+        assert "another node" in found.what
+
+
+def test_a_second_program_of_this_machine_is_known_by_too_many_commands():
+    assert complaints(heard(Counter(dict.fromkeys(COMMANDS, 60)), frames())) == {}
+    found = only(heard(Counter({COMMANDS[0]: 61, COMMANDS[1]: 40}), frames()))
+    assert found.check == "other_sender"
+
+
+def test_commands_of_this_machine_without_a_gateway_are_wrong():
+    assert complaints(heard(SENT, frames(), gateway_runs=False)) == {"other_sender": "wrong"}
+
+
+def test_an_interface_that_cannot_be_opened_is_unknown():
+    heard_nothing = listen("nocan9", duration_s=0.01)
+    assert isinstance(heard_nothing, Unread)
+    assert only(judge(HEALTHY._replace(heard=heard_nothing))).kind.value == "unknown"

@@ -1,0 +1,30 @@
+"""Locking memory: in a process of its own, whose limit is the test's."""
+
+import subprocess
+import sys
+
+TOLD = "print(next(line for line in open('/proc/self/status') if line.startswith('VmLck')))"
+
+
+def locked(prepare: str = "") -> subprocess.CompletedProcess[str]:
+    code = f"from vcu_gateway import memory\n{prepare}\nmemory.lock()\n{TOLD}"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+
+
+def test_memory_is_locked_or_the_limit_is_named():
+    done = locked()
+    if done.returncode == 0:
+        assert int(done.stdout.split()[1]) > 1000  # kB
+    else:
+        assert "memory cannot be locked" in done.stderr
+
+
+def test_without_the_right_to_it_the_limit_is_named():
+    done = locked(
+        "import os, resource\n"
+        "resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))\n"
+        "os.geteuid() or os.setuid(65534)"
+    )
+    assert done.returncode != 0
+    assert "memory cannot be locked" in done.stderr
+    assert "LimitMEMLOCK=" in done.stderr

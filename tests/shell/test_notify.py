@@ -1,0 +1,94 @@
+"""What systemd is told, read at the other end of a real socket."""
+
+import socket
+
+import pytest
+
+from vcu_gateway.notify import ServiceManager
+
+
+@pytest.fixture
+def ear(tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(str(tmp_path / "notify"))
+        ear.setblocking(False)
+        yield ear
+
+
+def manager_of(ear: socket.socket, **more: str) -> ServiceManager:
+    address = ear.getsockname()
+    if isinstance(address, bytes):
+        address = "@" + address[1:].decode()
+    return ServiceManager({"NOTIFY_SOCKET": address, **more}, 100)
+
+
+@pytest.mark.parametrize(
+    ("tell", "line"),
+    [
+        (ServiceManager.ready, b"READY=1"),
+        (ServiceManager.alive, b"WATCHDOG=1"),
+        (ServiceManager.stopping, b"STOPPING=1"),
+        (lambda manager: manager.status("standby; arm"), b"STATUS=standby; arm"),
+    ],
+)
+def test_each_word_is_one_datagram(ear, tell, line):
+    tell(manager_of(ear))
+    assert ear.recv(1000) == line
+
+
+def test_an_abstract_address_is_understood():
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(b"\0vcu-gateway-test-notify")
+        ear.setblocking(False)
+        manager_of(ear).ready()
+        assert ear.recv(1000) == b"READY=1"
+
+
+def test_a_status_is_one_line_of_bounded_length(ear):
+    manager_of(ear).status("two\nlines\0and\n" + "x" * 1000)
+    told = ear.recv(4000)
+    assert b"\n" not in told
+    assert len(told) < 600
+
+
+def test_nothing_waits_for_a_manager_that_does_not_read(ear):
+    manager = manager_of(ear)
+    for _ in range(5000):
+        manager.alive()
+
+
+def test_a_manager_that_is_gone_is_no_trouble(ear):
+    manager = manager_of(ear)
+    ear.close()
+    manager.ready()
+
+
+@pytest.mark.parametrize("address", ["", "/nowhere/notify", "x" * 200, "a\0b", "vsock:2:1234"])
+def test_without_a_manager_everything_is_silent(address):
+    manager = ServiceManager({"NOTIFY_SOCKET": address}, 100)
+    manager.ready()
+    manager.status("nobody hears this")
+    assert manager.watchdog_ns is None
+
+
+@pytest.mark.parametrize(
+    ("environment", "watchdog_ns"),
+    [
+        ({}, None),
+        ({"WATCHDOG_USEC": "2000000"}, 2_000_000_000),
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "100"}, 2_000_000_000),
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "101"}, None),
+        ({"WATCHDOG_USEC": "0"}, None),
+        ({"WATCHDOG_USEC": "-5"}, None),
+        ({"WATCHDOG_USEC": "2s"}, None),
+        ({"WATCHDOG_USEC": "٢"}, None),
+    ],
+)
+def test_the_watchdog_is_the_one_set_for_this_process(ear, environment, watchdog_ns):
+    assert manager_of(ear, **environment).watchdog_ns == watchdog_ns
+
+
+def test_this_process_is_asked_by_its_own_environment(ear, monkeypatch):
+    monkeypatch.setenv("NOTIFY_SOCKET", ear.getsockname())
+    ServiceManager.of_this_process().ready()
+    assert ear.recv(1000) == b"READY=1"

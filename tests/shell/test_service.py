@@ -1,0 +1,256 @@
+"""A run as a service: ready, alive, its status, and what it leaves for the next one."""
+
+import contextlib
+import socket
+from types import SimpleNamespace
+
+import pytest
+
+from tests.core.safety_world import CODEC, Drive, active, standby
+from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.core.demand import ControllerDemand
+from vcu_gateway.core.schedule import Tick
+from vcu_gateway.daemon import Daemon, Latest
+from vcu_gateway.notify import ServiceManager
+from vcu_gateway.service import Service
+from vcu_gateway.starts import Start
+from vcu_gateway.watchdog import ReaderWatch
+
+TICK = Tick(0, 0, 0, 0)
+S = 1_000_000_000
+ZERO_TORQUE = "0008A7D0#0C000000E02E0000\n0008A8D0#0C000000E02E0000\n"
+
+
+class World:
+    """A driving vehicle and a service manager that listens; time is the test's."""
+
+    def __init__(self, folder, ear, drive: Drive, monkeypatch) -> None:
+        self.drive, self.folder, self.ear = drive, folder, ear
+        door = Door(BusSettings("socketcan", "can0"), CODEC.identifiers(), lambda frame: None)
+        door.lost = None
+        self.daemon = Daemon(drive.gateway, door, 50)
+        manager = ServiceManager(
+            {"NOTIFY_SOCKET": ear.getsockname(), "WATCHDOG_USEC": "2000000"}, 100
+        )
+        self.service = Service(manager, folder, self.daemon)
+        self._told: list[str] = []
+        monkeypatch.setattr("vcu_gateway.service.time.monotonic_ns", lambda: self.drive.now_ns)
+
+    def tick(self, times: int = 1) -> None:
+        for _ in range(times):
+            result = self.drive.tick()
+            self.daemon.latest = Latest(result, self.drive.gateway.why(self.drive.now_ns))
+            self.service.observe(TICK, result)
+            self._listen()
+
+    def _listen(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self._told.append(self.ear.recv(2000).decode())
+
+    def told(self) -> list[str]:
+        """What the service manager was told since the last call."""
+        self._listen()
+        told, self._told = self._told, []
+        return told
+
+    @property
+    def safe_frames(self) -> str:
+        path = self.folder / "safe-frames"
+        return path.read_text() if path.exists() else ""
+
+
+@pytest.fixture
+def world(tmp_path, monkeypatch):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(str(tmp_path / "notify"))
+        ear.setblocking(False)
+
+        def make(drive: Drive) -> World:
+            return World(tmp_path, ear, drive, monkeypatch)
+
+        yield make
+
+
+def test_ready_is_told_once_after_the_first_tick(world):
+    one = world(standby())
+    assert one.told() == []
+    one.tick(10)
+    assert one.told().count("READY=1") == 1
+
+
+def test_a_living_gateway_pings_four_times_in_the_watchdogs_time(world):
+    one = world(standby())
+    one.tick(200)  # 10 s
+    assert one.told().count("WATCHDOG=1") == 20
+
+
+def test_the_status_is_the_headline_and_is_told_when_it_changes(world):
+    one = world(standby())
+    one.tick(100)
+    assert [line for line in one.told() if line.startswith("STATUS")] == ["STATUS=standby; arm"]
+    assert one.drive.arm().granted
+    one.tick(1)
+    assert [line for line in one.told() if line.startswith("STATUS")] == [
+        "STATUS=active; drive; disarm to end"
+    ]
+
+
+def test_the_status_of_a_missing_interface_says_so(world):
+    one = world(standby())
+    one.daemon.door.lost = "can0: no such interface"
+    one.tick()
+    assert "STATUS=standby; can0: no such interface" in one.told()
+
+
+def test_a_status_that_flickers_is_told_once_a_second(world):
+    one = world(standby())
+    for number in range(100):  # 5 s
+        one.daemon.door.lost = f"reason {number}"
+        one.tick()
+    assert len([line for line in one.told() if line.startswith("STATUS")]) == 5
+
+
+def test_the_end_is_told_when_it_begins(world):
+    one = world(standby())
+    one.tick()
+    assert "STOPPING=1" not in one.told()
+    one.drive.gateway.requests.terminate()
+    one.tick(3)
+    assert one.told().count("STOPPING=1") == 1
+
+
+# The receiving thread.
+
+
+class FakeDoor(SimpleNamespace):
+    reader_wakes: int | None = 0
+
+
+def test_a_reader_that_wakes_at_every_third_tick_lives():
+    door = FakeDoor()
+    watch = ReaderWatch(door)
+    for tick in range(100):
+        door.reader_wakes = tick // 3
+        watch.observe()
+        assert watch.alive
+
+
+def test_a_reader_that_does_not_wake_for_ten_ticks_is_in_doubt_and_for_twenty_dead():
+    door = FakeDoor()
+    watch = ReaderWatch(door)
+    alive = []
+    for _ in range(20):
+        watch.observe()
+        alive.append(watch.alive)
+    assert alive == [True] * 10 + [False] * 10
+    with pytest.raises(RuntimeError, match="receiving thread is dead"):
+        watch.observe()
+
+
+def test_without_an_open_bus_nobody_is_expected_to_wake():
+    door = FakeDoor(reader_wakes=None)
+    watch = ReaderWatch(door)
+    for _ in range(100):
+        watch.observe()
+    assert watch.alive
+
+
+def test_a_reader_that_wakes_again_is_alive_again():
+    door = FakeDoor()
+    watch = ReaderWatch(door)
+    for _ in range(15):
+        watch.observe()
+    door.reader_wakes = 1
+    watch.observe()
+    assert watch.alive
+
+
+def test_a_dead_reader_ends_the_pings_and_then_the_process(world, monkeypatch):
+    one = world(standby())
+    monkeypatch.setattr(Door, "reader_wakes", 7)
+    one.tick(20)
+    before = one.told().count("WATCHDOG=1")
+    assert 0 < before < 3
+    with pytest.raises(RuntimeError, match="receiving thread is dead"):
+        one.tick()
+
+
+# What is left for safe_stop and for the next start.
+
+
+def test_nothing_is_left_before_anything_was_sent(world):
+    one = world(Drive())
+    one.tick(10)
+    assert one.safe_frames == ""
+
+
+def test_the_safe_frames_of_a_drive_are_zero_torque(world):
+    one = world(active())
+    one.drive.asked = ControllerDemand(throttle_pct=40)
+    one.tick(40)
+    assert one.safe_frames == f"can0\n{ZERO_TORQUE}"
+
+
+def test_a_power_cut_is_kept_for_whoever_sends_next(world):
+    one = world(active())
+    one.tick()
+    one.drive.gateway.requests.emergency_stop()
+    one.tick()
+    assert one.safe_frames == f"can0\n{ZERO_TORQUE.replace('#0C', '#8C')}"
+
+
+def test_they_are_written_only_when_they_change(world):
+    one = world(active())
+    one.tick(2)
+    (one.folder / "safe-frames").unlink()
+    one.tick(100)
+    assert one.safe_frames == ""
+
+
+def test_a_folder_that_cannot_be_written_is_told_and_stops_nobody(world):
+    one = world(active())
+    (one.folder / "safe-frames.new").mkdir()
+    one.tick(3)
+    names = [entry.event.name for entry in one.daemon.journal.latest(10)]
+    assert names.count("safe_frames_unwritten") == 1
+
+
+def test_an_orderly_end_leaves_no_safe_frames_and_begins_a_new_drive(world):
+    one = world(active())
+    one.service.begin()
+    one.tick(2)
+    one.service.end()
+    assert one.safe_frames == ""
+    one.service.begin()
+    assert one.service.start == Start(2, 0)
+
+
+def test_a_third_unexpected_restart_ends_arming_and_is_told(world):
+    for times in range(4):
+        one = world(standby())
+        one.service.begin()
+        assert one.service.start == Start(times + 1, times)
+        assert one.drive.arm().granted is (times < 3)
+    assert [entry.event.fields for entry in one.daemon.journal.latest(1)] == [{"in_this_drive": 3}]
+
+
+def test_without_a_folder_nothing_is_counted_and_nothing_left(world):
+    one = world(standby())
+    one.service = Service(ServiceManager({}, 100), None, one.daemon)
+    one.service.begin()
+    one.tick(3)
+    one.service.end()
+    assert one.service.start is None
+    assert one.safe_frames == ""
+
+
+def test_a_failure_to_write_is_made_good_when_it_can_be(world):
+    one = world(active())
+    blocked = one.folder / "safe-frames.new"
+    blocked.mkdir()
+    one.tick(3)
+    assert one.safe_frames == ""
+    blocked.rmdir()
+    one.tick()
+    assert one.safe_frames == f"can0\n{ZERO_TORQUE}"
