@@ -5,15 +5,21 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
 # What needs a bus runs in the lab, the faults in a lab for each kind of bus.
-BUS_ROOMS := vcan lab faults/vcan faults/slcan faults/netem
+BUS_ROOMS := vcan lab service faults/vcan faults/slcan faults/netem
 NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS))
 IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
 WITH_SLCAN := --modules slcan
 WITH_NETEM := --module-param vcan:echo=1 --modules "sch_netem sch_tbf"
+# The installed package, in a Debian of its own under a real systemd.
+PACKAGES := build/tests
+IN_DEBIAN := $(LAB) run --systemd --env VCU_REQUIRE_SYSTEMD=1 --also $(CURDIR)/$(PACKAGES)
+IN_GUEST := $(BIN)/pytest -q -p no:cacheprovider
+ORDINARY := -m 'not slow'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py
 
-.PHONY: help setup demo test test-quick test-core test-rest test-more test-vcan test-on-bus test-faults lint nightly soak faults mutants bench lock clean
+.PHONY: help setup demo test lane-one lane-two lane-calm test-quick test-core test-rest test-more test-exhaustive \
+	test-contents test-guests test-service test-package test-lab test-vcan test-on-bus test-faults lint nightly soak faults mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -27,11 +33,32 @@ $(STAMP): pyproject.toml requirements.lock requirements-dev.lock scripts/setup
 demo: setup  ## gateway and simulated vehicle with a live table, without hardware
 	@$(BIN)/vcu-gateway demo
 
-test: setup lint test-quick test-vcan  ## everything: lint, types, tests, tests on a real vcan0
+# Two lanes of tests that look at the clock, each with a processor; the third takes what they leave.
+test: setup  ## everything: lint, types, tests, the service, the real vcan0
+	-@scripts/test-tools
+	@$(MAKE) --no-print-directory -j3 --output-sync=target RUN=$$(date +%s%N) lane-one lane-two lane-calm
+
+lane-one:
+	@$(MAKE) --no-print-directory test-rest
+	@$(MAKE) --no-print-directory test-service
+	@$(MAKE) --no-print-directory test-on-bus
+
+lane-two:
+	@$(MAKE) --no-print-directory test-more
+	@$(MAKE) --no-print-directory test-package
+	@$(MAKE) --no-print-directory test-lab
+	@$(MAKE) --no-print-directory test-faults
+
+lane-calm:
+	@$(MAKE) --no-print-directory test-guests
+	@nice $(MAKE) --no-print-directory lint
+	@nice $(MAKE) --no-print-directory test-core
+	@nice $(MAKE) --no-print-directory test-exhaustive
+	@nice $(MAKE) --no-print-directory test-contents
 
 test-quick: setup  ## the tests that need no CAN, two runs at a time
 	-@scripts/test-tools
-	@$(MAKE) --no-print-directory -j2 --output-sync=target test-rest test-core test-more
+	@$(MAKE) --no-print-directory -j2 --output-sync=target test-rest test-core test-more test-exhaustive
 
 test-core: setup
 	$(BIN)/coverage erase
@@ -40,16 +67,35 @@ test-core: setup
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
 
 test-rest: setup
-	$(BIN)/pytest -q -m 'not slow' tests --ignore=tests/core --ignore=tests/watch --ignore=tests/faults $(NO_BUS)
+	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=tests/,core watch faults packaging) $(NO_BUS)
 
 test-more: setup
 	$(BIN)/pytest -q -m 'not slow' tests/watch tests/faults/pure
+
+test-exhaustive: setup
 	$(BIN)/pytest -q $(EXHAUSTIVE)
+
+test-contents: setup
+	$(BIN)/pytest -q -m 'not slow' tests/packaging
+
+test-guests: setup
+	@scripts/test-guests $(BIN) $(PACKAGES) $(RUN)
+
+test-service: setup test-guests  ## the installed service under a real systemd, in the lab
+	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 500 --modules slcan --install $(PACKAGES)/first.deb -- \
+		$(IN_GUEST) $(ORDINARY) tests/service --ignore=tests/service/test_package.py
+
+test-package: setup test-guests  ## the package installed, upgraded and removed, in the lab
+	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 580 \
+		--env VCU_DEB=$(CURDIR)/$(PACKAGES)/first.deb --env VCU_DEB_NEXT=$(CURDIR)/$(PACKAGES)/next.deb -- \
+		$(IN_GUEST) $(ORDINARY) tests/service/test_package.py
 
 test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	$(LAB) install
-	$(BIN)/pytest tests/lab
 	@$(MAKE) --no-print-directory -j2 --output-sync=target test-on-bus test-faults
+
+test-lab: setup test-guests
+	$(BIN)/pytest -q tests/lab
 
 test-on-bus: setup
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
@@ -66,6 +112,7 @@ nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
 	$(IN_LAB) --timeout 2400 -- $(BIN)/pytest -s tests/vcan tests/faults/vcan
 	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan
 	$(IN_LAB) --timeout 900 $(WITH_NETEM) -- $(BIN)/pytest tests/faults/netem
+	$(MAKE) test-service test-package ORDINARY=
 	$(MAKE) soak MINUTES=60
 
 MINUTES := 10
@@ -98,6 +145,13 @@ bench: setup  ## compare with the naive way; writes docs/benchmarks.md
 
 lock: setup  ## resolve and hash the dependencies again
 	scripts/lock $(BIN)
+
+.PHONY: deb dist
+deb: setup  ## the Debian package, in build/deb
+	scripts/deb $(BIN)
+
+dist: setup  ## wheel and sdist, in dist
+	scripts/dist $(BIN)
 
 clean:  ## remove what was built
 	rm -rf $(VENV) build dist .coverage* .mypy_cache .ruff_cache .pytest_cache .hypothesis

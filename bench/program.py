@@ -8,6 +8,7 @@ import argparse
 import gc
 import json
 import logging
+import os
 import socket
 import sys
 import tempfile
@@ -18,6 +19,7 @@ from typing import Any, NoReturn
 from bench import CHANNEL, DBC
 
 _SOL_CAN_RAW = 101
+_PRIORITY = 40
 
 # A test bench that arms itself: the gateway has all its work to do.
 _CONFIG = """
@@ -35,7 +37,10 @@ def main() -> None:
     parser.add_argument("--stand-in", type=int, help="file descriptor of the stand-in socket")
     parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--gather-ms", type=int)
+    parser.add_argument("--fifo", action="store_true", help="with the service's policy")
     asked = parser.parse_args()
+    if asked.fifo:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     if asked.stand_in is not None:
         stand_in(asked.stand_in)
     gather = "" if asked.gather_ms is None else f", gather_ms: {asked.gather_ms}"

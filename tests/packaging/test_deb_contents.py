@@ -1,0 +1,196 @@
+"""What is in the Debian package."""
+
+import base64
+import csv
+import hashlib
+import importlib.util
+import io
+import marshal
+import platform
+import re
+import tempfile
+from pathlib import PurePosixPath
+
+import pytest
+
+from tests.packaging.built import EPOCH_S, HOME, SITE
+from vcu_gateway import __version__
+
+pytestmark = pytest.mark.timeout(600)  # the first test builds, and may install what builds
+
+PROGRAMS = {f"{HOME}/bin/vcu-gateway", f"{HOME}/is-active"}
+FROM_THE_TREE = {
+    "etc/vcu-gateway/gateway.yaml": "config/gateway.yaml",
+    "lib/systemd/system/vcu-gateway.service": "systemd/vcu-gateway.service",
+    "lib/systemd/system/vcu-gateway@.service": "systemd/vcu-gateway@.service",
+    "usr/lib/sysusers.d/vcu-gateway.conf": "systemd/sysusers.conf",
+    "usr/lib/tmpfiles.d/vcu-gateway.conf": "systemd/tmpfiles.conf",
+    "usr/share/vcu-gateway/network/can0.network": "systemd/can0.network",
+    "usr/share/vcu-gateway/network/10-can0.link": "systemd/10-can0.link",
+    "usr/share/vcu-gateway/network/vcan0.netdev": "systemd/vcan0.netdev",
+    "usr/share/vcu-gateway/network/vcan0.network": "systemd/vcan0.network",
+    "usr/share/vcu-gateway/examples/10-vehicle.conf.example": (
+        "systemd/vcu-gateway.service.d/10-vehicle.conf.example"
+    ),
+    "usr/share/vcu-gateway/examples/bench-vcan0.yaml": "config/bench-vcan0.yaml",
+    "usr/share/vcu-gateway/examples/scenarios/bms-silent.yaml": "config/scenarios/bms-silent.yaml",
+    "usr/share/doc/vcu-gateway/README.md": "README.md",
+    "usr/share/doc/vcu-gateway/docs/safety.md": "docs/safety.md",
+    "usr/share/doc/vcu-gateway/docs/examples/control_loop.py": "docs/examples/control_loop.py",
+    f"{SITE}/vcu_gateway/data/gateway.yaml": "config/gateway.yaml",
+    f"{SITE}/vcu_gateway/data/vcu.dbc": "dbc/vcu.dbc",
+    f"{SITE}/vcu_gateway/data/vcu.yaml": "dbc/vcu.yaml",
+}
+COMPLETIONS = (
+    "usr/share/bash-completion/completions/vcu-gateway",
+    "usr/share/zsh/vendor-completions/_vcu-gateway",
+    "usr/share/fish/vendor_completions.d/vcu-gateway.fish",
+)
+
+
+def test_its_name_version_and_architecture_are_those_of_the_tree(deb):
+    assert deb.path.name == f"vcu-gateway_{__version__}-1_{deb.field('Architecture')}.deb"
+    assert deb.field("Version") == f"{__version__}-1"
+
+
+def test_it_depends_on_the_python_that_its_libraries_are_for(deb):
+    assert {"python3 (>= 3.11)", "python3 (<< 3.12)"} <= set(deb.field("Depends").split(", "))
+
+
+@pytest.mark.parametrize("inside", FROM_THE_TREE)
+def test_it_holds_the_file_of_the_tree(deb, tree, inside):
+    assert deb.contents[inside] == (tree / FROM_THE_TREE[inside]).read_bytes()
+
+
+@pytest.mark.parametrize("inside", COMPLETIONS)
+def test_it_completes_in_every_shell(deb, inside):
+    assert "_VCU_GATEWAY_COMPLETE=" in deb.text(inside)
+
+
+def test_everything_belongs_to_root_and_is_readable_by_all_and_writable_by_root_alone(deb):
+    modes = {
+        name: (member.uname, member.gname, member.mode) for name, member in deb.members.items()
+    }
+    expected = {
+        name: ("root", "root", 0o755 if member.isdir() or name in PROGRAMS else 0o644)
+        for name, member in deb.members.items()
+        if not member.issym()
+    }
+    assert {name: modes[name] for name in expected} == expected
+
+
+def test_every_time_is_that_of_the_commit(deb):
+    assert {member.mtime for member in deb.members.values()} == {EPOCH_S}
+
+
+def test_the_links_are_those_of_a_virtual_environment_of_the_systems_python(deb):
+    links = {name: member.linkname for name, member in deb.members.items() if member.issym()}
+    assert links == {
+        "usr/bin/vcu-gateway": "../lib/vcu-gateway/bin/vcu-gateway",
+        f"{HOME}/bin/python3": "../../../bin/python3",
+    }
+    assert "home = /usr/bin\n" in deb.text(f"{HOME}/pyvenv.cfg")
+    first = deb.text(f"{HOME}/bin/vcu-gateway").partition("\n")[0]
+    assert first == f"#!/{HOME}/bin/python3 -I"
+
+
+def test_the_libraries_are_the_locked_ones_and_no_other(deb, tree):
+    lock = (tree / "requirements.lock").read_text()
+    locked = set(re.findall(r"^([\w.-]+)==([\w.]+)", lock, flags=re.MULTILINE))
+    names = [PurePosixPath(name).parent.name for name in deb.contents if name.endswith("/METADATA")]
+    found = {tuple(name.removesuffix(".dist-info").rsplit("-", 1)) for name in names}
+    dashed = {(name.replace("_", "-").lower(), version) for name, version in found}
+    assert dashed == locked | {("vcu-gateway", __version__)}
+
+
+def test_every_library_is_as_it_was_published(deb):
+    changed = [
+        path
+        for name in deb.contents
+        if name.endswith("/RECORD")
+        for path, said, _ in csv.reader(io.StringIO(deb.text(name)))
+        if said and said != digest(deb.contents[f"{SITE}/{path}"])
+    ]
+    assert changed == []
+
+
+def digest(content: bytes) -> str:
+    hashed = base64.urlsafe_b64encode(hashlib.sha256(content).digest())
+    return "sha256=" + hashed.decode().rstrip("=")
+
+
+def test_every_file_of_the_libraries_is_on_their_lists(deb):
+    listed = {
+        f"{SITE}/{path}"
+        for name in deb.contents
+        if name.endswith("/RECORD")
+        for path, *_ in csv.reader(io.StringIO(deb.text(name)))
+    }
+    there = {name for name in deb.contents if name.startswith(SITE) and not name.endswith(".pyc")}
+    assert there == listed
+
+
+def test_every_module_is_compiled_for_this_python_and_never_again(deb):
+    sources = {name for name in deb.contents if name.startswith(SITE) and name.endswith(".py")}
+    compiled = {name for name in deb.contents if name.endswith(".pyc")}
+    assert compiled == {cached(name) for name in sources}
+    assert {flags(deb.contents[name]) for name in compiled} == {0b01}  # a hash, never checked
+
+
+def cached(source: str) -> str:
+    path = PurePosixPath(source)
+    return str(path.parent / "__pycache__" / f"{path.stem}.cpython-311.pyc")
+
+
+def flags(compiled: bytes) -> int:
+    return int.from_bytes(compiled[4:8], "little")
+
+
+@pytest.mark.skipif(
+    not platform.python_version().startswith("3.11"), reason="reads byte code of 3.11"
+)
+def test_a_traceback_names_the_files_where_they_are_installed(deb):
+    source = f"{SITE}/vcu_gateway/daemon.py"
+    code = marshal.loads(deb.contents[cached(source)][16:])
+    assert deb.contents[cached(source)][:4] == importlib.util.MAGIC_NUMBER
+    assert code.co_filename == f"/{source}"
+
+
+def test_nothing_in_it_tells_where_it_was_built(deb, tree):
+    places = {tempfile.gettempdir().encode() + b"/tmp.", str(tree).encode()}
+    telling = [
+        name for name, content in deb.contents.items() if any(place in content for place in places)
+    ]
+    assert telling == []
+
+
+def test_no_installer_and_no_test_suite_is_shipped(deb):
+    folders = {name.split("/")[-1] for name, member in deb.members.items() if member.isdir()}
+    assert folders.isdisjoint({"pip", "setuptools", "wheel", "test", "tests"})
+
+
+def test_the_licence_of_every_library_is_named(deb):
+    text = deb.text("usr/share/doc/vcu-gateway/copyright")
+    folders = {name.split("/")[-2] for name in deb.contents if name.endswith(".dist-info/METADATA")}
+    ours = {folder for folder in folders if folder.startswith("vcu_gateway-")}
+    assert {folder for folder in folders if f"{SITE}/{folder}/*" not in text} == ours
+    used = set(re.findall(r"^License: (.+)$", text, flags=re.MULTILINE))
+    explained = set(re.findall(r"^License: (.+)\n ", text, flags=re.MULTILINE))
+    assert {name for line in used for name in re.split(" or | and ", line)} <= explained
+
+
+def test_every_program_and_file_that_the_units_name_is_there(deb):
+    missing = {
+        path
+        for unit in ("vcu-gateway.service", "vcu-gateway@.service")
+        for line in deb.text(f"lib/systemd/system/{unit}").splitlines()
+        if line.startswith(("Exec", "RootDirectory="))
+        for path in re.findall(r"/(?:usr|etc)/[^\s%]+(?=\s|$)", line)
+        if path.lstrip("/") not in deb.members and path != "/usr/bin/python3"
+    }
+    assert missing == set()
+
+
+def test_it_is_small(deb):
+    assert deb.path.stat().st_size < 16_000_000
+    assert int(deb.field("Installed-Size")) < 64_000  # KiB

@@ -1,0 +1,77 @@
+"""What dpkg is told: configuration files, scripts, and the same bytes from the same commit."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.packaging.built import BIN, EPOCH_S, Deb, build
+
+pytestmark = pytest.mark.timeout(600)
+SCRIPTS = ("postinst", "postrm", "prerm")
+
+
+@pytest.fixture(scope="module")
+def control(deb: Deb, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return deb.control(tmp_path_factory.mktemp("control"))
+
+
+def test_the_configuration_is_the_one_file_that_upgrades_keep(control):
+    assert (control / "conffiles").read_text().split() == ["/etc/vcu-gateway/gateway.yaml"]
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_the_script_is_one_for_every_shell(control, script):
+    path = control / script
+    assert path.read_text().startswith("#!/bin/sh\nset -e\n")
+    for shell in (["dash", "-n"], ["bash", "--posix", "-n"]):
+        done = subprocess.run([*shell, path], capture_output=True, text=True)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert "#DEBHELPER#" not in path.read_text()
+
+
+def test_the_sums_are_those_of_all_files_but_the_configuration(deb, control):
+    listed = {line.split("  ", 1)[1] for line in (control / "md5sums").read_text().splitlines()}
+    assert listed == set(deb.contents) - {"etc/vcu-gateway/gateway.yaml"}
+
+
+@pytest.mark.slow
+def test_building_again_elsewhere_gives_the_same_bytes(deb, tree, tmp_path):
+    elsewhere = {"TZ": "Asia/Tokyo", "LC_ALL": "C", "HOME": str(tmp_path), "PYTHONHASHSEED": "7"}
+    folder = tmp_path / "another place"
+    build(tree, "deb", folder, **elsewhere, UV_CACHE_DIR=uv_cache())
+    (again,) = folder.glob("*.deb")
+    assert again.read_bytes() == deb.path.read_bytes()
+
+
+def uv_cache() -> str:
+    return subprocess.check_output([BIN / "uv", "cache", "dir"], text=True).strip()
+
+
+@pytest.fixture
+def broken(tree: Path, tmp_path: Path) -> Path:
+    """A copy, to be broken."""
+    return shutil.copytree(tree, tmp_path / "tree", symlinks=True)
+
+
+def refusal(tree: Path, **environment: str) -> str:
+    """The last line of scripts/deb, which ends with EX_UNAVAILABLE."""
+    kept = {name: value for name, value in os.environ.items() if name != "SOURCE_DATE_EPOCH"}
+    done = subprocess.run(
+        [tree / "scripts" / "deb", BIN], env=kept | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 69
+    return done.stderr.splitlines()[-1]
+
+
+def test_outside_of_git_the_time_must_be_given(broken):
+    assert refusal(broken) == "error: this is no git checkout: set SOURCE_DATE_EPOCH, seconds"
+
+
+def test_a_missing_unit_is_named(broken, deb):
+    del deb  # the build tools are there
+    (broken / "systemd" / "vcu-gateway@.service").unlink()
+    said = refusal(broken, SOURCE_DATE_EPOCH=str(EPOCH_S))
+    assert said == "error: systemd/vcu-gateway@.service is missing"
