@@ -111,8 +111,9 @@ class Supervisor:
             self.kill()
 
     def ask(self, number):
-        """Passes a signal on to the command, which has a little time to end."""
-        self.kill_at = min(self.kill_at, time.monotonic() + GRACE_S)
+        """Passes a signal on to the command, which has a little time to end once it has begun."""
+        grace_s = GRACE_S if self.begun() else 0
+        self.kill_at = min(self.kill_at, time.monotonic() + grace_s)
         if self.control:
             os.write(self.control, signal.Signals(number).name.removeprefix("SIG").encode() + b"\n")
         else:
@@ -124,9 +125,14 @@ class Supervisor:
 
     def status(self):
         status = self.guest_status() if self.control else self.process.wait()
+        if self.cause == TIMED_OUT and not self.begun():
+            self.show_console("the command had not begun")
         if self.cause == TIMED_OUT or status is None:
             return self.cause or self.guest_died()
         return status if status >= 0 else 128 - status
+
+    def begun(self):
+        return not self.control or (self.job / "began").exists()
 
     def guest_status(self):
         with contextlib.suppress(FileNotFoundError):
@@ -134,10 +140,13 @@ class Supervisor:
         return None
 
     def guest_died(self):
-        say("the guest died; the end of its console:")
+        self.show_console("the guest died")
+        return FAILED
+
+    def show_console(self, why):
+        say(f"{why}; the end of its console:")
         log = b"".join(self.console).decode("utf-8", "replace").replace("\r", "")
         sys.stderr.write("".join(log.splitlines(keepends=True)[-25:]))
-        return FAILED
 
     def end(self):
         for process in filter(None, (self.process, self.undertaker)):

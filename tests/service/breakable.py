@@ -1,0 +1,38 @@
+"""The real program, with ways to break it from outside: breakable.py ARGUMENT...
+
+Run by the interpreter of the package instead of its own command, with the same arguments.
+"""
+
+import ctypes
+import signal
+import sys
+import threading
+
+from vcu_gateway.cli import main
+
+
+def stand_still(_number, _frame):
+    """The thread that ticks waits for a lock that it holds itself."""
+    lock = threading.Lock()
+    lock.acquire()
+    lock.acquire()
+
+
+def end_reader(_number, _frame):
+    """The thread that receives ends, without a word."""
+    (ident,) = (thread.ident for thread in threading.enumerate() if "Notifier" in thread.name)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(SystemExit))
+
+
+def leak(_number, _frame):
+    """Memory is taken and never given back."""
+    taken = []
+    while True:
+        taken.append(bytes(range(256)) * 4096)
+
+
+signal.signal(signal.SIGUSR1, stand_still)
+signal.signal(signal.SIGUSR2, end_reader)
+signal.signal(signal.SIGRTMIN, leak)
+sys.argv[0] = "vcu-gateway"
+sys.exit(main())

@@ -1,0 +1,135 @@
+"""The installed package under a real systemd, a healthy vehicle and a recorder on vcan0."""
+
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.faults.driving import QUIET, record
+from tests.service.driver import Driver
+from tests.service.unit import CONFIG, NAME, Unit, systemctl
+from tests.vcan.conftest import (
+    COMMANDS,
+    Recording,
+    Stand,
+    ended_after,
+    figures,  # noqa: F401
+    pytest_terminal_summary,  # noqa: F401
+)
+
+MEMBER, STRANGER = "member", "stranger"
+
+
+def service_is_missing() -> str | None:
+    """Why these tests cannot run here, or None."""
+    if os.environ.get("VCU_LAB") != "systemd":
+        return "needs a machine to throw away: `make test-service` boots one in the lab"
+    if not Path("/lib/systemd/system", NAME).exists():
+        return "the package is not installed: `lab run --systemd --install build/deb/*.deb`"
+    return None
+
+
+@pytest.fixture(scope="session", autouse=True)
+def a_real_systemd() -> None:
+    why = service_is_missing()
+    if why and os.environ.get("VCU_REQUIRE_SYSTEMD"):
+        pytest.exit(why, returncode=1)
+    if why:
+        pytest.skip(why)
+
+
+class Booted(NamedTuple):
+    """The service as the boot left it, before any test."""
+
+    state: str
+    enabled: str
+    restarts: int
+    pid: int
+    ready_us: int  # from systemd's start
+
+
+@pytest.fixture(scope="session", autouse=True)
+def booted(a_real_systemd: None) -> Booted:
+    unit = Unit()
+    begun_us = int(systemctl("show", "--property=UserspaceTimestampMonotonic", "--value").stdout)
+    return Booted(
+        unit.show("ActiveState"),
+        unit.show("UnitFileState"),
+        unit.number("NRestarts"),
+        unit.pid,
+        unit.number("ActiveEnterTimestampMonotonic") - begun_us,
+    )
+
+
+@pytest.fixture(scope="session")
+def default_config(booted: Booted) -> str:
+    """As the package brings it."""
+    return CONFIG.read_text()
+
+
+@pytest.fixture(scope="session")
+def world(booted: Booted, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
+    """Processes that outlive every gateway; forked from this one."""
+    with ended_after(Stand(tmp_path_factory.mktemp("world"), forking=True)) as stand:
+        yield stand
+
+
+@pytest.fixture(scope="session")
+def bus(world: Stand) -> Recording:
+    """The command frames of every interface, by a process of its own."""
+    return record(world, "", COMMANDS)
+
+
+@pytest.fixture(scope="session")
+def vehicle(world: Stand) -> None:
+    """A healthy one on vcan0, as long as the tests last."""
+    world.vehicle(QUIET)
+
+
+def configure(text: str, channel: str = "vcan0") -> None:
+    CONFIG.write_text(text.replace("channel: can0", f"channel: {channel}"))
+
+
+def fresh(config: str) -> Unit:
+    one = Unit()
+    one.clear()
+    configure(config)
+    return Unit()
+
+
+@pytest.fixture
+def unit(default_config: str) -> Unit:
+    """The service, stopped, on vcan0; nothing is left of earlier runs."""
+    return fresh(default_config)
+
+
+@pytest.fixture
+def service(unit: Unit, vehicle: None) -> Unit:
+    """Started, beside a healthy vehicle."""
+    unit.start()
+    return unit
+
+
+@pytest.fixture(scope="module")
+def steady(default_config: str, vehicle: None) -> Unit:
+    """The same, but one for all tests of a module: they look at it, drive it and leave it whole."""
+    one = fresh(default_config)
+    one.start()
+    return one
+
+
+@pytest.fixture
+def driver(bus: Recording) -> Iterator[Driver]:
+    one = Driver(bus)
+    yield one
+    one.let_go()
+
+
+@pytest.fixture(scope="session")
+def people(booted: Booted) -> None:
+    """Two users, one of them a member of the socket's group."""
+    for name, groups in ((MEMBER, ["-G", "vcu-gateway"]), (STRANGER, [])):
+        subprocess.run(["useradd", *groups, name], check=True)

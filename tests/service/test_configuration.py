@@ -1,0 +1,39 @@
+"""A configuration that is wrong: at the start and while it runs."""
+
+from tests.service.conftest import configure
+from tests.service.driver import Driver
+from tests.service.unit import CONFIG, NAME, Unit, systemctl
+
+GOOD, WRONG, STRICTER = (f"power_limit_max_w: {watts}" for watts in (60000, 99000, 40000))
+
+
+def test_a_wrong_configuration_stays_down_with_its_reason_until_it_is_corrected(
+    unit: Unit, driver: Driver, vehicle: None, default_config: str
+):
+    since_ns = driver.commands()[-1].stamp_ns if driver.commands() else 0
+    configure(default_config.replace(GOOD, WRONG))
+    assert systemctl("start", NAME).returncode != 0
+    assert (unit.show("ActiveState"), unit.show("SubState")) == ("failed", "failed")
+    assert unit.number("NRestarts") == 0
+    unit.said("power_limit_max_w")
+    assert "power_limit_max_w" in unit.status()
+    assert f"{CONFIG}:" in unit.status()
+    assert not driver.commands(since_ns), "nothing to make safe: it never drove"
+    configure(default_config)
+    unit.start()
+    assert unit.show("SubState") == "running"
+
+
+def test_a_reload_of_a_wrong_file_fails_and_changes_nothing(service: Unit, driver: Driver):
+    before, pid = driver.client.config(), service.pid
+    good = CONFIG.read_text()
+    CONFIG.write_text(good.replace(GOOD, WRONG))
+    done = systemctl("reload", NAME)
+    assert done.returncode != 0
+    service.said("power_limit_max_w")
+    assert driver.client.config() == before
+    assert service.show("ActiveState") == "active"
+    CONFIG.write_text(good.replace(GOOD, STRICTER))
+    assert systemctl("reload", NAME).returncode == 0
+    assert driver.client.config() != before
+    assert service.pid == pid

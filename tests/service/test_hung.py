@@ -1,0 +1,80 @@
+"""Stopped, deadlocked, deaf or out of memory: ended from outside, and started again unarmed."""
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.faults.driving import MS, ZERO_TORQUE
+from tests.service.driver import Driver
+from tests.service.unit import Signalled, Unit, drop_in, exec_start
+
+WATCHDOG_MS = 2000
+LEEWAY_MS = 1000
+THROTTLE_MS = 500  # while it hears nothing: stale after 200 ms, and a busy lab
+BREAKABLE = Path("/usr/local/lib/breakable.py")  # where the service, too, can see it
+PYTHON = "/usr/lib/vcu-gateway/bin/python3 -I"
+
+
+@pytest.fixture(scope="module")
+def broken_from_outside(a_real_systemd: None) -> Iterator[None]:
+    BREAKABLE.write_text(Path(__file__).with_name("breakable.py").read_text())
+    arguments = exec_start().partition(" ")[2]
+    lines = ["[Service]", "ExecStart=", f"ExecStart={PYTHON} {BREAKABLE} {arguments}"]
+    with drop_in("\n".join([*lines, "MemoryMax=160M", ""])):
+        yield
+
+
+@pytest.fixture
+def breakable(broken_from_outside: None, service: Unit) -> Unit:
+    """The service, started, with ways to break it."""
+    return service
+
+
+def test_a_stopped_process_is_killed_by_the_watchdog_within_three_seconds(
+    service: Unit, driver: Driver, figures: list[str]
+):
+    driver.drive()
+    stopped = service.signal(signal.SIGSTOP)
+    service.until_restarted()
+    figures.append(f"SIGSTOP: {told_of_end(service, driver, stopped)}")
+    assert service.said("Watchdog timeout")
+
+
+class Break(NamedTuple):
+    number: int
+    result: str  # systemd's word for the end
+
+
+BREAKS = {
+    "a tick that waits for ever": Break(signal.SIGUSR1, "watchdog"),
+    "a receiving thread that ended": Break(signal.SIGUSR2, "exit-code"),
+    "f67: more memory than it may have": Break(signal.SIGRTMIN, "oom-kill"),
+}
+
+
+@pytest.mark.parametrize("what", BREAKS)
+def test_is_ended_and_started_again(breakable: Unit, driver: Driver, figures: list[str], what: str):
+    one = BREAKS[what]
+    driver.drive()
+    broken = breakable.signal(one.number)
+    breakable.until_restarted()
+    figures.append(f"{what}: {told_of_end(breakable, driver, broken)}")
+    assert breakable.said(f"Failed with result '{one.result}'")
+
+
+def told_of_end(unit: Unit, driver: Driver, broken: Signalled) -> str:
+    """In time; the throttle with it; safe frames until the next process, which is unarmed."""
+    ended_ms = (unit.said("Main process exited").stamp_ns - broken.asked_ns) / MS
+    assert ended_ms <= WATCHDOG_MS + LEEWAY_MS
+    started_ns = unit.stamp_ns("ExecMainStart")
+    frames = driver.commands(broken.asked_ns, until_ns=started_ns)
+    pressed = [frame.stamp_ns for frame in frames if frame.data[1]]
+    throttle_ms = (pressed[-1] - broken.asked_ns) / MS if pressed else 0
+    assert throttle_ms <= THROTTLE_MS
+    assert {frame.data for frame in frames[-4:]} == {ZERO_TORQUE}
+    driver.until_zero_torque_alone(started_ns)
+    assert driver.mode() != "active", "the driver still holds the pedals"
+    return f"ended after {ended_ms:.0f} ms, the last throttle after {throttle_ms:.0f} ms"
