@@ -30,7 +30,7 @@ from tests.vcan.conftest import (
 )
 from vcu_gateway.client import Client, ClientError, DemandOwner, RefusedError
 
-HERE = Path(__file__).parent
+RECORDER = Path(__file__).parents[1] / "vcan" / "recorder.py"
 MS = 1_000_000
 PERIOD_MS = 50
 ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
@@ -208,7 +208,7 @@ class Driving:
 def record(stand: Stand, channel: str = "", identifiers: Iterable[int] = ()) -> Recording:
     """A recorder that outlives the interfaces; of all of them or one, of all frames or these."""
     path = stand.folder / "recording"
-    script, wanted = str(HERE / "recorder.py"), [f"{one:08X}" for one in identifiers]
+    script, wanted = str(RECORDER), [f"{one:08X}" for one in identifiers]
     child = stand.start("recorder", sys.executable, script, str(path), channel, *wanted)
     wait_until(lambda: child.out.read_text() == "ready\n", "the recorder")
     return Recording(child, path)

@@ -31,7 +31,8 @@ kernel's stamps in another process; elsewhere they are the gateway's own, or sim
 is counted from the cause's frame on the bus to the later of both controllers' safe frames, where
 nothing else is said. Run on {kernels}; the buses are in the lab
 ([its limits](../tests/lab/README.md)), on one slow processor: what a reaction took holds for that
-machine, its bound for every one.
+machine, its bound for every one. *As a service* is what the installed package shows under a real
+systemd (`tests/service/`, `make test-service`).
 
 | # | fault | injected how | expected | seen | reaction | test |
 | --- | --- | --- | --- | --- | --- | --- |
@@ -137,6 +138,8 @@ def _line(row: Row) -> str:
     expected = fault["expected"]
     if "open" in fault:
         expected += f". Not covered: {fault['open']}"
+    if "service" in fault:
+        expected += f". As a service: {fault['service']}"
     cells = (
         str(fault["number"]),
         fault["fault"],

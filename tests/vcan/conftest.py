@@ -166,7 +166,7 @@ class Stand:
     def record(self) -> "Recording":
         path = self.folder / "recording"
         child = self.start(
-            "recorder", sys.executable, str(HERE / "recorder.py"), self.channel, str(path)
+            "recorder", sys.executable, str(HERE / "recorder.py"), str(path), self.channel
         )
         wait_until(lambda: child.out.read_text() == "ready\n", "the recorder")
         return Recording(child, path)

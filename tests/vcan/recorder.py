@@ -1,7 +1,8 @@
-"""Record every frame with the kernel's stamp: recorder.py CHANNEL FILE, until SIGTERM.
+"""Record frames with the kernel's stamp: recorder.py FILE CHANNEL [IDENTIFIER]..., hexadecimal.
 
-Knows nothing of the program under test. One line a frame: stamp in ns, identifier with
-SocketCAN's flags, data.
+An empty CHANNEL is every CAN interface, those that come later too, on one socket that outlives
+a link that is down or deleted; without identifiers every frame. Knows nothing of the program
+under test. One line a frame: stamp in ns, identifier with SocketCAN's flags, data.
 """
 
 import signal
@@ -10,9 +11,10 @@ import struct
 import sys
 
 SO_TIMESTAMPNS = 35
+EFF, EFF_MASK = 0x8000_0000, 0xDFFF_FFFF
 
 
-def main(channel: str, path: str) -> None:
+def main(path: str, channel: str, *identifiers: str) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with (
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus,
@@ -20,6 +22,9 @@ def main(channel: str, path: str) -> None:
     ):
         bus.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        if identifiers:
+            wanted = [struct.pack("=II", EFF | int(one, 16), EFF_MASK) for one in identifiers]
+            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"".join(wanted))
         bus.bind((channel,))
         print("ready", flush=True)
         while True:

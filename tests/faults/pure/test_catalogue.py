@@ -12,7 +12,15 @@ CATALOGUE = page.catalogue()
 def test_the_catalogue_holds_every_fault_once():
     assert [fault["number"] for fault in CATALOGUE] == list(range(1, page.FAULTS + 1))
     for fault in CATALOGUE:
-        assert set(fault) <= {"number", "fault", "injected", "expected", "untested", "open"}
+        assert set(fault) <= {
+            "number",
+            "fault",
+            "injected",
+            "expected",
+            "untested",
+            "open",
+            "service",
+        }
         assert all(fault[key] for key in ("fault", "injected", "expected"))
 
 
