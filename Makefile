@@ -82,11 +82,11 @@ test-guests: setup
 	@scripts/test-guests $(BIN) $(PACKAGES) $(RUN)
 
 test-service: setup test-guests  ## the installed service under a real systemd, in the lab
-	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 500 --modules slcan --install $(PACKAGES)/first.deb -- \
+	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 1500 --modules slcan --install $(PACKAGES)/first.deb -- \
 		$(IN_GUEST) $(ORDINARY) tests/service --ignore=tests/service/test_package.py
 
 test-package: setup test-guests  ## the package installed, upgraded and removed, in the lab
-	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 580 \
+	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 1500 \
 		--env VCU_DEB=$(CURDIR)/$(PACKAGES)/first.deb --env VCU_DEB_NEXT=$(CURDIR)/$(PACKAGES)/next.deb -- \
 		$(IN_GUEST) $(ORDINARY) tests/service/test_package.py
 
@@ -99,8 +99,8 @@ test-lab: setup test-guests
 
 test-on-bus: setup
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
-	$(IN_LAB) --timeout 300 $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
-	$(IN_LAB) --timeout 300 $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
+	$(IN_LAB) --timeout 450 $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
+	$(IN_LAB) --timeout 450 $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
 
 test-faults: setup
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan

@@ -18,7 +18,7 @@ from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
 from vcu_gateway.starts import Start
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 class Driven:
@@ -28,13 +28,14 @@ class Driven:
         file: its configuration file, to be changed and reloaded.
     """
 
-    def __init__(self, folder: Path, config: str = "") -> None:
+    def __init__(self, folder: Path, config: str = "", always: str = "") -> None:
+        """`always` stays in the file through every `configure`."""
         self.socket_path = folder / "control.sock"
         self.file = folder / "gateway.yaml"
         channel = f"driven-{uuid.uuid4()}"
         self._head = (
             f"bus: {{interface: virtual, channel: {channel}}}\n"
-            f"api: {{socket_path: {self.socket_path}}}\n"
+            f"api: {{socket_path: {self.socket_path}}}\n{always}"
         )
         self.configure(config)
         loaded = configuration.load(self.file)
@@ -105,9 +106,9 @@ class Driven:
 
 
 @contextlib.contextmanager
-def driven(folder: Path, config: str = "") -> Iterator[Driven]:
+def driven(folder: Path, config: str = "", always: str = "") -> Iterator[Driven]:
     """A running gateway, ended with the block."""
-    one = Driven(folder, config)
+    one = Driven(folder, config, always)
     one.start()
     try:
         yield one

@@ -20,7 +20,7 @@ from vcu_gateway.api.gaps import Gaps, Room
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.api.server import Server, ServerSettings
 
-PATIENCE_S = 5.0
+PATIENCE_S = 30.0
 MS = 1_000_000
 NOBODY = 65534
 KNOWN = ("BMS_Status", "IMU")

@@ -166,7 +166,7 @@ def test_a_refusal_leaves_no_descriptor_behind(path):
     for _ in range(3):
         refusal(path / "none" / "control.sock")
         refusal(path / "control.sock", owner="no-such-user")
-    assert len(os.listdir("/proc/self/fd")) == files
+    assert len(os.listdir("/proc/self/fd")) <= files  # the collector may close those of others
 
 
 def test_without_privileges_the_socket_stays_its_makers(path, folder):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.api.conftest import MS, eventually
+from tests.api.conftest import MS, PATIENCE_S, eventually
 from vcu_gateway.api.connection import Limits
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.api.gaps import Gaps, Room
@@ -19,7 +19,13 @@ GET = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 @pytest.fixture
 def port_api(idle_api):
-    return idle_api.start(Limits(patience_ns=300 * MS), metrics_port=0)
+    return idle_api.start(metrics_port=0)
+
+
+@pytest.fixture
+def hasty_api(idle_api):
+    """Waits for a head only as long as a busy machine may take to write one, and connect more."""
+    return idle_api.start(Limits(patience_ns=1500 * MS), metrics_port=0)
 
 
 def answer_to(client, request: bytes):
@@ -47,14 +53,14 @@ def test_get_metrics_is_answered_and_the_connection_ends(api, client):
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="there is no curl here")
 def test_curl_reads_the_metrics_over_the_socket(api):
-    run = ["curl", "-sS", "--fail", "-m", "10", "--unix-socket", api.path]
+    run = ["curl", "-sS", "--fail", "-m", "60", "--unix-socket", api.path]
     done = subprocess.run([*run, "http://localhost/metrics"], capture_output=True)
     assert (done.stdout, done.stderr) == (b"vcu_gateway_up 1\n", b"")
 
 
 def test_an_ordinary_http_client_reads_the_metrics_over_the_port(port_api):
     url = f"http://127.0.0.1:{port_api.server.metrics_port}/metrics"
-    with urllib.request.urlopen(url, timeout=5) as answer:
+    with urllib.request.urlopen(url, timeout=PATIENCE_S) as answer:
         assert answer.read() == b"vcu_gateway_up 1\n"
     assert port_api.counts()["clients"] == 0
 
@@ -113,9 +119,11 @@ def test_without_metrics_the_answer_says_what_is_missing(api, client):
 
 
 def test_scrapes_in_a_row_are_answered_from_one_making(api):
+    begin_ns = time.monotonic_ns()
     for _ in range(20):
         assert answer_to(api.connect(), GET)[0] == 200
-    assert api.service.metrics_made <= 4
+    most = 1 + (time.monotonic_ns() - begin_ns) // (100 * MS)
+    assert api.service.metrics_made <= most, "anew only where they are older than 100 ms"
     time.sleep(0.12)
     made = api.service.metrics_made
     assert answer_to(api.connect(), GET)[0] == 200
@@ -161,10 +169,10 @@ def test_what_follows_a_head_does_not_count_as_head(client):
     assert answer_to(client, b"POST /metrics HTTP/1.1\r\nHost: x\r\n\r\n" + body * 100)[0] == 405
 
 
-def test_a_head_that_comes_too_slowly_costs_the_connection(port_api):
-    for client in (port_api.connect(), port_api.connect_to_port()):
+def test_a_head_that_comes_too_slowly_costs_the_connection(hasty_api):
+    for client in (hasty_api.connect(), hasty_api.connect_to_port()):
         client.send(GET[:-2])
-        end_s = time.monotonic() + 5
+        end_s = time.monotonic() + PATIENCE_S
         while not client.is_ended():
             assert time.monotonic() < end_s
             try:
@@ -172,7 +180,7 @@ def test_a_head_that_comes_too_slowly_costs_the_connection(port_api):
             except OSError:
                 break
             time.sleep(0.02)
-    assert port_api.counts()["closed"] == {"line not finished in time": 2}
+    assert hasty_api.counts()["closed"] == {"line not finished in time": 2}
 
 
 def test_the_port_can_be_had_again_at_once(port_api):
@@ -184,8 +192,8 @@ def test_the_port_can_be_had_again_at_once(port_api):
     assert answer_to(port_api.connect_to_port(), GET)[0] == 200
 
 
-def test_a_silent_connection_to_the_port_is_ended(port_api):
-    assert port_api.connect_to_port().rest() == b""
+def test_a_silent_connection_to_the_port_is_ended(hasty_api):
+    assert hasty_api.connect_to_port().rest() == b""
 
 
 def test_the_port_speaks_no_json(port_api):
@@ -219,12 +227,12 @@ def test_a_web_page_cannot_read_the_metrics_through_a_name_of_its_own(port_api, 
     assert judge([b"GET /metrics HTTP/1.1", field], must_be_local=False).status == 200
 
 
-def test_the_port_is_of_this_machine_alone_and_takes_no_place(port_api):
-    clients = [port_api.connect() for _ in range(16)]
+def test_the_port_is_of_this_machine_alone_and_takes_no_place(hasty_api):
+    clients = [hasty_api.connect() for _ in range(16)]
     assert all(client.ask("why") for client in clients)
-    assert answer_to(port_api.connect_to_port(), GET)[0] == 200
-    waiting = [port_api.connect_to_port() for _ in range(5)]
-    eventually(lambda: port_api.counts()["turned_away"] == 1)
+    assert answer_to(hasty_api.connect_to_port(), GET)[0] == 200
+    waiting = [hasty_api.connect_to_port() for _ in range(5)]
+    eventually(lambda: hasty_api.counts()["turned_away"] == 1)
     assert [client.rest() for client in waiting] == [b""] * 5
     table = Path("/proc/net/tcp").read_text()
-    assert f" 0100007F:{port_api.server.metrics_port:04X} 00000000:0000 0A " in table
+    assert f" 0100007F:{hasty_api.server.metrics_port:04X} 00000000:0000 0A " in table

@@ -16,6 +16,7 @@ from tests.api.conftest import (
     KNOWN,
     MS,
     NO_ONE,
+    PATIENCE_S,
     Client,
     a_stranger,
     eventually,
@@ -31,6 +32,8 @@ from vcu_gateway.api.rights import Right
 from vcu_gateway.api.subscriptions import Subscription
 
 SHORT = Limits(patience_ns=300 * MS)
+# Where a test has to be done with something before it is over, also on a busy machine.
+LONGER = Limits(patience_ns=1500 * MS)
 BIG = "x" * 400_000  # more than the kernel buffers for a connection
 DEMAND = {"source": "pedal", "sequence": 1, "values": {}}
 
@@ -252,12 +255,13 @@ def test_the_end_is_told_while_the_reader_stands_still(api, client):
 
 def test_the_end_is_told_while_requests_wait_for_their_turn(idle_api):
     idle_api.start(Limits(rate_per_s=1, burst=1))
-    client = idle_api.connect()
+    client, begin_ns = idle_api.connect(), time.monotonic_ns()
     client.send(b'{"jsonrpc":"2.0","method":"why"}\n' * 1000)
     client.close()
     eventually(lambda: idle_api.service.told("gone"))
     eventually(lambda: idle_api.counts()["clients"] == 0)
-    assert len(idle_api.service.begun) == 1
+    passed_s = (time.monotonic_ns() - begin_ns) // (1000 * MS)
+    assert len(idle_api.service.begun) <= 1 + passed_s, "one a second had its turn"
 
 
 def test_what_was_sent_before_the_end_is_answered(api, client):
@@ -376,7 +380,7 @@ def test_a_line_that_is_not_finished_in_time_costs_the_connection(idle_api):
 
 def test_one_byte_now_and_then_does_not_keep_a_connection(idle_api):
     client = idle_api.start(SHORT).connect()
-    end_s = time.monotonic() + 5
+    end_s = time.monotonic() + PATIENCE_S
     while not client.is_ended():
         assert time.monotonic() < end_s
         try:
@@ -388,7 +392,7 @@ def test_one_byte_now_and_then_does_not_keep_a_connection(idle_api):
 
 
 def test_a_silent_connection_may_stay(idle_api):
-    client = idle_api.start(SHORT).connect()
+    client = idle_api.start(LONGER).connect()
     other = idle_api.connect()
     assert client.ask("why")
     other.send(b"{")
@@ -410,18 +414,18 @@ def test_a_reader_that_stands_still_costs_its_connection(idle_api):
 
 
 def test_a_reader_that_reads_on_slowly_keeps_its_connection(idle_api):
-    idle_api.service.filler = BIG * 3
-    idle_api.start(Limits(patience_ns=600 * MS, output_bytes=10**7))
+    idle_api.service.filler = BIG * 20
+    idle_api.start(LONGER._replace(output_bytes=10**7))
     client = idle_api.connect()
     begin_ns = time.monotonic_ns()
     client.request("state.get")
     client.send(b'{"jsonrpc":"2.0","id":2,"me')  # nor is this counted as late: it was not read
     data = b""
     while not data.endswith(b"\n"):
-        data += client.sock.recv(16384)
+        data += client.sock.recv(65536)
         time.sleep(0.02)
-    assert time.monotonic_ns() - begin_ns > 1200 * MS
-    assert len(data) > len(BIG) * 3
+    assert time.monotonic_ns() - begin_ns > 2200 * MS, "longer than the patience"
+    assert len(data) > len(BIG) * 20
     client.send(b'thod":"arm"}\n')
     eventually(lambda: idle_api.service.held)
 
@@ -457,7 +461,7 @@ def test_sixteen_requests_of_a_connection_wait_and_the_next_is_not_read(api, cli
 
 @pytest.mark.parametrize("is_notified", [False, True])
 def test_waiting_for_answers_is_not_counted_as_a_late_line(idle_api, is_notified):
-    client = idle_api.start(SHORT).connect()
+    client = idle_api.start(LONGER).connect()
     for number in range(16):
         if is_notified:
             client.notify("arm")
@@ -466,7 +470,7 @@ def test_waiting_for_answers_is_not_counted_as_a_late_line(idle_api, is_notified
     line = b'{"jsonrpc":"2.0","id":16,"method":"why"}\n'
     client.send(line[:10])
     eventually(lambda: len(idle_api.service.held) == 16)
-    time.sleep(0.4)
+    time.sleep(1.7)
     idle_api.service.release()
     time.sleep(0.02)
     client.send(line[10:])
@@ -505,18 +509,17 @@ def test_the_limits_are_those_of_the_documentation():
 
 
 def test_too_many_requests_wait_and_are_answered_later(idle_api):
-    idle_api.start(Limits(rate_per_s=100, burst=10))
+    idle_api.start(Limits(rate_per_s=2, burst=10))
     client = idle_api.connect()
     begin_ns = time.monotonic_ns()
-    for number in range(40):
+    for number in range(12):
         client.request("why", number)
-    assert [client.line()["id"] for _ in range(40)] == list(range(40))
-    assert time.monotonic_ns() - begin_ns >= 290 * MS
-    delayed = idle_api.server.delayed
-    assert 25 <= delayed <= 30
-    time.sleep(0.05)  # now there is room for one again
-    assert client.ask("why", 40)
-    assert idle_api.server.delayed == delayed
+    assert [client.line()["id"] for _ in range(12)] == list(range(12))
+    assert time.monotonic_ns() - begin_ns >= 1000 * MS
+    assert idle_api.server.delayed == 2
+    time.sleep(0.6)  # now there is room for one again
+    assert client.ask("why", 12)
+    assert idle_api.server.delayed == 2
     assert idle_api.counts()["closed"] == {}
 
 
@@ -647,6 +650,7 @@ def test_without_descriptors_accepting_pauses_and_goes_on(idle_api):
     idle_api.start(Limits(pause_ns=200 * MS))
     first = idle_api.connect()
     assert first.ask("why")
+    gc.collect()  # what it closed later would make room
     spare = socket.socket(socket.AF_UNIX)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     highest = max(int(fd) for fd in os.listdir("/proc/self/fd"))
@@ -679,13 +683,16 @@ def test_without_descriptors_accepting_pauses_and_goes_on(idle_api):
 
 
 def test_a_subscription_is_answered_and_updates_follow(client):
+    begin_ns, lost = time.monotonic_ns(), 0
     answer = client.ask("state.subscribe", messages=["IMU"], rate_hz=50)
     assert answer["rate_hz"] == 50
-    for _ in range(3):
+    for number in range(3):
         update = client.line()
         assert (update["jsonrpc"], update["method"]) == ("2.0", "state.update")
         assert update["params"]["subscription"] == answer["subscription"]
-        assert update["params"]["lost"] == 0
+        lost += update["params"]["lost"]
+        due = 1 + (time.monotonic_ns() - begin_ns) // (20 * MS)
+        assert number + 1 + lost <= due, "none is lost but to a machine that stands still"
         assert update["params"]["state"]["messages"] == ["IMU"]
 
 
@@ -738,12 +745,11 @@ def test_a_slow_reader_loses_updates_and_is_told_how_many(api, client):
     client.ask("state.subscribe", rate_hz=50)
     eventually(lambda: api.counts()["lost_updates"] >= 10)
     lost, updates = 0, 0
-    while not lost:
+    while lost < 10:
         update = client.line()["params"]
         updates += 1
-        lost = update["lost"]
-    assert lost >= 10
-    assert updates < 8
+        lost += update["lost"]
+        assert updates < 8
     eventually(lambda: client.line()["params"]["lost"] == 0)
     assert api.counts()["closed"] == {}
 
@@ -788,13 +794,19 @@ def test_the_api_works_in_the_gaps_between_the_ticks(idle_api):
     origin_ns = client.line()["params"]["state"]["monotonic_ns"]
     client.line()
     stamps_ns = [client.line()["params"]["state"]["monotonic_ns"] for _ in range(10)]
-    assert all(0.9 * MS < (stamp - origin_ns) % period_ns < 48.5 * MS for stamp in stamps_ns)
+    # A machine that stands still between the look at the clock and the stamp moves one anywhere.
+    in_the_gap = [0.9 * MS < (stamp - origin_ns) % period_ns < 48.5 * MS for stamp in stamps_ns]
+    assert sum(in_the_gap) >= 8, "each would be made right at its tick"
 
 
 # Starting and ending.
 
+PATIENT_END = Limits(linger_ns=round(PATIENCE_S * 1000) * MS)
 
-def test_closing_answers_what_is_pending_and_removes_the_socket(api, client):
+
+def test_closing_answers_what_is_pending_and_removes_the_socket(idle_api):
+    api = idle_api.start(PATIENT_END)
+    client = api.connect()
     client.request("arm")
     eventually(lambda: api.service.held)
     closing = threading.Thread(target=api.server.close)
@@ -810,7 +822,7 @@ def test_closing_answers_what_is_pending_and_removes_the_socket(api, client):
 
 def test_closing_lets_a_reader_read_on(idle_api):
     idle_api.service.filler = BIG
-    client = idle_api.start(Limits(output_bytes=10**7, linger_ns=3000 * MS)).connect()
+    client = idle_api.start(PATIENT_END._replace(output_bytes=10**7)).connect()
     client.request("state.get")
     eventually(client.has_news)
     closing = threading.Thread(target=idle_api.server.close)

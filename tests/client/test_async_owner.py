@@ -20,7 +20,7 @@ from vcu_gateway.client import (
 )
 
 TTL_MS = 60
-LONG_TTL_MS = 1000
+LONG_TTL_MS = 3000
 
 
 def throttles(standin):
@@ -38,12 +38,12 @@ def other_tasks():
 
 
 def assert_left_with_no_motion_and_released(standin):
+    standin.wait_for(lambda: not standin.open_connections)
     assert standin.methods()[-2:] == ["demand.set", "demand.release"]
     assert throttles(standin)[-1] == 0
-    standin.wait_for(lambda: not standin.open_connections)
 
 
-def test_what_was_set_reaches_the_command(gateway):
+def test_what_was_set_reaches_the_command(gateway, standin):
     async def drive():
         async with AsyncClient(gateway) as client:
             async with client.demand("driver", ttl_ms=LONG_TTL_MS) as owner:
@@ -53,6 +53,7 @@ def test_what_was_set_reaches_the_command(gateway):
                 assert owner.connected
                 command = (await client.state([]))["commands"]["PCU1"]
                 assert command["throttle_pct"] == 20
+            standin.wait_for(lambda: len(standin.open_connections) == 1)
             assert (await client.state([]))["mode"] == "standby"
 
     asyncio.run(drive())

@@ -1,5 +1,6 @@
 """Calls of both clients: results, errors, breaks, time."""
 
+import gc
 import os
 import socket
 import threading
@@ -22,7 +23,7 @@ from vcu_gateway.client import (
     UnreachableError,
 )
 
-SHORT_S = 0.05
+SHORT_S = 0.3
 
 
 @pytest.fixture
@@ -231,6 +232,7 @@ def open_files(client, standin):
     """How many there are more than before the test, once the stand-in has closed its own."""
     client.metrics()
     standin.wait_for(lambda: not standin.open_connections)
+    gc.collect()  # what it closed later would make up for what is left open
     before = len(os.listdir("/proc/self/fd"))
 
     def more():
@@ -243,7 +245,7 @@ def open_files(client, standin):
 def test_a_subscription_that_was_left_leaves_nothing_open(client, open_files):
     with client.subscribe(rate_hz=50) as updates:
         next(updates)
-    assert open_files() == 0
+    assert open_files() <= 0
     assert next(updates, None) is None
 
 
@@ -252,14 +254,14 @@ def test_a_subscription_that_ended_leaves_nothing_open(client, standin, open_fil
     next(updates)
     standin.hang_up()
     assert all(update["lost"] == 0 for update in updates)
-    assert open_files() == 0
+    assert open_files() <= 0
     assert next(updates, None) is None
 
 
 def test_a_subscription_that_was_refused_leaves_nothing_open(client, open_files):
     with pytest.raises(ApiError) as raised:
         next(client.subscribe(["NO_SUCH_MESSAGE"]))
-    assert open_files() == 0
+    assert open_files() <= 0
     assert raised.value.__traceback__  # It holds on to what the call had in its hands.
 
 
@@ -334,11 +336,12 @@ def _release_after(standin, method):
 
 def test_no_answer_in_time_is_a_timeout_and_the_next_call_is_undisturbed(hasty, standin):
     standin.faults.silent.add("why")
-    with pytest.raises(ApiTimeoutError, match=r"no answer to why within 0\.05 s"):
+    with pytest.raises(ApiTimeoutError, match=rf"no answer to why within {SHORT_S} s"):
         hasty.why()
-    assert standin.methods() == ["why"]
     hasty.timeout_s = PATIENCE_S
     assert hasty.disarm()["granted"]
+    standin.wait_for(lambda: len(standin.methods()) >= 2)
+    assert sorted(standin.methods()) == ["disarm", "why"], "it was asked once"
 
 
 def test_an_answer_that_never_ends_is_a_timeout(kind, tmp_path):
@@ -378,9 +381,9 @@ def test_metrics_that_do_not_come_are_a_timeout(kind, tmp_path):
 def test_a_subscription_that_falls_silent_is_a_timeout(kind, standin):
     standin.faults.say["state.update"] = b'{"jsonrpc":"2.0","method":"other","params":{}}\n'
     with (
-        kind(standin.path, timeout_s=0.5) as client,
+        kind(standin.path, timeout_s=1.5) as client,
         client.subscribe(rate_hz=50) as updates,
-        pytest.raises(ApiTimeoutError, match=r"no update within 0\.52 s"),
+        pytest.raises(ApiTimeoutError, match=r"no update within 1\.52 s"),
     ):
         next(updates)
 

@@ -79,7 +79,7 @@ def test_every_program_is_in_the_readme(path):
 
 
 def test_the_control_loop_ramps_up_holds_and_ends_without_motion(start, standin):
-    program = start("control_loop.py", "--throttle-pct", 20, "--ramp-s", 0.2, "--for-s", 0.4)
+    program = start("control_loop.py", "--throttle-pct", 20, "--ramp-s", 0.2, "--for-s", 1.5)
     code, _, stderr = outcome(program)
     assert code == 0, stderr
     driven = [pct for pct in throttles(standin) if pct]
@@ -100,7 +100,7 @@ def test_the_control_loop_ends_with_the_reason_when_the_mode_changes(start, stan
 
 def test_the_control_loop_waits_for_arming_and_says_why_it_cannot(start, standin):
     standin.faults.refuse["arm"] = refused("not_allowed_now", "the battery is not heard of")
-    code, _, stderr = outcome(start("control_loop.py", "--patience-s", 0.3))
+    code, _, stderr = outcome(start("control_loop.py", "--patience-s", 1.5))
     assert code == 1
     assert stderr.count("not armed yet: the battery is not heard of") == 1
     assert standin.methods().count("arm") >= 2

@@ -39,7 +39,7 @@ from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 
 CODEC = Codec(dataclasses.replace(dbc.load(packaged("vcu.dbc")), aliases=DEFAULT_ALIASES))
-ORDINARY_EXAMPLES = 72
+ORDINARY_EXAMPLES = 90
 COUNTS: Counter = Counter()
 STATUS_PERIOD_NS = 100 * MS
 

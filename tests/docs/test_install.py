@@ -4,12 +4,13 @@ What needs root, a unit or a real bus is run by tests/service, in the lab.
 """
 
 import contextlib
+import functools
 import os
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -32,6 +33,9 @@ from tests.docs.pages import (
 )
 from tests.driven import Driven
 from vcu_gateway import cli
+from vcu_gateway.client import RefusedError
+
+pytestmark = pytest.mark.timeout(400)  # a trial may be begun again
 
 NETWORK = ROOT / "systemd"
 READING = ("status", "why", "events", "version", "check-config", "doctor", "reload")
@@ -87,7 +91,7 @@ def doing(driven: Driven, line: str) -> Iterator[subprocess.Popen[str]]:
 
 def says(driven: Driven, line: str, code: int = 0) -> str:
     with doing(driven, line) as process:
-        said, _ = process.communicate(timeout=30)
+        said, _ = process.communicate(timeout=60)
     assert process.returncode == code, said
     return said
 
@@ -147,6 +151,38 @@ def throttles(driven: Driven) -> set[float]:
     return {command.throttle_pct for command in latest.result.commands.values()}
 
 
+def stalls(driven: Driven) -> set[str]:
+    """When the machine stood still for longer than a drive outlives, by the gateway's own word."""
+    with driven.client() as client:
+        events = client.events(limit=200)["events"]
+    return {one["last_time"] for one in events if one["fields"].get("cause") == "tick_late"}
+
+
+def unless_stalled(trial: Callable[[Driven], None]) -> Callable[[Driven], None]:
+    """A trial during which that happened is begun again; nothing else excuses a failure."""
+
+    @functools.wraps(trial)
+    def tried(driven: Driven) -> None:
+        for _ in range(2):
+            before = stalls(driven)
+            try:
+                return trial(driven)
+            except AssertionError:
+                if stalls(driven) <= before:
+                    raise
+            driven.until(lambda: calmed(driven), "standby")
+        return trial(driven)
+
+    return tried
+
+
+def calmed(driven: Driven) -> bool:
+    with contextlib.suppress(RefusedError), driven.client() as client:
+        if driven.mode == "fault":
+            client.reset("service")
+    return driven.mode == "standby"
+
+
 def ready(driven: Driven) -> None:
     driven.until_mode("standby")
     driven.until(lambda: headline(driven).startswith("standby; before arming: there is"), "ready")
@@ -156,6 +192,7 @@ def status_lines() -> list[str]:
     return [codes(row[0])[0] for row in rows(section(INSTALL, "## 7. Start"))]
 
 
+@unless_stalled
 def test_the_first_arming_goes_as_the_page_says(driven):
     pedals, meanwhile, turn = first_arming()
     ready(driven)
@@ -179,8 +216,8 @@ def test_the_first_arming_goes_as_the_page_says(driven):
     driven.until_mode("standby")
 
 
-@pytest.fixture
-def turning(driven) -> Iterator[subprocess.Popen[str]]:
+@contextlib.contextmanager
+def turning(driven: Driven) -> Iterator[subprocess.Popen[str]]:
     """As for the trials: 5 %, for longer."""
     ready(driven)
     with doing(driven, first_arming()[2].replace("--for 3", "--for 30")) as driver:
@@ -189,25 +226,28 @@ def turning(driven) -> Iterator[subprocess.Popen[str]]:
         driver.kill()
 
 
-def test_ctrl_c_releases_the_throttle(driven, turning):
-    turning.send_signal(signal.SIGINT)
-    assert turning.wait(10) == 0
-    driven.until(lambda: throttles(driven) == {0.0}, "released")
-    driven.until_mode("standby")
+@unless_stalled
+def test_ctrl_c_releases_the_throttle(driven):
+    with turning(driven) as driver:
+        driver.send_signal(signal.SIGINT)
+        assert driver.wait(60) == 0
+        driven.until(lambda: throttles(driven) == {0.0}, "released")
+        driven.until_mode("standby")
 
 
-def test_the_trial_of_the_emergency_stop_goes_as_the_page_says(driven, turning):
-    says(driven, "vcu-gateway estop")
-    driven.until_mode("fault")
-    shown = says(driven, "vcu-gateway why")
-    told = next(
-        code for code in codes(text(INSTALL)) if code.startswith("fault; latched (service)")
-    )
-    assert shown.startswith(told)
-    frames = driven.daemon.latest.result.frames
-    assert {frame.data[0] for frame in frames} == {0x8C}
-    assert "service level" in says(driven, "vcu-gateway reset", 75)
-    turning.kill()
+@unless_stalled
+def test_the_trial_of_the_emergency_stop_goes_as_the_page_says(driven):
+    with turning(driven):
+        says(driven, "vcu-gateway estop")
+        driven.until_mode("fault")
+        shown = says(driven, "vcu-gateway why")
+        told = next(
+            code for code in codes(text(INSTALL)) if code.startswith("fault; latched (service)")
+        )
+        assert shown.startswith(told)
+        frames = driven.daemon.latest.result.frames
+        assert {frame.data[0] for frame in frames} == {0x8C}
+        assert "service level" in says(driven, "vcu-gateway reset", 75)
     driven.until(lambda: "first:" not in headline(driven), "nothing stands against a reset")
     assert says(driven, "vcu-gateway reset --level service") == "standby\n"
 

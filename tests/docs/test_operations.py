@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -69,16 +70,29 @@ def test_what_a_run_logs_stands_on_the_page_with_these_very_fields(tmp_path):
         "bus: {interface: virtual, channel: alone}\n"
         f"api: {{socket_path: {tmp_path / 'control.sock'}}}\n"
     )
-    command = [sys.executable, "-m", "vcu_gateway", "run", "-c", str(config), "--duration", "0.3"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    lines = [json.loads(line) for line in done.stderr.splitlines()]
-    assert {"api_open", "link_open", "cause_began", "why", "stopped"} <= {
-        line["event"] for line in lines
-    }
+    lines = logged(config, until={"api_open", "link_open", "cause_began", "why"})
+    assert "stopped" in {line["event"] for line in lines}
     for line in lines:
         row = EVENTS[line["event"]]
         assert line["level"] in severities(row)
         assert set(line) == fields(row) | {"event", "level", "timestamp"}
+
+
+def logged(config: Path, until: set[str]) -> list[dict[str, object]]:
+    """All lines of a run that is ended when these events have come."""
+    command = [sys.executable, "-m", "vcu_gateway", "run", "-c", str(config)]
+    missing, lines = set(until), []
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as run:
+        try:
+            for line in run.stderr:
+                lines.append(json.loads(line))
+                if missing == {lines[-1]["event"]}:
+                    run.terminate()
+                missing.discard(lines[-1]["event"])
+        finally:
+            run.kill()
+    assert not missing, lines
+    return lines
 
 
 EVENT = "from vcu_gateway.core.events import Event, Severity\n"

@@ -9,10 +9,13 @@ from pathlib import Path
 import pytest
 
 from tests.doctor.told import complaints, only, well
-from tests.driven import Driven, driven
+from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
+from vcu_gateway.client import Client
 from vcu_gateway.doctor import gateway
 from vcu_gateway.doctor.gateway import Facts, judge
+
+PATIENCE_S = 60
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +28,18 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
 @pytest.fixture
 def healthy(running: Driven) -> Facts:
     """Its figures may come from a busy machine: no tick was skipped, no frame dropped."""
-    facts = gateway.read(configuration.load(running.file), expected=True)
-    assert isinstance(facts.answers, tuple), facts.answers
-    why, health = copy.deepcopy(facts.answers)
+    found: list[Facts] = []
+
+    def in_standby() -> bool:
+        """A stall may keep the answer for too long, or a message of the vehicle."""
+        found[:] = [gateway.read(configuration.load(running.file), expected=True)]
+        answers = found[0].answers
+        return isinstance(answers, tuple) and answers[0]["mode"] == "standby"
+
+    wait_until(in_standby, "an answer in standby", PATIENCE_S)
+    why, health = copy.deepcopy(found[0].answers)
     health["ticks"]["skipped"] = health["frames"]["dropped"] = 0
-    return facts._replace(answers=(why, health))
+    return found[0]._replace(answers=(why, health))
 
 
 def changed(facts: Facts, section: str, **values: object) -> Facts:
@@ -95,12 +105,20 @@ def test_what_cannot_be_known_is_not_complained_of(healthy, section, values):
 
 
 def test_only_two_requests_are_made_and_none_that_changes(running):
-    with running.client() as client:
-        before = client.health()["api"]
-        gateway.read(configuration.load(running.file), expected=True)
-        after = client.health()["api"]
-    assert after["accepted"] - before["accepted"] == 1
-    assert after["requests"] - before["requests"] == 3
+    asked: list[tuple[int, int]] = []
+
+    def answered() -> bool:
+        """Within its half second; where that is missed, it is asked and counted again."""
+        with Client(running.socket_path, timeout_s=PATIENCE_S) as client:
+            before = client.health()["api"]
+            facts = gateway.read(configuration.load(running.file), expected=True)
+            after = client.health()["api"]
+        counted = ("accepted", "requests")
+        asked[:] = [tuple(after[name] - before[name] for name in counted)]
+        return isinstance(facts.answers, tuple)
+
+    wait_until(answered, "an answer", PATIENCE_S)
+    assert asked == [(1, 3)], "one connection; two requests, and the one that counted them"
 
 
 def at(path: Path, expected: bool) -> Facts:

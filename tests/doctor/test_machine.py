@@ -219,8 +219,10 @@ def test_each_processors_driver_and_governor_are_read(tmp_path: Path):
 
 
 def test_free_space_is_read_in_megabytes(tmp_path: Path):
+    before = shutil.disk_usage(tmp_path).free / 2**20
     found = process.free_mb(str(tmp_path))
-    assert found == pytest.approx(shutil.disk_usage(tmp_path).free / 2**20, rel=0.05)
+    after = shutil.disk_usage(tmp_path).free / 2**20
+    assert min(before, after) * 0.95 <= found <= max(before, after) * 1.05  # others write, too
     assert process.free_mb(str(tmp_path / "none")) is None
     file = tmp_path / "file"
     file.touch()

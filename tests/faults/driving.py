@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tests.faults import invariants
 from tests.vcan.conftest import (
@@ -39,6 +39,8 @@ THROTTLE_PCT = 20.0
 QUIET = "steps:\n  - {at_s: 0, fault: silence, of: IMU}\n"
 PATIENCE_S = 30.0
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
+STALLS_AT_MOST = 5
+T = TypeVar("T")
 
 
 @dataclass
@@ -100,11 +102,23 @@ class Driving:
         return self._owner
 
     def until_driving(self) -> None:
-        """From wherever it is to throttle on the bus, by reset and arm."""
-        self.owner.set(throttle_pct=0, power_mode="normal")
-        wait_until(self._armed, f"the arming; the gateway: {self.gateway.err}", PATIENCE_S)
-        self.owner.set(throttle_pct=THROTTLE_PCT, power_mode="normal")
-        wait_until(lambda: self.throttle_raw() >= 51, "throttle on the bus", PATIENCE_S)
+        """From wherever it is to throttle on the bus, by reset and arm.
+
+        A stall of the machine may stop it on the way: then once more.
+        """
+        self.until_serving()
+        wait_until(
+            self._drives, f"throttle on the bus; the gateway: {self.gateway.err}", 2 * PATIENCE_S
+        )
+
+    def _drives(self) -> bool:
+        with contextlib.suppress(RefusedError):  # a demand that a stall made too old
+            if self.mode() == "active":
+                self.owner.set(throttle_pct=THROTTLE_PCT, power_mode="normal")
+                return self.throttle_raw() >= 51
+            self.owner.set(throttle_pct=0, power_mode="normal")
+            self._armed()
+        return False
 
     def _armed(self) -> bool:
         mode = self.client.why()["mode"]
@@ -142,6 +156,14 @@ class Driving:
         before = self.received()
         wait_until(lambda: self.received() > before, "frames", PATIENCE_S)
         return time.time_ns()
+
+    def skipped(self) -> int:
+        """Ticks that the gateway missed so far: the machine stalled."""
+        return self.client.health()["ticks"]["skipped"]
+
+    def lines(self) -> int:
+        """Lines of the log so far, without those that tell of a stall of the machine."""
+        return len(self.gateway.log()) - len(self.events("ticks_skipped"))
 
     def events(self, name: str) -> list[dict[str, object]]:
         """The log's entries of this name."""
@@ -237,12 +259,47 @@ def set_up(name: str, up: bool = True) -> int:
     return time.time_ns()
 
 
-def measured(driving: Driving, bound_ms: float, measure: Callable[[], float]) -> list[float]:
-    """One figure; beyond its bound it is measured once more, and both are told: labs stall."""
-    found = [measure()]
-    if found[0] > bound_ms:
-        driving.until_driving()
-        found.append(measure())
+def undisturbed(
+    driving: Driving, work: Callable[[], T], stalls: Callable[[], int] | None = None
+) -> T:
+    """What it gives; done again, driving again, where it failed because the machine stalled.
+
+    `stalls` counts what the machine took: the ticks that the gateway missed, if not given.
+    """
+    stalls = stalls or driving.skipped
+    for _ in range(STALLS_AT_MOST):
+        before = stalls()
+        try:
+            return work()
+        except AssertionError:
+            if stalls() == before:
+                raise
+            driving.until_driving()
+    return work()
+
+
+def measured(
+    driving: Driving,
+    bound_ms: float,
+    measure: Callable[[], float],
+    again: Callable[[], object] | None = None,
+    slow_at_most: int = 1,
+) -> list[float]:
+    """One figure; beyond its bound it is measured once more, and both are told: labs stall.
+
+    One during which the gateway missed ticks says nothing of it: these are told and not counted.
+    `again` makes ready for the next one; to drive, if not given.
+    """
+    found: list[float] = []
+    slow = 0
+    while slow <= slow_at_most and len(found) < STALLS_AT_MOST:
+        if found:
+            (again or driving.until_driving)()
+        skipped = driving.skipped()
+        found.append(undisturbed(driving, measure))
+        if found[-1] <= bound_ms:
+            break
+        slow += driving.skipped() == skipped
     assert found[-1] <= bound_ms, f"{told(found)}; at most {bound_ms:.0f} ms"
     return found
 
@@ -254,11 +311,18 @@ def told(found_ms: list[float]) -> str:
 
 def stopped_within_ms(driving: Driving, since_ns: int) -> float:
     """From then to the first ZERO_TORQUE of the later controller; only such follow."""
+
+    def of(can_id: int) -> list[Recorded]:
+        return [frame for frame in driving.commands(since_ns) if frame.can_id == can_id]
+
+    def stopped() -> bool:
+        return all(any(f.data == ZERO_TORQUE for f in of(can_id)) for can_id in COMMANDS)
+
+    wait_until(stopped, "ZERO_TORQUE for both", PATIENCE_S)
     first_ns = []
     for can_id in COMMANDS:
-        frames = [frame for frame in driving.commands(since_ns) if frame.can_id == can_id]
+        frames = of(can_id)
         safe = [number for number, frame in enumerate(frames) if frame.data == ZERO_TORQUE]
-        assert safe, "no ZERO_TORQUE"
         assert {frame.data for frame in frames[safe[0] :]} == {ZERO_TORQUE}, "it stays safe"
         first_ns.append(frames[safe[0]].stamp_ns)
     return (max(first_ns) - since_ns) / MS

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 EFF, RTR, ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _BATCH_S = 0.005
-_PATIENCE_S = 10.0
+_PATIENCE_S = 60.0
 _frame = struct.Struct("=IB3x8s")
 
 

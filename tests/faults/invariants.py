@@ -16,7 +16,8 @@ COMMANDS = (0x0008A7D0, 0x0008A8D0)
 STATUS2 = (0x0809D0A7, 0x0809D0A8)
 EXTENDED = 0b100
 STALE_NS = 200 * MS
-# The gateway tells a mode after the frames of the same tick; a machine may stall between them.
+# The gateway tells a mode after the frames of the same tick and before the next ones; of the last
+# frames there are none.
 TOLD_LATE_NS = 300 * MS
 PERCENT_PER_BIT = 0.39
 _SHOWN = 5
@@ -92,18 +93,32 @@ def check(
     `foreign`: true of command frames that another sender put there.
     """
     bus = _Bus(limits or Limits(), None if log is None else modes_of(log))
-    own = []
+    own = [frame for frame in frames if _is_command(frame) and not foreign(frame)]
+    until_ns = iter(_followed_ns(own))
     for frame in frames:
         if frame.can_id in STATUS2 and frame.flags == EXTENDED and len(frame.data) == 8:
             speed_rpm = int.from_bytes(frame.data[6:8], "little")
             bus.speeds[frame.can_id] = (frame.stamp_ns, speed_rpm)
-        if frame.can_id in COMMANDS and frame.flags == EXTENDED and not foreign(frame):
-            own.append(frame)
-            _check_shape(bus, frame)
+        if _is_command(frame) and not foreign(frame):
+            _check_shape(bus, frame, next(until_ns))
             _check_step(bus, frame)
             bus.before[frame.can_id] = frame
     assert not bus.wrong, "\n".join([f"{len(bus.wrong)} violations", *bus.wrong[:_SHOWN]])
     return _figures(own, bus.limits)
+
+
+def _is_command(frame: Recorded) -> bool:
+    return frame.can_id in COMMANDS and frame.flags == EXTENDED
+
+
+def _followed_ns(own: Sequence[Recorded]) -> list[int]:
+    """Of each frame, when the next one of its identifier came."""
+    found: list[int] = []
+    after: dict[int, int] = {}
+    for frame in reversed(own):
+        found.append(after.get(frame.can_id, frame.stamp_ns + TOLD_LATE_NS))
+        after[frame.can_id] = frame.stamp_ns
+    return found[::-1]
 
 
 def modes_of(log: Iterable[Mapping[str, Any]]) -> list[tuple[int, str]]:
@@ -121,8 +136,8 @@ def is_safe(data: bytes, speed_max_rpm: int = 12_000) -> bool:
     return zero and data[0] & ~0x90 == 0x0C and int.from_bytes(data[4:6], "little") == speed_max_rpm
 
 
-def _check_shape(bus: _Bus, frame: Recorded) -> None:
-    """What one frame shows by itself."""
+def _check_shape(bus: _Bus, frame: Recorded, until_ns: int) -> None:
+    """What one frame shows by itself; the next one came at `until_ns`."""
     data, limits = frame.data, bus.limits
     bus.must(len(data) == 8, "eight bytes", frame)
     if len(data) != 8:
@@ -132,15 +147,15 @@ def _check_shape(bus: _Bus, frame: Recorded) -> None:
     bus.must(int.from_bytes(data[6:8], "little") <= limits.power_max_w, "I1 power", frame)
     both = data[1] * PERCENT_PER_BIT > 25.2 and data[2] * PERCENT_PER_BIT > 5.2
     bus.must(not both, "I11 throttle and brake", frame)
-    if bus.modes is not None and not _may_be_active(bus.modes, frame.stamp_ns):
+    if bus.modes is not None and not _may_be_active(bus.modes, frame.stamp_ns, until_ns):
         bus.must(is_safe(data, limits.speed_max_rpm), "I2 torque outside ACTIVE", frame)
 
 
-def _may_be_active(modes: list[tuple[int, str]], at_ns: int) -> bool:
+def _may_be_active(modes: list[tuple[int, str]], at_ns: int, until_ns: int) -> bool:
     last = [mode for stamp_ns, mode in modes if stamp_ns <= at_ns]
     if last and last[-1] == "active":
         return True
-    soon = [mode for stamp_ns, mode in modes if at_ns < stamp_ns <= at_ns + TOLD_LATE_NS]
+    soon = [mode for stamp_ns, mode in modes if at_ns < stamp_ns <= until_ns]
     return "active" in soon
 
 

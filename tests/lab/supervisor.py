@@ -11,7 +11,7 @@ import time
 from collections import deque
 
 TIMED_OUT, FAILED = 124, 125  # as timeout(1) has them
-GRACE_S = 3  # between asking the command to end and killing it
+GRACE_S = 10  # between asking the command to end and killing it
 NEVER = float("inf")
 
 

@@ -16,7 +16,7 @@ import pytest
 from tests.packaging.built import EPOCH_S, HOME, SITE
 from vcu_gateway import __version__
 
-pytestmark = pytest.mark.timeout(600)  # the first test builds, and may install what builds
+pytestmark = pytest.mark.timeout(1200)  # the first test builds, and may install what builds
 
 PROGRAMS = {f"{HOME}/bin/vcu-gateway", f"{HOME}/is-active"}
 FROM_THE_TREE = {

@@ -9,7 +9,7 @@ import pytest
 
 from tests.packaging.built import BIN, EPOCH_S, Deb, build
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = pytest.mark.timeout(1200)
 SCRIPTS = ("postinst", "postrm", "prerm")
 
 

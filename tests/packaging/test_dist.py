@@ -11,7 +11,7 @@ import pytest
 from tests.packaging.built import BIN
 from vcu_gateway import __version__
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = pytest.mark.timeout(600)
 NAME = f"vcu_gateway-{__version__}"
 UV = [BIN / "uv", "--quiet", "--no-config"]
 

@@ -1,5 +1,6 @@
 """The question that upgrades and removals ask before they begin, to real gateways."""
 
+import contextlib
 import os
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 
 from tests.driven import Driven, driven
 from tests.packaging.built import BIN, REPOSITORY
+from vcu_gateway.client import Client, RefusedError
 
 YES, NO = 0, 1
 
@@ -29,11 +31,29 @@ def is_active(*sockets: Path) -> int:
 
 
 def test_an_armed_gateway_is(gateway, tmp_path):
-    with gateway.client() as client, client.demand("driver"):
-        client.arm()
-        gateway.until_mode("active")
-        assert is_active(gateway.socket_path) == YES
-        assert is_active(tmp_path / "another.sock", gateway.socket_path) == YES
+    with gateway.client() as client, client.demand("driver", ttl_ms=1000):
+        assert answer_while_active(gateway, client, gateway.socket_path) == YES
+        another = tmp_path / "another.sock"
+        assert answer_while_active(gateway, client, another, gateway.socket_path) == YES
+
+
+def answer_while_active(gateway: Driven, client: Client, *sockets: Path, attempts: int = 5) -> int:
+    """A machine that stalls may end the drive meanwhile: then the question was another one."""
+
+    def armed() -> bool:
+        with contextlib.suppress(RefusedError):
+            if gateway.mode == "fault":
+                client.reset()
+            if gateway.mode == "standby":
+                client.arm()
+        return gateway.mode == "active"
+
+    for _ in range(attempts):
+        gateway.until(armed, "active")
+        answer = is_active(*sockets)
+        if gateway.mode == "active":  # all the time: nobody else arms it
+            return answer
+    pytest.fail(f"the gateway did not stay active in {attempts} attempts")
 
 
 def test_one_in_standby_is_not(gateway):

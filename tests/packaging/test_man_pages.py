@@ -29,7 +29,7 @@ def test_there_is_one_for_the_program_and_each_verb(pages):
     assert sorted(path.name for path in pages.iterdir()) == sorted(f"{name}.1" for name in NAMES)
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_the_package_has_them_all(deb):
     there = {name for name in deb.contents if name.startswith("usr/share/man/")}
     assert there == {f"usr/share/man/man1/{name}.1.gz" for name in NAMES}

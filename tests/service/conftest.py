@@ -41,6 +41,13 @@ def a_real_systemd() -> None:
         pytest.skip(why)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A guest on a busy machine takes its time."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.timeout(600), append=False)
+
+
 class Booted(NamedTuple):
     """The service as the boot left it, before any test."""
 

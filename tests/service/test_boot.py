@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from tests.faults.driving import QUIET
 from tests.service.conftest import Booted
 from tests.service.driver import Driver
-from tests.service.unit import Unit
+from tests.service.unit import PATIENCE_S, Unit
 from tests.vcan.conftest import Stand, ip, program, wait_until
 
 
@@ -29,7 +29,7 @@ def test_at_boot_it_is_ready_without_its_interface_and_goes_on_unarmed_when_that
     assert (booted.state, booted.restarts) == ("active", 0)
     assert unit.pid == booted.pid, "this test is the first"
     figures.append(f"boot: READY {booted.ready_us / 1e6:.1f} s after systemd's start")
-    assert "can0: no such interface" in unit.show("StatusText")
+    wait_until(lambda: "can0: no such interface" in unit.show("StatusText"), "why", PATIENCE_S)
     with bus_called("can0"):
         path = world.folder / "can0.yaml"
         path.write_text(QUIET)
@@ -37,7 +37,7 @@ def test_at_boot_it_is_ready_without_its_interface_and_goes_on_unarmed_when_that
         vehicle = world.start("vehicle-can0", *program("simulate", *options))
         driver.until_standby()
         driver.until_zero_torque_alone(since_ns=0)
-        wait_until(lambda: unit.show("StatusText").startswith("standby"), "standby in the status")
+        wait_until(lambda: unit.show("StatusText").startswith("standby"), "standby", PATIENCE_S)
         vehicle.stop()
-    wait_until(lambda: "can0" in unit.show("StatusText"), "the loss in the status")
+    wait_until(lambda: "can0" in unit.show("StatusText"), "the loss in the status", PATIENCE_S)
     assert (unit.pid, unit.number("NRestarts")) == (booted.pid, 0)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.faults.slcan.adapter import Adapter
-from tests.service.unit import systemctl
+from tests.service.unit import PATIENCE_S, systemctl
 from tests.vcan.conftest import wait_until
 from vcu_gateway.bus import netlink
 
@@ -58,7 +58,7 @@ def test_the_bench_gets_its_virtual_bus(copy: Copy):
     copy("vcan0.netdev", "vcan0", "vcan7")
     copy("vcan0.network", "vcan0", "vcan7")
     networkd()
-    wait_until(lambda: is_up("vcan7"), "vcan7 to be up")
+    wait_until(lambda: is_up("vcan7"), "vcan7 to be up", PATIENCE_S)
     assert link("vcan7")["linkinfo"]["info_kind"] == "vcan"
     subprocess.run(["ip", "link", "delete", "vcan7"], check=True)
 
@@ -70,7 +70,7 @@ def test_an_interface_that_appears_gets_a_short_queue_whatever_the_other_link_fi
     subprocess.run(["udevadm", "control", "--reload"], check=True)
     subprocess.run(["ip", "link", "add", "dev", "can8", "type", "vcan"], check=True)
     try:
-        wait_until(lambda: link("can8")["txqlen"] == 4, "a queue of 4 frames")
+        wait_until(lambda: link("can8")["txqlen"] == 4, "a queue of 4 frames", PATIENCE_S)
     finally:
         subprocess.run(["ip", "link", "delete", "can8"], check=True)
 
@@ -81,5 +81,5 @@ def test_an_adapter_gets_its_bit_rate_and_is_up(copy: Copy):
         # The kernel's slcan knows no restart; real controllers do.
         copy("can0.network", "can0", adapter.name, without="\nRestartSec=100ms\n")
         networkd()
-        wait_until(lambda: is_up(adapter.name), f"{adapter.name} to be up")
+        wait_until(lambda: is_up(adapter.name), f"{adapter.name} to be up", PATIENCE_S)
         assert netlink.details(adapter.name).bit_rate_bit_s == 250_000

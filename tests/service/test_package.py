@@ -23,9 +23,9 @@ CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
 SECOND = CONFIG.with_name("second.yaml")
 HOME = Path("/usr/lib/vcu-gateway")
 PACKAGED = HOME / "lib/python3.11/site-packages/vcu_gateway/data/gateway.yaml"
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = pytest.mark.timeout(1200)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -126,6 +126,7 @@ def ready() -> None:
         install("VCU_DEB")
     CONFIG.write_text(PACKAGED.read_text())
     SECOND.unlink(missing_ok=True)
+    output("systemctl", "reset-failed")
     output("systemctl", "enable", SERVICE)
     found = show(SERVICE, "UnitFileState"), show(SERVICE, "ActiveState")
     assert found == ("enabled", "inactive")

@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.faults.driving import MS, ZERO_TORQUE
 from tests.service.conftest import MEMBER, STRANGER
 from tests.service.driver import Driver
-from tests.service.unit import NAME, RUNTIME, Unit
+from tests.service.unit import NAME, PATIENCE_S, RUNTIME, Unit
 from tests.vcan.conftest import COMMANDS, wait_until
 
 EXPOSURE = 1.0
@@ -33,15 +33,15 @@ def test_ready_means_ticking_and_each_controller_gets_its_frames(
 
 def test_the_status_text_says_what_it_does(steady: Unit, driver: Driver):
     driver.until_standby()
-    wait_until(lambda: steady.show("StatusText").startswith("standby"), "standby in the status")
+    wait_until(lambda: steady.show("StatusText").startswith("standby"), "standby", PATIENCE_S)
     driver.drive()
-    wait_until(lambda: steady.show("StatusText").startswith("active"), "active in the status")
+    wait_until(lambda: steady.show("StatusText").startswith("active"), "active", PATIENCE_S)
 
 
 def test_a_member_of_its_group_reads_the_state_and_stops_the_vehicle_and_a_stranger_cannot(
     steady: Unit, driver: Driver, people: None
 ):
-    driver.until_standby()
+    driver.settle()
     read = as_user(MEMBER, "vcu-gateway", "status", "--json")
     assert read.returncode == 0, read.stderr
     assert json.loads(read.stdout)["health"]["pid"] == steady.pid
@@ -54,7 +54,7 @@ def test_a_member_of_its_group_reads_the_state_and_stops_the_vehicle_and_a_stran
 
 
 def test_nobody_else_writes_what_a_restart_relies_on(steady: Unit, driver: Driver, people: None):
-    driver.until_standby()
+    driver.settle()
     starts, frames = RUNTIME / "starts", RUNTIME / "safe-frames"
     before = starts.read_text(), frames.read_text()
     spoil = f"echo x >>{starts}; echo x >>{frames}; rm -f {starts} {frames}; mv {RUNTIME} /tmp"
@@ -92,24 +92,35 @@ def test_all_of_it_is_real_time_and_locked_in_memory(steady: Unit):
 
 
 def test_the_doctor_finds_nothing_wrong_with_it(steady: Unit, driver: Driver):
-    examined = subprocess.run(["vcu-gateway", "doctor", "--json"], capture_output=True, text=True)
-    told = json.loads(examined.stdout)
-    wrong = [one for one in told["findings"] if one["kind"] in ("wrong", "unknown")]
-    warned = {one["check"] for one in told["findings"] if one["kind"] == "warning"}
-    assert (wrong, examined.returncode) == ([], 0)
+    driver.settle()
+    findings, code = examined()
+    wrong = [one for one in findings if one["kind"] in ("wrong", "unknown")]
+    warned = {one["check"] for one in findings if one["kind"] == "warning"}
+    assert (wrong, code) == ([], 0)
     assert not warned & {"priority", "memory_lock", "enabled", "restarts", "active"}
+
+
+def examined(attempts: int = 3) -> tuple[list[dict[str, str]], int]:
+    """What the doctor told; it is asked again where an answer came too late for it: labs stall."""
+    for _ in range(attempts):
+        done = subprocess.run(["vcu-gateway", "doctor", "--json"], capture_output=True, text=True)
+        findings: list[dict[str, str]] = json.loads(done.stdout)["findings"]
+        if not any(re.search(r"within [\d.]+ s\b|timed out", one["what"]) for one in findings):
+            break
+    return findings, done.returncode
 
 
 def test_at_last_a_clean_stop_ends_with_its_own_zero_torque(steady: Unit, driver: Driver):
     driver.drive()
     asked_ns = driver.commands()[-1].stamp_ns
     steady.stop()
-    ended_ns = steady.stamp_ns("InactiveEnter")
-    frames = driver.commands(asked_ns)
+    result = steady.show("Result")
+    ended_ns, exited_ns = steady.stamp_ns("InactiveEnter"), steady.stamp_ns("ExecMainExit")
+    steady.start()
+    frames = driver.between(asked_ns, until_ns=steady.stamp_ns("InactiveExit"))
     for can_id in COMMANDS:
         last = [frame.data for frame in frames if frame.can_id == can_id][-3:]
         assert last == [ZERO_TORQUE] * 3
-    assert steady.show("Result") == "success"
+    assert result == "success"
     assert frames[-1].stamp_ns <= ended_ns
-    exited_ns = steady.stamp_ns("ExecMainExit")
-    assert not driver.commands(exited_ns), "nobody sends what is not needed"
+    assert frames[-1].stamp_ns <= exited_ns, "nobody sends what is not needed"

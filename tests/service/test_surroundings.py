@@ -16,6 +16,7 @@ JOURNALD = [
 STRANGE = ("LANG=tr_TR.UTF-8", "LC_ALL=tr_TR.UTF-8", "TZ=nonsense")
 NS_PER_S = 1e9
 WATCHDOG_MS = 2000
+LATE_S = 60  # the journal may be; zones are quarters of an hour apart
 
 
 @pytest.fixture
@@ -44,9 +45,11 @@ def test_f65_it_drives_on_while_nobody_takes_its_log(
 @pytest.fixture
 def strange_service(unit: Unit, vehicle: None) -> Iterator[Unit]:
     systemctl("set-environment", *STRANGE)
-    unit.start()
-    yield unit
-    systemctl("unset-environment", *STRANGE)
+    try:
+        unit.start()
+        yield unit
+    finally:
+        systemctl("unset-environment", *STRANGE)
 
 
 def test_f83_language_and_time_zone_have_no_effect(strange_service: Unit, driver: Driver):
@@ -55,5 +58,5 @@ def test_f83_language_and_time_zone_have_no_effect(strange_service: Unit, driver
         assert set(STRANGE) <= set(environment.read().split("\0"))
     entry = strange_service.said("mode_changed")
     told_s = datetime.fromisoformat(json.loads(entry.text)["timestamp"]).timestamp()
-    assert abs(told_s - entry.stamp_ns / NS_PER_S) < 2
+    assert abs(told_s - entry.stamp_ns / NS_PER_S) < LATE_S
     assert driver.client.config()["values"]["bus"]["channel"] == "vcan0"

@@ -18,14 +18,14 @@ NAME = "vcu-gateway.service"
 RUNTIME = Path("/run/vcu-gateway")
 CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
 DROP_IN = Path(f"/run/systemd/system/{NAME}.d/test.conf")
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 _NS_PER_US = 1_000
 
 
 class Line(NamedTuple):
     """One line of the unit's journal; from systemd itself or from the program."""
 
-    stamp_ns: int  # wall clock, when the journal got it
+    stamp_ns: int  # wall clock, when it was sent; of an output line, when the journal got it
     program: str
     text: str
 
@@ -43,7 +43,19 @@ def systemctl(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def wall_ns(monotonic_us: int) -> int:
     """A stamp of systemd as a stamp of the bus."""
-    return monotonic_us * _NS_PER_US + time.time_ns() - time.monotonic_ns()
+    return monotonic_us * _NS_PER_US + min(_between_clocks() for _ in range(20)).wall_ns
+
+
+class _Offset(NamedTuple):
+    """From the monotonic clock to the wall clock; wrong by no more than the reading took."""
+
+    took_ns: int
+    wall_ns: int
+
+
+def _between_clocks() -> _Offset:
+    begun_ns, wall_ns, ended_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+    return _Offset(ended_ns - begun_ns, wall_ns - ended_ns)
 
 
 @dataclass
@@ -120,28 +132,25 @@ class Unit:
         entries = [json.loads(line) for line in lines]
         return [
             Line(
-                int(entry["__REALTIME_TIMESTAMP"]) * _NS_PER_US,
+                int(entry.get("_SOURCE_REALTIME_TIMESTAMP", entry["__REALTIME_TIMESTAMP"]))
+                * _NS_PER_US,
                 entry.get("SYSLOG_IDENTIFIER", ""),
                 str(entry["MESSAGE"]),
             )
             for entry in entries
         ]
 
-    def said(self, words: str) -> Line:
+    def said(self, words: str, since_ns: int = 0) -> Line:
         """The first line with these words, waited for: the journal is a process of its own."""
         found: list[Line] = []
 
         def there() -> bool:
-            found[:] = [line for line in self.journal() if words in line.text]
+            later = (line for line in self.journal() if line.stamp_ns >= since_ns)
+            found[:] = [line for line in later if words in line.text]
             return bool(found)
 
-        wait_until(there, f"{words!r} in the journal")
+        wait_until(there, f"{words!r} in the journal", PATIENCE_S)
         return found[0]
-
-    def events(self) -> list[str]:
-        """What the program logged, by name."""
-        lines = (line.text for line in self.journal() if line.text.startswith("{"))
-        return [json.loads(line)["event"] for line in lines]
 
     def clear(self) -> None:
         """Stopped, with nothing left of earlier runs."""

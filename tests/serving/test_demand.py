@@ -26,7 +26,7 @@ class Raw:
     def __init__(self, gateway: Driven, source: str | None = None) -> None:
         self.source = source or next(NAMES)
         self.socket = socket.socket(socket.AF_UNIX)
-        self.socket.settimeout(5)
+        self.socket.settimeout(30)
         self.socket.connect(str(gateway.socket_path))
         self._reader = self.socket.makefile("r")
         self._id = 0
@@ -74,7 +74,7 @@ def test_a_demand_drives_after_arming_and_its_release_ends_the_drive(running):
 
 
 def test_a_demand_that_is_not_renewed_ends_with_its_time_to_live(running, raw):
-    assert "result" in raw.demand(1, ttl_ms=300)
+    assert "result" in raw.demand(1, ttl_ms=1000)
     assert raw.ask("arm")["result"]["mode"] == "active"
     raw.demand(2, 30, ttl_ms=300)
     running.until_mode("standby")
@@ -114,7 +114,7 @@ def test_an_old_sequence_number_is_refused_and_does_not_renew(running, raw):
 def test_a_demand_that_waited_too_long_on_its_way_is_refused(raw):
     made_ns = time.monotonic_ns() - 201_000_000
     assert refusal_of(raw.demand(1, made_ns=made_ns)) == "expired"
-    assert refusal_of(raw.demand(2, made_ns=time.monotonic_ns() + 10**9)) == "from_the_future"
+    assert refusal_of(raw.demand(2, made_ns=time.monotonic_ns() + 60 * 10**9)) == "from_the_future"
 
 
 def test_a_second_source_is_refused_while_the_first_is_fresh(running, raw):

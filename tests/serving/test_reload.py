@@ -44,7 +44,7 @@ def test_an_invalid_file_changes_nothing_and_says_why_with_its_line(fresh):
         before = client.config()
         fresh.configure("limits:\n  speed_limit_max_rpm: 3000\n  power_limit_max_w: -1\n")
         (problem,) = problems(client)
-        assert problem.startswith(f"{fresh.file}:5: limits.power_limit_max_w: must be at least 0 W")
+        assert problem.startswith(f"{fresh.file}:6: limits.power_limit_max_w: must be at least 0 W")
         assert client.config() == before
         fresh.file.unlink()
         assert "gateway.yaml" in problems(client)[0]
@@ -56,10 +56,10 @@ def test_keys_that_need_a_restart_are_named_and_nothing_is_taken(fresh):
         before = client.config()
         fresh.configure(
             "limits: {speed_limit_max_rpm: 3000}\nlog: {level: debug}\n"
-            "freshness: {stale_after_ms: {IMU_Attitude: 500}}\n"
+            "safety: {listen_before_talk_ms: 2000}\n"
         )
         assert problems(client) == (
-            "freshness.stale_after_ms needs a restart",
+            "safety.listen_before_talk_ms needs a restart",
             "log.level needs a restart",
         )
         assert client.config() == before
@@ -135,5 +135,5 @@ def test_a_hangup_signal_reloads_and_an_invalid_file_does_not_end_the_process(tm
             wait_until(lambda: "config_refused" in log.read_text(), "the refusal")
         finally:
             gateway.send_signal(signal.SIGTERM)
-        assert gateway.wait(10) == 0
+        assert gateway.wait(60) == 0
     assert not os.path.exists(tmp_path / "c.sock")

@@ -16,7 +16,7 @@ from vcu_gateway.api import openrpc, shapes
 def vcu(socket_path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "VCU_GATEWAY_SOCKET": str(socket_path)}
     command = [sys.executable, "-m", "vcu_gateway", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, env=environment)
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def test_demand_drives_while_it_runs_and_stops_with_it(running: Driven, number):
         wait_until(lambda: max(running.throttles(), default=0) > 40, "throttle on the bus")
         holder.send_signal(number)
         running.until_mode("standby")
-        output = holder.communicate(timeout=10)[0]
+        output = holder.communicate(timeout=60)[0]
     assert holder.returncode == (-9 if number == signal.SIGKILL else 0)
     assert "active; demand of " in output
     running.throttles()
@@ -130,7 +130,7 @@ def test_the_completion_of_each_shell_is_printed_and_completes_verbs():
     words = {"COMP_WORDS": "vcu-gateway est", "COMP_CWORD": "1"}
     environment = {**os.environ, **words, "_VCU_GATEWAY_COMPLETE": "bash_complete"}
     command = [sys.executable, "-c", "from vcu_gateway.cli import main; main()"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=30)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=90)
     assert "estop" in done.stdout
 
 
@@ -140,5 +140,5 @@ def test_a_verb_answers_in_a_moment(ask):
         "import sys; from vcu_gateway.cli import status, demand; "
         "print([name for name in ('can', 'cantools', 'pydantic', 'yaml') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=90)
     assert done.stdout == "[]\n"

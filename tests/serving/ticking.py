@@ -1,6 +1,6 @@
 """A gateway with its API and a vehicle, and the lateness of every tick: ticking.py FOLDER.
 
-Until SIGTERM; then FOLDER/lateness has a line a tick: deadline and lateness, both in ns.
+Until SIGTERM; FOLDER/lateness has a line a tick: deadline and lateness, both in ns.
 """
 
 import signal
@@ -16,18 +16,16 @@ from vcu_gateway.core.schedule import Tick
 def main(folder: Path) -> None:
     end = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: end.set())
-    ticks: list[str] = []
 
     def note(tick: Tick, result: TickResult) -> None:
         del result
-        ticks.append(f"{tick.deadline_ns} {tick.lateness_ns}")
+        ticks.write(f"{tick.deadline_ns} {tick.lateness_ns}\n")
 
-    with driven(folder) as gateway:
+    with open(folder / "lateness", "w", buffering=1) as ticks, driven(folder) as gateway:
         gateway.daemon.observe_with(note)
         gateway.until_ready()
         print("ready", flush=True)
         end.wait()
-    (folder / "lateness").write_text("\n".join(ticks))
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ def test_looking_costs_no_further_descriptor():
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(100):
         interfaces.look("lo")
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert len(os.listdir("/proc/self/fd")) <= before  # the collector may close those of others
     interfaces.close()
 
 

@@ -5,7 +5,7 @@ import gc
 import threading
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import can
 import pytest
@@ -24,10 +24,21 @@ from vcu_gateway.simulator.play import open_bus, play
 
 COMMANDS = (0x0008A7D0, 0x0008A8D0)
 ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
+PATIENCE_S = 60.0
+TRIES = 4
+# The vehicle is a thread here: on a busy machine it is late, and not silent.
+PATIENT = {f"{node}_Status{n}": 10_000 for node in ("PCU1", "PCU2") for n in (1, 2)}
+DRIVING = Settings(
+    bench_demand=ControllerDemand(throttle_pct=20), auto_arm=True, stale_after_ms=PATIENT
+)
 
 
 class Rig:
-    """A daemon on its own virtual channel, and what another node hears of it."""
+    """A daemon on its own virtual channel, and what another node hears of it.
+
+    Attributes:
+        skipped: ticks missed in a row, at most.
+    """
 
     def __init__(self, codec, settings: Settings) -> None:
         self.channel = f"daemon-{uuid.uuid4()}"
@@ -37,17 +48,40 @@ class Rig:
             BusSettings("virtual", self.channel), codec.identifiers(), self.gateway.intake.receive
         )
         self.modes: list[Mode] = []
+        self.skipped = 0
+        self._frames: list[can.Message] = []
+        self._wanted: Callable[[], object] | None = None
         self.daemon = Daemon(self.gateway, self.door, 50, self._observe)
         self.ear = can.Bus(interface="virtual", channel=self.channel)
 
     def _observe(self, tick, result) -> None:
         self.modes.append(result.mode)
+        self.skipped = max(self.skipped, tick.skipped)
+        if self._wanted is not None and self._wanted():
+            self._wanted = None
+            self.daemon.stop("it is so")
+
+    def run_until(self, condition: Callable[[], object]) -> None:
+        """Tick until this is so after a tick, however slow the machine is."""
+        self._wanted = condition
+        self.daemon.run(duration_s=PATIENCE_S)
+        assert self._wanted is None, f"it did not become so: {self.modes[-1]}"
 
     def heard(self) -> list[can.Message]:
-        frames = []
+        """All command frames so far."""
         while frame := self.ear.recv(0):
-            frames.append(frame)
-        return frames
+            self._frames.append(frame)
+        return self._frames
+
+    @property
+    def throttles(self) -> list[int]:
+        """Codes of PCU1's commands so far."""
+        return [f.data[1] for f in self.heard() if f.arbitration_id == COMMANDS[0]]
+
+    @property
+    def late(self) -> int:
+        """Frames that the machine held up for too long to be sent."""
+        return self.door.counters.refused.get("late", 0)
 
 
 @pytest.fixture
@@ -78,46 +112,74 @@ def vehicle_on(one: Rig, codec) -> Iterator[None]:
         bus.shutdown()
 
 
+def once_more(run: Callable[[], Rig], was_punctual: Callable[[Rig], bool]) -> Rig:
+    """A run in which the machine did not stand still; the last one where it always did."""
+    for _ in range(TRIES):
+        one = run()
+        if was_punctual(one):
+            break
+        print(f"once more: {one.skipped} ticks missed, {one.door.counters.refused} not sent")
+    return one
+
+
 def test_it_listens_for_a_second_and_then_sends_both_frames_every_tick(rig):
     one, start_s = rig(), time.time()
     one.daemon.run(duration_s=1.5)
     schedule = one.daemon.schedule
-    assert schedule.ticks + schedule.skipped == 30 + 3, "three more end it safely"
+    assert schedule.ticks <= 30 + 3 <= schedule.ticks + schedule.skipped, "three end it safely"
     assert one.daemon.silent_ticks <= 21
     sent = schedule.ticks - one.daemon.silent_ticks
     frames = one.heard()
     assert frames[0].timestamp - start_s >= 1.0
-    assert [frame.arbitration_id for frame in frames] == list(COMMANDS) * sent
+    ids = [frame.arbitration_id for frame in frames]
+    assert one.late or ids == list(COMMANDS) * sent
     assert {bytes(frame.data) for frame in frames} == {ZERO_TORQUE}
-    assert one.door.counters.sent == 2 * sent
-    for count in one.gateway.intake.confirmed.values():
-        assert sent - 1 <= count <= sent, "the echo of the last frame may come after the end"
+    assert one.door.counters.sent == len(ids) == 2 * sent - one.late
+    for can_id, count in zip(COMMANDS, one.gateway.intake.confirmed.values(), strict=True):
+        own = ids.count(can_id)
+        assert own - 3 <= count <= own, "the echoes of the last frames may come after the end"
 
 
 def test_a_stop_ends_with_three_safe_frames_for_each_controller(rig):
     one = rig()
-    threading.Timer(1.3, one.daemon.stop, ["SIGTERM"]).start()
-    one.daemon.run()
-    assert one.modes[-3:] == [Mode.STOPPING] * 3
-    assert Mode.STOPPING not in one.modes[:-3]
+    one.run_until(lambda: len(one.heard()) >= 6)
+    ending = one.modes[one.modes.index(Mode.STOPPING) :]
+    assert set(ending) == {Mode.STOPPING}
+    assert 3 <= len(ending) <= 3 + one.late
     assert {bytes(frame.data) for frame in one.heard()[-6:]} == {ZERO_TORQUE}
 
 
 def test_a_healthy_vehicle_is_driven_by_an_auto_armed_bench_demand(rig, codec):
-    one = rig(Settings(bench_demand=ControllerDemand(throttle_pct=20), auto_arm=True))
-    with vehicle_on(one, codec):
-        one.daemon.run(duration_s=5)
+    def drive() -> Rig:
+        one = rig(DRIVING)
+        with vehicle_on(one, codec):
+            one.run_until(lambda: 51 in one.throttles or one.modes[-1] is Mode.FAULT)
+        return one
+
+    one = once_more(drive, lambda one: one.skipped < 2)  # the gateway too stops for more
     order = list(dict.fromkeys(one.modes))
     assert order == [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE, Mode.STOPPING]
-    throttles = {f.data[1] for f in one.heard() if f.arbitration_id == COMMANDS[0]}
-    assert max(throttles) == 51
+    assert max(one.throttles) == 51
 
 
 def test_a_lost_link_is_opened_again_and_is_unarmed(rig, codec):
-    one = rig(Settings(bench_demand=ControllerDemand(throttle_pct=20), auto_arm=True))
-    with vehicle_on(one, codec):
-        threading.Timer(3, lambda: one.door.lose("unplugged")).start()
-        one.daemon.run(duration_s=4.5)
+    def drive() -> Rig:
+        one, lost_at = rig(DRIVING), []
+
+        def is_open_again() -> bool:
+            if not lost_at and (51 in one.throttles or one.modes[-1] is Mode.FAULT):
+                lost_at.append(len(one.modes))
+                threading.Timer(0.02, one.door.lose, ["unplugged"]).start()
+            return bool(lost_at) and len(one.modes) > lost_at[0] + 20
+
+        with vehicle_on(one, codec):
+            one.run_until(is_open_again)
+        return one
+
+    def was_punctual(one: Rig) -> bool:
+        return one.skipped < 2 and one.door.counters.refused.get("closed", 0) <= 4
+
+    one = once_more(drive, was_punctual)
     order = list(dict.fromkeys(one.modes))
     assert order == [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE, Mode.FAULT, Mode.STOPPING]
     assert one.gateway.link.state is LinkState.UP
@@ -139,10 +201,17 @@ def test_closing_and_opening_never_hold_up_a_tick(rig, monkeypatch):
         close(why)
 
     monkeypatch.setattr(one.door, "close", close_slowly)
-    threading.Timer(0.5, lambda: one.door.lose("unplugged")).start()
-    one.daemon.run(duration_s=2.5)
-    assert one.daemon.schedule.skipped < 10, "held up, a second would be 19"
-    assert one.gateway.link.state is LinkState.UP
+    unplugging = threading.Timer(0.02, one.door.lose, ["unplugged"])
+
+    def is_open_again() -> bool:
+        is_up = one.gateway.link.state is LinkState.UP
+        if is_up and unplugging.ident is None:
+            unplugging.start()
+        told = [entry.event.name for entry in one.daemon.journal.latest(99)]
+        return is_up and "link_lost" in told
+
+    one.run_until(is_open_again)
+    assert one.skipped < 10, "held up for a second, it would miss 19 in a row"
 
 
 def test_a_keeper_that_dies_ends_the_loop(rig, monkeypatch):
@@ -181,13 +250,13 @@ def test_a_frame_is_not_sent_half_a_period_after_its_tick(rig, monkeypatch):
 
     def held_up_once(frame):
         taken = send(frame)
-        if not held_up:
+        if taken and not held_up:
             held_up.append(frame.controller)
             time.sleep(0.03)
         return taken
 
     monkeypatch.setattr(one.door, "send", held_up_once)
-    one.daemon.run(duration_s=1.3)
+    one.run_until(lambda: len(one.heard()) >= 3)
     assert held_up == ["PCU1"]
     assert one.door.counters.refused["late"] >= 1
     assert [frame.arbitration_id for frame in one.heard()][:2] == [COMMANDS[0], COMMANDS[0]]

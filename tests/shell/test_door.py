@@ -4,6 +4,7 @@ import errno
 import threading
 import time
 import uuid
+from collections.abc import Callable
 
 import can
 import pytest
@@ -13,8 +14,18 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.output import OutFrame
 from vcu_gateway.errors import UnavailableError
 
-PATIENCE_S = 5.0
+PATIENCE_S = 30.0
 COMMAND = OutFrame("PCU1", 0x0008A7D0, bytes.fromhex("0c000000e02e0000"))
+
+
+def quickest_ns(call: Callable[[], object]) -> int:
+    """Of a few calls: the machine may stand still in one, what waits does so in each."""
+    took_ns = []
+    for _ in range(20):
+        began_ns = time.monotonic_ns()
+        call()
+        took_ns.append(time.monotonic_ns() - began_ns)
+    return min(took_ns)
 
 
 class Inbox:
@@ -192,10 +203,9 @@ def test_what_the_reader_of_an_earlier_opening_says_does_not_count(door):
 
 def test_a_full_queue_without_an_errno_is_counted_as_one_with(door, channel, monkeypatch):
     monkeypatch.setattr(door, "_admitted", BrokenBus(OSError()))
-    began_ns = time.monotonic_ns()
     assert not door.send(COMMAND)
-    assert time.monotonic_ns() - began_ns < 5_000_000
     assert door.counters.refused == {"ENOBUFS": 1}
+    assert quickest_ns(lambda: door.send(COMMAND)) < 5_000_000
 
 
 @pytest.mark.parametrize(
@@ -228,10 +238,9 @@ def refuse(error: Exception) -> None:
 
 def test_sending_never_waits_for_a_door_that_is_being_closed(door):
     with door._sending:
-        began_ns = time.monotonic_ns()
         assert not door.send(COMMAND)
-        assert time.monotonic_ns() - began_ns < 5_000_000
-    assert door.counters.refused == {"closed": 1}
+        assert door.counters.refused == {"closed": 1}
+        assert quickest_ns(lambda: door.send(COMMAND)) < 5_000_000
     assert door.send(COMMAND)
 
 

@@ -17,6 +17,14 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.log import QueuedWriter
 
 F_SETPIPE_SZ = 1031
+PATIENCE_S = 30.0
+A_MOMENT_S = log._DRAIN_S
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """What is written is waited for longer than at the end of a program: a machine may be busy."""
+    monkeypatch.setattr(log, "_DRAIN_S", PATIENCE_S)
 
 
 class Terminal(io.StringIO):
@@ -84,7 +92,7 @@ def fill(writer: QueuedWriter, count: int) -> None:
         done.set()
 
     threading.Thread(target=write, daemon=True).start()
-    assert done.wait(5), "writing waited for the reader"
+    assert done.wait(PATIENCE_S), "writing waited for the reader"
 
 
 def test_a_reader_that_does_not_read_costs_lines_and_never_the_writer(pipe):
@@ -112,13 +120,15 @@ def test_lost_lines_are_told_once_the_reader_reads_again(pipe):
     assert told == [dropped]
 
 
-def test_the_end_waits_only_a_moment_for_a_reader_that_does_not_read(pipe):
+def test_the_end_waits_only_a_moment_for_a_reader_that_does_not_read(pipe, monkeypatch):
+    monkeypatch.setattr(log, "_DRAIN_S", A_MOMENT_S)
+    assert A_MOMENT_S < 1.0
     _, stream = pipe
     writer = QueuedWriter(stream)
     fill(writer, 100)
     begun_s = time.monotonic()
     writer.drain()
-    assert time.monotonic() - begun_s < 1.0
+    assert time.monotonic() - begun_s < A_MOMENT_S + PATIENCE_S / 2, "it waited for the reader"
 
 
 def test_a_program_ends_in_order_although_nobody_reads_its_log(pipe):
@@ -130,7 +140,7 @@ def test_a_program_ends_in_order_although_nobody_reads_its_log(pipe):
         "for number in range(200): log.log.info('line', number=number)\n"
         "writer.drain()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], stderr=stream, timeout=20)
+    done = subprocess.run([sys.executable, "-c", code], stderr=stream, timeout=60)
     assert done.returncode == 0
 
 
@@ -141,12 +151,13 @@ def test_a_crash_is_a_line_of_the_log_and_ends_although_nobody_reads(thread, pip
     code = (
         "import threading\n"
         "from vcu_gateway import log\n"
+        "log._DRAIN_S = 2\n"
         "writer = log.configure('info', 'json')\n"
         "for number in range(9): log.log.info('line', text='x' * 300)\n"
         f"{crash + '; one.join()' if thread == 'worker' else ''}\n"
         "int('x')\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], stderr=stream, timeout=20)
+    done = subprocess.run([sys.executable, "-c", code], stderr=stream, timeout=60)
     assert done.returncode == 1
     crashes = [json.loads(line) for line in read_lines(reading, 10)][9:]
     assert crashes[0]["event"] == "crashed"
@@ -170,6 +181,7 @@ def test_lines_come_again_when_the_disk_has_room_again(tmp_path):
     code = (
         "import resource, signal\n"
         "from vcu_gateway import log\n"
+        "log._DRAIN_S = 30\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (25, resource.RLIM_INFINITY))\n"
         "writer = log.QueuedWriter(open('log', 'w'))\n"
@@ -181,7 +193,7 @@ def test_lines_come_again_when_the_disk_has_room_again(tmp_path):
         "print(writer.dropped)\n"
     )
     run = [sys.executable, "-c", code]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=20, cwd=tmp_path)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=60, cwd=tmp_path)
     assert done.stdout == "4\n", done.stderr
     assert path.read_text().splitlines() == ["line 0 345678", "line 1 3456", "room again"]
 

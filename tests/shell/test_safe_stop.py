@@ -15,7 +15,7 @@ GOOD = "vcan9\n0008A7D0#0C000000E02E0000\n0008A8D0#0C000000E02E0000\n"
 def stopped(path: Path, **environment: str) -> tuple[int, str]:
     done = subprocess.run(
         [sys.executable, "-I", "-S", safe_stop.__file__, str(path)],
-        capture_output=True, text=True, env=environment, check=False, timeout=20,
+        capture_output=True, text=True, env=environment, check=False, timeout=60,
     )  # fmt: skip
     assert done.stderr == ""
     return done.returncode, done.stdout

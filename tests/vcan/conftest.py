@@ -22,7 +22,7 @@ from vcu_gateway.cli import run, simulate  # noqa: F401
 
 HERE = Path(__file__).parent
 CHANNEL = "vcan0"
-PATIENCE_S = 20.0
+PATIENCE_S = 40.0
 EXTENDED = 0b100
 COMMANDS = (0x0008A7D0, 0x0008A8D0)
 
@@ -97,7 +97,8 @@ class Process:
         return self.popen.wait(patience_s)
 
     def log(self) -> list[dict[str, object]]:
-        lines = self.err.read_text().splitlines()
+        """Every whole line; the last one may be half written."""
+        lines = self.err.read_text().rpartition("\n")[0].splitlines()
         return [json.loads(line) for line in lines if line.startswith("{")]
 
     def has_logged(self, event: str) -> bool:
@@ -243,6 +244,7 @@ def ended_after(stand: Stand) -> Iterator[Stand]:
     finally:
         for worker in stand.workers:
             worker.kill()
+            worker.join(PATIENCE_S)
         for child in stand.children:
             if child.popen.poll() is None:
                 child.popen.kill()

@@ -31,14 +31,31 @@ def examined(stand: Stand, *options: str) -> dict[str, dict[str, str]]:
     return {f"{one['subject']} {one['check']}": one for one in told["findings"]}
 
 
+def examined_until(stand: Stand, wanted: str, *options: str) -> dict[str, dict[str, str]]:
+    """As `examined`, with this finding: a busy machine may answer the doctor too late."""
+    for _ in range(4):
+        found = examined(stand, *options)
+        if wanted in found:
+            break
+    return found
+
+
 def kinds(found: dict[str, dict[str, str]], subject: str) -> set[str]:
     return {one["kind"] for name, one in found.items() if name.startswith(f"{subject} ")}
 
 
 def drive(stand: Stand) -> None:
-    stand.gateway(BENCH)
+    """Begin to drive; where a stall of the machine ends it before, by a further gateway."""
+    gateway = stand.gateway(BENCH)
     stand.vehicle()
-    wait_until(lambda: mode(stand.socket_path) == "active", "the gateway to drive")
+    for _ in range(3):
+        wait_until(lambda: mode(stand.socket_path) in ("active", "fault"), "the gateway to drive")
+        if mode(stand.socket_path) == "active":
+            return
+        assert gateway.stop() == 0
+        assert gateway.has_logged("ticks_skipped"), gateway.err.read_text()
+        gateway = stand.gateway(BENCH)
+    pytest.fail("it never drove: the machine stalls too often")
 
 
 def mode(path: Path) -> str | None:
@@ -51,7 +68,7 @@ def mode(path: Path) -> str | None:
 
 def test_a_gateway_and_its_vehicle_are_heard(stand):
     drive(stand)
-    found = examined(stand, "--listen")
+    found = examined_until(stand, "gateway mode", "--listen")
     assert kinds(found, "interface") == {"ok"}
     assert found["interface well"]["what"] == "vcan0: up, vcan, no bit rate"
     assert "wrong" not in kinds(found, "bus")  # on a busy machine messages may be slow
@@ -68,12 +85,17 @@ def test_looking_and_listening_change_nothing_on_the_bus(stand):
     begin_ns = time.time_ns()
     examined(stand, "--listen")
     end_ns = time.time_ns()
+    recording.wait_for(lambda frames: frames[-1].stamp_ns > end_ns, "what came after")
     during = [one for one in recording.frames() if begin_ns <= one.stamp_ns <= end_ns]
     known = {j1939.match_key(message.can_id) for message in dbc.load(packaged("vcu.dbc")).messages}
     assert {j1939.match_key(frame.can_id) for frame in during} <= known
     for can_id in COMMANDS:
         count = sum(frame.can_id == can_id for frame in during)
-        assert count <= (end_ns - begin_ns) / 50e6 + 1, "more commands than the gateway's own"
+        # The first may be half a period late.
+        assert count <= (end_ns - begin_ns) / 50e6 + 1.5, "more commands than the gateway's own"
+    with Client(stand.socket_path, timeout_s=PATIENCE_S) as client:
+        foreign = client.health()["frames"]["foreign_commands"]
+    assert not any(foreign.values()), "nobody else's commands"
 
 
 def test_a_silent_bus_is_wrong_only_for_who_listens(stand):
@@ -118,4 +140,5 @@ def test_a_missing_interface_names_the_others(stand):
 def test_a_file_changed_since_the_start_is_told(stand):
     drive(stand)
     stand.configure(BENCH.replace("3000", "2000"))
-    assert examined(stand)["gateway config_digest"]["kind"] == "warning"
+    found = examined_until(stand, "gateway config_digest")
+    assert found["gateway config_digest"]["kind"] == "warning"

@@ -54,10 +54,16 @@ def test_every_tick_is_accounted_for_and_memory_stays_flat(fresh_stand: Stand):
         f"p99 below {report['lateness_p99_below_us']} us"
     )
     assert gateway.popen.returncode == 0
-    assert report["ticks"] + report["skipped"] == DURATION_S * 20 + 3
     unsent = sum(report["unsent_frames"].values())
+    # Three safe frames end it; what the machine's stalls cost of them is made up for.
+    made_up = report["ticks"] + report["skipped"] - (DURATION_S * 20 + 3)
+    assert 0 <= made_up <= 20
+    assert made_up == 0 or report["skipped"] + unsent > 0
     assert report["sent_frames"] + unsent == 2 * (report["ticks"] - report["silent_ticks"])
     assert last_kb[0] - before_kb <= GROWTH_MAX_KB
+    recording.wait_for(
+        lambda frames: len(recording.commands()) >= report["sent_frames"], "the last frames"
+    )
     commands = recording.commands()
     assert len(commands) == report["sent_frames"]
     for can_id in COMMANDS:

@@ -1,14 +1,14 @@
 """How fast the real gateway stops the motors of the real simulator, by the kernel's stamps.
 
 Every case has a recorder, a gateway and a vehicle of its own. A figure beyond its bound is
-measured once more on a fresh run, and both are printed.
+measured once more on a fresh run, and both are printed. A run in which the gateway missed ticks,
+because the machine stalled, and that found such a figure, is printed and does not count.
 """
 
 import contextlib
 import functools
 import itertools
 import math
-import operator
 import re
 import signal
 import time
@@ -43,6 +43,7 @@ bench:
 FOREIGN_THROTTLE_RAW = 231  # 90 %, which the bench demand never reaches
 AFTERWARDS_FRAMES = 15  # of each controller, watched after the reaction
 PATIENCE_S = 30.0
+RUNS_AT_MOST = 5
 
 
 # What breaks; at_s counts from the vehicle's start, and it drives less than two seconds later.
@@ -63,7 +64,7 @@ FOREIGN_SENDER = f"""{QUIET}
 class Run:
     """One case under way.
 
-    The recording is read once, at the end: reading costs the lab's one processor.
+    The recording is read after the reaction: reading costs the lab's one processor.
     """
 
     stand: Stand
@@ -78,8 +79,21 @@ class Run:
         """Whether the vehicle has told that this fault began."""
         return re.search(rf": {fault}\b.* begins", self.vehicle.err.read_text()) is not None
 
-    def is_active(self) -> bool:
-        return '"after": "active"' in self.gateway.err.read_text()
+    def until_driving(self) -> None:
+        def drives() -> bool:
+            return drove(Bus(self.recording.frames()), time.time_ns())
+
+        self.wait_for(drives, "throttle on the bus")
+
+    def until_seen(self, since_ns: int, count: int) -> None:
+        """Until each controller has had so many frames since then."""
+
+        def are_there() -> bool:
+            bus = Bus(self.recording.frames())
+            since = ([f for f in bus.commands(c) if f.stamp_ns > since_ns] for c in (0, 1))
+            return all(len(frames) >= count for frames in since)
+
+        self.wait_for(are_there, f"{count} frames for each")
 
     def skipped_ticks(self) -> int:
         """Ticks that the gateway could not do because the machine stalled."""
@@ -109,11 +123,15 @@ class Bus:
 
 
 class Reaction(NamedTuple):
-    """How to measure a reaction, ms, and its bound."""
+    """How to measure a reaction, ms, and between what it must lie."""
 
     name: str
     measure: Callable[[Bus], float]
     bound_ms: float
+    above_ms: float = 0.0
+
+    def holds(self, found_ms: float) -> bool:
+        return self.above_ms < found_ms <= self.bound_ms
 
 
 @pytest.fixture
@@ -139,23 +157,30 @@ def within(begin: Callable[[str], Run], figures: list[str]) -> Callable[..., Bus
     """Measure reactions to the last fault of a scenario; once more where one is too slow."""
 
     def within(scenario: str, last_fault: str, watched_s: float, *reactions: Reaction) -> Bus:
-        measured, stalls, slow = [], [], []
-        for _ in range(2):
+        found: dict[Reaction, list[float]] = {reaction: [] for reaction in reactions}
+        stalls: list[int] = []
+        left = 2
+        while left and len(stalls) < RUNS_AT_MOST:
             run = begin(scenario)
             run.wait_for(functools.partial(run.broke, last_fault), last_fault)
             time.sleep(watched_s)
+            run.until_seen(time.time_ns(), AFTERWARDS_FRAMES)
             bus = run.end()
-            measured.append([reaction.measure(bus) for reaction in reactions])
             stalls.append(run.skipped_ticks())
-            if all(map(operator.le, measured[-1], [reaction.bound_ms for reaction in reactions])):
+            for reaction, all_ms in found.items():
+                all_ms.append(reaction.measure(bus))
+            early = [one for one, ms in found.items() if ms[-1] <= one.above_ms]
+            assert not early or stalls[-1], "not before the deadline"
+            left -= stalls[-1] == 0
+            if all(reaction.holds(ms[-1]) for reaction, ms in found.items()):
                 break
-        told = []
-        for reaction, found in zip(reactions, zip(*measured, strict=True), strict=True):
-            each = (f"{ms:.1f} ms ({n} ticks skipped)" for ms, n in zip(found, stalls, strict=True))
-            told.append(f"{reaction.name}: {', then '.join(each)}; at most {reaction.bound_ms} ms")
-            slow += [told[-1]] if min(found) > reaction.bound_ms else []
-        figures.extend(told)
-        assert not slow
+        wrong = []
+        for reaction, all_ms in found.items():
+            each = zip(all_ms, stalls, strict=True)
+            told = ", then ".join(f"{ms:.1f} ms ({n} ticks skipped)" for ms, n in each)
+            figures.append(f"{reaction.name}: {told}; at most {reaction.bound_ms} ms")
+            wrong += [] if any(map(reaction.holds, all_ms)) else [figures[-1]]
+        assert not wrong
         return bus
 
     return within
@@ -209,7 +234,7 @@ def test_undervoltage_stops_both_motors_within_one_tick_and_a_cut_cause_cuts_the
     bus = within(
         UNDERVOLTAGE_THEN_TOO_HOT,
         "set signal BMS_Status.Overtemperature",
-        1.7,
+        1.0,
         Reaction("undervoltage 2", stop_ms, PERIOD_MS + LEEWAY_MS),
         Reaction("overtemperature 2", cut_ms, PERIOD_MS + LEEWAY_MS),
     )
@@ -225,15 +250,12 @@ def test_silence_stops_both_motors_within_its_deadline_and_one_tick(
     within, node: str, can_id: int, silence_ms: int
 ):
     def stop_ms(bus: Bus) -> float:
-        caused_ns = bus.of(can_id)[-1].stamp_ns
-        found_ms = reaction_ms(bus, caused_ns)
-        assert found_ms > silence_ms, "not before the deadline"
-        return found_ms
+        return reaction_ms(bus, bus.of(can_id)[-1].stamp_ns)
 
     bound_ms = silence_ms + PERIOD_MS + LEEWAY_MS
-    reaction = Reaction(f"{node} silent", stop_ms, bound_ms)
+    reaction = Reaction(f"{node} silent", stop_ms, bound_ms, above_ms=silence_ms)
     scenario = f"{QUIET}\n  - {{at_s: 3.03, fault: silence, of: {node}}}"
-    within(scenario, f"silence of {node}", silence_ms / 1000 + 1.3, reaction)
+    within(scenario, f"silence of {node}", silence_ms / 1000 + 0.7, reaction)
 
 
 def test_another_sender_of_a_command_stops_both_motors_and_latches(within):
@@ -252,20 +274,19 @@ def test_another_sender_of_a_command_stops_both_motors_and_latches(within):
 
 def test_a_gateway_that_was_stopped_for_a_second_goes_on_with_zero_torque_and_no_burst(begin):
     run = begin(QUIET)
-    run.wait_for(run.is_active, "the arming")
-    time.sleep(0.5)
+    run.until_driving()
     run.gateway.popen.send_signal(signal.SIGSTOP)
     time.sleep(0.5)
     held_ns = time.time_ns()
     time.sleep(0.5)
     run.gateway.popen.send_signal(signal.SIGCONT)
-    time.sleep(1.2)
+    run.until_seen(held_ns, AFTERWARDS_FRAMES)
     bus = run.end()
     assert drove(bus, held_ns)
     for controller in (0, 1):
         after = [frame for frame in bus.commands(controller) if frame.stamp_ns > held_ns]
         assert after[0].stamp_ns > held_ns + 400 * MS, "it was really stopped"
-        assert len(after) > 15
+        assert len(after) >= AFTERWARDS_FRAMES
         assert {frame.data for frame in after} == {ZERO_TORQUE}
         gaps_ms = [(b.stamp_ns - a.stamp_ns) / MS for a, b in itertools.pairwise(after)]
         assert min(gaps_ms) >= PERIOD_MS / 2

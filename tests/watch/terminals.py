@@ -21,7 +21,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SCRIPTED = f"{sys.executable} -m tests.watch.scripted"
 VCU_GATEWAY = f"{sys.executable} -m vcu_gateway"
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 def require_tmux() -> None:
@@ -150,7 +150,10 @@ class Terminal:
         while self.process.poll() is None:
             assert time.monotonic() < end_s
             self.read(0.05)
-        self.read(0.1)
+        before = -1
+        while before != len(self.output):
+            before = len(self.output)
+            self.read(0.1)
         return self.process.returncode
 
     @property

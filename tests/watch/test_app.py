@@ -15,7 +15,7 @@ from vcu_gateway.watch import app as app_module
 from vcu_gateway.watch.app import WatchApp
 from vcu_gateway.watch.lines import Lines
 
-WAIT_S = 5.0
+WAIT_S = 60.0
 BLACK = Color(0, 0, 0)
 
 
@@ -136,7 +136,7 @@ def test_new_values_appear_by_themselves():
 def test_a_paused_picture_stands_still_until_it_goes_on(key):
     async def check(view: Shown) -> None:
         await view.press(key)
-        assert "PAUSED" in view.screen
+        await view.until(lambda: "PAUSED" in view.screen)
         looks = view.source.looks
         view.source.picture = worlds.faulty()
         await view.pilot.pause(0.2)
@@ -155,16 +155,16 @@ def test_m_shows_one_message_after_the_other_and_then_all():
     async def check(view: Shown) -> None:
         names = list(view.source.picture.state["messages"])
         await view.press("m")
-        assert f"only {names[0]}" in view.last_line
+        await view.until(lambda: f"only {names[0]}" in view.last_line)
         assert names[1] not in view.screen
         await view.press("m")
-        assert f"only {names[1]}" in view.last_line
+        await view.until(lambda: f"only {names[1]}" in view.last_line)
         await view.press("M", "M")
-        assert "q quit" in view.last_line
+        await view.until(lambda: "q quit" in view.last_line)
         await view.press("M")
-        assert f"only {names[-1]}" in view.last_line
+        await view.until(lambda: f"only {names[-1]}" in view.last_line)
         await view.press("m")
-        assert "q quit" in view.last_line
+        await view.until(lambda: "q quit" in view.last_line)
 
     run(check)
 
@@ -174,7 +174,7 @@ def test_a_text_to_find_narrows_while_it_is_written_and_stays_after_enter():
         await view.press("slash", *"speed")
         await view.until(lambda: "WheelSpeedFL" in view.screen and "SOC" not in view.screen)
         await view.press("enter")
-        assert "only speed" in view.last_line
+        await view.until(lambda: "only speed" in view.last_line)
         assert "MotorSpeed" in view.screen
         await view.press("escape")
         await view.until(lambda: "q quit" in view.last_line)
@@ -186,10 +186,10 @@ def test_a_text_to_find_narrows_while_it_is_written_and_stays_after_enter():
 def test_letters_of_a_text_to_find_do_nothing_else():
     async def check(view: Shown) -> None:
         await view.press("slash", *"qeEdDpm", "enter")
+        await view.until(lambda: "only qeEdDpm" in view.last_line)
         assert view.pilot.app.is_running
         assert view.source.asked == []
         assert "PAUSED" not in view.screen
-        assert "only qeEdDpm" in view.last_line
 
     run(check)
 
@@ -215,7 +215,7 @@ def test_help_tells_every_key_in_80_by_24_and_goes_away(key):
 def test_stopping_is_asked_about_and_done_with_the_capital_letter(key, what, words):
     async def check(view: Shown) -> None:
         await view.press(key)
-        assert view.last_line.startswith(f"{words}: ")
+        await view.until(lambda: view.last_line.startswith(f"{words}: "))
         assert f"Shift-{key.upper()} yes" in view.last_line
         assert view.source.asked == []
         await view.press(key.upper())
@@ -246,15 +246,15 @@ def test_escape_takes_the_question_back():
 
 
 def test_a_question_is_not_taken_back_by_an_earlier_one(monkeypatch):
-    monkeypatch.setattr(app_module, "_TOLD_S", 0.6)
-
     async def check(view: Shown) -> None:
+        monkeypatch.setattr(app_module, "_TOLD_S", 0.3)
         await view.press("d")
         await view.until(lambda: "q quit" in view.last_line)  # its time is over
+        monkeypatch.setattr(app_module, "_TOLD_S", 4.0)
         await view.press("d")
-        await view.pilot.pause(0.4)
+        await view.pilot.pause(2.0)
         await view.press("e")
-        await view.pilot.pause(0.4)
+        await view.pilot.pause(2.2)  # by now that of "d" would be over; that of "e" is not
         await view.press("E")
         await view.until(lambda: view.source.asked == ["estop"])
 
@@ -267,6 +267,7 @@ def test_a_late_answer_does_not_take_back_the_next_question():
         await view.press("d", "D")
         await view.until(lambda: view.source.asked == ["disarm"])
         await view.press("e")
+        await view.until(lambda: "Emergency stop" in view.last_line)
         view.source.may_answer.set()
         await view.pilot.pause(0.2)
         assert "Emergency stop" in view.last_line

@@ -15,7 +15,7 @@ from vcu_gateway.watch import asking
 from vcu_gateway.watch.asking import GatewaySource
 from vcu_gateway.watch.picture import Picture, RefusedError
 
-WAIT_S = 10.0
+WAIT_S = 60.0
 
 
 class Gateway:

@@ -17,7 +17,7 @@ from vcu_gateway.client import Client
 from vcu_gateway.demonstration.child import Child, Wanted
 from vcu_gateway.errors import GatewayError
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 IN_PROCESS = Wanted("virtual", "in-process", 30.0, 20.0, None)
 
 
@@ -118,7 +118,8 @@ def test_its_duration_ends_it(folder):
     with Child(IN_PROCESS._replace(duration_s=1.5)) as child:
         until(child.has_ended)
     done, skipped = map(int, re.findall(r"(\d+) (?:ticks|skipped)", child.summary))
-    assert 30 <= done + skipped <= 36
+    assert done <= 36
+    assert done + skipped >= 30, "a machine that stands still may miss more at the end"
     assert list(folder.iterdir()) == []
 
 

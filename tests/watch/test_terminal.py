@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.watch.terminals import ROOT, SCRIPTED, VCU_GATEWAY, terminal, window
+from tests.watch.terminals import ROOT, SCRIPTED, VCU_GATEWAY, WAIT_S, terminal, window
 
 COLOUR = re.compile(r"\x1b\[(?:[0-9;:]*[;:])?(?:[34][0-9]|9[0-7]|10[0-7])(?:[;:][0-9;:]*)?m")
 # tmux itself goes back to the terminal's own colours after bold and dim.
@@ -15,6 +15,7 @@ NO_MATTER = re.compile(r"\x1b\[[34]9m")
 LEFT = rb"\x1b\[\?1049l.*\x1b\[\?25h"
 
 
+@pytest.mark.timeout(600)  # twenty things to wait for
 def test_in_a_window_it_shows_scrolls_resizes_and_leaves_the_terminal_as_it_was():
     with window(80, 24) as shell:
         before = shell.settings()
@@ -65,9 +66,10 @@ def test_in_a_window_there_are_colours_but_with_no_color_there_is_none():
         for variable, wanted in (("NO_COLOR=", True), ("NO_COLOR=1", False)):
             shell.type(f"clear; {variable} {SCRIPTED} faulty; echo exit=$?")
             shell.until(r"^ FAULT  next")
+            shell.until(r"throttle % +0\.0 +40\.2! +0\.0 +40\.2$")
+            shell.until(r"\? help")
             escapes = NO_MATTER.sub("", shell.screen_with_escapes)
             assert bool(COLOUR.search(escapes)) is wanted
-            assert re.search(r"throttle % +0\.0 +40\.2! +0\.0 +40\.2$", shell.screen, re.MULTILINE)
             shell.press("q")
             shell.until(r"^exit=0")
 
@@ -112,7 +114,7 @@ def test_it_ends_with_the_terminal_told_by_the_kernel_or_not(is_told):
     with terminal(f"{SCRIPTED} driving moving", controls=is_told) as view:
         view.until(rb"\? help")
         view.hang_up()
-        assert view.process.wait(20) == 0
+        assert view.process.wait(WAIT_S) == 0
 
 
 def test_it_ends_on_a_signal_though_the_terminal_takes_nothing_any_more():
@@ -120,7 +122,7 @@ def test_it_ends_on_a_signal_though_the_terminal_takes_nothing_any_more():
         view.until(rb"\? help")
         view.stop_output()
         view.process.send_signal(signal.SIGTERM)
-        assert view.process.wait(20) == 0
+        assert view.process.wait(WAIT_S) == 0
         assert view.is_as_before
 
 
@@ -136,7 +138,7 @@ def test_a_gateway_that_is_not_there_is_waited_for(tmp_path):
 
 def vcu(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "vcu_gateway", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=ROOT, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, cwd=ROOT, **options)
 
 
 def test_without_a_terminal_it_says_what_to_do_instead():
@@ -157,7 +159,7 @@ def test_a_dumb_terminal_is_none():
 def test_without_the_extra_it_says_how_to_install_it(verb, missing):
     code = f"import sys; sys.modules[{missing!r}] = None; import vcu_gateway.cli as c; c.main()"
     done = subprocess.run(
-        [sys.executable, "-c", code, verb], capture_output=True, text=True, timeout=60, cwd=ROOT
+        [sys.executable, "-c", code, verb], capture_output=True, text=True, timeout=90, cwd=ROOT
     )
     assert done.returncode == 69, done.stderr
     assert "pip install 'vcu-gateway[tui]'" in done.stderr

@@ -1,23 +1,31 @@
 """Frames lost, twice, out of order, wrong, or not taken: netem and tbf on a vcan0 with echo."""
 
+import functools
+import itertools
 import statistics
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from datetime import datetime
+from typing import Any, NamedTuple
 
 import pytest
 
+from tests.faults import metronome
 from tests.faults.conftest import Seen
 from tests.faults.driving import MS, BusStand, Driving
 from tests.vcan.conftest import wait_until
 from vcu_gateway.bus.door import BusSettings, Door
 from vcu_gateway.core.output import OutFrame
 
+# A busy machine has what is measured taken once more.
+pytestmark = pytest.mark.timeout(300)
+
 Disturb = Callable[[str], None]
 WHOLE = "steps: []\n"
 COMMAND = OutFrame("PCU1", 0x0008A7D0, bytes.fromhex("0c000000e02e0000"))
 DISTURBED_S = 4
 SEND_MAX_US = 1000
+IMU = (0x040AD079, 0x040BD079, 0x040CD079)
 
 
 @pytest.fixture
@@ -56,11 +64,13 @@ def test_f31_frames_that_come_twice_or_out_of_order_are_no_news(
     lines = len(driving.gateway.log())
     disturb("netem delay 20ms 10ms reorder 25% 50% duplicate 100%")
     time.sleep(DISTURBED_S)
-    found = causes(driving, lines)
+    # Twice is no sign of life, and a copy is another sender's.
+    for told in ("life_signal BMS_Status.LifeSignal power limit", "foreign_sender"):
+        wait_until(
+            lambda told=told: any(one.startswith(told) for one in causes(driving, lines)), told
+        )
     state = driving.ended()
     driving.check_own_choice(lines)
-    assert "life_signal BMS_Status.LifeSignal power limit" in found, "twice is no sign of life"
-    assert any(one.startswith("foreign_sender") for one in found), "a copy is another sender's"
     assert state["bus"]["receiver_bugs"] == 0
     assert counted(state) == state["bus"]["received"]
     seen(
@@ -76,10 +86,12 @@ def test_f32_with_a_third_of_the_frames_lost_fast_messages_stay_fresh(
     disturb("netem loss 30%")
     begin = lines
     for _ in range(2):  # a stall of the machine makes them stale, too: once more
+        skipped, begun_ns = driving.skipped(), time.time_ns()
         time.sleep(DISTURBED_S)
         found = causes(driving, begin)
         stale = [one for one in found if one.startswith("stale IMU")]
         begin = len(driving.gateway.log())
+        stalls = driving.skipped() - skipped + pauses(driving, begun_ns)
         if not stale:
             break
     state = driving.ended()
@@ -88,10 +100,21 @@ def test_f32_with_a_third_of_the_frames_lost_fast_messages_stay_fresh(
     assert state["bus"]["receiver_bugs"] == 0
     assert others <= {"late", "life_signal", "unconfirmed", "tick_late"}
     seen(
-        f"{len(stale)} of the 10 ms messages stale in {DISTURBED_S} s; told, each by its rule: "
+        f"{len(stale)} of the 10 ms messages stale in {DISTURBED_S} s, {stalls} stalls of the "
+        "machine; told, each by its rule: "
         f"{', '.join(sorted(set(found) - set(stale))) or 'nothing'}"
     )
-    assert len(stale) <= 3, "a stall of the machine at most"
+    assert len(stale) <= 3 + 3 * stalls, "a stall of the machine at most"
+
+
+def pauses(driving: Driving, since_ns: int) -> int:
+    """How often the recorder, too, heard none of the inertial unit's messages for 80 ms."""
+    frames = [frame for frame in driving.recording.frames() if frame.stamp_ns > since_ns]
+    found = 0
+    for can_id in IMU:
+        stamps_ns = [frame.stamp_ns for frame in frames if frame.can_id == can_id]
+        found += sum(b - a > 80 * MS for a, b in itertools.pairwise(stamps_ns))
+    return found
 
 
 def test_f33_frames_with_a_wrong_bit_each_do_no_harm_and_are_all_counted(
@@ -119,47 +142,113 @@ def test_f33_frames_with_a_wrong_bit_each_do_no_harm_and_are_all_counted(
 def test_f42_a_full_queue_costs_no_time_and_nothing_is_kept_for_later(
     disturb: Disturb, seen: Seen, how: str
 ):
-    disturb(how)
-    door = Door(BusSettings("socketcan", "vcan0"), [COMMAND.can_id], lambda frame: None)
-    door.open()
-    door.admit()
-    took_us = []
-    for _ in range(200):
-        begun_ns = time.monotonic_ns()
-        door.send(COMMAND)
-        took_us.append((time.monotonic_ns() - begun_ns) / 1000)
-    slow_us = statistics.quantiles(took_us, n=10)[-1]
-    sent, refused = door.counters.sent, door.counters.refused
-    door.close()
-    seen(
-        f"{sent} frames queued, then {refused} of 200; sending takes "
-        f"{statistics.median(took_us):.0f} us, one in ten more than {slow_us:.0f} us",
-        reaction_ms=slow_us / 1000,
-    )
-    assert refused == {"ENOBUFS": 200 - sent}
-    assert sent <= 8
-    assert slow_us < SEND_MAX_US, "the slowest tenth is the machine's own stalls"
+    sent = [Sent.through(how, disturb)]
+    if not sent[0].good:  # labs stall: once more, and both are told
+        sent.append(Sent.through(how, disturb))
+    seen(", then ".join(map(str, sent)), reaction_ms=sent[-1].slow_us / 1000)
+    for one in sent:
+        assert one.refused == {"ENOBUFS": 200 - one.taken}
+    assert sent[-1].good, "the slowest tenth is the machine's own stalls"
+
+
+class Sent(NamedTuple):
+    """200 frames sent one after the other on a full queue."""
+
+    taken: int
+    refused: dict[str, int]
+    usual_us: float
+    slow_us: float
+
+    @classmethod
+    def through(cls, how: str, disturb: Disturb) -> "Sent":
+        disturb("pfifo_fast")  # empty again
+        disturb(how)
+        door = Door(BusSettings("socketcan", "vcan0"), [COMMAND.can_id], lambda frame: None)
+        door.open()
+        door.admit()
+        took_us = []
+        for _ in range(200):
+            begun_ns = time.monotonic_ns()
+            door.send(COMMAND)
+            took_us.append((time.monotonic_ns() - begun_ns) / 1000)
+        counters = door.counters
+        door.close()
+        slow_us = statistics.quantiles(took_us, n=10)[-1]
+        return cls(counters.sent, dict(counters.refused), statistics.median(took_us), slow_us)
+
+    @property
+    def good(self) -> bool:
+        return self.taken <= 8 and self.slow_us < SEND_MAX_US
+
+    def __str__(self) -> str:
+        return (
+            f"{self.taken} frames queued, then {self.refused} of 200; sending takes "
+            f"{self.usual_us:.0f} us, one in ten more than {self.slow_us:.0f} us"
+        )
 
 
 def test_f42_a_queue_that_stays_full_holds_up_no_tick_and_ends_in_a_fault(
     driving: Driving, disturb: Disturb, seen: Seen
 ):
-    before = driving.client.health()
-    disturb("tbf rate 1kbit burst 20 limit 100000")
-    full_ns = time.time_ns()
-    driving.until_mode("fault")
-    fault_ms = driving.told_ms("fault_latched", full_ns)
-    time.sleep(2)
-    after = driving.client.health()
-    refused = after["frames"]["unsent"]["ENOBUFS"] - before["frames"]["unsent"].get("ENOBUFS", 0)
-    skipped = after["ticks"]["skipped"] - before["ticks"]["skipped"]
-    queued_ns = time.time_ns()
-    disturb("pfifo_fast")
-    time.sleep(0.5)
-    wait_until(lambda: len(driving.commands(queued_ns + 300 * MS)) > 3, "frames again")
-    seen(
-        f"fault within {fault_ms:.0f} ms; {refused} frames refused, {skipped} ticks skipped",
-        reaction_ms=fault_ms,
-    )
-    assert refused >= 40
-    assert skipped <= 3
+    driving.start_vehicle()  # quiet: its own hundreds of frames that nobody takes cost the machine
+    filled = [Filled.by(driving, disturb)]
+    if not filled[0].good:  # labs stall: once more, and both are told
+        filled.append(Filled.by(driving, disturb))
+    seen(", then ".join(map(str, filled)), reaction_ms=filled[-1].fault_ms)
+    assert filled[-1].good
+
+
+class Filled(NamedTuple):
+    """Four seconds, most of them with a full queue.
+
+    Attributes:
+        stalls: ticks that a bystander missed meanwhile; calm: that the gateway missed in the four
+            seconds before.
+    """
+
+    fault_ms: float
+    refused: int
+    skipped: int
+    stalls: int
+    calm: int
+
+    @classmethod
+    def by(cls, driving: Driving, disturb: Disturb) -> "Filled":
+        driving.until_driving()
+        calm = driving.skipped()
+        time.sleep(4)
+        calm = driving.skipped() - calm
+        driving.until_driving()
+        faults = len(driving.events("fault_latched"))
+        before = driving.client.health()
+        beats = driving.stand.folder / "beats"
+        driving.stand.run(functools.partial(metronome.beat, beats, 4.0, 0.0005))
+        full_ns = time.time_ns()
+        disturb("tbf rate 1kbit burst 20 limit 100000")
+        wait_until(lambda: len(driving.events("fault_latched")) > faults, "the fault")
+        told = datetime.fromisoformat(str(driving.events("fault_latched")[faults]["timestamp"]))
+        wait_until(beats.exists, "the bystander")
+        stalls = metronome.skipped(beats)
+        beats.unlink()
+        after = driving.client.health()
+        queued_ns = time.time_ns()
+        disturb("pfifo_fast")
+        wait_until(lambda: len(driving.commands(queued_ns + 800 * MS)) > 3, "frames again")
+        return cls(
+            fault_ms=told.timestamp() * 1000 - full_ns / MS,
+            refused=after["frames"]["unsent"]["ENOBUFS"]
+            - before["frames"]["unsent"].get("ENOBUFS", 0),
+            skipped=after["ticks"]["skipped"] - before["ticks"]["skipped"],
+            stalls=stalls,
+            calm=calm,
+        )
+
+    @property
+    def good(self) -> bool:
+        return self.refused >= 40 and self.skipped <= 3 + 2 * (self.stalls + self.calm)
+
+    def __str__(self) -> str:
+        return (
+            f"fault within {self.fault_ms:.0f} ms; {self.refused} frames refused, {self.skipped} "
+            f"ticks skipped, {self.stalls} by a bystander, {self.calm} before"
+        )

@@ -1,7 +1,6 @@
 """What the fault tests found beside the numbered faults."""
 
 import threading
-import time
 
 import pytest
 
@@ -25,19 +24,20 @@ def test_a_restart_while_rolling_backwards_keeps_the_direction():
 def test_a_reload_that_cannot_be_started_does_not_end_the_gateway(tmp_path, monkeypatch):
     """No memory, or no more threads: the vehicle must not stop for a reload."""
     start = threading.Thread.start
+    refused = threading.Event()
 
     def refuse(thread: threading.Thread) -> None:
         if thread.name == "reload":
+            refused.set()
             raise RuntimeError("can't start new thread")
         start(thread)
 
     with driven(tmp_path) as whole, moving(whole):
         monkeypatch.setattr(threading.Thread, "start", refuse)
         whole.daemon.inbox.post(whole.serving.reloader.on_hangup)
-        time.sleep(0.2)
+        whole.until(refused.is_set, "the reload that cannot be started")
         ticks = whole.daemon.schedule.ticks
-        time.sleep(0.3)
-        assert whole.daemon.schedule.ticks > ticks
+        whole.until(lambda: whole.daemon.schedule.ticks > ticks + 3, "further ticks")
 
 
 def test_a_default_time_to_live_above_the_longest_is_refused():

@@ -56,10 +56,11 @@ class Adapter:
             self._unfinished = b""
 
     def unplug(self) -> int:
-        """Pull it out; when, wall clock, ns."""
+        """Pull it out; shortly before, wall clock, ns: what follows may be quicker than we are."""
         with self._turn:
+            begun_ns = time.time_ns()
             self._close_line()
-            return time.time_ns()
+            return begun_ns
 
     def _close_line(self) -> None:
         """Also in every process forked from this one: the line hangs up with its last holder."""
@@ -78,13 +79,21 @@ class Adapter:
         """Set the interface up, as the system would; when it was, wall clock, ns."""
         of_can = ("type", "can", "bitrate", "250000")
         _ip("link", "set", self.name, "txqueuelen", str(queue_frames), *of_can)
-        _ip("link", "set", self.name, "up")
+        for _ in range(3):  # the kernel waits a second for the line, which a busy machine may miss
+            if _ip("link", "set", self.name, "up", check=False) == 0:
+                break
+        else:
+            _ip("link", "set", self.name, "up")
         return time.time_ns()
 
     def report(self, state: str) -> int:
-        """The controller's state: a (active), w, p or b (bus-off), and its counters; when."""
+        """The controller's state: a (active), w, p or b (bus-off), and its counters.
+
+        Returns when, shortly before: what follows may be quicker than we are.
+        """
+        begun_ns = time.time_ns()
         os.write(self._master, f"s{state}\r".encode())
-        return time.time_ns()
+        return begun_ns
 
     def close(self) -> None:
         self._ended = True
@@ -133,6 +142,6 @@ class Adapter:
             os.write(self._master, line.encode())
 
 
-def _ip(*arguments: str) -> None:
+def _ip(*arguments: str, check: bool = True) -> int:
     sudo = [] if os.geteuid() == 0 else ["sudo"]
-    subprocess.run([*sudo, "ip", *arguments], check=True)
+    return subprocess.run([*sudo, "ip", *arguments], check=check).returncode

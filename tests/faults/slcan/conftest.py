@@ -1,14 +1,41 @@
 """A gateway on an slcan adapter; vehicle and recorder on vcan0, the wire behind it."""
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.faults import invariants
 from tests.faults.driving import BusStand, Driving
 from tests.faults.slcan.adapter import Adapter
-from tests.vcan.conftest import ended_after
+from tests.vcan.conftest import Recording, ended_after, wait_until
+
+NEAR = Path(__file__).parent / "near.py"
+
+
+class Adapted(Driving):
+    """A gateway whose frames an adapter passes on to the wire, as soon as the adapter can.
+
+    Attributes:
+        near: the frames as the gateway and the kernel exchange them.
+    """
+
+    def __init__(self, stand: BusStand) -> None:
+        path = stand.folder / "near"
+        child = stand.start("near", sys.executable, str(NEAR), str(path), stand.channel)
+        wait_until(lambda: child.out.read_text() == "ready\n", "the recorder near the gateway")
+        self.near = Recording(child, path)
+        self._near_checked_to = 0
+        super().__init__(stand, wire="vcan0")
+
+    def check(self) -> None:
+        """SAFETY.md's invariants of what the gateway sent since the last check."""
+        frames, log = self.near.frames(), self.gateway.log()
+        begin, self._near_checked_to = self._near_checked_to, len(frames)
+        checked = invariants.check(frames[begin:], log=log)
+        assert checked.frames > 0
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +53,10 @@ def adapter() -> Iterator[Adapter]:
 
 
 @pytest.fixture(scope="module")
-def shared(adapter: Adapter, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driving]:
+def shared(adapter: Adapter, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Adapted]:
     with ended_after(BusStand(tmp_path_factory.mktemp("slcan"), forking=True)) as stand:
         stand.channel = adapter.name
-        one = Driving(stand, wire="vcan0")
+        one = Adapted(stand)
         one.until_serving()
         one.start_vehicle()
         yield one
@@ -37,7 +64,7 @@ def shared(adapter: Adapter, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 
 @pytest.fixture
-def driving(shared: Driving) -> Iterator[Driving]:
+def driving(shared: Adapted) -> Iterator[Adapted]:
     """With throttle on the wire; the invariants are held against it afterwards."""
     shared.until_driving()
     yield shared

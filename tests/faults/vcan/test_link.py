@@ -8,6 +8,7 @@ import pytest
 from tests.faults.conftest import Seen
 from tests.faults.driving import (
     MS,
+    PATIENCE_S,
     ZERO_TORQUE,
     BusStand,
     Driving,
@@ -17,6 +18,7 @@ from tests.faults.driving import (
     set_up,
     stopped_within_ms,
     told,
+    undisturbed,
 )
 from tests.faults.flood import EFF, ERR, send
 from tests.vcan.conftest import COMMANDS, Process, Recorded, ip, program, wait_until
@@ -26,6 +28,7 @@ TICK_MS = 50 + 5
 FOREIGN_THROTTLE_RAW = 231
 CONTROLLER, BUS_OFF, RESTARTED = ERR | 0x004, ERR | 0x040, ERR | 0x100
 WARNING, PASSIVE, ACTIVE = 0x08, 0x20, 0x40
+pytestmark = pytest.mark.timeout(300)  # for a machine that stalls again and again
 
 
 def error(can_id: int, controller_bits: int = 0) -> tuple[int, bytes]:
@@ -35,16 +38,18 @@ def error(can_id: int, controller_bits: int = 0) -> tuple[int, bytes]:
 def test_f45_a_link_that_goes_down_and_up_is_used_again_within_a_second_unarmed(
     driving: Driving, seen: Seen
 ):
+    before_ns = time.time_ns()
     down_ns = set_up("vcan0", up=False)
     driving.until_link("lost")
     driving.until_mode("fault")
     time.sleep(1)
+    still_down_ns = time.time_ns()
     up_ns = set_up("vcan0")
     receiving_ms = (driving.until_receiving() - up_ns) / MS
-    first_ms = first_frames_ms(driving, up_ns)
-    assert not driving.commands(down_ns, up_ns), "nothing leaves meanwhile"
+    first_ms = first_frames_ms(driving, still_down_ns)
+    assert not driving.commands(down_ns, still_down_ns), "nothing leaves meanwhile"
     assert driving.mode() == "fault", "latched: a reset and a new arming are needed"
-    assert driving.told_ms("link_lost", down_ns - 50 * MS) < RETURN_MS
+    assert driving.told_ms("link_lost", before_ns) < RETURN_MS
     assert "is down" in str(driving.events("link_lost")[-1]["reason"])
     seen(
         f"zero torque from the first frame {first_ms:.0f} ms after the link was up, received "
@@ -79,10 +84,11 @@ def test_f46_an_interface_made_again_is_opened_within_a_second_unarmed(
     driving.until_link("lost")
     driving.until_mode("fault")
     assert driving.vehicle is not None
-    driving.vehicle.popen.wait(10)
+    driving.vehicle.popen.wait(PATIENCE_S)
     time.sleep(1)
     add("vcan0")
-    up_ns = set_up("vcan0")
+    up_ns = time.time_ns()
+    set_up("vcan0")
     driving.start_vehicle()
     first_ms = first_frames_ms(driving, up_ns)
     driving.until_receiving()
@@ -115,7 +121,8 @@ def test_f48_a_renamed_interface_is_told_with_its_new_name_and_found_again(
     finally:
         set_up("vcan7", up=False)
         ip("link", "set", "vcan7", "name", "vcan0")
-        back_ns = set_up("vcan0")
+        back_ns = time.time_ns()
+        set_up("vcan0")
     first_ms = first_frames_ms(driving, back_ns)
     seen(
         f"'{word}', silent; under its old name again: zero torque after {first_ms:.0f} ms",
@@ -157,15 +164,16 @@ def test_f39_a_bus_that_goes_off_and_restarts_ten_times_a_second_stays_latched(
 
     def stop_ms() -> float:
         nonlocal lines
-        before, begun_ns = len(driving.gateway.log()), time.time_ns()
+        before, begun_ns = driving.lines(), time.time_ns()
         for _ in range(40):
             send(error(BUS_OFF))
             time.sleep(0.01)
             send(error(RESTARTED))
             time.sleep(0.09)
-        lines = len(driving.gateway.log()) - before
         assert driving.mode() == "fault"
-        return stopped_within_ms(driving, begun_ns)
+        found_ms = stopped_within_ms(driving, begun_ns)
+        lines = driving.lines() - before
+        return found_ms
 
     found = measured(driving, 2 * TICK_MS, stop_ms)
     seen(
@@ -181,7 +189,12 @@ def test_f39_a_bus_that_goes_off_and_restarts_ten_times_a_second_stays_latched(
 
 def test_f43_a_missing_interface_is_told_and_opened_when_it_appears(alone: BusStand, seen: Seen):
     reason = "cannot open socketcan vcan8: no such interface; for a bench: ip link add dev vcan8"
-    first_ms = started_without(alone, reason, lambda: (add("vcan8"), set_up("vcan8"))[1])
+
+    def mend() -> None:
+        add("vcan8")
+        set_up("vcan8")
+
+    first_ms = started_without(alone, reason, mend)
     seen(
         f"runs, says `ip link add`; zero torque {first_ms:.0f} ms after the interface was there, "
         "1000 of them listening",
@@ -191,9 +204,8 @@ def test_f43_a_missing_interface_is_told_and_opened_when_it_appears(alone: BusSt
 
 def test_f44_an_interface_that_is_down_is_as_good_as_missing(alone: BusStand, seen: Seen):
     add("vcan8")
-    first_ms = started_without(
-        alone, "vcan8 is down; ip link set vcan8 up", lambda: set_up("vcan8")
-    )
+    reason = "vcan8 is down; ip link set vcan8 up"
+    first_ms = started_without(alone, reason, lambda: set_up("vcan8"))
     seen(
         f"runs, says `ip link set up`; zero torque {first_ms:.0f} ms after it was up, "
         "1000 of them listening",
@@ -205,8 +217,8 @@ def add(name: str) -> None:
     ip("link", "add", "dev", name, "type", "vcan")
 
 
-def started_without(stand: BusStand, reason: str, mend: Callable[[], int]) -> float:
-    """Start, look at what is told, mend it, which tells when; ms until the first command frame."""
+def started_without(stand: BusStand, reason: str, mend: Callable[[], object]) -> float:
+    """Start, look at what is told, mend it; ms from then until the first command frame."""
     stand.channel = "vcan8"
     recording = record(stand)
     gateway = stand.gateway()
@@ -215,7 +227,8 @@ def started_without(stand: BusStand, reason: str, mend: Callable[[], int]) -> fl
         time.sleep(1)
         events = [one for one in gateway.log() if str(one["event"]).startswith("link")]
         assert [str(one["reason"])[: len(reason)] for one in events] == [reason], "told once"
-        mended_ns = mend()
+        mended_ns = time.time_ns()
+        mend()
         wait_until(lambda: len(recording.commands()) >= 8, "command frames")
         assert {frame.data for frame in recording.commands()} == {ZERO_TORQUE}
         found_ms = (recording.commands()[0].stamp_ns - mended_ns) / MS
@@ -268,14 +281,19 @@ def second_gateway(driving: Driving) -> Process:
 def test_f73_a_second_gateway_on_the_interface_is_refused_and_the_first_drives_on(
     driving: Driving, seen: Seen
 ):
-    begun_ns = time.time_ns()
-    second = second_gateway(driving)
-    assert second.popen.wait(20) == 69
-    error_line = next(line for line in second.err.read_text().splitlines() if "error:" in line)
-    assert "commands on vcan0 already" in error_line
-    time.sleep(0.2)
-    assert driving.mode() == "active"
-    assert {f.data[1] for f in driving.commands(begun_ns)} == {51}
+    def refused() -> str:
+        begun_ns = time.time_ns()
+        second = second_gateway(driving)
+        assert second.popen.wait(PATIENCE_S) == 69
+        error_line = next(line for line in second.err.read_text().splitlines() if "error:" in line)
+        assert "commands on vcan0 already" in error_line
+        ended_ns = time.time_ns()
+        wait_until(lambda: len(driving.commands(ended_ns)) >= 8, "command frames", PATIENCE_S)
+        assert driving.mode() == "active"
+        assert {f.data[1] for f in driving.commands(begun_ns)} == {51}
+        return error_line
+
+    error_line = undisturbed(driving, refused)
     seen(f"exit code 69, '{error_line.partition(';')[0]}'; the first one drives on")
 
 
@@ -284,16 +302,19 @@ def test_f73_a_gateway_that_hears_another_one_while_listening_stays_silent(
 ):
     recording = record(alone)
     gateway = alone.gateway()
+    wait_until(lambda: gateway.has_logged("link_open"), "the gateway")
     for _ in range(60):
         send((EFF | COMMANDS[1], ZERO_TORQUE))
         time.sleep(0.05)
-    assert len(recording.commands()) == 60, "only the other one's frames"
-    heard_ns = time.time_ns()
+    spoken_ns = time.time_ns()
     recording.wait_for(lambda frames: len(recording.commands()) >= 62, "its own frames")
-    silent_ms = (recording.commands()[60].stamp_ns - heard_ns) / MS
+    commands = recording.commands()
+    assert commands[59].stamp_ns < spoken_ns, "only the other one's frames"
+    assert commands[60].stamp_ns > spoken_ns, "only the other one's frames"
+    silent_ms = (commands[60].stamp_ns - commands[59].stamp_ns) / MS
     assert gateway.stop() == 0
     seen(f"silent for the 3 s that the other was heard, and {silent_ms:.0f} ms more")
-    assert silent_ms >= 900
+    assert silent_ms >= 1000
 
 
 def others(frame: Recorded) -> bool:
@@ -321,10 +342,12 @@ def test_f75_the_own_echo_changes_nothing_and_a_copy_by_another_socket_is_anothe
     driving: Driving, seen: Seen
 ):
     before = driving.client.health()["frames"]
-    time.sleep(1)
+
+    def echoes() -> int:
+        return driving.client.health()["frames"]["confirmed"]["PCU1"] - before["confirmed"]["PCU1"]
+
+    wait_until(lambda: echoes() >= 20, "own echoes", PATIENCE_S)
     after = driving.client.health()["frames"]
-    echoes = after["confirmed"]["PCU1"] - before["confirmed"]["PCU1"]
-    assert echoes >= 10
     assert after["foreign_commands"] == before["foreign_commands"]
 
     def copy_stops_ms() -> float:
@@ -333,7 +356,8 @@ def test_f75_the_own_echo_changes_nothing_and_a_copy_by_another_socket_is_anothe
 
     found = measured(driving, TICK_MS, copy_stops_ms)
     seen(
-        f"{echoes} own echoes confirmed and no more; a copy: zero torque after {told(found)}",
+        f"{after['confirmed']['PCU1'] - before['confirmed']['PCU1']} own echoes confirmed and no "
+        f"more; a copy: zero torque after {told(found)}",
         reaction_ms=found[-1],
     )
 

@@ -1,5 +1,6 @@
 """Wrong frames and bad news on a real bus, one gateway for all of them: faults 1 to 30."""
 
+import functools
 import itertools
 import socket
 import struct
@@ -9,7 +10,16 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from tests.faults.conftest import Seen
-from tests.faults.driving import MS, PATIENCE_S, THROTTLE_PCT, ZERO_TORQUE, BusStand
+from tests.faults.driving import (
+    MS,
+    PATIENCE_S,
+    ZERO_TORQUE,
+    BusStand,
+    T,
+    measured,
+    told,
+    undisturbed,
+)
 from tests.faults.flood import EFF, ERR, RTR, send
 from tests.faults.puppet import Breaking
 from tests.vcan.conftest import COMMANDS, Recorded, ended_after, ip, wait_until
@@ -23,6 +33,9 @@ TERRIBLE = b"\xff" * 8
 TICK_MS = 50 + 5
 FULL_POWER_W, DERATED_W = 60_000, 10_000
 CAN_RAW_FD_FRAMES = 5
+# What a frame shows comes within two seconds, or not at all because a stall ended the drive.
+SHOWN_WITHIN_S = 10.0
+pytestmark = pytest.mark.timeout(300)  # for a machine that stalls again and again
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +73,8 @@ def until_well(one: Breaking) -> None:
     from_ns = time.time_ns()
 
     def settled() -> bool:
-        if one.mode() != "active":
-            one.owner.set(throttle_pct=0, power_mode="normal")
-            one._armed()
+        if not one._drives():
             return False
-        one.owner.set(throttle_pct=THROTTLE_PCT, power_mode="normal")
         last = one.commands(from_ns)[-12:]
         good = all(f.data[1] == 51 and power_w(f.data) == FULL_POWER_W for f in last)
         return len(last) == 12 and good
@@ -74,20 +84,20 @@ def until_well(one: Breaking) -> None:
 
 def twice(ride: Breaking, bound_ms: float, measure: Callable[[], float]) -> tuple[str, float]:
     """A reaction within its bound; measured once more where a stall of the machine spoilt it."""
-    told = []
+    skipped = ride.skipped()
     try:
-        until_well(ride)
-        found_ms = measure()
+        found_ms = done_well(ride, measure)
         if found_ms <= bound_ms:
             return f"{found_ms:.1f} ms", found_ms
-        told = [f"{found_ms:.1f} ms"]
+        spoilt = f"{found_ms:.1f} ms"
     except AssertionError as error:
-        told = [f"({str(error).splitlines()[0]})"]
-    until_well(ride)
-    found_ms = measure()
-    sentence = ", then ".join([*told, f"{found_ms:.1f} ms"])
-    assert found_ms <= bound_ms, f"{sentence}; at most {bound_ms} ms"
-    return sentence, found_ms
+        spoilt = f"({str(error).partition(chr(10))[0]})"
+    once_more_left = int(ride.skipped() != skipped)  # a stall spoilt the first: it does not count
+    ready = functools.partial(until_well, ride)
+    ready()
+    work = functools.partial(done_well, ride, measure)
+    found = measured(ride, bound_ms, work, again=ready, slow_at_most=once_more_left)
+    return f"{spoilt}, then {told(found)}", found[-1]
 
 
 def after(ride: Breaking, at_ns: float, can_id: int) -> list[Recorded]:
@@ -104,7 +114,7 @@ def first(
         found.extend(f.stamp_ns for f in after(ride, at_ns, can_id) if shows(f.data))
         return bool(found)
 
-    wait_until(there, what, PATIENCE_S)
+    wait_until(there, what, SHOWN_WITHIN_S)
     return found[0]
 
 
@@ -153,8 +163,17 @@ def once_more(ride: Breaking, work: Callable[[], None]) -> None:
     try:
         work()
     except AssertionError:
-        until_well(ride)
-        work()
+        undisturbed(ride, lambda: done_well(ride, work))
+
+
+def done_well(ride: Breaking, work: Callable[[], T]) -> T:
+    """Do it from the beginning, and leave nothing broken where it fails."""
+    until_well(ride)
+    try:
+        return work()
+    except AssertionError:
+        ride.break_with()
+        raise
 
 
 def causes(ride: Breaking) -> list[str]:
@@ -264,10 +283,10 @@ def test_f11_a_life_signal_that_stands_still_limits_at_2_and_stops_at_3_equal_fr
         stopped_ns = both(ride, equal[1], lambda data: data == ZERO_TORQUE, "the stop")
         early = [f for f in ride.commands(equal[0], equal[1]) if f.data == ZERO_TORQUE]
         assert not early, "not before the third"
+        assert limited_ms[-1] <= TICK_MS
         return (stopped_ns - equal[1]) / MS
 
     told, reaction_ms = twice(ride, TICK_MS, stop_ms)
-    assert limited_ms[-1] <= TICK_MS
     seen(
         f"limited {limited_ms[-1]:.1f} ms after the 2nd, stopped {told} after the 3rd", reaction_ms
     )
@@ -283,11 +302,11 @@ def test_f13_a_silent_battery_limits_after_1100_ms_and_stops_after_1600(ride: Br
         silent_ns = after(ride, 0, BMS_STATUS)[-1].stamp_ns
         limited_ms.append((limited_ns - silent_ns) / MS)
         assert limited_ms[-1] > 1100, f"limited before its deadline: {causes(ride)}"
+        assert limited_ms[-1] <= 1100 + TICK_MS
         assert (stopped_ns - silent_ns) / MS > 1600
         return (stopped_ns - silent_ns) / MS
 
     told, reaction_ms = twice(ride, 1600 + TICK_MS, stop_ms)
-    assert limited_ms[-1] <= 1100 + TICK_MS
     ride.until_mode("fault")
     seen(f"limited after {limited_ms[-1]:.0f} ms, stopped after {told}", reaction_ms)
 
@@ -313,10 +332,10 @@ def test_f14_overvoltage_limits_the_braking_current_and_then_ends_it(ride: Break
         level2_ns = first(ride, begun_ns, BMS_STATUS, lambda data: data[5] & 3 == 2, "level 2")
         off_ns = both(ride, level2_ns, lambda data: not data[2] and not data[0] & 0x20, "the end")
         assert ride.mode() == "active", "it may drive on"
+        assert begins_ms[-1] <= TICK_MS
         return (off_ns - level2_ns) / MS
 
     told, reaction_ms = twice(ride, TICK_MS, off_ms)
-    assert begins_ms[-1] <= TICK_MS
     seen(
         f"level 1: less after {begins_ms[-1]:.1f} ms, 20 % along its slew; level 2: off in {told}",
         reaction_ms,
@@ -329,33 +348,36 @@ def fault_class(ride: Breaking) -> str | None:
 
 
 def test_f15_undervoltage_limits_then_stops_then_cuts(ride: Breaking, seen: Seen):
-    told_ms: dict[str, float] = {}
-
     def caused(level: int) -> int:
         begun_ns = ride.break_with(set_to("CellUndervoltage", level))
         return first(
             ride, begun_ns, BMS_STATUS, lambda data: data[5] >> 2 & 3 == level, f"level {level}"
         )
 
-    def cut_ms() -> float:
+    def limit_ms() -> float:
         at_ns = caused(1)
         found_ns = both(ride, at_ns, lambda data: power_w(data) < FULL_POWER_W, "less power")
-        told_ms["limit"] = (found_ns - at_ns) / MS
         both(ride, at_ns, lambda data: power_w(data) == DERATED_W, "10 kW")
-        at_ns = caused(2)
-        found_ns = both(ride, at_ns, lambda data: data == ZERO_TORQUE, "the stop")
-        told_ms["stop"] = (found_ns - at_ns) / MS
-        at_ns = caused(3)
-        found_ns = both(ride, at_ns, lambda data: data == POWER_CUT, "the cut")
         return (found_ns - at_ns) / MS
 
-    told, reaction_ms = twice(ride, TICK_MS, cut_ms)
-    assert max(told_ms.values()) <= TICK_MS
+    def stop_ms() -> float:
+        caused(1)
+        at_ns = caused(2)
+        return (both(ride, at_ns, lambda data: data == ZERO_TORQUE, "the stop") - at_ns) / MS
+
+    def cut_ms() -> float:
+        caused(1)
+        caused(2)
+        at_ns = caused(3)
+        return (both(ride, at_ns, lambda data: data == POWER_CUT, "the cut") - at_ns) / MS
+
+    limit, limited_ms = twice(ride, TICK_MS, limit_ms)
+    stop, stopped_ms = twice(ride, TICK_MS, stop_ms)
+    cut, cut_off_ms = twice(ride, TICK_MS, cut_ms)
     wait_until(lambda: fault_class(ride) == "service", "the latch for service")
     seen(
-        f"1: less power after {told_ms['limit']:.1f} ms; 2: zero torque after"
-        f" {told_ms['stop']:.1f} ms; 3: power cut after {told}",
-        max(reaction_ms, *told_ms.values()),
+        f"1: less power after {limit}; 2: zero torque after {stop}; 3: power cut after {cut}",
+        max(limited_ms, stopped_ms, cut_off_ms),
     )
 
 
@@ -367,9 +389,13 @@ def test_f17_faults_that_contradict_each_other_both_count(ride: Breaking, seen: 
         return (found_ns - caused_ns) / MS
 
     told, reaction_ms = twice(ride, TICK_MS, stop_ms)
-    why = ride.client.why()
-    subjects = {cause["subject"] for cause in (*why["blocks"], *why["limits"])}
-    assert subjects == {"BMS_Status.CellOvervoltage", "BMS_Status.CellUndervoltage"}
+
+    def subjects() -> set[str]:
+        why = ride.client.why()
+        return {cause["subject"] for cause in (*why["blocks"], *why["limits"])}
+
+    wanted = {"BMS_Status.CellOvervoltage", "BMS_Status.CellUndervoltage"}
+    wait_until(lambda: subjects() == wanted, f"{wanted}, not {subjects()}", PATIENCE_S)
     seen(f"zero torque in {told}; both are told as causes", reaction_ms)
 
 
@@ -390,11 +416,12 @@ def test_f29_a_controllers_answer_may_be_100_ms_late_and_not_300(ride: Breaking,
         before_ns = ride.break_with({"fault": "delay", "of": "PCU1_Status2", "delay_ms": 300})
         stopped_ns = both(ride, before_ns, lambda data: data == ZERO_TORQUE, "the stop")
         last = [f for f in after(ride, 0, PCU1_STATUS2) if f.stamp_ns < stopped_ns - 100 * MS]
-        return (stopped_ns - last[-1].stamp_ns) / MS
+        found_ms = (stopped_ns - last[-1].stamp_ns) / MS
+        assert found_ms > 200, "not before the deadline"
+        return found_ms
 
     late, _ = twice(ride, 190, widest_ms)
     told, reaction_ms = twice(ride, 200 + TICK_MS, stop_ms)
-    assert reaction_ms > 200, "not before the deadline"
     ride.until_mode("fault")
     seen(
         f"{late} without an answer: it drives on; 300 ms late: both stopped in {told}", reaction_ms

@@ -13,7 +13,11 @@ SLOW_S = int(os.environ.get("VCU_SOAK_S", "600"))
 
 
 @pytest.mark.parametrize(
-    "seconds", [15, pytest.param(SLOW_S, marks=[pytest.mark.slow, pytest.mark.timeout(2 * SLOW_S)])]
+    "seconds",
+    [
+        pytest.param(15, marks=pytest.mark.timeout(300)),
+        pytest.param(SLOW_S, marks=[pytest.mark.slow, pytest.mark.timeout(2 * SLOW_S)]),
+    ],
 )
 def test_f80_driving_with_random_faults_keeps_the_invariants_and_leaves_nothing_behind(
     seconds: int, garage: Garage, tmp_path: Path, seen: Seen
