@@ -23,7 +23,8 @@ def broken_from_outside(a_real_systemd: None) -> Iterator[None]:
     BREAKABLE.write_text(Path(__file__).with_name("breakable.py").read_text())
     arguments = exec_start().partition(" ")[2]
     lines = ["[Service]", "ExecStart=", f"ExecStart={PYTHON} {BREAKABLE} {arguments}"]
-    with drop_in("\n".join([*lines, "MemoryMax=160M", ""])):
+    # Of memory it has 40 MB; little more is filled sooner than the watchdog ends it.
+    with drop_in("\n".join([*lines, "MemoryMax=64M", ""])):
         yield
 
 

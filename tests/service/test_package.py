@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.faults.driving import QUIET
+
 PACKAGE = "vcu-gateway"
 SERVICE = "vcu-gateway.service"
 INSTANCE = "vcu-gateway@second.service"
@@ -83,7 +85,7 @@ def show(unit: str, what: str) -> str:
 def until(condition: Callable[[], bool], what: str) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
-        assert time.monotonic() < deadline, f"{what}\n{journal()}"
+        assert time.monotonic() < deadline, f"{what}; {why()}\n{journal()}"
         time.sleep(0.2)
 
 
@@ -141,9 +143,11 @@ def running(ready: None) -> int:
 
 
 @pytest.fixture
-def healthy(running) -> Iterator[None]:
+def healthy(running, tmp_path: Path) -> Iterator[None]:
     """Beside a healthy vehicle, ready to be armed."""
-    with doing("simulate", "--channel", "vcan0"):
+    scenario = tmp_path / "quiet.yaml"
+    scenario.write_text(QUIET)
+    with doing("simulate", "--channel", "vcan0", "--scenario", str(scenario)):
         until(lambda: why().get("mode") == "standby" and not why()["blocks"], "nothing blocks")
         yield
 
