@@ -324,11 +324,12 @@ def knock(path: Path) -> None:
 def test_a_reload_leaves_no_gap_in_the_commands(drive: Drive, figures: list[str]):
     """By signal and by request, taken and refused."""
     drive.owner()
-    drive.until_driving()
     told, calm = [], 0
     for number, limits_w in enumerate(LIMITS_W):
         beats = drive.stand.folder / f"beats-{number}"
-        drive.stand.run(functools.partial(metronome.beat, beats, 2.5, 0.0005))
+        begin = drive.stand.held(functools.partial(metronome.beat, beats, 2.5, 0.0005))
+        drive.until_driving()
+        begin()
         gaps_ms = reloaded(drive, *limits_w)
         wait_until(beats.exists, "the bystander")
         stalls = metronome.skipped(beats)

@@ -214,6 +214,8 @@ class Filled(NamedTuple):
 
     @classmethod
     def by(cls, driving: Driving, disturb: Disturb) -> "Filled":
+        beats = driving.stand.folder / "beats"
+        begin = driving.stand.held(functools.partial(metronome.beat, beats, 4.0, 0.0005))
         driving.until_driving()
         calm = driving.skipped()
         time.sleep(4)
@@ -221,8 +223,7 @@ class Filled(NamedTuple):
         driving.until_driving()
         faults = len(driving.events("fault_latched"))
         before = driving.client.health()
-        beats = driving.stand.folder / "beats"
-        driving.stand.run(functools.partial(metronome.beat, beats, 4.0, 0.0005))
+        begin()
         full_ns = time.time_ns()
         disturb("tbf rate 1kbit burst 20 limit 100000")
         wait_until(lambda: len(driving.events("fault_latched")) > faults, "the fault")

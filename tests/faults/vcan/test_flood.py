@@ -5,7 +5,7 @@ import os
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import pytest
@@ -90,17 +90,35 @@ class Spell(NamedTuple):
         )
 
 
-def spell(driving: Driving, duration_s: float, bystander_busy_s: float) -> Spell:
-    path, before = driving.stand.folder / "beats", driving.client.health()
-    work = functools.partial(metronome.beat, path, duration_s, bystander_busy_s)
-    driving.stand.run(work)
-    wait_until(path.exists, "the metronome", duration_s + 60)
-    after, stalls = driving.client.health(), metronome.skipped(path)
-    path.unlink()
-    skipped = after["ticks"]["skipped"] - before["ticks"]["skipped"]
-    done = after["ticks"]["done"] - before["ticks"]["done"]
-    p99_ms = (after["ticks"]["lateness_p99_us"] or 0) / 1000
-    return Spell(skipped + done, skipped, stalls, p99_ms)
+def spell(
+    driving: Driving, duration_s: float, bystander_busy_s: float, *beside: Callable[[], None]
+) -> Spell:
+    """Seconds of driving; `beside` is done meanwhile, by processes of their own."""
+    return ready(driving, duration_s, bystander_busy_s, *beside)()
+
+
+def ready(
+    driving: Driving, duration_s: float, bystander_busy_s: float, *beside: Callable[[], None]
+) -> Callable[[], Spell]:
+    """The same, begun by calling what is returned: it drives and every process is there."""
+    path = driving.stand.folder / "beats"
+    beat = functools.partial(metronome.beat, path, duration_s, bystander_busy_s)
+    begins = [driving.stand.held(work) for work in (beat, *beside)]
+    driving.until_driving()
+
+    def measured() -> Spell:
+        before = driving.client.health()
+        for begin in begins:
+            begin()
+        wait_until(path.exists, "the metronome", duration_s + 60)
+        after, stalls = driving.client.health(), metronome.skipped(path)
+        path.unlink()
+        skipped = after["ticks"]["skipped"] - before["ticks"]["skipped"]
+        done = after["ticks"]["done"] - before["ticks"]["done"]
+        p99_ms = (after["ticks"]["lateness_p99_us"] or 0) / 1000
+        return Spell(skipped + done, skipped, stalls, p99_ms)
+
+    return measured
 
 
 @pytest.mark.parametrize(
@@ -114,12 +132,12 @@ def test_f34_a_full_bus_costs_no_tick_and_every_dropped_frame_is_counted(
     flood = Flood((*FOREIGN * 7, *OWN, OWN[0]), 8000, duration_s)
 
     def costs_no_tick() -> bool:
-        flooded.until_driving()
         quiet = spell(flooded, duration_s, QUIET_BUSY_S)
         counts_path = flooded.stand.folder / f"counts-{counts.total()}"
+        pour = functools.partial(flood.pour, counts_path)
+        flooded_spell = ready(flooded, duration_s, FLOOD_BUSY_S, pour)
         begun_s = time.monotonic()
-        flooded.stand.run(functools.partial(flood.pour, counts_path))
-        full = spell(flooded, duration_s, FLOOD_BUSY_S)
+        full = flooded_spell()
         sent = poured(counts_path)
         counts.update(sent)
         rate_hz = sent.total() / (time.monotonic() - begun_s)
@@ -138,11 +156,11 @@ def test_f34_a_full_bus_costs_no_tick_and_every_dropped_frame_is_counted(
 def test_f34_what_is_for_us_and_more_than_can_be_read_is_dropped_and_counted_exactly(
     flooded: Driving, seen: Seen
 ):
-    flooded.until_driving()
     counts_path = flooded.stand.folder / "counts"
+    pour = functools.partial(Flood(OWN, 8000, 4).pour, counts_path)
+    flooded_spell = ready(flooded, 4, FLOOD_BUSY_S, pour)
     begun_s = time.monotonic()
-    flooded.stand.run(functools.partial(Flood(OWN, 8000, 4).pour, counts_path))
-    full = spell(flooded, 4, FLOOD_BUSY_S)
+    full = flooded_spell()
     counts = poured(counts_path)
     rate_hz = sum(counts.values()) / (time.monotonic() - begun_s)
     accounted_for(flooded, counts, seen)
@@ -232,10 +250,11 @@ def test_f36_a_flood_of_error_frames_neither_hides_data_nor_fills_the_log(
 
     def flood() -> None:
         counts_path = driving.stand.folder / f"errors-{classes:03x}-{len(stalls)}"
+        pour = functools.partial(Flood([frame], rate_hz, 3).pour, counts_path)
+        flooded_spell = ready(driving, 3, QUIET_BUSY_S, pour)
         begun_s, lines_before = time.monotonic(), driving.lines()
         before = driving.client.health()["frames"]
-        driving.stand.run(functools.partial(Flood([frame], rate_hz, 3).pour, counts_path))
-        full = spell(driving, 3, QUIET_BUSY_S)
+        full = flooded_spell()
         stalls.append(full.stalls)
         counts, after = poured(counts_path), driving.client.health()["frames"]
         took_s = time.monotonic() - begun_s

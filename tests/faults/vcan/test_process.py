@@ -317,16 +317,19 @@ class Hogged(NamedTuple):
 
 def hogged(road: Road, one: Driving) -> Hogged:
     folder = road.stand.folder
+    beats, done = folder / "beats", [folder / f"hog-{number}" for number in range(2)]
+    works = [functools.partial(hog, path, 4.0, 300) for path in done]
+    begins = [
+        road.stand.held(work)
+        for work in (functools.partial(metronome.beat, beats, 4.0, 0.0005), *works)
+    ]
     one.until_driving()
     calm = one.client.health()["ticks"]
     time.sleep(4)
     before = one.client.health()["ticks"]
     busy_ns = time.time_ns()
-    beats = folder / "beats"
-    road.stand.run(functools.partial(metronome.beat, beats, 4.0, 0.0005))
-    done = [folder / f"hog-{number}" for number in range(2)]
-    for path in done:
-        road.stand.run(functools.partial(hog, path, 4.0, 300))
+    for begin in begins:
+        begin()
     wait_until(lambda: beats.exists() and all(p.exists() for p in done), "the hogs", 60)
     after = one.client.health()["ticks"]
     stalls = metronome.skipped(beats)
