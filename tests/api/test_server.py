@@ -470,7 +470,7 @@ def test_waiting_for_answers_is_not_counted_as_a_late_line(idle_api, is_notified
     line = b'{"jsonrpc":"2.0","id":16,"method":"why"}\n'
     client.send(line[:10])
     eventually(lambda: len(idle_api.service.held) == 16)
-    time.sleep(1.7)
+    time.sleep(1.7)  # longer than its patience
     idle_api.service.release()
     time.sleep(0.02)
     client.send(line[10:])

@@ -54,10 +54,9 @@ class UnixDoor:
         try:
             self.sock.bind(self._path)
             self._identity = _identity(self._path)
+            # The service's sandbox refuses even a chown that changes nothing.
             if (owners := _owners(settings)) != _AS_MADE:
-                os.chown(
-                    self._path, *owners
-                )  # the service's sandbox refuses even to change nothing
+                os.chown(self._path, *owners)
             os.chmod(self._path, settings.mode)
             self.sock.listen(_BACKLOG)  # last: nobody connects before the rights are set
         except OSError as error:

@@ -8,23 +8,23 @@ from pathlib import Path
 import pytest
 
 from tests.faults import invariants
-from tests.faults.driving import BusStand, Driving
+from tests.faults.driving import RECORDER, BusStand, Driving
 from tests.faults.slcan.adapter import Adapter
 from tests.vcan.conftest import Recording, ended_after, wait_until
-
-NEAR = Path(__file__).parent / "near.py"
 
 
 class Adapted(Driving):
     """A gateway whose frames an adapter passes on to the wire, as soon as the adapter can.
 
     Attributes:
-        near: the frames as the gateway and the kernel exchange them.
+        near: the frames as the gateway and the kernel exchange them, stamped when the kernel takes
+            them: the wire would show when the adapter passed them on.
     """
 
     def __init__(self, stand: BusStand) -> None:
         path = stand.folder / "near"
-        child = stand.start("near", sys.executable, str(NEAR), str(path), stand.channel)
+        command = (sys.executable, str(RECORDER), str(path), f"={stand.channel}")
+        child = stand.start("near", *command)
         wait_until(lambda: child.out.read_text() == "ready\n", "the recorder near the gateway")
         self.near = Recording(child, path)
         self._near_checked_to = 0
