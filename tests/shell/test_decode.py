@@ -428,10 +428,7 @@ def without_stamp(frames: list[dict]) -> list[dict]:
     return [{"message": frame["message"], "signals": frame["signals"]} for frame in frames]
 
 
-NEEDS_MF4 = pytest.mark.skipif(
-    importlib.util.find_spec("asammdf") is None, reason="the extra mf4 is not installed"
-)
-SUFFIXES = ["log", "asc", "blf", "csv", "db", "trc", pytest.param("mf4", marks=NEEDS_MF4)]
+SUFFIXES = ["log", "asc", "blf", "csv", "db", "trc"]  # mf4: test_mf4.py
 TEXTS = ["log", "asc", "csv", "trc"]
 
 

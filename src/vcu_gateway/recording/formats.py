@@ -3,7 +3,9 @@
 from collections.abc import Iterator
 from typing import IO, Any
 
-import can.io
+from vcu_gateway.python_can import can, mf4_reader
+
+# isort: split
 from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
 
 from vcu_gateway.core import j1939
@@ -52,7 +54,7 @@ def frames(suffix: str, content: Content, complaints: Complaints) -> Iterator[Re
 
 
 def _messages(suffix: str, content: Content) -> Iterator[can.Message]:
-    reader_type: Any = can.io.MESSAGE_READERS[suffix]
+    reader_type: Any = mf4_reader() if suffix == ".mf4" else can.io.MESSAGE_READERS[suffix]
     with reader_type(content) as reader:
         yield from reader
 

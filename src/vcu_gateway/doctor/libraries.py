@@ -1,0 +1,170 @@
+"""Libraries beside the program's own: what they cost the gateway, and other programs."""
+
+import importlib.metadata
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from vcu_gateway.doctor.finding import Finding, Subject
+from vcu_gateway.doctor.reading import Unread
+
+SAY = Subject("libraries")
+_PROGRAM = "vcu-gateway"
+_STRAY_AT_LEAST_MS = 20.0
+_PATIENCE_S = 60.0
+# What else the gateway's process has imported: the top of each module's name, and its file.
+_GATEWAY = """
+import json, sys, sysconfig, vcu_gateway.cli.run
+standard = sysconfig.get_path("stdlib"), "site-packages", "dist-packages"
+found = {}
+for name, module in list(sys.modules.items()):
+    file = getattr(module, "__file__", None) or ""
+    own = file.startswith(standard[0]) and not any(part in file for part in standard[1:])
+    if file and not own and name.partition(".")[0] not in sys.stdlib_module_names:
+        found[name.partition(".")[0]] = file
+print(json.dumps(found))
+"""
+_PYTHON_CAN = """
+import sys, time
+if {hide}: sys.modules["asammdf"] = None
+began_s = time.process_time()
+import can
+took_s = time.process_time() - began_s
+held = dict(line.split(":", 1) for line in open("/proc/self/status"))
+print(took_s * 1000, int(held["VmHWM"].split()[0]) / 1024)
+"""
+_IMPORT_TIME = re.compile(r"import time: +(\d+) \| +\d+ \| +([\w.]+)")
+
+
+class Cost(NamedTuple):
+    """What an import takes: time of the processor, and memory."""
+
+    time_ms: float
+    memory_mb: float
+
+
+class Stray(NamedTuple):
+    """A library in the gateway's process that is not of its own; `file` is empty for a package."""
+
+    time_ms: float
+    file: str = ""
+
+
+class Facts(NamedTuple):
+    """What was measured.
+
+    Attributes:
+        asammdf: what it adds to `import can` in other programs; None where it is not installed.
+        strays: by the name that pip has for it or, without a package, Python.
+    """
+
+    asammdf: Cost | Unread | None
+    strays: Mapping[str, Stray] | Unread
+
+
+def read() -> Facts:
+    """Import in processes of their own, and measure."""
+    return Facts(_asammdf(), _strays())
+
+
+def _asammdf() -> Cost | Unread | None:
+    if importlib.util.find_spec("asammdf") is None:
+        return None
+    try:
+        beside, alone = (_python_can(hide) for hide in (False, True))
+    except (OSError, subprocess.SubprocessError) as error:
+        return Unread(f"import can: {error}")
+    return Cost(beside.time_ms - alone.time_ms, beside.memory_mb - alone.memory_mb)
+
+
+def _python_can(hide: bool) -> Cost:
+    """The cheapest of two: the first may have waited for the disk."""
+    program = _PYTHON_CAN.format(hide=hide)
+    turns = [Cost(*map(float, _child("-c", program).stdout.split())) for _ in range(2)]
+    return min(turns)
+
+
+def _strays() -> dict[str, Stray] | Unread:
+    try:
+        child = _child("-X", "importtime", "-c", _GATEWAY)
+    except (OSError, subprocess.SubprocessError) as error:
+        return Unread(f"import vcu_gateway: {error}")
+    took_us: Counter[str] = Counter()
+    for duration_us, module in _IMPORT_TIME.findall(child.stderr):
+        took_us[module.partition(".")[0]] += int(duration_us)
+    packages, own = importlib.metadata.packages_distributions(), _own_packages()
+    strays: dict[str, Stray] = {}
+    for module, file in json.loads(child.stdout).items():
+        name, *others = packages.get(module, [module])
+        if own.isdisjoint(map(_normal, (name, *others))):
+            before_ms = strays[name].time_ms if name in strays else 0.0
+            file_told = "" if module in packages else file
+            strays[name] = Stray(before_ms + took_us[module] / 1000, file_told)
+    return strays
+
+
+def _child(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-P", *arguments]
+    return subprocess.run(  # noqa: S603 - our own Python and program
+        command, capture_output=True, text=True, timeout=_PATIENCE_S, check=True
+    )
+
+
+def _own_packages() -> set[str]:
+    """The program, what it needs, and what its extras need; of others no extras."""
+    own, waiting = set[str](), [_PROGRAM]
+    while waiting:
+        name = waiting.pop()
+        if name in own:
+            continue
+        own.add(name)
+        waiting += (
+            _normal(re.split(r"[^\w.-]", needed, maxsplit=1)[0])
+            for needed in _requirements(name)
+            if name == _PROGRAM or "extra ==" not in needed
+        )
+    return own
+
+
+def _requirements(name: str) -> list[str]:
+    try:
+        return importlib.metadata.requires(name) or []
+    except importlib.metadata.PackageNotFoundError:  # for another system, or an extra
+        return []
+
+
+def _normal(name: str) -> str:
+    """A package's name as the index compares it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def judge(facts: Facts) -> Iterator[Finding]:
+    """What to say of it."""
+    yield from _of_the_gateway(facts.strays)
+    found = facts.asammdf
+    if isinstance(found, Unread):
+        yield SAY.unknown("asammdf", found.reason)
+    elif found is not None:
+        what = "asammdf is kept out of the gateway; in every other program it makes `import can`"
+        what += f" {found.time_ms:.0f} ms longer and {found.memory_mb:.0f} MB larger"
+        yield SAY.ok("asammdf", what, "pip uninstall asammdf, where nobody decodes MF4")
+
+
+def _of_the_gateway(strays: Mapping[str, Stray] | Unread) -> Iterator[Finding]:
+    if isinstance(strays, Unread):
+        yield SAY.unknown("stray", strays.reason)
+        return
+    told = {name: one for name, one in strays.items() if one.time_ms >= _STRAY_AT_LEAST_MS}
+    if not told:
+        yield SAY.ok("well", "nothing but its own libraries delays the gateway's start")
+    for name, one in sorted(told.items()):
+        what = f"{name} gets into the gateway, which does not need it: {one.time_ms:.0f} ms a start"
+        remedy = f"pip uninstall {name}, where nothing else needs it"
+        if one.file:
+            remedy = f"take {one.file} out of this Python's path"
+        yield SAY.warning("stray", what, remedy)

@@ -1,0 +1,31 @@
+"""asammdf, installed for the tests of MF4 in a folder of its own."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PATIENCE_S = 600
+
+
+@pytest.fixture(scope="session")
+def mf4_folder() -> Path:
+    """The folder of asammdf; to be installed where it is not there, and a must on CI."""
+    found = subprocess.run(
+        [ROOT / "scripts" / "test-mf4", Path(sys.executable).parent],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    if found.returncode:
+        say = pytest.fail if os.environ.get("CI") else pytest.skip
+        say(found.stderr.strip().splitlines()[-1])
+    return Path(found.stdout.strip())
+
+
+def with_asammdf(folder: Path) -> dict[str, str]:
+    """The environment of a process in which asammdf is installed."""
+    return {**os.environ, "PYTHONPATH": str(folder)}
