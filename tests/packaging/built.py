@@ -6,15 +6,44 @@ import subprocess
 import tarfile
 import tempfile
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 BIN = REPOSITORY / ".venv" / "bin"
-EPOCH_S = 1_700_000_000
+_EPOCH_S = 1_700_000_000  # where there is no git
 HOME = "usr/lib/vcu-gateway"
-SITE = f"{HOME}/lib/python3.11/site-packages"
 _NOT_HERE = 69  # EX_UNAVAILABLE
+
+
+class Release(NamedTuple):
+    """A Debian that the package is built for."""
+
+    number: int
+    python: str
+    units: str  # where its debhelper puts them
+
+
+RELEASES = {
+    "bookworm": Release(12, "3.11", "lib/systemd/system"),
+    "trixie": Release(13, "3.13", "usr/lib/systemd/system"),
+}
+
+
+def suite() -> str:
+    """The one that is asked for, else the machine's."""
+    own = subprocess.check_output([REPOSITORY / "scripts" / "own-suite"], text=True).strip()
+    return os.environ.get("VCU_SUITE", own)
+
+
+def epoch_s() -> int:
+    """What scripts/deb takes: as given, else the time of the commit."""
+    if given := os.environ.get("SOURCE_DATE_EPOCH"):
+        return int(given)
+    told = ["git", "-C", REPOSITORY, "log", "-1", "--format=%ct"]
+    done = subprocess.run(told, capture_output=True, text=True)
+    return int(done.stdout) if done.returncode == 0 else _EPOCH_S
 
 
 def copy_tree(folder: Path) -> Path:
@@ -30,11 +59,11 @@ def _left_out(folder: str, names: list[str]) -> set[str]:
     return {name for name in names if name.startswith(".")} | {"build", "dist", "tests", "bench"}
 
 
-def build(tree: Path, script: str, folder: Path, **environment: str) -> None:
+def build(tree: Path, script: str, folder: Path, *options: str, **environment: str) -> None:
     """Run it into the folder; where this machine cannot build, that is a failure on CI alone."""
     done = subprocess.run(
-        [tree / "scripts" / script, BIN, folder],
-        env={**os.environ, "SOURCE_DATE_EPOCH": str(EPOCH_S), **environment},
+        [tree / "scripts" / script, *options, BIN, folder],
+        env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch_s()), **environment},
         capture_output=True,
         text=True,
     )
@@ -44,10 +73,12 @@ def build(tree: Path, script: str, folder: Path, **environment: str) -> None:
 
 
 class Deb:
-    """A Debian package, opened."""
+    """A Debian package for a release, opened."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, release: Release) -> None:
         self.path = path
+        self.release = release
+        self.site = f"{HOME}/lib/python{release.python}/site-packages"
         with tempfile.TemporaryFile() as file:
             subprocess.run(["dpkg-deb", "--fsys-tarfile", path], stdout=file, check=True)
             file.seek(0)
@@ -58,6 +89,10 @@ class Deb:
                     for name, member in self.members.items()
                     if member.isfile()
                 }
+
+    def place(self, name: str) -> str:
+        """A path with {site} or {units} in it, as this release has it."""
+        return name.format(site=self.site, units=self.release.units)
 
     def text(self, name: str) -> str:
         return self.contents[name].decode()

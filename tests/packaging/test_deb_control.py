@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.packaging.built import BIN, EPOCH_S, Deb, build
+from tests.packaging.built import BIN, REPOSITORY, Deb, build, epoch_s, suite
 
 pytestmark = pytest.mark.timeout(1200)
 SCRIPTS = ("postinst", "postrm", "prerm")
@@ -37,23 +37,25 @@ def test_the_sums_are_those_of_all_files_but_the_configuration(deb, control):
     assert listed == set(deb.contents) - {"etc/vcu-gateway/gateway.yaml"}
 
 
+@pytest.fixture
+def copied(tree: Path, tmp_path: Path) -> Path:
+    """A copy, to be changed."""
+    return shutil.copytree(tree, tmp_path / "tree", symlinks=True)
+
+
 @pytest.mark.slow
-def test_building_again_elsewhere_gives_the_same_bytes(deb, tree, tmp_path):
+def test_building_again_elsewhere_in_a_clean_root_gives_the_same_bytes(deb, copied, tmp_path):
+    (copied / "build").mkdir()
+    (copied / "build" / "roots").symlink_to(REPOSITORY / "build" / "roots")
     elsewhere = {"TZ": "Asia/Tokyo", "LC_ALL": "C", "HOME": str(tmp_path), "PYTHONHASHSEED": "7"}
     folder = tmp_path / "another place"
-    build(tree, "deb", folder, **elsewhere, UV_CACHE_DIR=uv_cache())
+    build(copied, "deb", folder, "--suite", suite(), **elsewhere, UV_CACHE_DIR=uv_cache())
     (again,) = folder.glob("*.deb")
     assert again.read_bytes() == deb.path.read_bytes()
 
 
 def uv_cache() -> str:
     return subprocess.check_output([BIN / "uv", "cache", "dir"], text=True).strip()
-
-
-@pytest.fixture
-def broken(tree: Path, tmp_path: Path) -> Path:
-    """A copy, to be broken."""
-    return shutil.copytree(tree, tmp_path / "tree", symlinks=True)
 
 
 def refusal(tree: Path, **environment: str) -> str:
@@ -66,12 +68,12 @@ def refusal(tree: Path, **environment: str) -> str:
     return done.stderr.splitlines()[-1]
 
 
-def test_outside_of_git_the_time_must_be_given(broken):
-    assert refusal(broken) == "error: this is no git checkout: set SOURCE_DATE_EPOCH, seconds"
+def test_outside_of_git_the_time_must_be_given(copied):
+    assert refusal(copied) == "error: this is no git checkout: set SOURCE_DATE_EPOCH, seconds"
 
 
-def test_a_missing_unit_is_named(broken, deb):
+def test_a_missing_unit_is_named(copied, deb):
     del deb  # the build tools are there
-    (broken / "systemd" / "vcu-gateway@.service").unlink()
-    said = refusal(broken, SOURCE_DATE_EPOCH=str(EPOCH_S))
+    (copied / "systemd" / "vcu-gateway@.service").unlink()
+    said = refusal(copied, SOURCE_DATE_EPOCH=str(epoch_s()))
     assert said == "error: systemd/vcu-gateway@.service is missing"
