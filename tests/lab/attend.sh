@@ -2,7 +2,7 @@
 # Run the lab's command with its output and its signals connected, and hand back its status.
 #
 # Read by init.sh, or a service of its own under systemd (init-systemd.sh). In $job:
-#   settings   shell variables: stdout, stderr (tty, pipe or merged), rows, cols, interactive
+#   settings   shell variables: kind (uml or qemu), stdout, stderr (tty, pipe or merged), rows, cols, interactive
 #   command    the script that becomes the command
 #   began      made here as soon as the command starts
 #   status     the command's exit status; absent if the guest died before the command ended.
@@ -11,7 +11,12 @@
 run=/run/lab
 mkdir $run/cgroup/command
 
-exec 8>/dev/tty1 9>/dev/tty2 # a console forgets its window size when the last one closes it
+. "$job/settings"
+case $kind in
+uml) console=/dev/tty ;;
+qemu) console=/dev/hvc ;;
+esac
+exec 8>${console}1 9>${console}2 # a console forgets its window size when the last one closes it
 # A pipe in front of the console where the caller's output is no terminal, so that isatty()
 # and buffering are what they are outside; a terminal where it is one.
 channel() { # NAME KIND CONSOLE
@@ -28,17 +33,16 @@ channel() { # NAME KIND CONSOLE
         ln -s "$run/stdout" "$run/$1" ;;
     esac
 }
-. "$job/settings"
 relays=
 : >"$job/began"
 # The brackets keep this shell's own "Killed" and "Terminated" out of the command's stderr.
 if [ "$interactive" ]; then
-    stty -F /dev/tty1 sane rows "$rows" cols "$cols"
-    (setsid -c "$job/command" </dev/tty1 >/dev/tty1 2>&1 8>&- 9>&-)
+    stty -F ${console}1 sane rows "$rows" cols "$cols"
+    (setsid -c "$job/command" <${console}1 >${console}1 2>&1 8>&- 9>&-)
 else
-    channel stdout "$stdout" /dev/tty1
-    channel stderr "$stderr" /dev/tty2
-    while read -r signal; do kill -"$signal" -"$(cat $run/group)"; done </dev/tty0 &
+    channel stdout "$stdout" ${console}1
+    channel stderr "$stderr" ${console}2
+    while read -r signal; do kill -"$signal" -"$(cat $run/group)"; done <${console}0 &
     (setsid "$job/command" </dev/null >$run/stdout 2>$run/stderr 8>&- 9>&-)
 fi
 status=$?

@@ -1,8 +1,10 @@
 """What a User Mode Linux guest needs: packages, modules, memory, kernel command line, settings."""
 
 import contextlib
+import fcntl
 import functools
 import os
+import random
 import re
 import shutil
 import subprocess
@@ -40,6 +42,11 @@ def require(directory):
         raise CannotError(
             f"no CAN in this kernel and no {', '.join(missing)} installed: run `lab install`"
         )
+    require_visible(directory)
+
+
+def require_visible(directory):
+    """Raises unless a guest can see the directory."""
     if f"{directory}/".startswith(tuple(f"{top}/" for top in OVERLAID)):
         raise CannotError(
             f"{directory} is invisible in the guest, which has its own {', '.join(OVERLAID)}"
@@ -60,14 +67,38 @@ def kernel_command(job, mem):
     ]
 
 
-def settings(interactive):
-    """How init.sh is to connect the command's output, as shell variables."""
+def consoles(control, keys, out, err):
+    """Options that connect console 0, 1 and 2 with these file descriptors, the log with stdout."""
+    return [f"con0=fd:{control},fd:1", f"con1=fd:{keys},fd:{out}", f"con2=null,fd:{err}"]
+
+
+def take_processor():
+    """Ties this process, and so the guest, to one processor, no other lab's if one is free.
+
+    The guest's processes take turns by ptrace: on one processor a turn costs a third of what it
+    costs between two. The open file keeps other labs off it until this process ends.
+    """
+    processors = sorted(os.sched_getaffinity(0))
+    for number in processors:
+        file = os.open(f"/tmp/vcu-lab.{os.getuid()}.processor{number}", os.O_CREAT | os.O_RDWR)
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            break
+        os.close(file)
+    else:
+        number = random.choice(processors)
+    os.sched_setaffinity(0, {number})
+
+
+def settings(interactive, kind="uml"):
+    """How init.sh is to connect the command's output, as shell variables; kind is the guest's."""
     kinds = ["tty" if os.isatty(fd) else "pipe" for fd in (1, 2)]
     if os.path.sameopenfile(1, 2):
         kinds[1] = "merged"  # one channel keeps the order of lines
     columns, rows = shutil.get_terminal_size()
     size = f"rows={rows} cols={columns}"
-    return f"stdout={kinds[0]} stderr={kinds[1]} {size} interactive={'yes' * interactive}\n"
+    how = f"kind={kind} stdout={kinds[0]} stderr={kinds[1]}"
+    return f"{how} {size} interactive={'yes' * interactive}\n"
 
 
 def memory_directory(mem):
@@ -83,12 +114,13 @@ def memory_directory(mem):
     raise CannotError(f"no room for {mem} in /dev/shm, /tmp or /var/tmp: use a smaller --mem")
 
 
-def module_lines(extra, params):
+def module_lines(extra, params, tree=None):
     """Lines "path parameters" for the standard and extra modules, each after those it needs.
 
-    params are pairs such as ("vcan", "echo=1").
+    params are pairs such as ("vcan", "echo=1"); tree has the modules of one kernel, that of User
+    Mode Linux if not given.
     """
-    tree = MODULE_TREE / release()
+    tree = tree or MODULE_TREE / release()
     paths = {plain(path.name.split(".ko")[0]): path for path in tree.rglob("*.ko*")}
     needs = dependencies(tree)
     options = {}
@@ -97,7 +129,7 @@ def module_lines(extra, params):
     lines = {}
     for name in dict.fromkeys(plain(name) for name in [*MODULES, *extra, *options]):
         if name not in paths:
-            raise CannotError(f"User Mode Linux {release()} has no module {name}")
+            raise CannotError(f"the guest's kernel {tree.name} has no module {name}")
         for path in (*needs.get(paths[name], ()), paths[name]):
             lines[path] = " ".join([str(path), *options.get(plain(path.name.split(".ko")[0]), ())])
     return "".join(f"{line}\n" for line in lines.values())

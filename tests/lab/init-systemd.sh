@@ -2,6 +2,7 @@
 # Process 1 of the lab's guest until systemd is: make vcan0 and a root to be thrown away.
 #
 # `lab` copies this file into a job directory, beside
+#   settings   shell variables: kind, that of the guest, uml or qemu
 #   root       link to the root: a squashfs image, which is also the first disk, or a directory
 #   shared     folders of the machine, one a line, to be seen read-only at the same path
 #   packages   Debian packages beside it, one a line, to be installed before it boots
@@ -14,7 +15,7 @@ masked="getty.target serial-getty@.service console-getty.service modprobe@.servi
     proc-sys-fs-binfmt_misc.automount systemd-update-utmp.service
     systemd-update-utmp-runlevel.service systemd-pstore.service systemd-tmpfiles-clean.timer
     systemd-networkd-wait-online.service apt-daily.timer apt-daily-upgrade.timer
-    dpkg-db-backup.timer fstrim.timer"
+    dpkg-db-backup.timer fstrim.timer e2scrub_reap.service kmod-static-nodes.service"
 path=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 
 # By its path: this shell finds its other built-in programs through /proc/self/exe.
@@ -22,6 +23,31 @@ path=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 exec >/dev/console 2>&1
 
 give_up() { echo "lab: $*"; poweroff -f; }
+
+. "$job/settings"
+case $kind in
+uml)
+    disk=/dev/ubda
+    show() { mount --bind "$1" ".$1" && mount -o remount,bind,ro ".$1"; }
+    become() {
+        pivot_root . mnt || give_up 'cannot change the root'
+        /mnt/bin/busybox chroot . /mnt/bin/busybox umount -l /mnt
+        exec env -i TERM=dumb PATH=$path chroot . "$@"
+    } ;;
+qemu)
+    disk=/dev/vda
+    folders=0
+    show() {
+        mount -t 9p -o trans=virtio,version=9p2000.L,msize=262144,ro,cache=loose \
+            folder$folders ".$1"
+        folders=$((folders + 1))
+    }
+    become() {
+        mkdir -p usr/lib/modules
+        mount --bind /lib/modules usr/lib/modules # udev takes its drivers from there
+        exec env -i TERM=dumb PATH=$path switch_root . "$@"
+    } ;;
+esac
 
 while read -r module; do
     insmod $module || give_up "cannot load $module"
@@ -34,7 +60,7 @@ mkdir -p /run/lower /run/upper/root /run/upper/work /run/root
 if [ -d "$job/root" ]; then
     mount --bind "$job/root" /run/lower
 else
-    mount -t squashfs -o ro /dev/ubda /run/lower
+    mount -t squashfs -o ro $disk /run/lower
 fi || give_up "cannot mount $(readlink "$job/root")"
 [ -x /run/lower/lib/systemd/systemd ] || give_up "no systemd in $(readlink "$job/root")"
 mount -t overlay -o lowerdir=/run/lower,upperdir=/run/upper/root,workdir=/run/upper/work \
@@ -42,8 +68,7 @@ mount -t overlay -o lowerdir=/run/lower,upperdir=/run/upper/root,workdir=/run/up
 cd /run/root
 
 while read -r folder; do
-    mkdir -p ".$folder" && mount --bind "$folder" ".$folder" &&
-        mount -o remount,bind,ro ".$folder" || give_up "cannot show $folder"
+    mkdir -p ".$folder" && show "$folder" || give_up "cannot show $folder"
 done <"$job/shared"
 mount -t tmpfs -o mode=755,nosuid,nodev tmpfs run
 mkdir -p run/lab/job
@@ -79,6 +104,4 @@ UNIT
 mkdir -p etc/systemd/system/multi-user.target.wants
 ln -s ../lab.service etc/systemd/system/multi-user.target.wants/lab.service
 
-pivot_root . mnt || give_up 'cannot change the root'
-/mnt/bin/busybox chroot . /mnt/bin/busybox umount -l /mnt
-exec env -i TERM=dumb PATH=$path chroot . /lib/systemd/systemd --unit=multi-user.target
+become /lib/systemd/systemd --unit=multi-user.target

@@ -2,7 +2,7 @@
 # Process 1 of the lab's guest: make vcan0, run the command, power off.
 #
 # `lab` copies this file into a job directory, beside
-#   settings   SHELL variables: stdout, stderr (tty, pipe or merged), rows, cols, interactive
+#   settings   SHELL variables: kind (uml), stdout, stderr (tty, pipe or merged), rows, cols, interactive
 #   modules    one "path parameters" per line, in loading order
 #   command    the script that becomes the command
 #   attend     what runs it

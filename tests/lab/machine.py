@@ -1,7 +1,9 @@
 """A guest with a systemd of its own: its root, and what it sees of this machine."""
 
 import configparser
+import contextlib
 import os
+import platform
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,22 +17,40 @@ PACKAGES = {
     "/usr/share/keyrings/debian-archive-keyring.gpg": "debian-archive-keyring",
 }
 MODULES = ("overlay", "squashfs")
+KERNEL_OPTIONS = "selinux=0 systemd.show_status=auto"
+SUITES = ("bookworm", "trixie")
 SQUASHFS = b"hsqs"  # its first bytes
 REPOSITORY = Path(__file__).parents[2]
 # Of the guest's own; a folder of the machine must not hide one.
 SYSTEM = ("/", "/bin", "/etc", "/lib", "/lib64", "/mnt", "/sbin", "/usr", "/var")
 
 
+def own_suite():
+    """This machine's own, where its interpreters work, if there is a root of it; else the first."""
+    with contextlib.suppress(OSError):
+        suite = platform.freedesktop_os_release().get("VERSION_CODENAME")
+        return suite if suite in SUITES else SUITES[0]
+    return SUITES[0]
+
+
 def missing_packages():
-    there = (bool(shutil.which(tool)) or Path(tool).exists() for tool in PACKAGES)
-    return sorted(name for name, found in zip(PACKAGES.values(), there, strict=True) if not found)
+    return missing(PACKAGES if os.geteuid() == 0 else PACKAGES | {"newuidmap": "uidmap"})
+
+
+def missing(packages):
+    """The packages, {tool or file: package}, whose tools are not there."""
+    there = (bool(shutil.which(tool)) or Path(tool).exists() for tool in packages)
+    return sorted(name for name, found in zip(packages.values(), there, strict=True) if not found)
 
 
 def prepare(job, root, also, packages):
-    """Puts what init-systemd.sh needs into the job directory."""
+    """Puts what init-systemd.sh needs into the job directory.
+
+    root is a directory, a squashfs image or the name of a Debian suite.
+    """
     folders = shared_folders(also)
     for folder in folders:
-        guest.require(folder)
+        guest.require_visible(folder)
     (job / "root").symlink_to(find_root(root))
     write_lines(job / "shared", folders)
     write_lines(job / "packages", [copied(job, Path(package)) for package in packages])
@@ -48,8 +68,8 @@ def copied(job, package):
 
 
 def find_root(given):
-    """The directory or image to boot: as given, else Debian 12, built where it is not yet."""
-    root = Path(given or built()).absolute()
+    """The directory or image to boot; that of a Debian suite is built where it is not yet."""
+    root = Path(built(given) if given in SUITES else given).absolute()
     if root.is_dir():
         return root
     try:
@@ -61,9 +81,9 @@ def find_root(given):
     raise CannotError(f"--root {root}: neither a directory nor a squashfs image")
 
 
-def built():
+def built(suite):
     script = Path(__file__).with_name("debian-root")
-    done = subprocess.run([script], stdout=subprocess.PIPE, text=True)
+    done = subprocess.run([script, suite], stdout=subprocess.PIPE, text=True)
     if done.returncode != 0:
         raise CannotError("no root for the guest")
     return done.stdout.strip()
@@ -73,7 +93,7 @@ def kernel_options(job):
     """What the kernel's command line needs besides."""
     disk = [f"ubd0r={job}/root"] if (job / "root").is_file() else []
     # This kernel has RT_GROUP_SCHED: beside the cpu controller no service may be real-time.
-    return ["selinux=0", "cgroup_disable=cpu", "systemd.show_status=auto", *disk]
+    return [*KERNEL_OPTIONS.split(), "cgroup_disable=cpu", *disk]
 
 
 def shared_folders(also):

@@ -1,18 +1,27 @@
-"""One command with a vcan0, from its start to its exit status; nothing of it stays behind."""
+"""One command with a vcan0, from its start to its exit status.
+
+Nothing of it stays behind but the console of a guest that failed, in a file.
+"""
 
 import contextlib
 import os
+import re
 import selectors
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections import deque
 
 TIMED_OUT, FAILED = 124, 125  # as timeout(1) has them
 GRACE_S = 10  # between asking the command to end and killing it
 NEVER = float("inf")
+# What init or the guest's kernel says on the console before it gives up.
+REASON = re.compile(r"^(?:lab: |.*Kernel panic - not syncing: )(.+)", re.MULTILINE)
+# In the stack of a guest that died of it; the kernel's own words for it come through now and then.
+REGISTERS, REFUSED = "put_fp_registers", "this machine's kernel refuses its registers (xstate.c)"
 
 
 def say(message):
@@ -22,11 +31,13 @@ def say(message):
 class Supervisor:
     """Runs one process group, passes signals and output on, and keeps its time.
 
-    job is a directory that goes when the supervisor ends, timeout_s its time in seconds or None.
+    job is a directory that goes when the supervisor ends, timeout_s its time in seconds or None;
+    verbose shows the console of a guest that failed.
     """
 
-    def __init__(self, job, timeout_s):
+    def __init__(self, job, timeout_s, verbose=False):
         self.job = job
+        self.verbose = verbose
         self.ask_at = time.monotonic() + timeout_s if timeout_s else NEVER
         self.kill_at = NEVER
         self.cause = None  # the exit status that we are the cause of
@@ -50,21 +61,17 @@ class Supervisor:
             start_new_session=True,
         )
 
-    def start_guest(self, argv, memory_directory, interactive):
+    def start_guest(self, argv, consoles, interactive, environment):
+        """Starts a kernel; consoles(control, keys, out, err) is how its options connect these."""
         (out, out_w), (err, err_w), (log, log_w) = os.pipe(), os.pipe(), os.pipe()
         (control_r, self.control), (keys_r, keys) = os.pipe(), os.pipe()
         self.pumps = {out: 1, err: 2, log: None, **({0: keys} if interactive else {})}
-        consoles = [
-            f"con0=fd:{control_r},fd:1",
-            f"con1=fd:{keys_r},fd:{out_w}",
-            f"con2=null,fd:{err_w}",
-        ]
         self.start(
-            [*argv, *consoles],
+            [*argv, *consoles(control_r, keys_r, out_w, err_w)],
             stdout=log_w,
             stderr=log_w,
             pass_fds=(out_w, err_w, control_r, keys_r),
-            env={**os.environ, "TMPDIR": memory_directory},
+            env={**os.environ, **environment},
         )
         for fd in (out_w, err_w, log_w):
             os.close(fd)
@@ -100,7 +107,6 @@ class Supervisor:
         now = time.monotonic()
         if now >= self.ask_at:
             self.ask_at, self.cause = NEVER, TIMED_OUT
-            say("timed out")
             self.ask(signal.SIGTERM)
         while self.asked:
             if self.cause:  # told twice: no more patience
@@ -125,8 +131,11 @@ class Supervisor:
 
     def status(self):
         status = self.guest_status() if self.control else self.process.wait()
-        if self.cause == TIMED_OUT and not self.begun():
-            self.show_console("the command had not begun")
+        if self.cause == TIMED_OUT:
+            if self.begun():
+                say("timed out")
+            else:
+                self.say_failed("timed out before the command had begun")
         if self.cause == TIMED_OUT or status is None:
             return self.cause or self.guest_died()
         return status if status >= 0 else 128 - status
@@ -140,13 +149,21 @@ class Supervisor:
         return None
 
     def guest_died(self):
-        self.show_console("the guest died")
+        self.say_failed("the guest died")
         return FAILED
 
-    def show_console(self, why):
-        say(f"{why}; the end of its console:")
+    def say_failed(self, what):
+        """One line, with the guest's own reason and the file that has its console."""
         log = b"".join(self.console).decode("utf-8", "replace").replace("\r", "")
-        sys.stderr.write("".join(log.splitlines(keepends=True)[-25:]))
+        with tempfile.NamedTemporaryFile(
+            "w", encoding="utf-8", prefix="vcu-lab-console.", suffix=".log", delete=False
+        ) as file:
+            file.write(log)
+        found = REASON.search(log)
+        reason = REFUSED if REGISTERS in log else found and found[1]
+        say(f"{what}{f': {reason}' if reason else ''}; its console is in {file.name}")
+        if self.verbose:
+            sys.stderr.write("".join(log.splitlines(keepends=True)[-25:]))
 
     def end(self):
         for process in filter(None, (self.process, self.undertaker)):

@@ -197,12 +197,24 @@ def test_module_parameters_and_extra_modules(way):
     assert lab("sh", "-c", script, options=options).stdout == "Y\n2\n"
 
 
-def test_a_guest_that_dies_is_a_failure_of_the_lab(way):
+@pytest.mark.parametrize(("ci", "shown"), [("", False), ("true", True)])
+def test_a_guest_that_dies_ends_in_one_line_and_ci_sees_its_console(way, tmp_path, ci, shown):
     if way != "uml":
         pytest.skip("needs User Mode Linux")
-    done = lab("busybox", "poweroff", "-f")
+    done = lab("busybox", "poweroff", "-f", env={**os.environ, "CI": ci, "TMPDIR": str(tmp_path)})
     assert done.returncode == 125
-    assert "System halted" in done.stderr
+    line, _, console = done.stderr.partition("\n")
+    found = re.fullmatch(r"lab: the guest died; its console is in (/\S+)", line)
+    assert "System halted" in Path(found[1]).read_text()
+    assert ("System halted" in console, bool(console)) == (shown, shown)
+
+
+def test_check_says_in_one_line_what_works(way):
+    done = subprocess.run([LAB, "check"], capture_output=True, text=True)
+    kernel = {"native": r"Linux \S+", "uml": r"User Mode Linux \d\S+"}[way]
+    works = rf"{way}: {kernel} begins after \d+\.\d s, vcan0 carries a frame.*\n"
+    assert re.fullmatch(works, done.stdout)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_native_way_in_the_guest_of_the_other_way():
