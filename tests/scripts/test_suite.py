@@ -1,0 +1,109 @@
+"""scripts/suite: that it runs what it should, beside each other, and tells how it went."""
+
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "suite"
+QUICK = """
+lint test-core test-serving test-shell test-faults-pure test-others test-exhaustive:
+\t@echo "1 passed in 0.01s"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A project whose steps of the quick suite all pass."""
+    (tmp_path / "Makefile").write_text(QUICK)
+    return tmp_path
+
+
+def replace_step(folder: Path, step: str, *recipe: str) -> None:
+    makefile = folder / "Makefile"
+    rest = makefile.read_text().replace(f"{step} ", "", 1)
+    makefile.write_text(rest + f"\n{step}:\n" + "".join(f"\t{line}\n" for line in recipe))
+
+
+def suite(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = [SCRIPT, "quick", "-C", folder, *options]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+def runs(pid: str) -> bool:
+    try:
+        return Path("/proc", pid, "stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+def test_each_step_is_told_with_its_tests_and_then_the_verdict(folder: Path) -> None:
+    done = suite(folder)
+    assert done.returncode == 0
+    assert len(re.findall(r"^ \d:\d\d  [a-z-]+ +\d+ s  1 passed", done.stdout, re.MULTILINE)) == 7
+    assert re.search(r"first verdict after \d+ s: style, types and core are right", done.stdout)
+    assert "\n7 passed, 0 failed, 0 skipped\n" in done.stdout
+    assert re.search(r"7 steps in 0 min \d+ s: all right", done.stdout)
+    assert "\033" not in done.stdout
+
+
+def test_a_step_that_fails_is_shown_and_the_others_run_on(folder: Path) -> None:
+    replace_step(folder, "test-core", "@echo the reason; exit 3")
+    done = suite(folder)
+    assert done.returncode == 1
+    assert "test-core         FAILED" in done.stdout
+    assert "the reason" in done.stdout
+    assert "all of it: build/suite/test-core.log; again: make test-core" in done.stdout
+    assert "first verdict" in done.stdout
+    assert "7 steps" in done.stdout
+    assert done.stdout.splitlines()[-1].endswith("failed: test-core")
+
+
+def test_the_slowest_tests_of_all_steps_are_told_with_what_they_set_up(folder: Path) -> None:
+    shown = [f"@echo '{seconds}.00s call     tests/test_a.py::{seconds}'" for seconds in range(9)]
+    replace_step(folder, "test-shell", *shown)
+    replace_step(
+        folder,
+        "test-others",
+        "@echo '5.00s setup    tests/test_b.py::one'",
+        "@echo '6.50s call     tests/test_b.py::one'",
+        "@echo '0.60s call     tests/test_b.py::two'",
+        "@echo '0.50s call     tests/test_b.py::three'",
+    )
+    slowest = suite(folder).stdout.partition("the slowest 10 tests")[2].splitlines()[1:11]
+    assert slowest[0].split() == ["11.5", "s", "tests/test_b.py::one"]
+    assert slowest[1].split() == ["8.0", "s", "tests/test_a.py::8"]
+    assert slowest[-1].split() == ["0.6", "s", "tests/test_b.py::two"]
+
+
+def test_what_was_skipped_is_told(folder: Path) -> None:
+    replace_step(folder, "test-others", "@echo 'SKIPPED [1] tests/a.py:3: no bus'")
+    assert "skipped: tests/a.py:3: no bus" in suite(folder).stdout
+
+
+def test_no_more_steps_run_at_once_than_asked_for(folder: Path) -> None:
+    steps = ["lint", "test-core", "test-serving", "test-shell"]
+    for step in steps:
+        replace_step(folder, step, f"@echo began {step} >>order; sleep 0.3; echo ended >>order")
+    suite(folder, "--jobs", "1")
+    order = (folder / "order").read_text().splitlines()
+    assert order == [line for step in steps for line in (f"began {step}", "ended")]
+
+
+def test_an_interrupt_ends_every_step(folder: Path) -> None:
+    replace_step(folder, "lint", "@sleep 300 & echo $$! >pid; wait")
+    process = subprocess.Popen([SCRIPT, "quick", "-C", folder], stdout=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (folder / "pid").exists() or not (folder / "pid").read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said.splitlines()[-1].endswith("interrupted")
+    while runs((folder / "pid").read_text().strip()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

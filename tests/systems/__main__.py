@@ -1,0 +1,179 @@
+"""Clean systems in which the README's commands are run as a newcomer types them.
+
+Each system is a minimal root (mmdebstrap) with an ordinary user who may use sudo, and nothing
+installed but what the README says. What was typed and seen is in build/systems/SYSTEM.log. Where a
+system cannot be had, an installed Python of its version runs the tests instead, and it is said.
+"""
+
+import argparse
+import functools
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.systems import promises, systems
+from tests.systems.systems import FOLDER, SYSTEMS, CannotError, System
+from tests.systems.terminal import FailedError, Terminal
+
+INSTALL_S = 600
+DEMO_S = 900
+TEST_S = 5400
+LOOK_S = 3  # as long as somebody looks at the live view
+CLONE = f"git clone {systems.BUNDLE} vcu-gateway && cd vcu-gateway"
+# pytest's closing lines, and what failed.
+TOLD = re.compile(
+    r"^ ?\d*:?\d*\s*(test-\S+ .* in \d[\d.]*s\b.*|(?:test-\S+ +|lint +)?FAILED .*|ERROR .*)$",
+    re.MULTILINE,
+)
+PYTHON = re.compile(r"^python +(\d+\.\d+)[\d.]*", re.MULTILINE | re.IGNORECASE)
+EX_UNAVAILABLE = 69
+
+
+class Outcome(NamedTuple):
+    """What came of one system, and the version of Python that ran the tests to their end."""
+
+    status: int
+    line: str
+    python: str | None = None
+
+
+class Visit:
+    """A newcomer's visit to one system."""
+
+    def __init__(self, system: System, test: str) -> None:
+        self.system = system
+        self.test = test
+        self.folder = FOLDER / system.suite
+        self.log = FOLDER / f"{system.suite}.log"
+        self.done: list[str] = []
+
+    def say(self, text: str) -> None:
+        print(f"{self.system.suite:<9} {text}", flush=True)
+
+    def outcome(self) -> Outcome:
+        """Run the README's commands there; where it cannot be had, the tests alone here."""
+        systems.remove(self.folder)
+        try:
+            command = systems.clean_root(self.system, self.folder)
+            return self.watched(command, self.folder / "home/user", self.newcomer)
+        except CannotError as error:
+            self.say(f"{error}; an installed Python {self.system.python} runs the tests instead")
+            return self.instead(str(error))
+        finally:
+            systems.remove(self.folder)
+
+    def instead(self, why: str) -> Outcome:
+        python = systems.installed_python(self.system.python)
+        if python is None:
+            return Outcome(EX_UNAVAILABLE, f"{why}, nor is python{self.system.python} installed")
+        systems.remove(self.folder)
+        self.folder.mkdir()
+        systems.lay_home(self.folder)
+        clean = f"env -i HOME={self.folder} PATH={os.environ['PATH']} TERM=screen bash --login"
+        self.done.append(f"no {self.system.name}, but {python} of this machine")
+
+        def steps(terminal: Terminal) -> None:
+            self.clone(terminal)
+            self.tests(terminal, f"{self.test} PYTHON={python}")
+
+        return self.watched(f"cd {self.folder} && {clean}", self.folder, steps)
+
+    def watched(self, command: str, home: Path, steps: Callable[[Terminal], None]) -> Outcome:
+        """Take these steps in a terminal, and keep what was typed and seen."""
+        terminal = Terminal(self.system.suite, command, home)
+        try:
+            steps(terminal)
+        except FailedError as error:
+            return Outcome(1, f"FAILED: {error}; see {self.log}")
+        finally:
+            text = terminal.text()
+            self.log.write_text(text)
+            terminal.close()
+            for line in TOLD.findall(text):
+                self.say(line)
+        found = PYTHON.search(text)
+        return Outcome(0, "; ".join(self.done), found and found[1])
+
+    def newcomer(self, terminal: Terminal) -> None:
+        """From nothing: what the README says, and the demo until it drives."""
+        words = promises.commands()
+        self.run(terminal, words.install, INSTALL_S, answer="y")
+        self.clone(terminal)
+        begun_s = time.monotonic()
+        terminal.begin(words.demo)
+        terminal.show(r"^ ACTIVE ", DEMO_S)
+        self.took(f"{words.demo}: ACTIVE", begun_s)
+        time.sleep(LOOK_S)
+        terminal.press("q")
+        terminal.end(words.demo, 30)
+        self.tests(terminal, self.test)
+
+    def clone(self, terminal: Terminal) -> None:
+        self.run(terminal, CLONE, 60)
+
+    def tests(self, terminal: Terminal, test: str) -> None:
+        self.run(terminal, test, TEST_S)
+        terminal.run(".venv/bin/vcu-gateway version", 60)
+
+    def run(self, terminal: Terminal, line: str, wait_s: float, answer: str = "") -> None:
+        begun_s = time.monotonic()
+        terminal.run(line, wait_s, answer)
+        self.took(line, begun_s)
+
+    def took(self, what: str, begun_s: float) -> None:
+        self.done.append(f"{what} {time.monotonic() - begun_s:.0f} s")
+        self.say(self.done[-1])
+
+
+def visit(test: str, system: System) -> Outcome:
+    one = Visit(system, test)
+    outcome = one.outcome()
+    one.say(outcome.line if outcome.status else "ok")
+    return outcome
+
+
+def main() -> int:
+    options = parse()
+    if os.geteuid() != 0:
+        print("error: only root can make a system's root; use sudo", file=sys.stderr)
+        return EX_UNAVAILABLE
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    words = promises.commands()
+    test = words.test if options.whole else words.test_quick
+    chosen = [SYSTEMS[suite] for suite in options.systems or SYSTEMS]
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    with ThreadPoolExecutor(options.at_once) as pool:
+        each = pool.map if options.at_once > 1 else map  # without threads Ctrl-C ends at once
+        outcomes = list(each(functools.partial(visit, test), chosen))
+    print(f"\n{test}, from nothing, in a clean")
+    for system, outcome in zip(chosen, outcomes, strict=True):
+        python = f"Python {outcome.python or system.python}"
+        print(f"  {system.name:<15} {python}: {outcome.line}")
+    unproven = promises.unproven(outcome.python for outcome in outcomes)
+    if unproven and not options.systems:
+        print(f"error: {unproven}")
+        return 1
+    return max(outcome.status for outcome in outcomes)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser("python -m tests.systems", description=__doc__)
+    known = ", ".join(f"{one.suite} ({one.name}, Python {one.python})" for one in SYSTEMS.values())
+    parser.add_argument("systems", nargs="*", metavar="SYSTEM", help=f"all, or some of {known}")
+    parser.add_argument("--whole", action="store_true", help="`make test`, not `make test-quick`")
+    text = "systems at a time (default: %(default)s)"
+    parser.add_argument("--at-once", type=int, default=1, metavar="COUNT", help=text)
+    options = parser.parse_args()
+    if unknown := set(options.systems) - set(SYSTEMS):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; there are {known}")
+    return options
+
+
+if __name__ == "__main__":
+    sys.exit(main())
