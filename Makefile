@@ -5,24 +5,34 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
 # What needs a bus runs in the lab, the faults in a lab for each kind of bus.
-BUS_ROOMS := vcan lab service faults/vcan faults/slcan faults/netem
+BUS_ROOMS := vcan oracle controller lab service faults/vcan faults/slcan faults/netem
 NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS))
 IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
 WITH_SLCAN := --modules slcan
 WITH_NETEM := --module-param vcan:echo=1 --modules "sch_netem sch_tbf"
-# The installed package, in a Debian of its own under a real systemd.
-PACKAGES := build/tests
-IN_DEBIAN := $(LAB) run --systemd --env VCU_REQUIRE_SYSTEMD=1 --also $(CURDIR)/$(PACKAGES)
-IN_GUEST := $(BIN)/pytest -q -p no:cacheprovider
+# The installed package, in a Debian of its own under a real systemd: of this machine's suite where
+# that is one that the package is tested on, else Debian 12's; SUITE=trixie for another one. The
+# guest runs its own python3, with the tests' libraries for that.
+SUITES := bookworm trixie
+SUITE ?= $(or $(filter $(SUITES),$(shell scripts/own-suite)),bookworm)
+PACKAGES := build/tests/$(SUITE)
+IN_SUITE := --root $(SUITE) --also $(CURDIR)/$(PACKAGES) --env PYTHONPATH=$(CURDIR)/src:$(CURDIR)/$(PACKAGES)/site \
+	--env PYTHONPYCACHEPREFIX=$(CURDIR)/$(PACKAGES)/cache
+IN_DEBIAN := $(LAB) run --systemd $(IN_SUITE) --env VCU_REQUIRE_SYSTEMD=1
+IN_GUEST := /usr/bin/python3 -m pytest -q -p no:cacheprovider
+# Two emulated CAN controllers on one bus, in Debian's own kernel.
+IN_QEMU := $(LAB) run --qemu --timeout 2400 $(IN_SUITE) --env VCU_REQUIRE_CONTROLLER=1
+LAB_QEMU := tests/lab/test_qemu.py
 ORDINARY := -m 'not slow'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
-EXHAUSTIVE := tests/core/test_exhaustive.py
+EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
-.PHONY: help setup demo test lane-one lane-two lane-calm test-quick test-core test-rest test-more test-exhaustive \
-	test-contents test-guests test-service test-package test-lab test-vcan test-on-bus test-faults lint nightly soak faults mutants bench lock clean
+.PHONY: help setup demo test test-quick test-bus test-elsewhere tools test-core test-exhaustive test-serving test-shell test-others \
+	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
+	test-faults-slcan test-faults-netem test-systems lint nightly soak faults mutants oracle-mutants bench lock clean
 
 help:  ## show this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(STAMP)  ## build .venv with the program and its tools
 
@@ -33,53 +43,53 @@ $(STAMP): pyproject.toml requirements.lock requirements-dev.lock scripts/setup
 demo: setup  ## gateway and simulated vehicle with a live table, without hardware
 	@$(BIN)/vcu-gateway demo
 
-# Two lanes of tests that look at the clock, each with a processor; the third takes what they leave.
-test: setup  ## everything: lint, types, tests, the service, the real vcan0
+test: tools  ## everything: lint, types, tests, the service, the real vcan0
+	@RUN=$$(date +%s%N) scripts/suite whole
+
+test-quick: tools  ## the tests that need no CAN
+	@scripts/suite quick
+
+test-bus: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
+	$(LAB) install
+	@scripts/suite bus
+
+# One step at a time: those of the systems are two at a time themselves.
+test-elsewhere: tools  ## the oracle, other Debians and Pythons from nothing, two CAN controllers (40 minutes)
+	@scripts/suite elsewhere --jobs 1
+
+tools: setup
 	-@scripts/test-tools
-	@$(MAKE) --no-print-directory -j3 --output-sync=target RUN=$$(date +%s%N) lane-one lane-two lane-calm
 
-lane-one:
-	@$(MAKE) --no-print-directory test-rest
-	@$(MAKE) --no-print-directory test-service
-	@$(MAKE) --no-print-directory test-on-bus
-
-lane-two:
-	@$(MAKE) --no-print-directory test-more
-	@$(MAKE) --no-print-directory test-package
-	@$(MAKE) --no-print-directory test-lab
-	@$(MAKE) --no-print-directory test-faults
-
-lane-calm:
-	@$(MAKE) --no-print-directory test-guests
-	@nice $(MAKE) --no-print-directory lint
-	@nice $(MAKE) --no-print-directory test-core
-	@nice $(MAKE) --no-print-directory test-exhaustive
-	@nice $(MAKE) --no-print-directory test-contents
-
-test-quick: setup  ## the tests that need no CAN, two runs at a time
-	-@scripts/test-tools
-	@$(MAKE) --no-print-directory -j2 --output-sync=target test-rest test-core test-more test-exhaustive
+# The steps of scripts/suite, which runs several at once; each runs alone, too.
 
 test-core: setup
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -q -m 'not slow' tests/core --ignore=$(EXHAUSTIVE)
+	$(BIN)/coverage run -m pytest -q -m 'not slow' tests/core $(addprefix --ignore=,$(EXHAUSTIVE))
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
 
-test-rest: setup
-	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=tests/,core watch faults packaging) $(NO_BUS)
-
-test-more: setup
-	$(BIN)/pytest -q -m 'not slow' tests/watch tests/faults/pure
-
 test-exhaustive: setup
-	$(BIN)/pytest -q $(EXHAUSTIVE)
+	$(BIN)/pytest -q $(ORDINARY) $(EXHAUSTIVE)
 
-test-contents: setup
-	$(BIN)/pytest -q -m 'not slow' tests/packaging
+SERVING := tests/api tests/client tests/serving
+test-serving: setup
+	$(BIN)/pytest -q -m 'not slow' $(SERVING)
+
+test-shell: setup
+	$(BIN)/pytest -q -m 'not slow' tests/shell
+
+test-others: setup
+	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=,$(SERVING)) \
+		$(addprefix --ignore=tests/,core shell faults packaging) $(NO_BUS)
+
+test-faults-pure: setup
+	$(BIN)/pytest -q -m 'not slow' tests/faults/pure
+
+test-contents: setup test-guests  ## what is in the package
+	VCU_DEB=$(CURDIR)/$(PACKAGES)/first.deb VCU_SUITE=$(SUITE) $(BIN)/pytest -q $(ORDINARY) tests/packaging
 
 test-guests: setup
-	@scripts/test-guests $(BIN) $(PACKAGES) $(RUN)
+	@scripts/test-guests $(SUITE) $(BIN) $(PACKAGES) $(RUN)
 
 test-service: setup test-guests  ## the installed service under a real systemd, in the lab
 	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 1500 --modules slcan --install $(PACKAGES)/first.deb -- \
@@ -90,30 +100,65 @@ test-package: setup test-guests  ## the package installed, upgraded and removed,
 		--env VCU_DEB=$(CURDIR)/$(PACKAGES)/first.deb --env VCU_DEB_NEXT=$(CURDIR)/$(PACKAGES)/next.deb -- \
 		$(IN_GUEST) $(ORDINARY) tests/service/test_package.py
 
-test-vcan: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
-	$(LAB) install
-	@$(MAKE) --no-print-directory -j2 --output-sync=target test-on-bus test-faults
+test-debian: setup  ## the package for one release wholly: contents, service, installing; SUITE=trixie
+	@run=$$(date +%s%N); \
+	$(MAKE) --no-print-directory RUN=$$run test-contents ORDINARY= && \
+	$(MAKE) --no-print-directory RUN=$$run test-service test-package
+
+test-controller: setup test-guests  ## on two emulated CAN controllers with a real networkd, in the lab
+	$(LAB) install --qemu
+	$(IN_QEMU) -- $(IN_GUEST) $(ORDINARY) tests/controller
+
+test-lab-qemu: setup
+	$(LAB) install --qemu
+	$(BIN)/pytest -q $(LAB_QEMU)
+
+# The service on a PREEMPT_RT kernel, where its package can be built.
+test-realtime: setup test-guests
+	$(LAB) install --qemu
+	deb=$(PACKAGES)/first.deb; $(IN_QEMU) --kernel rt $$([ ! -f $$deb ] || echo --install $$deb) \
+		--env VCU_REQUIRE_REALTIME=1 -- $(IN_GUEST) tests/controller/test_realtime.py
+
+# The other releases wholly, and of this one what lintian and a second build say.
+test-debians: setup
+	@$(MAKE) --no-print-directory test-contents ORDINARY=
+	@for suite in $(filter-out $(SUITE),$(SUITES)); do $(MAKE) --no-print-directory test-debian SUITE=$$suite || exit; done
 
 test-lab: setup test-guests
-	$(BIN)/pytest -q tests/lab
+	$(BIN)/pytest -q tests/lab --ignore=$(LAB_QEMU)
 
-test-on-bus: setup
+test-vcan: setup
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
-	$(IN_LAB) --timeout 450 $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
-	$(IN_LAB) --timeout 450 $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
 
-test-faults: setup
+# The specification against the program, by tests that share nothing with it.
+test-oracle: setup  ## a second opinion on every frame, written from the specification alone
+	$(IN_LAB) --timeout 1500 -- $(BIN)/pytest -q -m 'not slow' tests/oracle
+
+test-faults-vcan: setup
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan
+
+test-faults-slcan: setup
+	$(IN_LAB) --timeout 450 $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
+
+test-faults-netem: setup
+	$(IN_LAB) --timeout 450 $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
 
 nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
 	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
 	$(LAB) install
-	$(IN_LAB) --timeout 2400 -- $(BIN)/pytest -s tests/vcan tests/faults/vcan
+	$(IN_LAB) --timeout 3000 -- $(BIN)/pytest -s tests/vcan tests/oracle tests/faults/vcan
 	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan
 	$(IN_LAB) --timeout 900 $(WITH_NETEM) -- $(BIN)/pytest tests/faults/netem
-	$(MAKE) test-service test-package ORDINARY=
+	for suite in $(SUITES); do $(MAKE) test-debian SUITE=$$suite ORDINARY= || exit; done
+	$(MAKE) test-controller test-lab-qemu test-realtime
+	$(BIN)/python -m tests.systems --whole bookworm trixie
 	$(MAKE) soak MINUTES=60
+
+SYSTEMS :=
+test-systems: setup  ## the README's commands in clean systems, or SYSTEMS="trixie"; with them, every Python
+	@scripts/test-tools
+	$(BIN)/python -m tests.systems $(SYSTEMS)
 
 MINUTES := 10
 soak: setup  ## nominal traffic with random faults for MINUTES=10, in the lab
@@ -133,6 +178,10 @@ faults: setup  ## every fault that the gateway survives; writes docs/faults.md
 mutants: setup  ## change the safety core on purpose: every mistake must turn a test red
 	scripts/mutants $(BIN)
 
+oracle-mutants: setup  ## change what the program does on purpose: the oracle alone must see it
+	$(LAB) install
+	$(BIN)/python -m tests.oracle.mutate
+
 lint: setup  ## style, types, import contracts, generated files
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -147,8 +196,8 @@ lock: setup  ## resolve and hash the dependencies again
 	scripts/lock $(BIN)
 
 .PHONY: deb dist
-deb: setup  ## the Debian package, in build/deb
-	scripts/deb $(BIN)
+deb: setup  ## the Debian package, in build/deb; SUITE=trixie: for another release
+	scripts/deb $(if $(filter-out file default,$(origin SUITE)),--suite $(SUITE)) $(BIN)
 
 dist: setup  ## wheel and sdist, in dist
 	scripts/dist $(BIN)

@@ -11,6 +11,9 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 
+# A machine that has it hides what is left in the buffers of the standard streams at the end.
+os.environ.pop("PYTHONUNBUFFERED", None)
+
 # HYPOTHESIS_PROFILE=nightly: as many examples as a night has room for.
 # How long examples take to make is judged by the wall clock: a busy machine is not a bad strategy.
 PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True)

@@ -68,6 +68,8 @@ class Program:
             clients=0,
             accepted=0,
             turned_away=0,
+            gave_way=0,
+            stopped_anyway=0,
             requests=0,
             errors={},
             closed={},
@@ -115,6 +117,15 @@ def driven() -> Program:
     drive.codes = {"BMS_Status.CellOvervoltage": 1, "BMS_Temperatures.PackTemperature5": 255}
     drive.silent = {"IMU_Attitude"}
     program = Program(drive, "socketcan").run(2000)
+    drive.codes |= {
+        "ARD2_SteeringWheel.WheelSpeedFL": 30_000,
+        "PCU1_Status1.MotorReverse": 1,
+        "PCU1_Status1.Throttle": 0,
+        "PCU2_Status1.Throttle": 0,
+    }
+    program.run(1200)
+    drive.codes |= {"ARD2_SteeringWheel.WheelSpeedFL": 5_000, "PCU1_Status2.MotorSpeed": 3_000}
+    program.run(200)
     drive.gateway.output.gate.check(
         0, 0, bytes(8), armed=False, speeds_rpm=(None, None), now_ns=drive.now_ns
     )

@@ -33,6 +33,10 @@ def gateway(metric: str, **labels: str) -> str:
     return name(f"vcu_gateway_{metric}", **labels)
 
 
+def cause(word: str, effect: str) -> str:
+    return gateway("cause_seconds", cause=word, effect=effect, subject="some signal")
+
+
 def constant(value: float) -> str:
     return f"{value:g}+0x{STEPS}"
 
@@ -74,6 +78,8 @@ STARTING_AGAIN = " ".join(f"{starts}+0x14" for starts in range(1, 11))
 FIRES: dict[str, tuple[Series, set[str]]] = {
     "VcuGatewayDown": ({name("up"): step("1", "0")}, set()),
     "VcuGatewayFaultLatched": ({gateway("fault_latched", fault_class="driver"): step()}, set()),
+    "VcuGatewayControllerDisobeys": ({cause("echo_direction", "stop"): step("_")}, set()),
+    "VcuGatewaySpeedImplausible": ({cause("speed_step", "alarm"): step("_")}, set()),
     "VcuGatewayForeignSender": (
         {gateway("frames_foreign_total", controller="PCU1"): step()},
         set(),
@@ -92,11 +98,13 @@ FIRES: dict[str, tuple[Series, set[str]]] = {
     ),
     "VcuGatewayLinkErrors": ({gateway("link_state", state="error passive"): step()}, set()),
     "VcuGatewayFramesDropped": ({gateway("frames_dropped_total"): step()}, set()),
+    "VcuGatewayFramesUnjudged": ({gateway("frames_unjudged_total"): step()}, set()),
     "VcuGatewayFramesUnsent": ({gateway("frames_unsent_total", reason="late"): step()}, set()),
     "VcuGatewayMessageStale": ({gateway("message_stale", message="BMS_Status"): step()}, set()),
     "VcuGatewayRestarted": ({gateway("starts_total"): step("1", "2")}, set()),
     "VcuGatewayRestartLoop": ({gateway("starts_total"): STARTING_AGAIN}, {"VcuGatewayRestarted"}),
     "VcuGatewayApiTurnedAway": ({gateway("api_connections_turned_away_total"): step()}, set()),
+    "VcuGatewayApiCrowded": ({gateway("api_connections_gave_way_total"): step()}, set()),
     "VcuGatewayLogLinesDropped": ({gateway("log_lines_dropped_total"): step()}, set()),
 }
 """What breaks, by the alert that it raises; and which others that raises too."""
@@ -143,6 +151,8 @@ def test_every_alert_is_tried():
 def test_what_is_broken_is_part_of_the_healthy_world():
     known = set(healthy()) | {
         gateway("frames_blocked_total", rule="unarmed"),  # comes with the first
+        cause("echo_direction", "stop"),
+        cause("speed_step", "alarm"),
         gateway("frames_dropped_total"),  # only where the bus is a SocketCAN interface
     }
     for series in [one for one, _ in FIRES.values()] + list(QUIET.values()):
