@@ -139,6 +139,7 @@ def counters(gateway: Gateway) -> dict[str, Any]:
     return {
         "rejected": {reason.value: count for reason, count in intake.rejected.items()},
         "out_of_order": intake.store.out_of_order,
+        "unjudged": intake.store.unjudged,
         "confirmed": dict(intake.confirmed),
         "foreign_commands": dict(intake.foreign_commands),
         "blocked_by_gate": dict(gateway.output.gate.blocked),

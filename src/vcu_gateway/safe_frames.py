@@ -1,9 +1,9 @@
 """What is to be sent if this process cannot: kept in a file for `safe_stop`."""
 
 import contextlib
-import os
 from pathlib import Path
 
+from vcu_gateway.boot_files import write_whole
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
@@ -39,10 +39,8 @@ class SafeFrames:
         """Write them; False, and told once, where that cannot be: the next tick tries again."""
         frames = self._gateway.safe_frames()
         lines = [self._channel, *(f"{one.can_id:08X}#{one.data.hex().upper()}" for one in frames)]
-        beside = self._path.with_name(f"{NAME}.new")
         try:
-            beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-            os.replace(beside, self._path)  # whole, whenever it is read
+            write_whole(self._path, "\n".join(lines) + "\n")
         except OSError as error:
             if not self._told_failure:
                 fields = {"file": str(self._path), "reason": error.strerror}

@@ -43,7 +43,8 @@ def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = No
     """Gateway, bus door and tick loop of this configuration; the bus is not opened yet."""
     codec = Codec(protocol)
     gateway = Gateway(codec, settings(config), time.monotonic_ns())
-    door = Door(bus_settings(config), codec.identifiers(), gateway.intake.receive)
+    intake = gateway.intake
+    door = Door(bus_settings(config), codec.identifiers(), intake.receive, intake.command_groups)
     return Daemon(gateway, door, reopen_ms=config.bus.reopen_ms, observer=observer)
 
 
@@ -65,11 +66,18 @@ def settings(config: Config) -> Settings:
         throttle_slew_pct_per_s=limits.throttle_slew_pct_per_s,
         power_slew_w_per_s=limits.power_slew_w_per_s,
         regen_slew_pct_per_s=limits.regen_slew_pct_per_s,
+        speed_slew_rpm_per_s=limits.speed_slew_rpm_per_s,
         direction_change_rpm=limits.direction_change_rpm,
+        regen_min_rpm=limits.regen_min_rpm,
+        echo_below_max_pct=safety.echo_below_max_pct,
+        motor_speed_step_max_rpm=safety.motor_speed_step_max_rpm,
+        wheel_speed_step_max_kmh=safety.wheel_speed_step_max_kmh,
+        wheel_speed_difference_max_kmh=safety.wheel_speed_difference_max_kmh,
         ttl_max_ms=config.demand.ttl_max_ms,
         ttl_default_ms=config.demand.ttl_default_ms,
         priorities=config.demand.priorities,
-        expect_echo=config.bus.interface != "udp_multicast",
+        independent_directions=config.demand.independent_directions,
+        second_track_required=config.demand.second_track_required,
         bench_demand=None if demand is None else _bench_demand(demand),
         auto_arm=config.bench.auto_arm,
     )

@@ -28,6 +28,10 @@ def _fits_29_bits(identifier: int) -> int:
     return identifier
 
 
+def _as_hexadecimal(identifier: int) -> str:
+    return f"0x{identifier:08X}"
+
+
 def _confirmed(value: object) -> object:
     if value is not True:
         raise refusal("must be true", "it confirms that the wheels are off the ground")
@@ -52,7 +56,7 @@ Identifier = Annotated[
     int,
     Field(ge=0),
     AfterValidator(_fits_29_bits),
-    PlainSerializer("0x{:08X}".format, return_type=str, when_used="json"),
+    PlainSerializer(_as_hexadecimal, return_type=str, when_used="json"),
 ]
 Confirmation = Annotated[bool, BeforeValidator(_confirmed)]
 MessageName = Annotated[str, Field(min_length=1)]

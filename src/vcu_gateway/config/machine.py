@@ -116,11 +116,13 @@ class Freshness(Section):
 
     stale_after_ms: Mapping[MessageName, AgeMs] = Field(
         default={},
-        description="Age by message name, 1..60000 ms, from which a message counts as missing.",
+        description="Age by message name, 1..60000 ms, from which a message counts as missing;"
+        " for a required message at most twice its default.",
     )
     late_after_ms: Mapping[MessageName, AgeMs] = Field(
         default={},
-        description="Age by message name, 1..60000 ms, from which a message counts as late.",
+        description="Age by message name, 1..60000 ms, from which a message counts as late;"
+        " for a required message at most twice its default.",
     )
 
 

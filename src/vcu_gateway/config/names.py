@@ -12,6 +12,7 @@ from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import Problem
 
 _NS_PER_MS = 1_000_000
+_PATIENCE = 2  # times its default, for a required message
 _SWITCH_OFF = "this alias is the default; write `aliases: {}` for none"
 
 
@@ -20,6 +21,7 @@ def check_against(config: Config, protocol: ProtocolSpec) -> list[Problem]:
     found = [
         *_aliases(config, protocol),
         *_freshness(config, protocol),
+        *_patience(config, protocol),
         *_required(config, protocol),
     ]
     return problems(found, config.source.file, config.source.lines)
@@ -55,6 +57,23 @@ def _freshness(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
             what = f"must be at most {stale_ns // _NS_PER_MS} ms, not {late_after_ms[name]}"
             remedy = f"{name} is stale by then"
             yield Finding(("freshness", "late_after_ms", name), what, remedy)
+
+
+def _patience(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+    """A required message may be waited for at most twice as long as its period says."""
+    for message in protocol.received_by(OWN_NODE):
+        if message.name not in config.safety.required_messages:
+            continue
+        default = deadlines(message, {}, {})
+        for key, ages_ms, default_ns in (
+            ("stale_after_ms", config.freshness.stale_after_ms, default.stale_after_ns),
+            ("late_after_ms", config.freshness.late_after_ms, default.late_after_ns),
+        ):
+            age_ms, most_ms = ages_ms.get(message.name), _PATIENCE * default_ns // _NS_PER_MS
+            if age_ms is not None and age_ms > most_ms:
+                what = f"must be at most {most_ms} ms, not {age_ms}"
+                remedy = f"{message.name} is required: at most twice its default"
+                yield Finding(("freshness", key, message.name), what, remedy)
 
 
 def _required(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:

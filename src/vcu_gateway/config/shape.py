@@ -23,6 +23,8 @@ _UNITS = {
     "pct": "%",
     "pct_per_s": "%/s",
     "w_per_s": "W/s",
+    "rpm_per_s": "rpm/s",
+    "kmh": "km/h",
     "rpm": "rpm",
     "w": "W",
     "s": "s",

@@ -21,7 +21,7 @@ class Limits(Section):
 
     speed_limit_max_rpm: int = Field(
         default=12_000,
-        ge=0,
+        ge=500,
         le=12_000,
         description="Largest SpeedLimit that is ever sent to a motor controller.",
     )
@@ -61,11 +61,24 @@ class Limits(Section):
         le=200,
         description="How fast a regeneration limit comes and goes.",
     )
+    speed_slew_rpm_per_s: float = Field(
+        default=4_000.0,
+        ge=500,
+        le=20_000,
+        description="Steepest fall of the SpeedLimit; it rises at once.",
+    )
     direction_change_rpm: float = Field(
         default=50.0,
         ge=0,
         le=100,
         description="The direction changes only while both motors turn slower than this.",
+    )
+    regen_min_rpm: float = Field(
+        default=100.0,
+        ge=0,
+        le=1_000,
+        description="Both motors turn at least this fast for regeneration; it returns 50 rpm above."
+        " 0 switches this off.",
     )
 
 
@@ -94,6 +107,31 @@ class Safety(Section):
         ge=1000,
         le=60_000,
         description="How long a cause must be gone before its effect ends.",
+    )
+    echo_below_max_pct: float = Field(
+        default=15.0,
+        ge=5,
+        le=50,
+        description="Throttle that a controller may echo below the lowest commanded before it"
+        " counts as not obeying.",
+    )
+    motor_speed_step_max_rpm: float = Field(
+        default=2_000.0,
+        ge=500,
+        le=12_000,
+        description="Largest change of a motor's speed between two frames that is believed.",
+    )
+    wheel_speed_step_max_kmh: float = Field(
+        default=20.0,
+        ge=5,
+        le=200,
+        description="Largest change of a wheel's speed between two frames that raises no alarm.",
+    )
+    wheel_speed_difference_max_kmh: float = Field(
+        default=15.0,
+        ge=1,
+        le=200,
+        description="Largest difference of both wheels' speeds that raises no alarm.",
     )
 
     @field_validator("required_messages")
@@ -125,6 +163,14 @@ class Demand(Section):
         default={},
         description="Priority by source, 0..100; a source that is not listed has 0, the higher"
         " takes over from the lower.",
+    )
+    independent_directions: bool = Field(
+        default=False,
+        description="Let a demand ask the motor controllers for different directions.",
+    )
+    second_track_required: bool = Field(
+        default=False,
+        description="Refuse a demand that does not carry the pedal's second track.",
     )
 
 

@@ -54,11 +54,16 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """A finding that counts, since when, and when it was last seen."""
+    """A finding that counts, since when, and when it was last seen.
+
+    Attributes:
+        absent_since_ns: the first tick that did not see it any more; None while it is seen.
+    """
 
     finding: Finding
     since_ns: int
     seen_ns: int
+    absent_since_ns: int | None = None
 
     def stands(self, now_ns: int) -> bool:
         """True where the cause was seen at this very instant, not held only."""
@@ -91,10 +96,14 @@ class Causes:
                 replace(finding, until_restart=stays), before.since_ns, now_ns
             )
         for key, held in tuple(self._held.items()):
-            absent_ns = now_ns - held.seen_ns
-            if absent_ns >= hold_ns and absent_ns > 0 and not held.finding.until_restart:
+            if held.seen_ns == now_ns or held.finding.until_restart:
+                continue
+            absent_since_ns = now_ns if held.absent_since_ns is None else held.absent_since_ns
+            if now_ns - absent_since_ns >= hold_ns:
                 del self._held[key]
                 events.append(_event("cause_ended", held.finding))
+            elif held.absent_since_ns is None:
+                self._held[key] = replace(held, absent_since_ns=now_ns)
         return events
 
     def effects(self) -> frozenset[Effect]:

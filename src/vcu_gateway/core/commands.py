@@ -4,18 +4,19 @@ Torque is earned: every command starts from ZERO_TORQUE, and `Commander.active` 
 permission into a number.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
+from vcu_gateway.core.pedals import Pedals
 from vcu_gateway.core.settings import Settings
 
 _NS_PER_S = 1_000_000_000
-_OVERRIDE_THROTTLE_PCT = 25.0
-_OVERRIDE_BRAKE_PCT = 5.0
-_OVERRIDE_RELEASE_PCT = 5.0
+_SPEED_LIMIT_MIN_RPM = 500.0
 _FULL_PCT = 100.0
+_HIGHEST_RPM = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ class Commander:
 
     Attributes:
         last: the commands of the tick before.
-        override_latched: brake over throttle holds until the demanded throttle is released.
+        pedals: what the demands since the tick before hold the throttle for.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -75,7 +76,9 @@ class Commander:
             name: Command(speed_limit_rpm=settings.speed_limit_max_rpm) for name in CONTROLLERS
         }
         self._before = dict(self.last)
-        self.override_latched = False
+        self._elapsed_s = 0.0
+        self._sent_speed_limit_rpm: dict[str, float] = {}
+        self.pedals = Pedals()
         self._ramps = dict.fromkeys(CONTROLLERS, Ramps(settings.power_limit_max_w, _FULL_PCT))
 
     def take_over(self, reverse: Mapping[str, bool]) -> None:
@@ -91,17 +94,27 @@ class Commander:
             asked[name].motor_reverse is not self.last[name].motor_reverse for name in CONTROLLERS
         )
 
-    def safe(self, settings: Settings, power_cut: bool, now_ns: int) -> Mapping[str, Command]:
-        """Command ZERO_TORQUE or POWER_CUT to both."""
-        return self._decided(self.zero_torque(settings, power_cut), now_ns)
+    def safe(
+        self,
+        asked: Mapping[str, ControllerDemand] | None,
+        settings: Settings,
+        power_cut: bool,
+        now_ns: int,
+    ) -> Mapping[str, Command]:
+        """Command ZERO_TORQUE or POWER_CUT to both; the pedals are watched all the same."""
+        self._step(settings, asked, now_ns)
+        return self._decided(self.zero_torque(settings, power_cut))
 
     def zero_torque(self, settings: Settings, power_cut: bool) -> dict[str, Command]:
-        """ZERO_TORQUE or POWER_CUT for both, in the directions as they were applied."""
+        """ZERO_TORQUE or POWER_CUT for both, in the directions as they were applied.
+
+        The speed limit is the configured maximum, or on its way down to a stricter one.
+        """
         return {
             name: Command(
                 motor_reverse=last.motor_reverse,
                 power_cut=power_cut,
-                speed_limit_rpm=settings.speed_limit_max_rpm,
+                speed_limit_rpm=self._speed_limit_rpm(name, _HIGHEST_RPM, settings),
             )
             for name, last in self.last.items()
         }
@@ -119,16 +132,15 @@ class Commander:
         `asked` is None without a fresh demand. `slow` is True where both motors' speeds are
         known, fresh and below the change speed.
         """
-        self._move_ramps(effects, settings, now_ns)
+        self._step(settings, asked, now_ns)
+        self._move_ramps(effects, settings)
         commands = self.zero_torque(settings, power_cut=False)
-        if asked is not None:
-            self._note_override(asked)
-            if slow and self._standing():
-                commands = {
-                    name: replace(command, motor_reverse=asked[name].motor_reverse)
-                    for name, command in commands.items()
-                }
-        return self._decided(commands, now_ns)
+        if asked is not None and slow and self._standing():
+            commands = {
+                name: replace(command, motor_reverse=asked[name].motor_reverse)
+                for name, command in commands.items()
+            }
+        return self._decided(commands)
 
     def _standing(self) -> bool:
         """True where neither motor was given throttle last."""
@@ -141,13 +153,17 @@ class Commander:
         slow: bool,
         settings: Settings,
         now_ns: int,
+        *,
+        regenerates: bool,
     ) -> Mapping[str, Command]:
-        """The demand in ACTIVE, through override, direction interlock, limits and slew."""
-        self._note_override(asked)
-        self._move_ramps(effects, settings, now_ns)
-        pending = self.reverse_pending(asked)
+        """The demand in ACTIVE, through pedals, direction interlock, limits and slew.
+
+        `regenerates` is True where both motors turn fast enough for regeneration.
+        """
+        held = self._step(settings, asked, now_ns)
+        self._move_ramps(effects, settings)
         change = slow and self._standing()
-        rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s(now_ns, settings)
+        rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s
         return self._decided(
             {
                 name: self._granted(
@@ -155,16 +171,12 @@ class Commander:
                     asked[name],
                     effects,
                     settings,
-                    reverse=asked[name].motor_reverse if change else self.last[name].motor_reverse,
-                    throttle_max_pct=(
-                        0.0
-                        if pending or self.override_latched
-                        else self.last[name].throttle_pct + rise_pct
-                    ),
+                    reverse=asked[name].motor_reverse if change else last.motor_reverse,
+                    throttle_max_pct=0.0 if held else last.throttle_pct + rise_pct,
+                    regenerates=regenerates and Effect.REGEN_OFF not in effects,
                 )
-                for name in CONTROLLERS
-            },
-            now_ns,
+                for name, last in self.last.items()
+            }
         )
 
     def _granted(
@@ -176,21 +188,43 @@ class Commander:
         *,
         reverse: bool,
         throttle_max_pct: float,
+        regenerates: bool,
     ) -> Command:
         ramps = self._ramps[name]
+        if asked.power_mode is PowerMode.SAFETY:
+            throttle_max_pct = 0.0
         return Command(
             power_mode=strictest_mode(asked.power_mode, effects),
             motor_reverse=reverse,
-            regen_brake=asked.regen_brake and Effect.REGEN_OFF not in effects,
+            regen_brake=asked.regen_brake and regenerates,
             throttle_pct=min(asked.throttle_pct, throttle_max_pct),
             brake_pct=min(asked.brake_pct, ramps.brake_pct),
-            speed_limit_rpm=min(asked.speed_limit_rpm, settings.speed_limit_max_rpm),
-            power_limit_w=min(asked.power_limit_w, ramps.power_w, settings.power_limit_max_w),
+            speed_limit_rpm=self._speed_limit_rpm(name, asked.speed_limit_rpm, settings),
+            power_limit_w=min(asked.power_limit_w, ramps.power_w),
         )
 
-    def _decided(self, commands: dict[str, Command], now_ns: int) -> Mapping[str, Command]:
-        self._before = self.last
-        self.last, self._last_ns = commands, now_ns
+    def _speed_limit_rpm(self, name: str, asked_rpm: float, settings: Settings) -> float:
+        """It rises at once and falls from what was sent last; a first frame has nothing to keep."""
+        target_rpm = max(_SPEED_LIMIT_MIN_RPM, min(asked_rpm, settings.speed_limit_max_rpm))
+        sent_rpm = self._sent_speed_limit_rpm.get(name, target_rpm)
+        return max(target_rpm, sent_rpm - settings.speed_slew_rpm_per_s * self._elapsed_s)
+
+    def _step(
+        self, settings: Settings, asked: Mapping[str, ControllerDemand] | None, now_ns: int
+    ) -> bool:
+        """Begin a tick; whether the pedals hold the throttle at 0.
+
+        Time since the last command counts up to one period: a late tick earns no more.
+        """
+        if self._last_ns is not None:
+            elapsed_ns = min(max(now_ns - self._last_ns, 0), settings.period_ns)
+            self._elapsed_s = elapsed_ns / _NS_PER_S
+        self._last_ns = now_ns
+        applied = {name: last.motor_reverse for name, last in self.last.items()}
+        return self.pedals.tick(asked, applied, now_ns)
+
+    def _decided(self, commands: dict[str, Command]) -> Mapping[str, Command]:
+        self._before, self.last = self.last, commands
         return commands
 
     def replaced(self, settings: Settings, power_cut: bool = False) -> Mapping[str, Command]:
@@ -199,33 +233,19 @@ class Commander:
         self.last = self.zero_torque(settings, power_cut)
         return self.last
 
+    def note_sent(self, controller: str) -> None:
+        """The bus took this command."""
+        self._sent_speed_limit_rpm[controller] = self.last[controller].speed_limit_rpm
+
     def not_sent(self, controller: str) -> None:
         """The bus did not take this command: the one before it still counts."""
         self.last = {**self.last, controller: self._before[controller]}
 
-    def _note_override(self, asked: Mapping[str, ControllerDemand]) -> None:
-        """Brake over throttle: latched by either controller's demand, released by both."""
-        if any(
-            one.throttle_pct > _OVERRIDE_THROTTLE_PCT and one.brake_pct > _OVERRIDE_BRAKE_PCT
-            for one in asked.values()
-        ):
-            self.override_latched = True
-        elif all(one.throttle_pct < _OVERRIDE_RELEASE_PCT for one in asked.values()):
-            self.override_latched = False
-
-    def _elapsed_s(self, now_ns: int, settings: Settings) -> float:
-        """Time since the last command, at most one period: a late tick earns no more."""
-        if self._last_ns is None:
-            return 0.0
-        elapsed_ns = now_ns - self._last_ns
-        return min(max(elapsed_ns, 0), settings.period_ns) / _NS_PER_S
-
-    def _move_ramps(self, effects: frozenset[Effect], settings: Settings, now_ns: int) -> None:
+    def _move_ramps(self, effects: frozenset[Effect], settings: Settings) -> None:
         """Limits go to their targets along their slews, REGEN_OFF at once.
 
         A falling limit starts from what is really commanded, so that it bites in this tick.
         """
-        elapsed_s = self._elapsed_s(now_ns, settings)
         power_max_w = settings.power_limit_max_w
         power_w, brake_pct = power_max_w, _FULL_PCT
         if Effect.POWER_LIMIT in effects:
@@ -236,10 +256,10 @@ class Commander:
             ramps = self._ramps[name]
             self._ramps[name] = Ramps(
                 moved(ramps.power_w, last.power_limit_w, power_w,
-                      settings.power_slew_w_per_s * elapsed_s),
+                      settings.power_slew_w_per_s * self._elapsed_s),
                 0.0 if Effect.REGEN_OFF in effects else
                 moved(ramps.brake_pct, last.brake_pct, brake_pct,
-                      settings.regen_slew_pct_per_s * elapsed_s),
+                      settings.regen_slew_pct_per_s * self._elapsed_s),
             )  # fmt: skip
 
 

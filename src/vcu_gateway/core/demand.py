@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
@@ -10,6 +10,9 @@ CONTROLLERS = ("PCU1", "PCU2")
 
 BENCH_SOURCE = "bench"
 """Owner of the static demand of a test bench; no other source may use the name."""
+
+MOST_SOURCES = 64
+"""Sources whose last sequence number is kept, for as long as the gateway runs."""
 
 _NS_PER_MS = 1_000_000
 
@@ -27,7 +30,8 @@ class PowerMode(IntEnum):
 class ControllerDemand:
     """What is asked of one controller.
 
-    throttle_pct and brake_pct 0..100, speed_limit_rpm 0..12000, power_limit_w 0..60000.
+    throttle_pct and brake_pct 0..100, speed_limit_rpm 0..12000, power_limit_w 0..60000;
+    throttle_track2_pct 0..100 is what the pedal's second track says, None where it has none.
     """
 
     throttle_pct: float = 0.0
@@ -37,6 +41,7 @@ class ControllerDemand:
     regen_brake: bool = False
     speed_limit_rpm: float = 12000.0
     power_limit_w: float = 60000.0
+    throttle_track2_pct: float | None = None
 
 
 RANGES: Mapping[str, tuple[float, float]] = {
@@ -44,11 +49,9 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "brake_pct": (0.0, 100.0),
     "speed_limit_rpm": (0.0, 12000.0),
     "power_limit_w": (0.0, 60000.0),
+    "throttle_track2_pct": (0.0, 100.0),
 }
 """Lowest and highest value of each quantity of a demand."""
-
-NOTHING = ControllerDemand(power_mode=PowerMode.SAFETY)
-"""No demand: no torque."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +79,13 @@ class Refusal(Enum):
     NOT_FINITE = "not_finite"
     OUT_OF_RANGE = "out_of_range"
     CONTROLLER_MISSING = "controller_missing"
+    SECOND_TRACK_MISSING = "second_track_missing"
+    DIRECTIONS_DIFFER = "directions_differ"
     TTL_OUT_OF_RANGE = "ttl_out_of_range"
     NAME_RESERVED = "name_reserved"
     OTHER_OWNER = "other_owner"
     OLD_SEQUENCE = "old_sequence"
+    TOO_MANY_SOURCES = "too_many_sources"
     EXPIRED = "expired"
     FROM_THE_FUTURE = "from_the_future"
     NOT_ALLOWED_NOW = "not_allowed_now"
@@ -101,24 +107,54 @@ def refused(refusal: Refusal, sentence: str) -> Answer:
     return Answer(False, refusal, sentence)
 
 
-def fault_of(demand: Demand, ttl_max_ms: int) -> Answer:
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Configuration of the arbiter: what a demand has to be, and who comes first.
+
+    Attributes:
+        ttl_max_ms: longest time to live; priorities: by source, 0 where it is not listed.
+        independent_directions: the controllers may be asked for two directions.
+        second_track_required: the pedal's second track must be there.
+    """
+
+    ttl_max_ms: int = 1000
+    priorities: Mapping[str, int] = field(default_factory=dict)
+    independent_directions: bool = False
+    second_track_required: bool = False
+
+
+def fault_of(demand: Demand, terms: Terms) -> Answer:
     """Whether the values can be meant at all; the encoder never meets one that cannot."""
     for controller in CONTROLLERS:
         if controller not in demand.controllers:
             sentence = f"the demand says nothing of {controller}"
             return refused(Refusal.CONTROLLER_MISSING, sentence)
-        answer = _fault_of_values(controller, demand.controllers[controller])
+        answer = _fault_of_values(controller, demand.controllers[controller], terms)
         if not answer.granted:
             return answer
-    if demand.ttl_ms is not None and not 0 < demand.ttl_ms <= ttl_max_ms:
-        sentence = f"ttl_ms must be 1 to {ttl_max_ms}, not {demand.ttl_ms}"
+    if not terms.independent_directions and directions_differ(demand.controllers):
+        sentence = "both controllers must have the same direction"
+        return refused(Refusal.DIRECTIONS_DIFFER, sentence)
+    if demand.ttl_ms is not None and not 0 < demand.ttl_ms <= terms.ttl_max_ms:
+        sentence = f"ttl_ms must be 1 to {terms.ttl_max_ms}, not {demand.ttl_ms}"
         return refused(Refusal.TTL_OUT_OF_RANGE, sentence)
     return GRANTED
 
 
-def _fault_of_values(controller: str, asked: ControllerDemand) -> Answer:
+def directions_differ(asked: Mapping[str, ControllerDemand]) -> bool:
+    """True where the controllers are asked for two directions."""
+    return len({one.motor_reverse for one in asked.values()}) > 1
+
+
+def _fault_of_values(controller: str, asked: ControllerDemand, terms: Terms) -> Answer:
+    if terms.second_track_required and asked.throttle_track2_pct is None:
+        sentence = f"{controller} throttle_track2_pct is missing; the configuration requires it"
+        return refused(Refusal.SECOND_TRACK_MISSING, sentence)
     for name, (low, high) in RANGES.items():
-        value = _as_float(getattr(asked, name))
+        given = getattr(asked, name)
+        if given is None:
+            continue
+        value = _as_float(given)
         if not math.isfinite(value):
             return refused(Refusal.NOT_FINITE, f"{controller} {name} is {value}")
         if not low <= value <= high:
@@ -151,46 +187,52 @@ class DemandDesk:
     """Takes demands in and knows the one that counts.
 
     A source owns the desk while its demand is fresh; meanwhile only a source of higher
-    priority takes it over. The last sequence number of the owner is kept until another
-    source owns the desk, so that an old request cannot come back.
+    priority takes it over. The last sequence number of every source is kept, so that an old
+    request cannot come back, whoever had the demand meanwhile.
     """
 
     def __init__(self, bench_demand: ControllerDemand | None) -> None:
         self._current: Demand | None = None
         self._made_ns = 0
         self._ended = False
+        self._sequences: dict[str, int] = {}
         if bench_demand is not None:
             both = dict.fromkeys(CONTROLLERS, bench_demand)
             self._current = Demand(BENCH_SOURCE, 0, None, both)
 
-    def offer(
-        self, demand: Demand, priorities: Mapping[str, int], ttl_max_ms: int, now_ns: int
-    ) -> Answer:
+    def offer(self, demand: Demand, terms: Terms, now_ns: int) -> Answer:
         """Take a demand, or say why not; a refused one changes nothing."""
         if demand.source == BENCH_SOURCE or demand.ttl_ms is None:
             return refused(Refusal.NAME_RESERVED, f"{BENCH_SOURCE} is the configured bench demand")
-        answer = fault_of(demand, ttl_max_ms)
-        if not answer.granted:
-            return answer
         made_ns = now_ns if demand.made_ns is None else demand.made_ns
-        answer = _fault_of_time(demand.ttl_ms, made_ns, now_ns)
+        answer = fault_of(demand, terms)
         if answer.granted:
-            answer = self._right_of(demand, priorities, now_ns)
+            answer = _fault_of_time(demand.ttl_ms, made_ns, now_ns)
+        if answer.granted:
+            answer = self._fault_of_sequence(demand)
+        if answer.granted:
+            answer = self._right_of(demand.source, terms.priorities, now_ns)
         if answer.granted:
             self._current, self._made_ns, self._ended = demand, made_ns, False
+            self._sequences[demand.source] = demand.sequence
         return answer
 
-    def _right_of(self, demand: Demand, priorities: Mapping[str, int], now_ns: int) -> Answer:
-        owner = self._current
-        if owner is None:
-            return GRANTED
-        if owner.source == demand.source:
-            if demand.sequence > owner.sequence:
+    def _fault_of_sequence(self, demand: Demand) -> Answer:
+        last = self._sequences.get(demand.source)
+        if last is None:
+            if len(self._sequences) < MOST_SOURCES:
                 return GRANTED
-            sentence = f"sequence {demand.sequence} is not above {owner.sequence}"
-            return refused(Refusal.OLD_SEQUENCE, sentence)
-        higher = priorities.get(demand.source, 0) > priorities.get(owner.source, 0)
-        if higher or not self.fresh(now_ns):
+            sentence = f"{MOST_SOURCES} sources have asked since the start, which is the most"
+            return refused(Refusal.TOO_MANY_SOURCES, sentence)
+        if demand.sequence > last:
+            return GRANTED
+        return refused(Refusal.OLD_SEQUENCE, f"sequence {demand.sequence} is not above {last}")
+
+    def _right_of(self, source: str, priorities: Mapping[str, int], now_ns: int) -> Answer:
+        owner = self._current
+        if owner is None or owner.source == source or not self.fresh(now_ns):
+            return GRANTED
+        if priorities.get(source, 0) > priorities.get(owner.source, 0):
             return GRANTED
         return refused(Refusal.OTHER_OWNER, f"{owner.source} owns the demand")
 
@@ -219,9 +261,3 @@ class DemandDesk:
         if self._current.ttl_ms is None:
             return True
         return 0 <= now_ns - self._made_ns <= self._current.ttl_ms * _NS_PER_MS
-
-    def asked(self, now_ns: int) -> Mapping[str, ControllerDemand]:
-        """What is asked of each controller now; nothing where no demand is fresh."""
-        if self._current is None or not self.fresh(now_ns):
-            return dict.fromkeys(CONTROLLERS, NOTHING)
-        return self._current.controllers

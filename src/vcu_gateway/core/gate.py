@@ -14,6 +14,9 @@ _REVERSE, _REGEN = 0x10, 0x20
 _UNUSED = 0b0100_0011
 
 _LENGTH = 8
+_SPEED_LIMIT_MIN_RPM = 500
+# Half a bit now and half a bit before.
+_ROUNDING = 1
 _PERCENT_PER_BIT = 0.39
 _NS_PER_S = 1_000_000_000
 
@@ -27,6 +30,10 @@ class GateLimits:
         throttle_slew_pct_per_s: steepest rise; a fall is always allowed.
         period_ns: more time than this since the last frame earns no more rise.
         direction_change_rpm: the direction changes only below this speed of both motors.
+        power_slew_w_per_s, speed_slew_rpm_per_s: how fast a limit comes down to a maximum that
+            has become stricter; SpeedLimit never falls faster.
+        regen_min_rpm: below it no motor regenerates; 0 switches this off.
+        independent_directions: throttle also where the slots have two directions.
     """
 
     allowed: tuple[int, ...]
@@ -35,6 +42,14 @@ class GateLimits:
     throttle_slew_pct_per_s: float
     direction_change_rpm: float
     period_ns: int
+    power_slew_w_per_s: float
+    speed_slew_rpm_per_s: float
+    regen_min_rpm: float
+    independent_directions: bool
+
+    def step(self, slew_per_s: float) -> float:
+        """How far a slew leads in one period."""
+        return slew_per_s * self.period_ns / _NS_PER_S
 
 
 class Passed(NamedTuple):
@@ -84,11 +99,14 @@ class Gate:
         if why is None:
             return Passed(own_id, bytes(data), None)
         self.blocked[why] = self.blocked.get(why, 0) + 1
-        return Passed(own_id, self.zero_torque(reverse), why)
+        return Passed(own_id, self.zero_torque(reverse, sent), why)
 
-    def zero_torque(self, reverse: bool) -> bytes:
-        """SAFETY.md's ZERO_TORQUE in bytes."""
+    def zero_torque(self, reverse: bool, sent: _Sent | None = None) -> bytes:
+        """SAFETY.md's ZERO_TORQUE in bytes, as it may follow the frame that was sent."""
         speed = int(self.limits.speed_limit_max_rpm)
+        if sent is not None:
+            step = self.limits.step(self.limits.speed_slew_rpm_per_s)
+            speed = max(speed, _word(sent.data, 4) - int(step))
         first = _MODE_SAFETY | (_REVERSE if reverse else 0)
         return bytes((first, 0, 0, 0, speed & 0xFF, speed >> 8, 0, 0))
 
@@ -112,24 +130,59 @@ class Gate:
             return "length"
         if data[0] & _UNUSED or data[3]:
             return "unused_bits"
-        if _word(data, 4) > self.limits.speed_limit_max_rpm:
-            return "speed_limit"
+        if why := self._speed_limit_fault(_word(data, 4), sent):
+            return why
         if self._turned(data, sent, speeds_rpm):
             return "direction"
         if _is_safe(data):
             return None
-        return self._torque_fault(data, armed, sent, now_ns)
+        return self._torque_fault(data, armed, speeds_rpm, sent, now_ns)
+
+    def _speed_limit_fault(self, speed: int, sent: _Sent | None) -> str | None:
+        limits = self.limits
+        step = limits.step(limits.speed_slew_rpm_per_s)
+        before = None if sent is None else _word(sent.data, 4)
+        if speed < _SPEED_LIMIT_MIN_RPM:
+            return "speed_limit"
+        if speed > limits.speed_limit_max_rpm and not _falls(speed, before, step):
+            return "speed_limit"
+        too_fast = before is not None and before - speed > step + _ROUNDING
+        return "speed_slew" if too_fast else None
 
     def _torque_fault(
-        self, data: bytes, armed: bool, sent: _Sent | None, now_ns: int
+        self,
+        data: bytes,
+        armed: bool,
+        speeds_rpm: tuple[float | None, ...],
+        sent: _Sent | None,
+        now_ns: int,
     ) -> str | None:
         if not armed:
             return "unarmed"
-        if _word(data, 6) > self.limits.power_limit_max_w:
-            return "power_limit"
-        if data[1] > self._throttle_max_raw(sent, now_ns):
+        power, limits = _word(data, 6), self.limits
+        if power > limits.power_limit_max_w:
+            before = None if sent is None else _word(sent.data, 6)
+            if not _falls(power, before, limits.step(limits.power_slew_w_per_s)):
+                return "power_limit"
+        if data[0] & _REGEN and self._too_slow_to_regenerate(speeds_rpm):
+            return "regeneration"
+        return self._throttle_fault(data, sent, now_ns) if data[1] else None
+
+    def _throttle_fault(self, data: bytes, sent: _Sent | None, now_ns: int) -> str | None:
+        if data[0] & _MODE_MASK == _MODE_SAFETY:
+            return "power_mode"
+        if not self.limits.independent_directions:
+            for one in self._sent.values():
+                if (one.data[0] ^ data[0]) & _REVERSE:
+                    return "directions"
+        if sent is None or data[1] > self._throttle_max_raw(sent, now_ns):
             return "throttle_slew"
         return None
+
+    def _too_slow_to_regenerate(self, speeds_rpm: tuple[float | None, ...]) -> bool:
+        """True where a motor turns too slowly for regeneration, or nobody knows how fast."""
+        least_rpm = self.limits.regen_min_rpm
+        return least_rpm > 0 and any(speed is None or speed < least_rpm for speed in speeds_rpm)
 
     def _turned(
         self, data: bytes, sent: _Sent | None, speeds_rpm: tuple[float | None, ...]
@@ -141,10 +194,8 @@ class Gate:
         slow = all(speed is not None and speed < limit_rpm for speed in speeds_rpm)
         return not slow or data[1] != 0 or sent.data[1] != 0
 
-    def _throttle_max_raw(self, sent: _Sent | None, now_ns: int) -> float:
+    def _throttle_max_raw(self, sent: _Sent, now_ns: int) -> float:
         """Highest throttle code now: the last one sent plus what the slew earned since."""
-        if sent is None:
-            return 0
         elapsed_ns = min(max(now_ns - sent.at_ns, 0), self.limits.period_ns)
         earned_pct = self.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
         # Codes are rounded to the nearest: half a bit up now, half a bit down before.
@@ -155,6 +206,14 @@ def _is_safe(data: bytes) -> bool:
     """ZERO_TORQUE or POWER_CUT, in either direction."""
     zero = not (data[1] or data[2] or data[6] or data[7] or data[0] & _REGEN)
     return zero and data[0] & _MODE_MASK == _MODE_SAFETY
+
+
+def _falls(limit: int, before: int | None, step: float) -> bool:
+    """True where a limit above the maximum is coming down to it from the one before.
+
+    Two frames of a slot are at least half a period apart, so at least half a step.
+    """
+    return before is not None and limit <= before - step / 2 + _ROUNDING
 
 
 def _word(data: bytes, index: int) -> int:

@@ -1,12 +1,13 @@
 """The machine without a bus: frames, requests and time in, command frames and events out.
 
-`Gateway.intake` belongs to the receiving thread, everything else to the ticking thread.
+`Gateway.intake` belongs to whoever hands on frames, the reader or the ticking thread right before a
+tick, one at a time; everything else belongs to the ticking thread.
 """
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from vcu_gateway.core import freshness, rules, why
+from vcu_gateway.core import freshness, rules, speeds, throttle, why
 from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
@@ -14,8 +15,10 @@ from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.ending import Ending
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.intake import OWN_NODE, Intake
-from vcu_gateway.core.link import Link, LinkState
+from vcu_gateway.core.link import Link, LinkState, PassiveTime
 from vcu_gateway.core.output import OutFrame, Output
+from vcu_gateway.core.plausibility import Plausibility
+from vcu_gateway.core.regeneration import Regeneration
 from vcu_gateway.core.requests import LISTENING, Parts, Requests
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.startup import Listening, Qualification
@@ -25,7 +28,6 @@ from vcu_gateway.core.why import Why
 from vcu_gateway.core.world import World
 
 _NS_PER_MS = 1_000_000
-SpeedsRpm = tuple[float | None, ...]
 
 
 class TickResult(NamedTuple):
@@ -43,7 +45,7 @@ class TickResult(NamedTuple):
 
 
 class Gateway:
-    """Receives on one thread through `intake`; ticks and answers `requests` on another."""
+    """Receives through `intake`; ticks and answers `requests` on the ticking thread."""
 
     def __init__(self, codec: Codec, settings: Settings, now_ns: int) -> None:
         self.codec = codec
@@ -60,8 +62,12 @@ class Gateway:
         self.causes = Causes()
         self.supervisor = Supervisor(now_ns)
         self._commander = Commander(settings)
+        self._regeneration = Regeneration()
+        self._speeds = speeds.UNKNOWN
         self._listening = Listening(now_ns, settings.listen_before_talk_ms)
         self._qualification = Qualification()
+        self._plausibility = Plausibility()
+        self._passive = PassiveTime()
         self._lost: Link | None = None
         self._foreign_before = 0
         self._blocked_by_gate: str | None = None
@@ -77,6 +83,7 @@ class Gateway:
             listening=self._listening,
             output=self.output,
             apply=self._apply,
+            judge_lateness=self.judge_lateness,
             tell=self._events.append,
         )
         self.requests = Requests(settings, parts)
@@ -97,11 +104,24 @@ class Gateway:
         """The interface was opened, again or for the first time; nothing is received yet."""
         self._lost = None
         self.intake.link = Link(LinkState.UP, now_ns)
+        self._passive = PassiveTime()
         self._listening.again(now_ns)
+        snapshot = self.intake.store.snapshot(now_ns)
+        self._qualification.begin(snapshot, self.settings.required)
 
     def restarted(self, unexpectedly: int) -> None:
         """How often the gateway was started in this drive without having ended in order."""
         self.requests.restarts = unexpectedly
+
+    def begin_from(self, cut_reason: str | None, reverse: Mapping[str, bool]) -> None:
+        """What the process before this one left; before the first tick.
+
+        A CUT that it had latched is latched again, with this reason. The directions that it
+        applied hold unless the controllers echo others before the first frame.
+        """
+        self._commander.take_over(reverse)
+        if cut_reason is not None:
+            self._apply(Stimulus.CUT, self._snapshot.now_ns, cut_reason)
 
     @property
     def link(self) -> Link:
@@ -112,6 +132,7 @@ class Gateway:
         """Whether the bus took a frame of the last tick."""
         if ok:
             self.output.note_sent(frame, now_ns)
+            self._commander.note_sent(frame.controller)
         else:
             self._commander.not_sent(frame.controller)
             self._ending.note_unsent()
@@ -127,9 +148,21 @@ class Gateway:
 
     # The tick.
 
+    def judge_lateness(self, now_ns: int) -> None:
+        """Latch a tick that is too late in ACTIVE, before anything else of it is applied."""
+        if self.supervisor.mode is Mode.ACTIVE:
+            for finding in rules.late(self._late_ns(now_ns), self.settings.period_ns):
+                self._apply(Stimulus.STOP, now_ns, str(finding))
+
+    def _late_ns(self, now_ns: int) -> int:
+        """How long after its period a tick now would come."""
+        last_ns = self._last_tick_ns
+        return 0 if last_ns is None else now_ns - last_ns - self.settings.period_ns
+
     def tick(self, now_ns: int) -> TickResult:
         """Decide what each controller is told now; both frames come from one snapshot."""
-        snapshot = self._snapshot = self.intake.store.snapshot(now_ns)
+        self.judge_lateness(now_ns)
+        snapshot = self._snapshot = self.intake.store.take(now_ns)
         world = self._world(snapshot)
         if world.foreign_sender is not None or self._lost is not None:
             self._listening.again(now_ns)  # without a bus nobody can be heard
@@ -139,18 +172,15 @@ class Gateway:
         hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
         self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
         self._supervise(snapshot)
-        speeds_rpm = _speeds_rpm(snapshot)
-        decided = self._decide(snapshot, speeds_rpm)
-        frames = self._frames(decided, speeds_rpm, now_ns) if talking else ()
+        self._speeds = speeds.of(snapshot, world.observed)
+        decided = self._decide(snapshot)
+        frames = self._frames(decided, now_ns) if talking else ()
         self.output.sending.note_emitted(bool(frames))
         self._last_tick_ns = now_ns
         return self._result(snapshot, frames)
 
     def _world(self, snapshot: Snapshot) -> World:
         settings, now_ns = self.settings, snapshot.now_ns
-        late_ns = 0
-        if self._last_tick_ns is not None:
-            late_ns = now_ns - self._last_tick_ns - settings.period_ns
         requests = self.requests
         emergency_stop, requests.emergency_stop_asked = requests.emergency_stop_asked, False
         blocked, self._blocked_by_gate = self._blocked_by_gate, None
@@ -162,7 +192,9 @@ class Gateway:
             late_after_ns=self._late_after_ns,
             link=self.link,
             history=self.output.sending.history,
-            tick_late_ns=late_ns,
+            observed=self._plausibility.observe(snapshot, self.output.sending.history, settings),
+            passive_ns=self._passive.within(self.intake.book.passive_ns(now_ns), now_ns),
+            tick_late_ns=self._late_ns(now_ns),
             period_ns=settings.period_ns,
             unconfirmed_ticks=self.output.sending.note_confirmed(self.intake.confirmed),
             foreign_sender=self.intake.foreign_id if foreign > before else None,
@@ -179,7 +211,7 @@ class Gateway:
             self._apply(_stimulus_of(held.finding), now_ns, str(held.finding))
         if not self.requests.desk.fresh(now_ns):
             self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
-        if any(snapshot.stale(message) for message in required):
+        if not self._qualification.observe(snapshot, required):
             self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
         elif self.supervisor.mode is Mode.STARTING and self._qualified(snapshot):
             self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
@@ -192,36 +224,35 @@ class Gateway:
         return self.output.sending.begun and not any(missing)
 
     def _apply(self, stimulus: Stimulus, now_ns: int, reason: str) -> None:
-        before = self.supervisor.mode
         self._events += self.supervisor.apply(stimulus, now_ns, reason)
         if stimulus is Stimulus.DISARM or self.supervisor.mode is Mode.FAULT:
             self._auto_arm_left = False  # a reset never leads to ACTIVE by itself
-        if self.supervisor.mode is Mode.STARTING and before is not Mode.STARTING:
-            self._qualification.begin(self._snapshot, self.settings.required)
 
-    def _decide(self, snapshot: Snapshot, speeds_rpm: SpeedsRpm) -> Mapping[str, Command]:
+    def _decide(self, snapshot: Snapshot) -> Mapping[str, Command]:
         settings, now_ns, mode = self.settings, snapshot.now_ns, self.supervisor.mode
         effects, asked = self.causes.effects(), self.requests.asked(now_ns)
+        regenerates = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
         slow = all(
-            speed is not None and speed < settings.direction_change_rpm for speed in speeds_rpm
+            speed is not None and speed < settings.direction_change_rpm
+            for speed in self._speeds.highest_rpm
         )
         if mode is Mode.ACTIVE and asked is not None:
-            return self._commander.active(asked, effects, slow, settings, now_ns)
+            return self._commander.active(
+                asked, effects, slow, settings, now_ns, regenerates=regenerates
+            )
         if mode is Mode.STANDBY:
             return self._commander.settle(asked, effects, slow, settings, now_ns)
-        return self._commander.safe(settings, self._power_is_cut, now_ns)
+        return self._commander.safe(asked, settings, self._power_is_cut, now_ns)
 
     @property
     def _power_is_cut(self) -> bool:
         return self.supervisor.power_is_cut or Effect.CUT in self.causes.effects()
 
-    def _frames(
-        self, decided: Mapping[str, Command], speeds_rpm: SpeedsRpm, now_ns: int
-    ) -> tuple[OutFrame, ...]:
+    def _frames(self, decided: Mapping[str, Command], now_ns: int) -> tuple[OutFrame, ...]:
         """Encode, and let the gate look at every frame; one blocked frame stops both."""
         armed = self.supervisor.mode is Mode.ACTIVE
         frames = self.output.encoded(decided)
-        rule = self.output.fault_of(frames, armed, speeds_rpm, now_ns)
+        rule = self.output.fault_of(frames, armed, self._speeds.highest_rpm, now_ns)
         if rule is None:
             return frames
         self._blocked_by_gate = rule
@@ -249,11 +280,14 @@ class Gateway:
             refusal = self.requests.against_resetting(FaultClass.SERVICE, now_ns)
         judged_ns = self._snapshot.now_ns
         facts = why.Facts(judged_ns, self.supervisor, self.causes, self.requests.desk)
-        return why.explained(facts, tuple(self._waits()), refusal, now_ns)
+        return why.explained(facts, tuple(self._waits(now_ns)), refusal, now_ns)
 
-    def _waits(self) -> list[str]:
+    def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:
             return [LISTENING]
+        if self.supervisor.mode in (Mode.STANDBY, Mode.ACTIVE):
+            asked = self.requests.asked(now_ns)
+            return throttle.waits(self._commander, asked, self._speeds.highest_rpm, self.settings)
         if self.supervisor.mode is not Mode.STARTING:
             return []
         waits = list(self._qualification.missing(self._snapshot, self.settings))
@@ -272,10 +306,3 @@ def _echoed_directions(snapshot: Snapshot) -> Mapping[str, bool]:
     return {
         name: bool(one.good_value) for name, one in readings.items() if one.good_value is not None
     }
-
-
-def _speeds_rpm(snapshot: Snapshot) -> SpeedsRpm:
-    """Speed of each motor; None where it is not known, stale or out of range."""
-    return tuple(
-        snapshot.reading(f"{name}_Status2", "MotorSpeed").good_value for name in CONTROLLERS
-    )

@@ -1,7 +1,8 @@
-"""What comes from the bus, sorted on the receiving thread.
+"""What comes from the bus, sorted as it is received.
 
-Everything here is written by the receiving thread alone and read by any; what the ticking
-thread knows of the link stands apart (`LinkBook`).
+Frames come from the receiving thread, and right before a tick from the ticking thread: never from
+both at once. Any thread may read; what the ticking thread knows of the link stands apart
+(`LinkBook`).
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,9 @@ class Intake:
         store: the latest message of each kind.
         rejected: frames not decoded, by reason.
         confirmed: own command frames that came back because they had left, by controller.
-        foreign_commands: command frames from another sender, by controller.
+        foreign_commands: command frames from another sender, by controller; one to all counts for
+            each.
+        command_groups: controllers by the `j1939.group_key` of what commands them.
         foreign_id: identifier of the last one of them.
         book: what error frames and carrier say of the bus; `link` is the result.
     """
@@ -32,10 +35,11 @@ class Intake:
         self._codec = codec
         self.store = Store(codec.protocol.received_by(OWN_NODE), stale_after_ns)
         self._controller_of = {commands.message_name(name): name for name in CONTROLLERS}
-        self._controller_by_key = {
-            j1939.match_key(codec.by_name[message].spec.can_id): name
+        own_ids = {
+            name: codec.by_name[message].spec.can_id
             for message, name in self._controller_of.items()
         }
+        self.command_groups = _command_groups(own_ids)
         self.rejected = dict.fromkeys(Reason, 0)
         self.confirmed = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_commands = dict.fromkeys(CONTROLLERS, 0)
@@ -69,9 +73,9 @@ class Intake:
         if reason is Reason.ERROR:
             self.book.take_error_frame(frame.can_id, frame.data, frame.arrival_ns)
         elif frame.extended and not frame.own_echo:
-            # Another sender of our identifiers is one whatever it sends in them.
-            controller = self._controller_by_key.get(j1939.match_key(frame.can_id))
-            if controller is not None:
+            # Whoever commands a controller is another sender, whatever address it gives and
+            # whatever it sends.
+            for controller in self.command_groups.get(j1939.group_key(frame.can_id), ()):
                 self._receive_command(controller, frame)
 
     def _receive_command(self, controller: str, frame: Frame) -> None:
@@ -83,5 +87,16 @@ class Intake:
 
     @property
     def foreign_count(self) -> int:
-        """Command frames from another sender so far."""
+        """Command frames from another sender so far, one to all counted for each controller."""
         return sum(self.foreign_commands.values())
+
+
+def _command_groups(own_ids: Mapping[str, int]) -> Mapping[int, tuple[str, ...]]:
+    """The commands' groups to each controller and to all, whichever of the commands it is."""
+    groups: dict[int, tuple[str, ...]] = {}
+    for can_id in own_ids.values():
+        for name, own_id in own_ids.items():
+            destination = j1939.parse(own_id).pdu_specific
+            groups[j1939.group_key_to(can_id, destination)] = (name,)
+        groups[j1939.group_key_to(can_id, j1939.GLOBAL_ADDRESS)] = tuple(own_ids)
+    return groups

@@ -8,6 +8,9 @@ ID_MASK = 0x1FFF_FFFF
 MATCH_MASK = 0x03FF_FFFF
 """All but the priority: a receiver tells messages apart by PGN and source (PROTOCOL.md E1)."""
 
+GROUP_MASK = MATCH_MASK & ~0xFF
+"""All but priority and source: what a node tells by whom it is for, whoever sent it."""
+
 PDU2_FIRST_PF = 240
 """From this PDU format on, PS belongs to the group number instead of being a destination."""
 
@@ -75,7 +78,12 @@ def match_key(can_id: int) -> int:
 
 def group_key(can_id: int) -> int:
     """What identifies a message whatever its priority and sender."""
-    return can_id & MATCH_MASK & ~0xFF
+    return can_id & GROUP_MASK
+
+
+def group_key_to(can_id: int, destination: int) -> int:
+    """`group_key` of the same group to another node; for PDU1 identifiers."""
+    return group_key(can_id) & ~0xFF00 | destination << 8
 
 
 def with_priority(can_id: int, priority: int) -> int:

@@ -1,5 +1,6 @@
 """What the bus itself says: error frames, the carrier, loss."""
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -12,6 +13,7 @@ ERROR_CLASSES = _CLASS_CONTROLLER | _CLASS_BUS_OFF | _CLASS_RESTARTED
 """The only ones that move the link; the others may come by the thousand."""
 
 _CONTROLLER_BYTE = 1
+_PASSIVE_WINDOW_NS = 5_000_000_000
 _WARNING_BITS = 0x04 | 0x08
 _PASSIVE_BITS = 0x10 | 0x20
 _ACTIVE_BIT = 0x40
@@ -87,6 +89,28 @@ def with_carrier(link: Link, carrier: Carrier | None) -> Link:
     return link
 
 
+class _Told(NamedTuple):
+    """What error frames told, and for how long they had told of error-passive before."""
+
+    link: Link
+    passive_ns: int
+
+
+class PassiveTime:
+    """Error-passive time within the last 5 s, of what had gathered by each tick."""
+
+    def __init__(self) -> None:
+        self._gathered: deque[tuple[int, int]] = deque()
+
+    def within(self, gathered_ns: int, now_ns: int) -> int:
+        """How much of it fell into the window, or up to a tick more; it begins with a tick."""
+        gathered = self._gathered
+        gathered.append((now_ns, gathered_ns))
+        while len(gathered) > 1 and gathered[1][0] <= now_ns - _PASSIVE_WINDOW_NS:
+            gathered.popleft()
+        return gathered_ns - gathered[0][1]
+
+
 class LinkBook:
     """What is known of the link since it was opened.
 
@@ -95,19 +119,23 @@ class LinkBook:
     """
 
     def __init__(self, now_ns: int) -> None:
-        self._told = Link(LinkState.UP, now_ns)
+        self._opened = Link(LinkState.UP, now_ns)
+        self._told = _Told(self._opened, 0)
         self._last_off: Link | None = None
-        self._opened = self._told
         self._carrier: Carrier | None = None
         self._last_off_seen: Link | None = None
         self._missed: Link | None = None
 
     def take_error_frame(self, can_id: int, data: bytes | bytearray, at_ns: int) -> None:
         """On the receiving thread."""
-        told = after_error_frame(self._latest(), can_id, data, at_ns)
+        before = self._latest()
+        told = after_error_frame(before, can_id, data, at_ns)
         if told.state is LinkState.BUS_OFF:
             self._last_off = told
-        self._told = told
+        passive_ns = self._told.passive_ns
+        if before.state is LinkState.PASSIVE and told is not before:
+            passive_ns += max(0, told.since_ns - before.since_ns)
+        self._told = _Told(told, passive_ns)
 
     def begin(self, opened: Link, carrier: Carrier | None = None) -> None:
         """The interface was opened then, in this state; what was said before is over."""
@@ -129,7 +157,17 @@ class LinkBook:
         link = with_carrier(self._latest(), self._carrier)
         return link if link.state is LinkState.BUS_OFF else self._missed or link
 
+    def passive_ns(self, now_ns: int) -> int:
+        """For how long the controller has been error-passive in all; an opening may take some."""
+        told = self._told
+        link = self._after_opening(told.link)
+        standing_ns = now_ns - link.since_ns if link.state is LinkState.PASSIVE else 0
+        return told.passive_ns + max(0, standing_ns)
+
     def _latest(self) -> Link:
+        return self._after_opening(self._told.link)
+
+    def _after_opening(self, told: Link) -> Link:
         """What error frames told, where they told it after the opening."""
-        told, opened = self._told, self._opened
+        opened = self._opened
         return told if told.since_ns >= opened.since_ns else opened

@@ -8,7 +8,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.gate import Gate, GateLimits
-from vcu_gateway.core.sending import Sending
+from vcu_gateway.core.sending import Sending, Sent
 from vcu_gateway.core.settings import Settings
 
 
@@ -33,9 +33,11 @@ class Output:
             name: j1939.with_priority(one.spec.can_id, settings.transmit_priority)
             for name, one in self._codecs.items()
         }
-        # One whole byte, the same in both: what it says needs no decoding.
+        # One whole byte and one bit, the same in both: what they say needs no decoding.
         self._throttle = self._codecs[CONTROLLERS[0]].spec.signal("Throttle")
         self._throttle_byte = self._throttle.start_bit // 8
+        direction = self._codecs[CONTROLLERS[0]].spec.signal("MotorReverse").start_bit
+        self._direction_byte, self._reverse = direction // 8, 1 << direction % 8
         self.gate = Gate(self._limits(settings))
         self.sending = Sending(CONTROLLERS)
 
@@ -47,6 +49,10 @@ class Output:
             throttle_slew_pct_per_s=settings.throttle_slew_pct_per_s,
             direction_change_rpm=settings.direction_change_rpm,
             period_ns=settings.period_ns,
+            power_slew_w_per_s=settings.power_slew_w_per_s,
+            speed_slew_rpm_per_s=settings.speed_slew_rpm_per_s,
+            regen_min_rpm=settings.regen_min_rpm,
+            independent_directions=settings.independent_directions,
         )
 
     def reload(self, settings: Settings) -> None:
@@ -84,5 +90,6 @@ class Output:
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
         """Book a frame that the bus took."""
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
+        reverse = frame.data[self._direction_byte] & self._reverse != 0
         self.gate.sent(CONTROLLERS.index(frame.controller), frame.data, now_ns)
-        self.sending.note_sent(frame.controller, throttle_pct, now_ns)
+        self.sending.note_sent(frame.controller, Sent(now_ns, throttle_pct, reverse))

@@ -1,30 +1,55 @@
 """Whether a request may be granted: the first reason against it, as a sentence."""
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from vcu_gateway.core.causes import BLOCKING, Causes
-from vcu_gateway.core.demand import ControllerDemand
+from vcu_gateway.core.demand import ControllerDemand, directions_differ
 from vcu_gateway.core.supervisor import FaultClass, Mode, Supervisor
+
+_NS_PER_MS = 1_000_000
+
+RELEASED_MS = 200
+"""How long the demanded throttle has to be 0 before arming."""
 
 Asked = Mapping[str, ControllerDemand] | None
 
 
-def against_arming(
-    supervisor: Supervisor, causes: Causes, asked: Asked, reverse_pending: bool
-) -> str:
-    """Why ACTIVE cannot be entered now; empty where nothing speaks against it.
+class Pedal(NamedTuple):
+    """The demand as far as arming is concerned.
 
-    `asked` is None without a fresh demand.
+    Attributes:
+        asked: of each controller; None without a fresh demand.
+        zero_for_ns: how long no demand asked for throttle; None where it is asked for.
+        reverse_pending: another direction than the applied one is asked for.
+        independent_directions: the controllers may have two directions.
     """
+
+    asked: Asked
+    zero_for_ns: int | None
+    reverse_pending: bool = False
+    independent_directions: bool = False
+
+
+def against_arming(supervisor: Supervisor, causes: Causes, pedal: Pedal) -> str:
+    """Why ACTIVE cannot be entered now; empty where nothing speaks against it."""
     if supervisor.mode is not Mode.STANDBY:
         return f"arming needs standby, the mode is {supervisor.mode.value}"
     if blocked := _blocked(causes):
         return blocked
-    if asked is None:
+    return _against_demand(pedal)
+
+
+def _against_demand(pedal: Pedal) -> str:
+    if pedal.asked is None:
         return "there is no fresh demand"
-    if _throttle_asked(asked):
+    if _throttle_asked(pedal.asked):
         return "the demanded throttle is not 0"
-    if reverse_pending:
+    if pedal.zero_for_ns is None or pedal.zero_for_ns < RELEASED_MS * _NS_PER_MS:
+        return f"the demanded throttle has not been 0 for {RELEASED_MS} ms"
+    if not pedal.independent_directions and directions_differ(pedal.asked):
+        return "both controllers must have the same direction"
+    if pedal.reverse_pending:
         return "a change of direction is pending"
     return ""
 

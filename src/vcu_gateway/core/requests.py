@@ -1,4 +1,8 @@
-"""What people and programs may ask for: demand, arming, resetting, new settings."""
+"""What people and programs may ask for: demand, arming, resetting, new settings.
+
+Before a request may change the mode the lateness of the tick is judged: a gateway that was away
+in ACTIVE has latched its fault before anybody ends the drive in another way.
+"""
 
 import dataclasses
 from collections.abc import Callable
@@ -13,11 +17,12 @@ from vcu_gateway.core.demand import (
     Demand,
     DemandDesk,
     Refusal,
+    Terms,
     refused,
 )
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.output import Output
-from vcu_gateway.core.permission import Asked
+from vcu_gateway.core.permission import Asked, Pedal
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.startup import Listening
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
@@ -41,6 +46,7 @@ class Parts:
     listening: Listening
     output: Output
     apply: Apply
+    judge_lateness: Callable[[int], None]
     tell: Callable[[Event], None]
 
 
@@ -64,17 +70,30 @@ class Requests:
 
     def offer(self, demand: Demand, now_ns: int) -> Answer:
         """Take a demand of a source, or say why not."""
-        settings, before = self.settings, self.desk.current
+        self._parts.judge_lateness(now_ns)
+        before = self.desk.current
         if not self.desk.fresh(now_ns):
             # It expired between two ticks: a new one does not continue the drive.
             self._parts.apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
-        answer = self.desk.offer(demand, settings.priorities, settings.ttl_max_ms, now_ns)
-        if answer.granted and (before is None or before.source != demand.source):
-            self._parts.tell(Event("demand_owner", Severity.INFO, {"source": demand.source}))
+            self._parts.commander.pedals.interrupted()
+        answer = self.desk.offer(demand, _terms(self.settings), now_ns)
+        if answer.granted:
+            self._judge(demand, before, now_ns)
         return answer
+
+    def _judge(self, demand: Demand, before: Demand | None, now_ns: int) -> None:
+        """A granted demand counts from now on, also where another follows before the tick."""
+        pedals = self._parts.commander.pedals
+        if before is None or before.source != demand.source:
+            self._parts.tell(Event("demand_owner", Severity.INFO, {"source": demand.source}))
+            if self._parts.supervisor.mode is Mode.ACTIVE:
+                pedals.taken_over()
+        made_ns = now_ns if demand.made_ns is None else demand.made_ns
+        pedals.judge(demand.controllers, made_ns, now_ns)
 
     def end_demand(self, source: str, now_ns: int) -> Answer:
         """The owner's demand counts no more, and the drive ends; refused for any other source."""
+        self._parts.judge_lateness(now_ns)
         answer = self.desk.end(source)
         if answer.granted:
             self._parts.apply(Stimulus.DEMAND_EXPIRED, now_ns, f"{source} ended its demand")
@@ -82,6 +101,7 @@ class Requests:
 
     def arm(self, now_ns: int) -> Answer:
         """Ask for ACTIVE; granted in STANDBY where nothing speaks against it."""
+        self._parts.judge_lateness(now_ns)
         if why_not := self.against_arming(now_ns):
             return self._refuse("arm", why_not)
         self._parts.apply(Stimulus.ARM, now_ns, "armed on request")
@@ -89,6 +109,7 @@ class Requests:
 
     def disarm(self, now_ns: int) -> Answer:
         """Leave ACTIVE for STANDBY; always granted."""
+        self._parts.judge_lateness(now_ns)
         self._parts.apply(Stimulus.DISARM, now_ns, "disarmed on request")
         return GRANTED
 
@@ -133,8 +154,20 @@ class Requests:
         if not parts.listening.over:
             return LISTENING
         asked = self.asked(now_ns)
-        pending = asked is not None and parts.commander.reverse_pending(asked)
-        return permission.against_arming(parts.supervisor, parts.causes, asked, pending)
+        pedal = Pedal(
+            asked=asked,
+            zero_for_ns=self._zero_for_ns(now_ns),
+            reverse_pending=asked is not None and parts.commander.reverse_pending(asked),
+            independent_directions=self.settings.independent_directions,
+        )
+        return permission.against_arming(parts.supervisor, parts.causes, pedal)
+
+    def _zero_for_ns(self, now_ns: int) -> int | None:
+        """How long no throttle has been asked for; the bench demand asks for none before ACTIVE."""
+        demand = self.desk.current
+        if demand is not None and demand.source == BENCH_SOURCE:
+            return now_ns
+        return self._parts.commander.pedals.zero_for_ns(now_ns)
 
     def against_resetting(self, level: FaultClass, now_ns: int) -> str:
         """Why FAULT cannot be left now; empty where nothing speaks against it."""
@@ -159,6 +192,15 @@ class Requests:
             name: dataclasses.replace(asked, throttle_pct=0.0)
             for name, asked in demand.controllers.items()
         }
+
+
+def _terms(settings: Settings) -> Terms:
+    return Terms(
+        ttl_max_ms=settings.ttl_max_ms,
+        priorities=settings.priorities,
+        independent_directions=settings.independent_directions,
+        second_track_required=settings.second_track_required,
+    )
 
 
 def _restarted_too_often(times: int) -> str:

@@ -4,12 +4,13 @@ A rule sees the world and returns what it found; it does not log, remember or co
 tuple at the bottom is the whole list.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
 from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.link import LinkState
-from vcu_gateway.core.world import Sent, World
+from vcu_gateway.core.plausibility import WHEELS_MESSAGE
+from vcu_gateway.core.world import World
 
 _ALARM, _STOP, _CUT = (Effect.ALARM,), (Effect.STOP,), (Effect.CUT,)
 _LIMITS = (Effect.REGEN_LIMIT, Effect.POWER_LIMIT)
@@ -18,8 +19,8 @@ _NONE: tuple[Effect, ...] = ()
 _STATUS = "BMS_Status"
 _MS = 1_000_000
 _PASSIVE_MAX_NS = 1_000 * _MS
-_ECHO_WINDOW_NS = 1_000 * _MS
-_ECHO_TOLERANCE_PCT = 5.0
+_ECHO_FRAMES = 2
+_WHEELS_APART_NS = 1_000 * _MS
 _UNCONFIRMED_MAX_TICKS = 3
 _LATE_MAX_PERIODS = 4
 _LIFE_LIMIT_REPEATS = 1
@@ -71,17 +72,17 @@ def controller_codes(world: World) -> Iterator[Finding]:
 def _coded(
     world: World, message: str, effects: Mapping[str, tuple[tuple[Effect, ...], ...]]
 ) -> Iterator[Finding]:
-    codes = world.snapshot.codes(message, effects) or ()
-    for (signal, by_code), raw in zip(effects.items(), codes, strict=False):
-        for effect in by_code[raw]:
-            name = world.snapshot.reading(message, signal).code_name
-            yield Finding(
-                "code",
-                f"{message}.{signal}",
-                effect,
-                f"{raw} ({name or 'reserved'})",
-                until_restart=(signal, raw) in UNTIL_RESTART,
-            )
+    for codes in world.snapshot.codes(message, tuple(effects)):
+        for (signal, by_code), raw in zip(effects.items(), codes, strict=True):
+            for effect in by_code[raw]:
+                name = world.snapshot.code_name(message, signal, raw)
+                yield Finding(
+                    "code",
+                    f"{message}.{signal}",
+                    effect,
+                    f"{raw} ({name or 'reserved'})",
+                    until_restart=(signal, raw) in UNTIL_RESTART,
+                )
 
 
 def battery_late(world: World) -> Iterator[Finding]:
@@ -95,14 +96,12 @@ def battery_late(world: World) -> Iterator[Finding]:
 
 def battery_life(world: World) -> Iterator[Finding]:
     """The life signal stands still: frames arrive, but nobody may be alive behind them."""
-    latest = world.snapshot.latest(_STATUS)
-    if latest is None:
-        return
-    detail = f"unchanged in {latest.life_repeats + 1} frames"
-    if latest.life_repeats >= _LIFE_LIMIT_REPEATS:
+    repeats = max((frame.life_repeats for frame in world.snapshot.judged(_STATUS)), default=0)
+    detail = f"unchanged in {repeats + 1} frames"
+    if repeats >= _LIFE_LIMIT_REPEATS:
         for effect in _LIMITS:
             yield Finding("life_signal", f"{_STATUS}.LifeSignal", effect, detail)
-    if latest.life_repeats >= _LIFE_STOP_REPEATS:
+    if repeats >= _LIFE_STOP_REPEATS:
         yield Finding("life_signal", f"{_STATUS}.LifeSignal", Effect.STOP, detail)
 
 
@@ -138,25 +137,56 @@ def out_of_range(world: World) -> Iterator[Finding]:
 
 def throttle_echo(world: World) -> Iterator[Finding]:
     """A controller obeys a throttle that it was not told."""
-    for controller in CONTROLLERS:
+    for controller, excess in world.observed.echo_above.items():
         message = f"{controller}_Status1"
-        latest = world.snapshot.latest(message)
-        if latest is None or world.snapshot.stale(message):
-            continue
-        echoed_pct = world.snapshot.reading(message, "Throttle").value or 0.0
-        if echoed_pct <= _ECHO_TOLERANCE_PCT:
-            continue  # nothing can have been commanded below 0
-        commanded_pct = _highest(world.history.get(controller, ()), latest.arrival_ns)
-        if echoed_pct > commanded_pct + _ECHO_TOLERANCE_PCT:
-            detail = f"{echoed_pct:.1f} %, commanded {commanded_pct:.1f} %"
+        if not world.snapshot.stale(message):
+            detail = f"{excess.echoed_pct:.1f} %, commanded {excess.commanded_pct:.1f} %"
             yield Finding("throttle_echo", f"{message}.Throttle", Effect.STOP, detail)
 
 
-def _highest(history: Sequence[Sent], until_ns: int) -> float:
-    """The highest throttle in force during the second before `until_ns`."""
-    from_ns = until_ns - _ECHO_WINDOW_NS
-    recent = [sent.throttle_pct for sent in history if from_ns <= sent.at_ns <= until_ns]
-    return max(recent, default=0.0)
+def echo_below(world: World) -> Iterator[Finding]:
+    """A controller does less than it was told; where both do, nothing turns the vehicle."""
+    runs = _runs(world, world.observed.echo_below)
+    for controller, run in runs.items():
+        if run >= _ECHO_FRAMES:
+            effect = Effect.ALARM if len(runs) == len(CONTROLLERS) else Effect.STOP
+            detail = f"does not obey, in {run} frames"
+            yield Finding("echo_below", f"{controller}_Status1.Throttle", effect, detail)
+
+
+def echo_direction(world: World) -> Iterator[Finding]:
+    """A controller turns the other way round."""
+    for controller, run in _runs(world, world.observed.echo_direction).items():
+        if run >= _ECHO_FRAMES:
+            subject = f"{controller}_Status1.MotorReverse"
+            detail = f"not as commanded, in {run} frames"
+            yield Finding("echo_direction", subject, Effect.STOP, detail)
+
+
+def _runs(world: World, runs: Mapping[str, int]) -> Mapping[str, int]:
+    """Frames in a row, of each controller whose word is not stale."""
+    return {name: run for name, run in runs.items() if not world.snapshot.stale(f"{name}_Status1")}
+
+
+def speed_steps(world: World) -> Iterator[Finding]:
+    """A motor's speed changed as no motor does: it is not believed for a while."""
+    for controller, step_rpm in world.observed.speed_steps_rpm.items():
+        subject = f"{controller}_Status2.MotorSpeed"
+        yield Finding("speed_step", subject, Effect.ALARM, f"changed by {step_rpm:.0f} rpm")
+
+
+def wheel_speeds(world: World) -> Iterator[Finding]:
+    """A wheel's speed changed as no wheel's does, or both wheels disagree for long."""
+    for wheel, step_kmh in world.observed.wheel_steps_kmh.items():
+        subject, detail = f"{WHEELS_MESSAGE}.{wheel}", f"changed by {step_kmh:.1f} km/h"
+        yield Finding("wheel_speed_step", subject, Effect.ALARM, detail)
+    since_ns = world.observed.wheels_apart_since_ns
+    if since_ns is None or world.snapshot.stale(WHEELS_MESSAGE):
+        return
+    apart_ns = world.snapshot.now_ns - since_ns
+    if apart_ns >= _WHEELS_APART_NS:
+        detail = f"wheels differ for {_milliseconds(apart_ns)}"
+        yield Finding("wheel_speed_difference", WHEELS_MESSAGE, Effect.ALARM, detail)
 
 
 def unconfirmed(world: World) -> Iterator[Finding]:
@@ -168,24 +198,31 @@ def unconfirmed(world: World) -> Iterator[Finding]:
 
 def link_down(world: World) -> Iterator[Finding]:
     """The bus does not carry frames, or hardly."""
-    link = world.link
-    since_ns = world.snapshot.now_ns - link.since_ns
-    passive = link.state is LinkState.PASSIVE and since_ns > _PASSIVE_MAX_NS
-    if passive or link.state in (LinkState.BUS_OFF, LinkState.LOST):
-        yield Finding("link", "link", Effect.STOP, link.state.value)
+    state = world.link.state
+    if state in (LinkState.BUS_OFF, LinkState.LOST):
+        yield Finding("link", "link", Effect.STOP, state.value)
+    elif world.passive_ns > _PASSIVE_MAX_NS:
+        detail = f"{LinkState.PASSIVE.value} for {_milliseconds(world.passive_ns)} of 5 s"
+        yield Finding("link", "link", Effect.STOP, detail)
 
 
 def foreign_sender(world: World) -> Iterator[Finding]:
     """Somebody else commands the motors."""
     if world.foreign_sender is not None:
-        subject = f"command {world.foreign_sender:08X}"
-        yield Finding("foreign_sender", subject, Effect.STOP, latches=True)
+        # The identifier is no part of the cause's key: there are thousands of them.
+        detail = f"{world.foreign_sender:08X}"
+        yield Finding("foreign_sender", "command", Effect.STOP, detail, latches=True)
 
 
 def tick_late(world: World) -> Iterator[Finding]:
     """The gateway itself was away."""
-    if world.tick_late_ns > _LATE_MAX_PERIODS * world.period_ns:
-        yield Finding("tick_late", "tick", Effect.STOP, _milliseconds(world.tick_late_ns))
+    yield from late(world.tick_late_ns, world.period_ns)
+
+
+def late(late_ns: int, period_ns: int) -> Iterator[Finding]:
+    """The finding of a tick that comes so long after its period, where that is too long."""
+    if late_ns > _LATE_MAX_PERIODS * period_ns:
+        yield Finding("tick_late", "tick", Effect.STOP, _milliseconds(late_ns))
 
 
 def emergency_stop(world: World) -> Iterator[Finding]:
@@ -212,6 +249,10 @@ RULES: tuple[Rule, ...] = (
     stale,
     out_of_range,
     throttle_echo,
+    echo_below,
+    echo_direction,
+    speed_steps,
+    wheel_speeds,
     unconfirmed,
     link_down,
     foreign_sender,

@@ -1,12 +1,20 @@
-"""What became of our frames: sent, confirmed, and the throttles that they carried."""
+"""What became of our frames: sent, confirmed, and what they carried."""
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-from vcu_gateway.core.world import Sent
-
-# The throttle echo is held against one second before a Status1 that may be 1.6 s old.
+# The echo is held against a second or so before a Status1 that may be 1.6 s old.
 _HISTORY_FRAMES = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """Throttle and direction of one command frame that was sent."""
+
+    at_ns: int
+    throttle_pct: float
+    reverse: bool = False
 
 
 class Sending:
@@ -20,9 +28,9 @@ class Sending:
         self._missed = dict.fromkeys(controllers, 0)
         self._emitted = False
 
-    def note_sent(self, controller: str, throttle_pct: float, at_ns: int) -> None:
+    def note_sent(self, controller: str, sent: Sent) -> None:
         """A frame was handed to the bus."""
-        self._history[controller].append(Sent(at_ns, throttle_pct))
+        self._history[controller].append(sent)
 
     @property
     def begun(self) -> bool:
@@ -45,5 +53,5 @@ class Sending:
 
     @property
     def history(self) -> Mapping[str, Sequence[Sent]]:
-        """The throttles of the last frames sent, oldest first, by controller; it goes on."""
+        """What the last frames sent said, oldest first, by controller; it goes on."""
         return self._history

@@ -16,10 +16,14 @@ _STRICTER_IS_SMALLER = (
     "regen_limit_pct",
     "throttle_slew_pct_per_s",
     "direction_change_rpm",
+    "echo_below_max_pct",
+    "motor_speed_step_max_rpm",
+    "wheel_speed_step_max_kmh",
+    "wheel_speed_difference_max_kmh",
     "ttl_max_ms",
     "ttl_default_ms",
 )
-_STRICTER_IS_LARGER = ("clear_hold_ms",)
+_STRICTER_IS_LARGER = ("clear_hold_ms", "regen_min_rpm")
 
 RESTART_ONLY = (
     "late_after_ms",
@@ -46,9 +50,17 @@ class Settings:
         qualify_frames: good frames of each required message before STANDBY.
         derated_power_w: PowerLimit under a POWER_LIMIT effect.
         regen_limit_pct: Brake under a REGEN_LIMIT effect.
+        speed_slew_rpm_per_s: steepest fall of SpeedLimit.
+        regen_min_rpm: both motors' least speed for regeneration; 0 switches this off.
+        echo_below_max_pct: throttle echoed below the lowest commanded that still is obeying.
+        motor_speed_step_max_rpm: largest change between two Status2 that is plausible.
+        wheel_speed_step_max_kmh: largest change between two ARD2 frames without an alarm.
+        wheel_speed_difference_max_kmh: largest difference of both wheels without an alarm.
         ttl_max_ms: longest time to live that a demand may ask for.
         ttl_default_ms: time to live of a demand that names none.
         priorities: priority by source name; a source that is not listed has 0.
+        independent_directions: a demand may ask for two directions.
+        second_track_required: a demand must carry the pedal's second track.
         expect_echo: our frames come back once they have left; False where the bus cannot tell.
         bench_demand: static demand for both controllers on a test bench; None on a vehicle.
         auto_arm: arm once by itself, with a bench demand only.
@@ -69,10 +81,18 @@ class Settings:
     throttle_slew_pct_per_s: float = 100.0
     power_slew_w_per_s: float = 60000.0
     regen_slew_pct_per_s: float = 100.0
+    speed_slew_rpm_per_s: float = 4000.0
     direction_change_rpm: float = 50.0
+    regen_min_rpm: float = 100.0
+    echo_below_max_pct: float = 15.0
+    motor_speed_step_max_rpm: float = 2000.0
+    wheel_speed_step_max_kmh: float = 20.0
+    wheel_speed_difference_max_kmh: float = 15.0
     ttl_max_ms: int = 1000
     ttl_default_ms: int = 200
     priorities: Mapping[str, int] = field(default_factory=dict)
+    independent_directions: bool = False
+    second_track_required: bool = False
     expect_echo: bool = True
     bench_demand: ControllerDemand | None = None
     auto_arm: bool = False

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
+from vcu_gateway.core.why import WAITING_FOR
 
 _NS_PER_MS = 1_000_000
 
@@ -30,10 +31,19 @@ class Listening:
 
 
 class Qualification:
-    """Enough good frames of every required message since STARTING began."""
+    """Enough good frames of every required message since one of them, or the link, was lost."""
 
     def __init__(self) -> None:
         self._before: dict[str, int] = {}
+        self._missing: set[str] | None = None
+
+    def observe(self, snapshot: Snapshot, required: tuple[str, ...]) -> bool:
+        """Begin anew where a required message was lost; True while none is missing."""
+        missing = {message for message in required if snapshot.stale(message)}
+        if self._missing is not None and missing - self._missing:
+            self.begin(snapshot, required)
+        self._missing = missing
+        return not missing
 
     def begin(self, snapshot: Snapshot, required: tuple[str, ...]) -> None:
         """Count from now on."""
@@ -44,9 +54,9 @@ class Qualification:
         for message in settings.required:
             good = _good_frames(snapshot, message) - self._before.get(message, 0)
             if snapshot.stale(message):
-                yield f"waiting for {message}"
+                yield f"{WAITING_FOR}{message}"
             elif good < settings.qualify_frames:
-                yield f"waiting for {message}: {good} of {settings.qualify_frames} good frames"
+                yield f"{WAITING_FOR}{message}: {good} of {settings.qualify_frames} good frames"
 
 
 def _good_frames(snapshot: Snapshot, message: str) -> int:

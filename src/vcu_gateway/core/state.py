@@ -1,11 +1,15 @@
-"""The latest message of each kind, and all that is known at one instant.
+"""The latest message of each kind, every frame since the last tick, and all that is known then.
 
 One writer (the receive thread) replaces whole immutable records; any thread reads them
-without a lock.
+without a lock. Each record also goes into a book of arrivals, which the ticking thread takes
+and replaces by an empty one. A writer that was under way with the book taken sees that it is
+no longer the current one and enters its record there too: a frame is judged twice in that
+rare case, and never not at all.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import Enum
+from operator import itemgetter
 from typing import NamedTuple
 
 from vcu_gateway.core.codec import Decoded
@@ -16,6 +20,10 @@ _PERIOD_SMOOTHING = 8
 
 LIFE_SIGNAL = "LifeSignal"
 """The signal that must toggle in every frame of its message, where there is one."""
+
+MOST_ARRIVALS = 4096
+"""Frames of one message that are kept for a tick: more than a bus of 1 Mbit/s carries in 0.4 s,
+and by then the tick's own lateness has ended the drive."""
 
 # Stamps come from another clock reading than the tick's; more than this ahead is no stamp.
 FUTURE_TOLERANCE_NS = 20 * _NS_PER_MS
@@ -67,32 +75,46 @@ class Reading(NamedTuple):
         return self.value if self.quality is Quality.GOOD else None
 
 
-class Store:
-    """The latest frame of every message.
+# Takes some signals' codes out of all codes of a message, by message and signals: an itemgetter
+# made once takes a fifth of the time of looking for each signal in every tick.
+Pickers = dict[tuple[str, tuple[str, ...]], Callable[[tuple[int, ...]], tuple[int, ...]]]
 
-    A frame older than the one it follows does not replace it: the newest stamp wins.
+
+class Store:
+    """The latest frame of every message, and all frames since they were last taken.
+
+    A frame older than the one it follows does not replace it: the newest stamp wins. It is
+    judged like any other.
+
+    Attributes:
+        out_of_order: frames older than the one before them.
+        unjudged: frames of which so many came that the next tick could not judge them all.
     """
 
     def __init__(self, messages: Iterable[MessageSpec], stale_after_ns: Mapping[str, int]) -> None:
         self._specs = {message.name: message for message in messages}
         self._stale_after_ns = dict(stale_after_ns)
         self._latest: dict[str, Latest] = {}
+        self._arrived: dict[str, list[Latest]] = {}
+        self._pickers: Pickers = {}
         self._indexes = {
             name: {signal: i for i, signal in enumerate(spec.signal_names)}
             for name, spec in self._specs.items()
         }
         self.out_of_order = 0
+        self.unjudged = 0
 
     def put(self, name: str, decoded: Decoded, arrival_ns: int) -> bool:
-        """Keep a decoded frame; False, and nothing changed, where a newer one is known."""
+        """Keep a decoded frame; False where a newer one is known and stays the latest."""
         last = self._latest.get(name)
         marked = 1 if decoded.marks else 0
         if last is None:
-            self._latest[name] = Latest(decoded, arrival_ns, 1, marked, None)
+            self._keep(name, Latest(decoded, arrival_ns, 1, marked, None))
             return True
         interval_ns = arrival_ns - last.arrival_ns
         if interval_ns < 0:
             self.out_of_order += 1
+            self._note_arrival(name, last._replace(decoded=decoded, arrival_ns=arrival_ns))
             return False
         period_ns = last.period_ns
         if period_ns is None:
@@ -103,39 +125,72 @@ class Store:
         life = self._indexes[name].get(LIFE_SIGNAL)
         if life is not None and decoded.raws[life] == last.decoded.raws[life]:
             repeats = last.life_repeats + 1
-        self._latest[name] = Latest(
-            decoded,
-            arrival_ns,
-            last.frame_count + 1,
-            last.marked_count + marked,
-            period_ns,
-            repeats,
-        )
+        frames, marks = last.frame_count + 1, last.marked_count + marked
+        self._keep(name, Latest(decoded, arrival_ns, frames, marks, period_ns, repeats))
         return True
+
+    def _keep(self, name: str, latest: Latest) -> None:
+        self._latest[name] = latest
+        self._note_arrival(name, latest)
+
+    def _note_arrival(self, name: str, frame: Latest) -> None:
+        book = None
+        while book is not self._arrived:  # taken meanwhile: nobody may look into it again
+            book = self._arrived
+            frames = book.get(name)
+            if frames is None:
+                book[name] = [frame]
+            elif len(frames) < MOST_ARRIVALS:
+                frames.append(frame)
+            else:
+                self.unjudged += 1
 
     def snapshot(self, now_ns: int) -> "Snapshot":
         """All that is known at this instant; later frames do not change it."""
+        return self._snapshot(now_ns, {})
+
+    def take(self, now_ns: int) -> "Snapshot":
+        """The same with every frame since the last taking: for the one who judges them."""
+        book, self._arrived = self._arrived, {}
+        return self._snapshot(now_ns, {name: tuple(frames) for name, frames in book.items()})
+
+    def _snapshot(self, now_ns: int, arrived: Mapping[str, Sequence[Latest]]) -> "Snapshot":
         latest = self._latest.copy()
-        return Snapshot(now_ns, self._specs, self._indexes, latest, self._stale_after_ns)
+        return Snapshot(
+            now_ns,
+            self._specs,
+            self._indexes,
+            self._pickers,
+            latest,
+            arrived,
+            self._stale_after_ns,
+        )
 
 
 class Snapshot:
     """All that is known at one instant."""
 
-    __slots__ = ("_indexes", "_latest", "_specs", "_stale_after_ns", "now_ns")
+    __slots__ = (
+        *("_arrived", "_indexes", "_latest", "_pickers", "_specs", "_stale_after_ns"),
+        "now_ns",
+    )
 
     def __init__(
         self,
         now_ns: int,
         specs: Mapping[str, MessageSpec],
         indexes: Mapping[str, Mapping[str, int]],
+        pickers: Pickers,
         latest: Mapping[str, Latest],
+        arrived: Mapping[str, Sequence[Latest]],
         stale_after_ns: Mapping[str, int],
     ) -> None:
         self.now_ns = now_ns
         self._specs = specs
         self._indexes = indexes
+        self._pickers = pickers
         self._latest = latest
+        self._arrived = arrived
         self._stale_after_ns = stale_after_ns
 
     @property
@@ -146,6 +201,18 @@ class Snapshot:
     def latest(self, message: str) -> Latest | None:
         """The latest frame of this message, or None before the first."""
         return self._latest.get(message)
+
+    def arrived(self, message: str) -> Sequence[Latest]:
+        """Every frame of this message since the tick before, as they came; often none."""
+        return self._arrived.get(message, ())
+
+    def judged(self, message: str) -> Sequence[Latest]:
+        """What a tick judges: every frame since the tick before, else the latest one, if any."""
+        frames = self._arrived.get(message)
+        if frames is not None:
+            return frames
+        latest = self._latest.get(message)
+        return () if latest is None else (latest,)
 
     def age_ns(self, message: str) -> int | None:
         """Time since the arrival, never below 0; None before the first frame."""
@@ -162,18 +229,46 @@ class Snapshot:
 
     def reading(self, message: str, signal: str) -> Reading:
         """One signal; KeyError where the protocol has none of that name."""
-        index = self._index(message, signal)
+        index = self.index(message, signal)
         return self._reading(message, index, self._specs[message].signals[index])
 
-    def codes(self, message: str, signals: Iterable[str]) -> tuple[int, ...] | None:
-        """The latest codes of these signals, however old; None before the first frame."""
-        latest = self._latest.get(message)
-        if latest is None:
-            return None
-        indexes, raws = self._indexes[message], latest.decoded.raws
-        return tuple([raws[indexes[signal]] for signal in signals])
+    def good_values(self, message: str, signal: str) -> Sequence[float]:
+        """A signal's values that are to be judged; none where one of them cannot be relied upon."""
+        if self.stale(message):
+            return ()
+        values, index = [], self.index(message, signal)
+        for frame in self.judged(message):
+            if frame.decoded.marks >> index & 1:
+                return ()
+            values.append(frame.decoded.values[index])
+        return values
 
-    def _index(self, message: str, signal: str) -> int:
+    def codes(self, message: str, signals: tuple[str, ...]) -> Sequence[tuple[int, ...]]:
+        """Codes of these signals that are to be judged, a row for each frame, however old.
+
+        Of several frames the codes of each signal are ordered, the highest in the last row. Two
+        signals at least.
+        """
+        pick = self._pickers.get((message, signals)) or self._picker(message, signals)
+        rows = [pick(frame.decoded.raws) for frame in self.judged(message)]
+        if len(rows) < 2:
+            return rows
+        return list(zip(*map(sorted, zip(*rows, strict=True)), strict=True))
+
+    def _picker(
+        self, message: str, signals: tuple[str, ...]
+    ) -> Callable[[tuple[int, ...]], tuple[int, ...]]:
+        indexes = self._indexes[message]
+        picker = itemgetter(*[indexes[signal] for signal in signals])
+        self._pickers[message, signals] = picker
+        return picker
+
+    def code_name(self, message: str, signal: str, raw: int) -> str | None:
+        """The protocol's name of a code; None where it is reserved."""
+        return self._specs[message].signals[self.index(message, signal)].names.get(raw)
+
+    def index(self, message: str, signal: str) -> int:
+        """Where a signal is in its message's values; KeyError where there is none of that name."""
         index = self._indexes[message].get(signal)
         if index is None:
             raise KeyError(f"{message} has no signal {signal}")
@@ -185,14 +280,14 @@ class Snapshot:
         return tuple(self._reading(message, i, signal) for i, signal in enumerate(signals))
 
     def marked(self, message: str) -> tuple[tuple[str, int], ...]:
-        """Name and code of each signal out of range or saturated in the latest frame."""
-        latest = self._latest.get(message)
-        if latest is None or not latest.decoded.marks:
-            return ()
-        names, decoded = self._specs[message].signal_names, latest.decoded
-        return tuple(
-            (name, decoded.raws[i]) for i, name in enumerate(names) if decoded.marks >> i & 1
-        )
+        """Name and code of each signal out of range or saturated in a frame to be judged."""
+        marked: dict[str, int] = {}
+        for frame in self.judged(message):
+            marks, raws = frame.decoded.marks, frame.decoded.raws
+            if marks:
+                names = self._specs[message].signal_names
+                marked.update((name, raws[i]) for i, name in enumerate(names) if marks >> i & 1)
+        return tuple(marked.items())
 
     def _reading(self, message: str, index: int, signal: SignalSpec) -> Reading:
         latest = self._latest.get(message)

@@ -56,7 +56,7 @@ TRANSITIONS: Mapping[Stimulus, tuple[Mode, Mode, Mode, Mode, Mode]] = {
     Stimulus.QUALIFIED:       (_STANDBY,  _STANDBY,  _ACTIVE,   _FAULT,    _STOPPING),
     Stimulus.ARM:             (_STARTING, _ACTIVE,   _ACTIVE,   _FAULT,    _STOPPING),
     Stimulus.DISARM:          (_STARTING, _STANDBY,  _STANDBY,  _FAULT,    _STOPPING),
-    Stimulus.RESET:           (_STARTING, _STANDBY,  _ACTIVE,   _STANDBY,  _STOPPING),
+    Stimulus.RESET:           (_STARTING, _STANDBY,  _ACTIVE,   _STARTING, _STOPPING),
 }  # fmt: skip
 
 _COLUMNS = (_STARTING, _STANDBY, _ACTIVE, _FAULT, _STOPPING)

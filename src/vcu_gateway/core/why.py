@@ -7,7 +7,19 @@ from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Held
 from vcu_gateway.core.demand import DemandDesk
 from vcu_gateway.core.supervisor import FaultClass, Latch, Mode, Supervisor
 
+LONGEST_CHARACTERS = 200
+"""Of a sentence."""
+
+WAITING_FOR = "waiting for "
+"""Begins a condition that a message has to meet; its name follows."""
+
 _NS_PER_MS = 1_000_000
+_NAMED = (3, 2, 1)
+# What becomes shorter, step by step, until the sentence is short enough.
+_SHORTENED = (
+    *("alarms", "alarms", "alarms", "limits", "limits", "blocks", "demand"),
+    *("limits", "blocks", "waits", "waits", "alarms", "limits", "blocks", "blocks", "latch"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,32 +51,67 @@ class Why:
     next_step: str
 
     def sentence(self) -> str:
-        """Everything in one line."""
-        parts = [self.mode.value]
-        if self.latch is not None:
-            parts.append(f"latched ({self.latch.fault_class.value}): {self.latch.reason}")
-        parts += [self._told("blocked by", self.blocks), self._told("limited by", self.limits)]
-        parts += [self._told("alarm", self.alarms), *self.waits, self._demand(), self.next_step]
-        return "; ".join(part for part in parts if part)
+        """What matters most of it in one line of at most 200 characters."""
+        forms = self._forms()
+        for part in _SHORTENED:
+            if len(_joined(forms)) <= LONGEST_CHARACTERS:
+                break
+            forms[part] = forms[part][1:]
+        line = _joined(forms)
+        return line if len(line) <= LONGEST_CHARACTERS else f"{line[: LONGEST_CHARACTERS - 1]}…"
 
     def headline(self) -> str:
         """The same in some words: of several causes only the first."""
         parts = [self.mode.value]
         if self.latch is not None:
             parts.append(f"latched: {self.latch.reason}")
+        parts += [_waiting(self.waits, 1)]
         parts += [_first("blocked by", self.blocks) or _first("limited by", self.limits)]
-        parts += [*self.waits[:1], self.next_step]
+        parts += [self.next_step]
         return "; ".join(part for part in parts if part)
 
-    def _told(self, what: str, held: tuple[Held, ...]) -> str:
-        if not held:
-            return ""
-        return f"{what} " + ", ".join(self._cause(one) for one in held)
+    def _forms(self) -> dict[str, list[str]]:
+        """Each part of the sentence in its order, from its longest form to its shortest."""
+        latched = ["", ""]
+        if self.latch is not None:
+            short = f"latched ({self.latch.fault_class.value})"
+            latched = [f"{short}: {self.latch.reason}", short]
+        return {
+            "mode": [self.mode.value],
+            "latch": latched,
+            "waits": [_waiting(self.waits, most) for most in _NAMED],
+            "blocks": self._causes("blocked by", self.blocks),
+            "limits": self._causes("limited by", self.limits),
+            "alarms": self._causes("alarm", self.alarms),
+            "demand": [self._demand(), ""],
+            "next_step": [self.next_step],
+        }
 
-    def _cause(self, held: Held) -> str:
+    def _causes(self, what: str, held: tuple[Held, ...]) -> list[str]:
+        """Causes but those of messages that are waited for anyhow."""
+        waited = {_message(wait) for wait in self.waits}
+        told = [one for one in held if one.finding.subject not in waited]
+        if not told:
+            return [""] * (len(_NAMED) + 2)
+        count = f"{what} {len(told)} cause" + ("s" if len(told) > 1 else "")
+        return [*(self._told(what, told, most) for most in _NAMED), count, ""]
+
+    def _told(self, what: str, held: list[Held], most: int) -> str:
+        """Causes of which the same is to be said in one group, the most severe group first."""
+        groups: dict[str, list[str]] = {}
+        for one in sorted(held, key=self._rank):
+            groups.setdefault(self._said(one), []).append(one.finding.subject)
+        told = [f"{_listed(subjects, most)}{said}" for said, subjects in groups.items()]
+        left = sum(len(subjects) for subjects in list(groups.values())[most:])
+        return f"{what} {', '.join(told[:most])}" + (f" and {left} more" if left else "")
+
+    def _rank(self, held: Held) -> tuple[bool, bool]:
+        return held.finding.effect is not Effect.CUT, not held.stands(self.judged_ns)
+
+    def _said(self, held: Held) -> str:
         since = f"for {(self.now_ns - held.since_ns) / 1e9:.1f} s"
         gone = "" if held.stands(self.judged_ns) else ", gone and held"
-        return f"{held.finding} ({since}{gone})"
+        return f"{str(held.finding).removeprefix(held.finding.subject)} ({since}{gone})"
 
     def _demand(self) -> str:
         if self.demand_source is None:
@@ -78,6 +125,34 @@ class Why:
         """What a person would call the same answer: all but ages and values."""
         keys = tuple(held.finding.key for held in self.blocks + self.limits + self.alarms)
         return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
+
+
+def _joined(forms: dict[str, list[str]]) -> str:
+    return "; ".join(form for form, *_ in forms.values() if form)
+
+
+def _listed(names: list[str], most: int) -> str:
+    """`A, B and C`, or `A, B, C and 2 others`."""
+    left = len(names) - most
+    if left > 0:
+        return f"{', '.join(names[:most])} and {left} other" + ("s" if left > 1 else "")
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _message(wait: str) -> str | None:
+    """The message that is waited for; None where it is something else."""
+    if not wait.startswith(WAITING_FOR):
+        return None
+    return wait.removeprefix(WAITING_FOR).partition(":")[0]
+
+
+def _waiting(waits: tuple[str, ...], most: int) -> str:
+    """One condition as it is; of several, the messages in one list."""
+    messages = [name for name in map(_message, waits) if name is not None]
+    if len(messages) < 2:
+        return "; ".join(waits)
+    others = [wait for wait in waits if _message(wait) is None]
+    return "; ".join([*others, f"{WAITING_FOR}{_listed(messages, most)}"])
 
 
 def _first(what: str, held: tuple[Held, ...]) -> str:

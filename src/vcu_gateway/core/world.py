@@ -4,16 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from vcu_gateway.core.link import Link
+from vcu_gateway.core.plausibility import NOTHING_ODD, Observed
+from vcu_gateway.core.sending import Sent
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
-
-
-@dataclass(frozen=True, slots=True)
-class Sent:
-    """The throttle of one command frame that was sent."""
-
-    at_ns: int
-    throttle_pct: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +16,9 @@ class World:
 
     Attributes:
         late_after_ns: by message name.
-        history: the last throttles sent to each controller, oldest first.
+        history: the last throttles and directions sent to each controller, oldest first.
+        observed: what frames say that only holds against the ones before them.
+        passive_ns: error-passive in all during the last 5 s.
         tick_late_ns: how long after its period this tick comes.
         unconfirmed_ticks: ticks in a row whose frames did not come back from the bus.
         foreign_sender: identifier of a command that another node sent since the last tick.
@@ -35,6 +31,8 @@ class World:
     late_after_ns: Mapping[str, int]
     link: Link
     history: Mapping[str, Sequence[Sent]] = field(default_factory=dict)
+    observed: Observed = NOTHING_ODD
+    passive_ns: int = 0
     tick_late_ns: int = 0
     period_ns: int = 50_000_000
     unconfirmed_ticks: int = 0

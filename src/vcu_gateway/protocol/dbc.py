@@ -4,6 +4,9 @@ from collections import OrderedDict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vcu_gateway import python_can  # noqa: F401 - cantools imports python-can
+
+# isort: split
 import cantools
 from cantools.database import Database, Message, Node, Signal
 from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute

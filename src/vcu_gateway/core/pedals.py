@@ -1,0 +1,142 @@
+"""What the pedals said between two ticks, and what holds the throttle at 0 because of it.
+
+Every demand is judged when it is granted, not only the one that a tick finds: a pedal that was
+wrong for a millisecond was wrong.
+"""
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import NamedTuple
+
+from vcu_gateway.core.demand import ControllerDemand
+
+_OVERRIDE_THROTTLE_PCT = 25.0
+_OVERRIDE_BRAKE_PCT = 5.0
+_RELEASED_PCT = 5.0
+_TRACKS_DIFFERENCE_PCT = 10.0
+_TRACKS_DIFFER_MAX_NS = 100_000_000
+
+Asked = Mapping[str, ControllerDemand]
+
+
+class Hold(Enum):
+    """Why the throttle of both controllers stays 0 until the pedal is released."""
+
+    OVERRIDE = "brake over throttle"
+    TRACKS = "the pedal's tracks differ"
+    TAKEN_OVER = "another source took over"
+
+
+class _Said(NamedTuple):
+    """A demand's pedals: any controller's for what begins something, every one's for what ends it.
+
+    Attributes:
+        drives: throttle is asked for.
+        overrides: brake over throttle.
+        differs: the tracks of one controller are too far apart.
+        released, track2_released: the track is below 5 %; true where there is no second one.
+    """
+
+    drives: bool
+    overrides: bool
+    differs: bool
+    released: bool
+    track2_released: bool
+
+
+class Pedals:
+    """Latches of the throttle pedal and the directions asked for, from one tick to the next.
+
+    A latch ends with a demand whose throttle is below 5 % for every controller, on both tracks
+    for the tracks' latch; the tick after a demand that set it has throttle 0 in any case.
+    Times are those of the gateway's clock in ns; memory does not grow with the demands.
+
+    Attributes:
+        latched: what holds the throttle until the pedal is released.
+    """
+
+    def __init__(self) -> None:
+        self.latched: set[Hold] = set()
+        self._this_interval: set[Hold] = set()
+        self._directions: set[tuple[str, bool]] = set()
+        self._differ_since_ns: int | None = None
+        self._zero_since_ns: int | None = None
+
+    def judge(self, asked: Asked, made_ns: int, now_ns: int) -> None:
+        """Take a demand that was made then and is granted now."""
+        self._directions.update([(name, one.motor_reverse) for name, one in asked.items()])
+        said = _heard(asked)
+        self._judge_zero(said, now_ns)
+        self._judge_tracks(said, made_ns, now_ns)
+        self._judge_override(said)
+
+    def interrupted(self) -> None:
+        """No demand is fresh: what has to last without interruption begins anew."""
+        self._differ_since_ns = self._zero_since_ns = None
+
+    def taken_over(self) -> None:
+        """Another source's demand is next, in the middle of a drive."""
+        self._latch(Hold.TAKEN_OVER)
+
+    def zero_for_ns(self, now_ns: int) -> int | None:
+        """How long nothing but a throttle of 0 was asked for; None where it is not asked for."""
+        return None if self._zero_since_ns is None else now_ns - self._zero_since_ns
+
+    def tick(self, asked: Asked | None, applied: Mapping[str, bool], now_ns: int) -> bool:
+        """Whether the throttle stays 0 in this tick; the next interval begins.
+
+        `asked` is what counts now, None without a fresh demand; `applied` holds whether each
+        controller turns in reverse. A direction that any demand of the interval asked for and
+        that is not the applied one holds the throttle too.
+        """
+        if asked is None:
+            self.interrupted()
+        else:
+            self.judge(asked, now_ns, now_ns)  # its tracks last; nobody granted a bench demand
+        turning = any(applied[name] is not back for name, back in self._directions)
+        held = turning or bool(self.latched or self._this_interval)
+        self._this_interval.clear()
+        self._directions.clear()
+        return held
+
+    def _judge_zero(self, said: _Said, now_ns: int) -> None:
+        if said.drives:
+            self._zero_since_ns = None
+        elif self._zero_since_ns is None:
+            self._zero_since_ns = now_ns
+
+    def _judge_tracks(self, said: _Said, made_ns: int, now_ns: int) -> None:
+        since_ns = self._differ_since_ns
+        if since_ns is not None and now_ns - since_ns > _TRACKS_DIFFER_MAX_NS:
+            self._latch(Hold.TRACKS)  # also where this demand ends the difference
+        if not said.differs:
+            self._differ_since_ns = None
+        elif since_ns is None:
+            self._differ_since_ns = made_ns
+        if said.released and said.track2_released:
+            self.latched.discard(Hold.TRACKS)
+
+    def _judge_override(self, said: _Said) -> None:
+        if said.overrides:
+            self._latch(Hold.OVERRIDE)
+        elif said.released:
+            self.latched -= {Hold.OVERRIDE, Hold.TAKEN_OVER}
+
+    def _latch(self, hold: Hold) -> None:
+        self.latched.add(hold)
+        self._this_interval.add(hold)
+
+
+def _heard(asked: Asked) -> _Said:
+    """What the pedals of both controllers say together."""
+    drives = differs = overrides = False
+    released = track2_released = True
+    for one in asked.values():
+        throttle_pct, track2_pct = one.throttle_pct, one.throttle_track2_pct
+        drives |= throttle_pct > 0
+        released &= throttle_pct < _RELEASED_PCT
+        overrides |= throttle_pct > _OVERRIDE_THROTTLE_PCT and one.brake_pct > _OVERRIDE_BRAKE_PCT
+        if track2_pct is not None:
+            differs |= abs(throttle_pct - track2_pct) > _TRACKS_DIFFERENCE_PCT
+            track2_released &= track2_pct < _RELEASED_PCT
+    return _Said(drives, overrides, differs, released, track2_released)

@@ -1,0 +1,253 @@
+"""What a frame says that holds only against the ones before it, or against what was commanded.
+
+Every frame since the tick before is looked at once, in the order of arrival; one that is older
+than the one before it is no next step of anything and is left out there. What a frame says
+stands until the next one of its kind.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from vcu_gateway.core.demand import CONTROLLERS
+from vcu_gateway.core.sending import Sent
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.state import Latest, Snapshot
+
+_STATUS1 = {name: f"{name}_Status1" for name in CONTROLLERS}
+_STATUS2 = {name: f"{name}_Status2" for name in CONTROLLERS}
+
+WHEELS_MESSAGE = "ARD2_SteeringWheel"
+WHEELS = ("WheelSpeedFL", "WheelSpeedFR")
+
+_NS_PER_MS = 1_000_000
+_THROTTLE_WINDOW_NS = 1_000 * _NS_PER_MS
+_DIRECTION_WINDOW_NS = 1_100 * _NS_PER_MS
+_STEP_WITHIN_NS = 100 * _NS_PER_MS
+_ABOVE_MAX_PCT = 5.0
+_PLAUSIBLE_FRAMES = 3
+
+History = Mapping[str, Sequence[Sent]]
+
+
+class Excess(NamedTuple):
+    """A throttle that was echoed, and the highest that was commanded before, in percent."""
+
+    echoed_pct: float
+    commanded_pct: float
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What one tick saw that is odd, by controller or by wheel.
+
+    Attributes:
+        echo_above: the highest throttle that was not commanded.
+        echo_below: frames in a row that echoed too little throttle, at the most in this tick.
+        echo_direction: the same for a direction that was not commanded.
+        speed_steps_rpm: the last implausible change, while the speed is not believed again.
+        wheel_steps_kmh: implausible changes of this tick.
+        wheels_apart_since_ns: since when both wheels differ too much; None while they do not.
+    """
+
+    echo_above: Mapping[str, Excess] = field(default_factory=dict)
+    echo_below: Mapping[str, int] = field(default_factory=dict)
+    echo_direction: Mapping[str, int] = field(default_factory=dict)
+    speed_steps_rpm: Mapping[str, float] = field(default_factory=dict)
+    wheel_steps_kmh: Mapping[str, float] = field(default_factory=dict)
+    wheels_apart_since_ns: int | None = None
+
+
+NOTHING_ODD = Observed()
+
+
+class _Odd(NamedTuple):
+    """What is odd of a controller's echo; nothing, 0 and 0 where it obeys."""
+
+    above: Excess | None = None
+    below: int = 0
+    direction: int = 0
+
+
+class _Echo:
+    """What one controller echoes of its commands.
+
+    Attributes:
+        standing: what is odd of its last frame.
+    """
+
+    def __init__(self) -> None:
+        self.standing = _Odd()
+
+    def worst(
+        self, echoed: Sequence[tuple[int, float, float]], sent: Sequence[Sent], below_max_pct: float
+    ) -> _Odd:
+        """Take frames: arrival, throttle, direction; the worst of each."""
+        all_odd = []
+        for at_ns, throttle_pct, direction in echoed:
+            before = self.standing
+            low = _too_low(sent, at_ns, throttle_pct, below_max_pct)
+            wrong = _not_commanded(sent, at_ns, direction)
+            self.standing = _Odd(
+                _excess(sent, at_ns, throttle_pct),
+                before.below + 1 if low else 0,
+                before.direction + 1 if wrong else 0,
+            )
+            all_odd.append(self.standing)
+        return _Odd(
+            max((odd.above for odd in all_odd if odd.above), default=None),
+            max(odd.below for odd in all_odd),
+            max(odd.direction for odd in all_odd),
+        )
+
+
+def _commanded_pct(sent: Sequence[Sent], at_ns: int) -> list[float]:
+    """The throttles in force during the second before."""
+    from_ns = at_ns - _THROTTLE_WINDOW_NS
+    return [one.throttle_pct for one in sent if from_ns <= one.at_ns <= at_ns]
+
+
+def _excess(sent: Sequence[Sent], at_ns: int, echoed_pct: float) -> Excess | None:
+    """More throttle than any commanded in the second before."""
+    commanded_pct = max(_commanded_pct(sent, at_ns), default=0.0)
+    above = echoed_pct > commanded_pct + _ABOVE_MAX_PCT
+    return Excess(echoed_pct, commanded_pct) if above else None
+
+
+def _too_low(sent: Sequence[Sent], at_ns: int, echoed_pct: float, below_max_pct: float) -> bool:
+    """Less throttle than the lowest commanded in the whole second before."""
+    if not sent or sent[0].at_ns > at_ns - _THROTTLE_WINDOW_NS:
+        return False  # before our first frame nothing was commanded
+    commanded_pct = _commanded_pct(sent, at_ns)
+    return bool(commanded_pct) and min(commanded_pct) - echoed_pct > below_max_pct
+
+
+def _not_commanded(sent: Sequence[Sent], at_ns: int, echoed: float) -> bool:
+    """A direction that no command of the time before had, where there was one."""
+    from_ns = at_ns - _DIRECTION_WINDOW_NS
+    commanded = {one.reverse for one in sent if from_ns <= one.at_ns <= at_ns}
+    return bool(commanded) and bool(echoed) not in commanded
+
+
+class _Steps:
+    """Changes of one value from frame to frame."""
+
+    def __init__(self) -> None:
+        self._before: tuple[int, float] | None = None
+
+    def step(
+        self, at_ns: int, value: float, max_change: float, within_ns: float = math.inf
+    ) -> float | None:
+        """The change since the frame before, where it is too large for so short a time.
+
+        None where it is not, for the first frame and for one out of order.
+        """
+        before = self._before
+        if before is not None and at_ns < before[0]:
+            return None
+        self._before = (at_ns, value)
+        if before is None or at_ns - before[0] > within_ns:
+            return None
+        change = abs(value - before[1])
+        return change if change > max_change else None
+
+
+class _Speed:
+    """The speed of one motor: not believed from a step until enough plausible frames came."""
+
+    def __init__(self) -> None:
+        self._steps = _Steps()
+        self._plausible_left = 0
+        self._step_rpm = 0.0
+
+    def doubt(self, frames: Sequence[Latest], index: int, step_max_rpm: float) -> float | None:
+        """Take these frames; the step for which one of them is not believed, None where all are.
+
+        `index` is the speed's among the values of a frame.
+        """
+        doubted = not frames and self._plausible_left > 0
+        for frame in frames:
+            speed_rpm = frame.decoded.values[index]
+            step_rpm = self._steps.step(frame.arrival_ns, speed_rpm, step_max_rpm, _STEP_WITHIN_NS)
+            if step_rpm is not None:
+                self._plausible_left, self._step_rpm = _PLAUSIBLE_FRAMES, step_rpm
+            elif self._plausible_left > 0:
+                self._plausible_left -= 1
+            doubted = doubted or self._plausible_left > 0
+        return self._step_rpm if doubted else None
+
+
+class Plausibility:
+    """Remembers what the next frame is held against."""
+
+    def __init__(self) -> None:
+        self._echoes = {name: _Echo() for name in CONTROLLERS}
+        self._speeds = {name: _Speed() for name in CONTROLLERS}
+        self._wheels = {name: _Steps() for name in WHEELS}
+        self._wheels_apart_since_ns: int | None = None
+
+    def observe(self, snapshot: Snapshot, history: History, settings: Settings) -> Observed:
+        """Look at every frame since the tick before."""
+        odd = self._odd_echoes(snapshot, history, settings.echo_below_max_pct)
+        speed_steps = self._speed_steps(snapshot, settings.motor_speed_step_max_rpm)
+        wheel_steps = self._wheel_steps(snapshot, settings)
+        apart_ns = self._wheels_apart_since_ns
+        if not (odd or speed_steps or wheel_steps or apart_ns is not None):
+            return NOTHING_ODD
+        return Observed(
+            {name: one.above for name, one in odd.items() if one.above},
+            {name: one.below for name, one in odd.items() if one.below},
+            {name: one.direction for name, one in odd.items() if one.direction},
+            speed_steps,
+            wheel_steps,
+            apart_ns,
+        )
+
+    def _odd_echoes(
+        self, snapshot: Snapshot, history: History, below_max_pct: float
+    ) -> Mapping[str, _Odd]:
+        odd = {}
+        for name, echo in self._echoes.items():
+            worst = echo.standing
+            if snapshot.arrived(_STATUS1[name]):
+                echoed = _values(snapshot, _STATUS1[name], "Throttle", "MotorReverse")
+                worst = echo.worst(echoed, history.get(name, ()), below_max_pct)
+            if any(worst):
+                odd[name] = worst
+        return odd
+
+    def _speed_steps(self, snapshot: Snapshot, step_max_rpm: float) -> Mapping[str, float]:
+        steps = {}
+        for name, speed in self._speeds.items():
+            message = _STATUS2[name]
+            index = snapshot.index(message, "MotorSpeed")
+            step_rpm = speed.doubt(snapshot.arrived(message), index, step_max_rpm)
+            if step_rpm is not None:
+                steps[name] = step_rpm
+        return steps
+
+    def _wheel_steps(self, snapshot: Snapshot, settings: Settings) -> Mapping[str, float]:
+        steps: dict[str, float] = {}
+        if not snapshot.arrived(WHEELS_MESSAGE):
+            return steps
+        for at_ns, *speeds_kmh in _values(snapshot, WHEELS_MESSAGE, *WHEELS):
+            if abs(speeds_kmh[0] - speeds_kmh[1]) <= settings.wheel_speed_difference_max_kmh:
+                self._wheels_apart_since_ns = None
+            elif self._wheels_apart_since_ns is None:
+                self._wheels_apart_since_ns = at_ns
+            for wheel, speed_kmh in zip(WHEELS, speeds_kmh, strict=True):
+                max_kmh = settings.wheel_speed_step_max_kmh
+                step_kmh = self._wheels[wheel].step(at_ns, speed_kmh, max_kmh)
+                if step_kmh is not None:
+                    steps[wheel] = max(step_kmh, steps.get(wheel, step_kmh))
+        return steps
+
+
+def _values(snapshot: Snapshot, message: str, *signals: str) -> list[tuple[Any, ...]]:
+    """Arrival in ns and the values of these signals, of each frame since the tick before."""
+    indexes = [snapshot.index(message, signal) for signal in signals]
+    return [
+        (frame.arrival_ns, *[frame.decoded.values[index] for index in indexes])
+        for frame in snapshot.arrived(message)
+    ]
