@@ -19,6 +19,7 @@ from vcu_gateway.inbox import Inbox
 from vcu_gateway.journal import Journal
 from vcu_gateway.linking import Linking
 from vcu_gateway.log import log
+from vcu_gateway.processor_time import ProcessorTime
 
 _SWITCH_INTERVAL_S = 0.0005
 # No work for others is begun so shortly before a tick; sleeping to it is the most punctual.
@@ -104,6 +105,7 @@ class Daemon:
         gc.collect()
         gc.freeze()
         gc.disable()  # collected below, right after a tick, when nothing is due
+        self._processor_time = ProcessorTime()
         self._linking.begin(time.monotonic_ns())
         self.keeper.start()
         self.keeper.tried.wait(_FIRST_LOOK_WITHIN_S)
@@ -125,6 +127,7 @@ class Daemon:
             gc.unfreeze()
             self.keeper.stop()
             self.door.release()
+            self._processor_time.close()
         self._log_end()
 
     @staticmethod
@@ -134,10 +137,11 @@ class Daemon:
             time.sleep(left_ns / _NS_PER_S)
 
     def _tick(self, tick: Tick) -> None:
-        gateway = self.gateway
+        gateway, begun_ns = self.gateway, time.monotonic_ns()
         if self._stopping is not None:
             gateway.requests.terminate()
         self.inbox.do_waiting()
+        self.door.read_waiting(begun_ns)
         now_ns = time.monotonic_ns()
         self._linking.before_tick(now_ns)
         result = gateway.tick(now_ns)
@@ -162,9 +166,14 @@ class Daemon:
 
     def _tell(self, tick: Tick, result: TickResult) -> None:
         """Tell what happened in this tick; most ticks have nothing to tell."""
+        spent = self._processor_time.since_last()
         if tick.skipped:
-            late_ms = tick.lateness_ns / _NS_PER_MS
-            fields = {"skipped": tick.skipped, "late_ms": late_ms}
+            fields = {
+                "skipped": tick.skipped,
+                "late_ms": tick.lateness_ns / _NS_PER_MS,
+                "processor_ms": spent.processor_ns / _NS_PER_MS,
+                "waited_ms": None if spent.waited_ns is None else spent.waited_ns / _NS_PER_MS,
+            }
             self.journal.tell(Event("ticks_skipped", Severity.WARNING, fields))
         for event in result.events:
             self.journal.tell(event)

@@ -13,6 +13,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.api import shapes
 from vcu_gateway.bus.door import BusSettings
 from vcu_gateway.config import Config
+from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.schedule import Schedule, percentile_ns
 from vcu_gateway.daemon import Daemon
 from vcu_gateway.starts import Start
@@ -41,6 +42,20 @@ class Facts:
     start: Start | None
     log_lines_dropped: Callable[[], int]
     started_ns: int = field(default_factory=time.monotonic_ns)
+
+
+def started(config: Config) -> Event:
+    """What a log begins with: which program, with which configuration, on what."""
+    fields = {
+        "version": __version__,
+        "config_file": os.path.abspath(config.source.file),
+        "config_digest": configuration.digest(config),
+        "interface": config.bus.interface,
+        "channel": config.bus.channel,
+        "python": _VERSIONS["python"],
+        "kernel": _VERSIONS["kernel"],
+    }
+    return Event("started", Severity.INFO, fields)
 
 
 def health(

@@ -36,6 +36,9 @@ class Linking:
     def begin(self, now_ns: int) -> None:
         """Nothing is open yet."""
         self._gateway.link_lost(now_ns)
+        if (holder := self._door.lock_held_by) is not None:
+            fields = {"channel": self._door.settings.channel, "holder": holder}
+            self._journal.tell(Event("lock_ignored", Severity.WARNING, fields))
 
     def before_tick(self, now_ns: int) -> None:
         """Take in what the keeper found."""

@@ -1,11 +1,11 @@
 """How often the gateway has started, and how often without having ended before."""
 
 import contextlib
-import os
 from pathlib import Path
 from typing import NamedTuple
 
-_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+from vcu_gateway.boot_files import boot_id, write_whole
+
 _NAME = "starts"
 _RUNNING, _ENDED = "running", "ended"
 
@@ -45,25 +45,14 @@ class Starts:
     def _known(self) -> tuple[Start, bool]:
         with contextlib.suppress(OSError, ValueError):
             boot, number, unexpected, state = self._path.read_text(encoding="ascii").split()
-            if boot == _boot_id():
+            if boot == boot_id():
                 return Start(int(number), int(unexpected)), state == _ENDED
         return Start(0, 0), True
 
     def _write(self, start: Start, state: str) -> bool:
-        """Replace the file whole: a kill must not leave half of it."""
-        beside = self._path.with_name(f"{_NAME}.new")
-        text = f"{_boot_id()} {start.number} {start.unexpected} {state}\n"
+        text = f"{boot_id()} {start.number} {start.unexpected} {state}\n"
         try:
-            beside.write_text(text, encoding="ascii")
-            os.replace(beside, self._path)
+            write_whole(self._path, text)
         except OSError:
             return False
         return True
-
-
-def _boot_id() -> str:
-    """The boot's number, or a dash where it is hidden: /run does not outlive a boot anyway."""
-    try:
-        return _BOOT_ID.read_text(encoding="ascii").strip() or "-"
-    except OSError:
-        return "-"

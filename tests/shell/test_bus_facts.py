@@ -1,15 +1,20 @@
 """What the kernel is asked of an interface, and the lock: no CAN is needed for either."""
 
+import contextlib
 import os
+import pwd
+import signal
 import socket
 import struct
 import subprocess
 import sys
+import threading
 import uuid
+from collections.abc import Iterator
 
 import pytest
 
-from vcu_gateway.bus import netlink
+from vcu_gateway.bus import lock, netlink
 from vcu_gateway.bus.door import BusSettings, Door
 from vcu_gateway.bus.interface import Interfaces
 from vcu_gateway.bus.lock import Claim
@@ -157,6 +162,86 @@ def test_a_gateway_that_was_killed_leaves_no_lock_behind(channel):
     child.kill()
     child.communicate()
     Claim(channel).release()
+
+
+@contextlib.contextmanager
+def holder(channel: str, kind: str, user: int | None = None) -> Iterator[int]:
+    """A process that has the name before any gateway; its number."""
+    program = f"""
+import os, socket
+if {user!r} is not None:
+    os.setgid({user!r}); os.setuid({user!r})
+held = socket.socket(socket.AF_UNIX)
+held.bind(b"\\0vcu-gateway/" + {channel!r}.encode())
+if {kind!r} in ("listens", "is full"):
+    held.listen(0)
+if {kind!r} == "is full":
+    asking = socket.socket(socket.AF_UNIX)
+    asking.connect(held.getsockname())
+print(flush=True)
+input()
+"""
+    child = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert child.stdout.readline()
+    try:
+        yield child.pid
+    finally:
+        with contextlib.suppress(BrokenPipeError):
+            child.communicate(b"\n")
+
+
+NOBODY = 65534
+ONLY_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
+
+
+@ONLY_ROOT
+def test_a_name_that_another_user_holds_is_passed_by_and_says_who(channel):
+    with holder(channel, "listens", NOBODY) as pid:
+        claim = Claim(channel)
+        assert claim.passed_by == f"process {pid} of user {NOBODY}"
+        claim.answer()
+        claim.release()
+
+
+@ONLY_ROOT
+def test_the_services_own_account_is_honoured(channel, monkeypatch):
+    monkeypatch.setattr(lock, "_SERVICE_ACCOUNT", pwd.getpwuid(NOBODY).pw_name)
+    with (
+        holder(channel, "listens", NOBODY) as pid,
+        pytest.raises(UnavailableError, match=f"process {pid},"),
+    ):
+        Claim(channel)
+
+
+@pytest.mark.parametrize("kind", ["is bound", "is full"])
+def test_a_name_whose_holder_cannot_be_asked_is_passed_by(channel, kind):
+    with holder(channel, kind):
+        assert "does not answer" in str(Claim(channel).passed_by)
+
+
+def test_a_holder_that_ends_while_it_is_asked_leaves_the_name_to_us(channel):
+    with holder(channel, "is bound") as pid:
+        threading.Timer(0.03, os.kill, (pid, signal.SIGKILL)).start()
+        first = Claim(channel)
+    if first.passed_by is None:  # else the machine stalled
+        with pytest.raises(UnavailableError):
+            Claim(channel)
+    first.release()
+
+
+def test_a_gateway_answers_however_many_ask(channel):
+    door = Door(BusSettings("socketcan", channel), (), lambda frame: None)
+    door.claim()
+    for _ in range(5):
+        for _ in range(100):
+            with pytest.raises(UnavailableError, match="another gateway"):
+                Claim(channel)
+        door.answer_claims()
+    assert door.lock_held_by is None
+    door.release()
+    door.answer_claims()
 
 
 def test_only_a_network_interface_is_claimed_and_a_door_claims_once(channel):

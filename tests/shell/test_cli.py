@@ -1,6 +1,8 @@
 """The command line as a newcomer meets it, and the README's promises."""
 
 import json
+import os
+import platform
 import re
 import shlex
 import subprocess
@@ -8,6 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from vcu_gateway import __version__
+from vcu_gateway.config import digest, load
 
 ROOT = Path(__file__).parents[2]
 VERBS = [
@@ -69,9 +74,38 @@ def test_the_gateway_runs_on_the_virtual_bus_and_writes_its_state(tmp_path):
     assert found["bus"]["sent"] == 2 * (ticks["done"] - ticks["silent"]) - late
     assert found["messages"]["BMS_Status"]["signals"]["SOC"]["quality"] == "never"
     events = [json.loads(line)["event"] for line in done.stderr.splitlines()]
-    assert events[:2] == ["api_open", "link_open"]
+    assert events[:3] == ["started", "api_open", "link_open"]
     assert events[-1] == "stopped"
     assert not (tmp_path / "control.sock").exists()
+
+
+@pytest.mark.parametrize("form", ["json", "console"])
+def test_the_first_line_of_the_log_says_what_runs_on_what(tmp_path, form):
+    path = tmp_path / "gateway.yaml"
+    path.write_text(
+        f"bus: {{interface: virtual, channel: alone}}\nlog: {{format: {form}}}\n"
+        "api: {enabled: false}\n"
+    )
+    done = vcu("run", "-c", os.path.relpath(path, ROOT), "--duration", "0.1")
+    assert done.returncode == 0, done.stderr
+    facts = {
+        "version": __version__,
+        "config_file": str(path),
+        "config_digest": digest(load(path)),
+        "interface": "virtual",
+        "channel": "alone",
+        "python": platform.python_version(),
+        "kernel": f"Linux {os.uname().release}",
+    }
+    first = done.stderr.splitlines()[0]
+    if form == "json":
+        found = json.loads(first)
+        assert found.pop("timestamp").endswith("Z")
+        assert found == {"event": "started", "level": "info", **facts}
+    else:
+        assert re.search(r"\[info *\] started ", first)
+        for name, value in facts.items():
+            assert re.search(rf"\b{name}='?{re.escape(value)}'?( |$)", first), name
 
 
 def test_without_a_socket_the_gateway_drives_on_and_says_what_to_do(tmp_path):
@@ -82,9 +116,9 @@ def test_without_a_socket_the_gateway_drives_on_and_says_what_to_do(tmp_path):
     )
     done = vcu("run", "-c", str(config), "--duration", "0.2")
     assert done.returncode == 0
-    first = json.loads(done.stderr.splitlines()[0])
-    assert first["event"] == "api_unavailable"
-    assert str(socket.parent) in first["reason"]
+    found = json.loads(done.stderr.splitlines()[1])
+    assert found["event"] == "api_unavailable"
+    assert str(socket.parent) in found["reason"]
 
 
 def test_an_account_that_does_not_exist_is_refused_at_the_start(tmp_path):

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import socket
 import threading
 import time
 import uuid
@@ -235,6 +236,20 @@ def test_a_missing_interface_is_waited_for_by_one_gateway_without_blocking_its_t
     assert daemon.schedule.ticks + daemon.schedule.skipped >= 10
     assert door.counters.sent == 0
     Claim(settings.channel).release()
+
+
+def test_a_lock_in_strange_hands_is_told_and_the_gateway_runs(codec):
+    gateway = Gateway(codec, Settings(), 0)
+    settings = BusSettings("socketcan", f"no{uuid.uuid4().hex[:12]}")
+    door = Door(settings, codec.identifiers(), gateway.intake.receive)
+    daemon = Daemon(gateway, door, 50)
+    with socket.socket(socket.AF_UNIX) as strange:
+        strange.bind(b"\0vcu-gateway/" + settings.channel.encode())  # and never listens
+        daemon.run(duration_s=0.3)
+    assert daemon.schedule.ticks + daemon.schedule.skipped >= 6
+    (told,) = [e.event for e in daemon.journal.latest(100) if e.event.name == "lock_ignored"]
+    assert told.fields["channel"] == settings.channel
+    assert "does not answer" in told.fields["holder"]
 
 
 def test_the_garbage_collector_is_as_before_afterwards(rig):

@@ -98,6 +98,14 @@ def test_the_filters_mask_the_priority_out_and_demand_the_extended_flag():
     ]
 
 
+def test_a_group_passes_the_filters_whoever_sends_and_takes_its_messages_filters_place():
+    assert kernel_filters([0x1808D0F4, 0x0008A7D0], [0x0008A700, 0x0008FF00]) == [
+        {"can_id": 0x0008A700, "can_mask": 0x03FFFF00, "extended": True},
+        {"can_id": 0x0008D0F4, "can_mask": 0x03FFFFFF, "extended": True},
+        {"can_id": 0x0008FF00, "can_mask": 0x03FFFF00, "extended": True},
+    ]
+
+
 def test_a_sent_frame_is_on_the_bus_and_comes_back_as_our_own_echo(door, other, inbox):
     assert door.send(COMMAND)
     seen = other.recv(PATIENCE_S)
@@ -259,5 +267,5 @@ def test_the_report_has_every_counter_as_plain_data(door):
     assert report["sent"] == 1
     assert set(report) == {
         "received", "sent", "refused", "receiver_bugs", "last_bug", "dropped", "lost",
-        "repeated_errors",
+        "repeated_errors", "reader_not_awaited", "undecodable",
     }  # fmt: skip

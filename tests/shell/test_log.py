@@ -153,7 +153,7 @@ def test_a_crash_is_a_line_of_the_log_and_ends_although_nobody_reads(thread, pip
         "from vcu_gateway import log\n"
         "log._DRAIN_S = 2\n"
         "writer = log.configure('info', 'json')\n"
-        "for number in range(9): log.log.info('line', text='x' * 300)\n"
+        "for number in range(9): log.log.info('line', text='x' * 200)\n"
         f"{crash + '; one.join()' if thread == 'worker' else ''}\n"
         "int('x')\n"
     )

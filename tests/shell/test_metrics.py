@@ -192,16 +192,16 @@ def test_while_the_gateway_listens_no_command_is_shown():
 def test_the_commands_are_those_of_the_last_tick():
     program = Program(active())
     program.drive.asked = ControllerDemand(
-        throttle_pct=60, power_mode=PowerMode.TURBO, speed_limit_rpm=3000, power_limit_w=7000
+        throttle_pct=60, power_mode=PowerMode.TURBO, speed_limit_rpm=11_500, power_limit_w=7000
     )
-    program.run(200)
+    program.run(200)  # SpeedLimit has come down, the throttle is still on its way
     scrape, told = program.scrape(), program.daemon.latest.result.commands
     for name in CONTROLLERS:
         assert 0 < told[name].throttle_pct < 60
         ratio = scrape.value("command_throttle_ratio", controller=name)
         assert ratio == told[name].throttle_pct / 100
         assert scrape.value("demand_throttle_ratio", controller=name) == 0.6
-        assert scrape.value("command_speed_limit_rpm", controller=name) == 3000
+        assert scrape.value("command_speed_limit_rpm", controller=name) == 11_500
         assert scrape.value("command_power_limit_watts", controller=name) == 7000
         assert scrape.value("command_power_cut", controller=name) == 0
         modes = {
@@ -212,7 +212,7 @@ def test_the_commands_are_those_of_the_last_tick():
 
 
 def test_brake_regeneration_and_reverse_are_told_apart():
-    program = Program(standby())
+    program = Program(standby(regen_min_rpm=0))
     program.drive.asked = ControllerDemand(motor_reverse=True)
     program.run(200)
     assert program.scrape().by("command_motor_reverse", "controller") == {"PCU1": 1, "PCU2": 1}

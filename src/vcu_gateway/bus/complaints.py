@@ -15,7 +15,7 @@ _WITHOUT_CAN = "this kernel has no CAN; try `vcu-gateway demo`, or a kernel with
 def unopened(error: Exception, settings: BusSettings) -> Problem:
     """Why opening failed."""
     code, channel = getattr(error, "errno", None), settings.channel
-    if settings.interface == "udp_multicast" and isinstance(error, ImportError):
+    if settings.interface == "udp_multicast" and "msgpack" in str(error):
         remedy = "install the extra: pip install 'vcu-gateway[multicast]'"
     elif settings.interface != "socketcan":
         remedy = "check bus.interface and bus.channel"

@@ -1,6 +1,7 @@
 """Opening, receiving, sending, closing: frames in and out, whatever the interface.
 
-Received frames go to one callable on the Notifier's thread. A failed interface is told once
+Received frames go to one callable on the Notifier's thread, and right before a tick on the ticking
+thread: never on both at once. A failed interface is told once
 through `lost`; opening again is the keeper's decision, sending again the ticking thread's.
 """
 
@@ -9,8 +10,6 @@ import errno
 import threading
 from collections.abc import Callable, Iterable
 from typing import Any
-
-import can
 
 from vcu_gateway.bus.complaints import unopened
 from vcu_gateway.bus.counters import BusCounters
@@ -22,6 +21,7 @@ from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.output import OutFrame
 from vcu_gateway.errors import UnavailableError
+from vcu_gateway.python_can import can
 
 __all__ = ["BusCounters", "BusSettings", "Door", "kernel_filters"]
 
@@ -37,7 +37,23 @@ class _Opening:
 
     def __init__(self, bus: can.BusABC, listener: Listener) -> None:
         self.bus = bus
+        self._listener = listener
         self._notifier = can.Notifier(bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
+
+    def read_waiting(self, until_ns: int) -> None:
+        """Hand on what waits in a socket, on the calling thread; it never raises."""
+        bus = self.bus
+        if isinstance(bus, DrainingSocketcanBus) and bus.may_wait():
+            try:
+                bus.read_waiting(until_ns, self._hand_on)
+            except (OSError, can.CanError) as error:
+                self._listener.on_error(error)
+
+    def _hand_on(self, message: can.Message) -> None:
+        try:
+            self._listener(message)
+        except Exception as error:  # noqa: BLE001 - as python-can's Notifier does
+            self._listener.on_error(error)
 
     def close(self) -> None:
         """Stop the reader, then close; it takes as long as a wake-up of the reader."""
@@ -50,8 +66,8 @@ class _Opening:
 class Door:
     """One bus, open or lost.
 
-    Opening, closing and their waiting belong to one thread at a time; `send` and `admit` to
-    the ticking thread; `lose` may come from any.
+    Opening, closing and their waiting belong to one thread at a time; `read_waiting`, `send` and
+    `admit` to the ticking thread; `lose` may come from any.
 
     Attributes:
         lost: why the interface cannot be used, as a sentence; None while it is open.
@@ -59,10 +75,14 @@ class Door:
     """
 
     def __init__(
-        self, settings: BusSettings, identifiers: Iterable[int], receive: Callable[[Frame], None]
+        self,
+        settings: BusSettings,
+        identifiers: Iterable[int],
+        receive: Callable[[Frame], None],
+        groups: Iterable[int] = (),
     ) -> None:
         self.settings = settings
-        self._filters = kernel_filters(identifiers) if settings.kernel_filters else None
+        self._filters = kernel_filters(identifiers, groups) if settings.kernel_filters else None
         self._receive = receive
         self._opening: _Opening | None = None
         self._admitted: can.BusABC | None = None
@@ -107,6 +127,16 @@ class Door:
         if self._claim is None and self.settings.interface == "socketcan":
             self._claim = Claim(self.settings.channel)
 
+    @property
+    def lock_held_by(self) -> str | None:
+        """Who has the interface's lock without a right to it; None where nobody is in the way."""
+        return None if self._claim is None else self._claim.passed_by
+
+    def answer_claims(self) -> None:
+        """Let others ask who has the lock; called now and then."""
+        if self._claim is not None:
+            self._claim.answer()
+
     def release(self) -> None:
         """Let another gateway have the interface."""
         claim, self._claim = self._claim, None
@@ -138,12 +168,15 @@ class Door:
                 settings.receive_buffer_bytes,
                 self.counters,
             )
-        own: Any = {"receive_own_messages": True} if settings.interface == "virtual" else {}
+        if settings.interface == "udp_multicast":
+            from vcu_gateway.bus.multicast import EchoingMulticastBus
+
+            return EchoingMulticastBus(settings.channel, self._filters, self.counters)
         return can.Bus(
             interface=settings.interface,
             channel=settings.channel,
             can_filters=self._filters,
-            **own,
+            receive_own_messages=True,
         )
 
     def _listener(self, bus: can.BusABC) -> Listener:
@@ -159,6 +192,16 @@ class Door:
         self._grid = (origin_ns, period_ns)
         if self._opening is not None and isinstance(self._opening.bus, DrainingSocketcanBus):
             self._opening.bus.align(origin_ns, period_ns)
+
+    def read_waiting(self, until_ns: int) -> None:
+        """Take in what arrived until this time; on the ticking thread, right before a tick.
+
+        Only where frames wait in a socket of ours (socketcan); elsewhere the reader has every
+        frame as soon as it is there.
+        """
+        opening = self._opening
+        if opening is not None and self.lost is None:
+            opening.read_waiting(until_ns)
 
     def admit(self) -> None:
         """Send on what is open from now on."""
@@ -224,10 +267,16 @@ def _nobody_asked() -> None:
     """Nobody wants to know of a loss."""
 
 
-def kernel_filters(identifiers: Iterable[int]) -> list[Any]:
-    """Filters for exactly these messages, at any priority, extended frames only."""
-    keys = sorted({j1939.match_key(can_id) for can_id in identifiers})
-    return [{"can_id": key, "can_mask": j1939.MATCH_MASK, "extended": True} for key in keys]
+def kernel_filters(identifiers: Iterable[int], groups: Iterable[int] = ()) -> list[Any]:
+    """Filters for exactly these messages, at any priority, extended frames only.
+
+    `groups` are `j1939.group_key`s that pass whoever sent them.
+    """
+    whole = set(groups)
+    keys = {j1939.match_key(can_id) for can_id in identifiers}
+    keys = {key for key in keys if j1939.group_key(key) not in whole}
+    masked = [(key, j1939.MATCH_MASK) for key in keys] + [(key, j1939.GROUP_MASK) for key in whole]
+    return [{"can_id": key, "can_mask": mask, "extended": True} for key, mask in sorted(masked)]
 
 
 def _errno_name(error: Exception) -> str:

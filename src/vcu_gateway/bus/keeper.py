@@ -143,6 +143,7 @@ class Keeper:
     def _work(self) -> None:
         while not self._ended:
             self.step(time.monotonic_ns())
+            self._door.answer_claims()
             self.tried.set()
             self._wake.wait(_LOOK_EVERY_S)
             self._wake.clear()

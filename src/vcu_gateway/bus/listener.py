@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 
-import can
-
 from vcu_gateway.bus.clocks import read_clocks
 from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.core.clock import arrival_ns
 from vcu_gateway.core.frame import Frame
+from vcu_gateway.python_can import can
 
 _NS_PER_S = 1_000_000_000
 

@@ -9,15 +9,19 @@ import contextlib
 import select
 import socket
 import struct
+import threading
 import time
-from collections import deque
+from collections.abc import Callable
 from typing import Any
 
-import can
+from vcu_gateway.python_can import can
+
+# isort: split
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
 from vcu_gateway.bus.clocks import read_clocks
 from vcu_gateway.bus.counters import BusCounters
+from vcu_gateway.bus.frame_queue import FrameQueue
 from vcu_gateway.core.clock import ClockPair, arrival_ns, steady
 from vcu_gateway.core.link import ERROR_CLASSES
 from vcu_gateway.core.schedule import next_drain_ns
@@ -62,7 +66,8 @@ class DrainingSocketcanBus(SocketcanBus):
         receive_buffer_bytes: int | None,
         counters: BusCounters,
     ) -> None:
-        self._pending: deque[can.Message] = deque()
+        self._queue = FrameQueue()
+        self._reader: threading.Thread | None = None
         self._gather_ns = int(gather_s * _NS_PER_S)
         self._grid: tuple[int, int] | None = None
         self._distance_ns: int | None = None
@@ -91,6 +96,8 @@ class DrainingSocketcanBus(SocketcanBus):
             option(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
         self._poll = select.poll()
         self._poll.register(self.socket, select.POLLIN)
+        self._glance = select.poll()  # the ticking thread's: two must not wait on one
+        self._glance.register(self.socket, select.POLLIN)
 
     @property
     def receive_buffer_bytes(self) -> int:
@@ -103,18 +110,59 @@ class DrainingSocketcanBus(SocketcanBus):
         Raises can.CanOperationError once when the interface fails; afterwards it only waits,
         so that a Notifier on a dead socket does not spin.
         """
-        pending = self._pending
-        if pending:
-            return pending.popleft()
+        queue = self._queue
+        if (message := queue.take()) is not None:
+            return message
         self.wakes += 1
+        self._reader = threading.current_thread()
         if self._failed:
             time.sleep(timeout or 0.1)
             return None
         self._let_gather()
-        self._drain()
-        if not pending and self._poll.poll(None if timeout is None else timeout * 1000):
+        with queue.lock:
             self._drain()
-        return pending.popleft() if pending else None
+        if not queue.pending and self._poll.poll(None if timeout is None else timeout * 1000):
+            with queue.lock:
+                self._drain()
+        return queue.take()
+
+    def may_wait(self) -> bool:
+        """Whether any frame that has arrived may not have been handed on yet; one cheap look.
+
+        A frame goes from the socket through the lock's holder and the queue into the reader's
+        hands: looked for in this order it cannot slip through.
+        """
+        if self._glance.poll(0):
+            return True
+        queue = self._queue
+        return queue.lock.locked() or bool(queue.pending) or queue.with_reader
+
+    def read_waiting(self, until_ns: int, hand_on: Callable[[can.Message], None]) -> None:
+        """Hand on, on the calling thread, all that arrived until this time and that nobody read.
+
+        It goes on until nothing waits or a frame that arrived later was handed on. What the reader
+        has in its hands is waited for; where that takes longer than some milliseconds the reader
+        goes on alone, and `BusCounters.reader_not_awaited` counts it. `hand_on` must not raise.
+
+        Raises can.CanOperationError once when the interface fails, as `recv`.
+        """
+        if self._reader is not None and not self._reader.is_alive():
+            return  # a dead reader must not go unnoticed: the drive ends for want of echoes
+        last_s = 0.0
+
+        def hand_on_noting(message: can.Message) -> None:
+            nonlocal last_s
+            last_s = message.timestamp
+            hand_on(message)
+
+        def read_more() -> bool:
+            if self._failed or last_s * _NS_PER_S > until_ns or not self._glance.poll(0):
+                return False
+            self._drain()
+            return True
+
+        if not self._queue.empty(hand_on_noting, read_more):
+            self._counters.reader_not_awaited += 1
 
     def align(self, origin_ns: int, period_ns: int) -> None:
         """Read shortly before every point of this grid, whatever may gather otherwise."""
@@ -128,7 +176,9 @@ class DrainingSocketcanBus(SocketcanBus):
             time.sleep(left_ns / _NS_PER_S)
 
     def _drain(self) -> None:
-        """Read all that waits, at most some hundreds of frames."""
+        """Read all that waits, at most some hundreds of frames, holding the queue's lock."""
+        if self._failed:
+            return
         receive, failure = self.socket.recvmsg, None
         read: list[Any] = []
         try:
@@ -145,7 +195,7 @@ class DrainingSocketcanBus(SocketcanBus):
         self._last_error = None
         for received in read:
             if (message := self._dissect(received, before)) is not None:
-                self._pending.append(message)
+                self._queue.pending.append(message)
         self._count_drops()
         if failure is not None:
             # The interface is down or gone, and the socket tells it once. It is not read again:
@@ -167,11 +217,14 @@ class DrainingSocketcanBus(SocketcanBus):
 
         Only when the reader has ended; afterwards the counters account for every frame.
         """
-        with contextlib.suppress(OSError):  # the interface may be gone: nothing comes then
-            self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
-            self.socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, 0)
-        self._counters.dropped += len(self._pending) + self._left()
-        self._count_drops()
+        with self._queue.lock:
+            self._failed = True  # nobody reads the socket from now on: it is to be closed
+            with contextlib.suppress(OSError):  # the interface may be gone: nothing comes then
+                self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+                self.socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, 0)
+            self._counters.dropped += len(self._queue.pending) + self._left()
+            self._queue.pending.clear()
+            self._count_drops()
 
     def _left(self) -> int:
         left, failures = 0, 0

@@ -1,0 +1,189 @@
+"""What outlives the process: a latched CUT and the directions, for the next start in this boot.
+
+A gateway that is killed, crashes or ends must not come back as if the power had never been cut, nor
+with another direction than the wheels turn in.
+"""
+
+import contextlib
+import json
+import os
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from vcu_gateway.boot_files import HIDDEN, boot_id, write_whole
+from vcu_gateway.bus.settings import BusSettings
+from vcu_gateway.core.demand import CONTROLLERS
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.schedule import Tick
+from vcu_gateway.journal import Journal
+
+_BEFORE = "before this start: "
+_NAMESPACE = Path("/proc/self/ns/net")
+_RUN = Path("/run/vcu-gateway")
+_TEMPORARY = Path("/tmp")  # noqa: S108 - the folder in it is looked at before it is used
+_NOT_MINE = 0o077
+
+
+class Kept(NamedTuple):
+    """What one process leaves to the next.
+
+    Attributes:
+        cut: why a CUT is latched; None where none is.
+        reverse: the applied direction of each controller that was sent one.
+    """
+
+    cut: str | None
+    reverse: Mapping[str, bool]
+
+
+NOTHING = Kept(None, {})
+
+
+class RestartState:
+    """The file of one bus: the boot's number, then the state as one line of JSON.
+
+    Written by the ticking thread when it changes; it stays after an orderly end.
+
+    Attributes:
+        path: None where nothing is kept.
+    """
+
+    def __init__(
+        self, folder: Path | None, settings: BusSettings, gateway: Gateway, journal: Journal
+    ) -> None:
+        self._settings = settings
+        self.path = None if folder is None else folder / file_name(settings.channel)
+        self._gateway = gateway
+        self._journal = journal
+        self._written = self._now = NOTHING
+        self._told_failure = False
+
+    def begin(self) -> None:
+        """Begin from what the last process of this boot left; before the first tick."""
+        if self.path is None:
+            self._tell_that_nothing_is_kept()
+            return
+        self._written = self._now = kept = read(self.path)
+        self._gateway.begin_from(kept.cut and f"{_BEFORE}{kept.cut}", kept.reverse)
+        if kept.cut is not None:
+            fields = {"file": str(self.path), "reason": kept.cut}
+            self._journal.tell(Event("cut_kept", Severity.CRITICAL, fields))
+
+    def _tell_that_nothing_is_kept(self) -> None:
+        if self._settings.interface != "virtual":
+            reason = "no folder for it can be written by this user alone"
+            fields = {"file": file_name(self._settings.channel), "reason": reason}
+            self._journal.tell(Event("restart_state_unwritten", Severity.WARNING, fields))
+
+    def observe(self, tick: Tick, result: TickResult) -> None:
+        """After each tick."""
+        del tick
+        if self.path is None:
+            return
+        reverse = self._now.reverse
+        if result.frames:
+            reverse = {name: one.motor_reverse for name, one in result.commands.items()}
+        self._now = Kept(self._latched(), reverse)
+        if self._now != self._written:
+            self._write(self.path, self._now)
+
+    def _latched(self) -> str | None:
+        supervisor = self._gateway.supervisor
+        if supervisor.latch is None or not supervisor.power_is_cut:
+            return None
+        return supervisor.latch.reason.removeprefix(_BEFORE)
+
+    def _write(self, path: Path, state: Kept) -> None:
+        """Write it; where that cannot be it is told once, and the next tick tries again."""
+        text = json.dumps({"cut": state.cut, "reverse": dict(state.reverse)})
+        try:
+            write_whole(path, f"{boot_id()}\n{text}\n")
+        except OSError as error:
+            if not self._told_failure:
+                fields = {"file": str(path), "reason": error.strerror}
+                self._journal.tell(Event("restart_state_unwritten", Severity.WARNING, fields))
+            self._told_failure = True
+            return
+        self._written, self._told_failure = state, False
+
+
+def file_name(channel: str) -> str:
+    """One for each bus: interfaces of the same name in two network namespaces are two."""
+    try:
+        namespace = str(_NAMESPACE.stat().st_ino)
+    except OSError:
+        namespace = HIDDEN
+    return f"restart-{quote(channel, safe='')}-{namespace}"
+
+
+def read(path: Path) -> Kept:
+    """What the last process of this boot left; nothing where there is no file of this boot.
+
+    What is there and cannot be understood counts as a latched CUT: nobody knows that it is none.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return NOTHING
+    except (OSError, ValueError) as error:
+        return Kept(f"{path} cannot be read: {error}", {})
+    if lines and _is_of_another_boot(lines[0]):
+        return NOTHING
+    try:
+        return _understood(json.loads(lines[1]))
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return Kept(f"{path} is not understood", {})
+
+
+def _is_of_another_boot(told: str) -> bool:
+    """True where both numbers are known and differ."""
+    mine = boot_id()
+    return HIDDEN not in (told, mine) and len(told) == len(mine) and told != mine
+
+
+def _understood(told: Any) -> Kept:
+    cut, reverse = told["cut"], told["reverse"]
+    if not (cut is None or isinstance(cut, str)):
+        raise TypeError("the reason is a text")
+    if not all(isinstance(one, bool) and name in CONTROLLERS for name, one in reverse.items()):
+        raise ValueError("a direction for each controller")
+    return Kept(cut, reverse)
+
+
+def folder_for(settings: BusSettings, runtime: Path | None) -> Path | None:
+    """Where the state of this bus is kept; None where it is not.
+
+    `runtime` is the service's own folder. A virtual bus ends with its process, and so does all
+    that it could move.
+    """
+    if settings.interface == "virtual":
+        return None
+    if runtime is not None:
+        return runtime
+    own = os.environ.get("XDG_RUNTIME_DIR")
+    candidates = [_RUN, *([Path(own) / "vcu-gateway"] if own else [])]
+    for folder in candidates:
+        if _can_be_written(folder, 0o755):
+            return folder
+    folder = _TEMPORARY / f"vcu-gateway-{os.geteuid()}"
+    return folder if _can_be_written(folder, 0o700) and _is_mine_alone(folder) else None
+
+
+def _can_be_written(folder: Path, mode: int) -> bool:
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode)
+    return os.access(folder, os.W_OK | os.X_OK)
+
+
+def _is_mine_alone(folder: Path) -> bool:
+    """Whether a folder among those of others is no link, ours, and closed to everybody else."""
+    found = folder.lstat()
+    return (
+        stat.S_ISDIR(found.st_mode)
+        and found.st_uid == os.geteuid()
+        and not stat.S_IMODE(found.st_mode) & _NOT_MINE
+    )
