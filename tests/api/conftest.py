@@ -42,6 +42,7 @@ class FakeService:
     Attributes:
         begun: (method, params, caller) of every request that came through.
         words: what else the server told, in its order.
+        demand_of: numbers of the connections that own a fresh demand.
         filler: text in every state, to make it long.
     """
 
@@ -54,6 +55,7 @@ class FakeService:
         self.metrics_failure: Failure | None = None
         self.bug: Exception | None = None
         self.bug_at_end: Exception | None = None
+        self.demand_of: set[int] = set()
 
     def begin(self, method, params, caller, reply):
         if self.bug is not None:
@@ -85,6 +87,9 @@ class FakeService:
             raise self.metrics_failure
         self.metrics_made += 1
         return b"vcu_gateway_up 1\n"
+
+    def owns_demand(self, caller):
+        return caller.connection in self.demand_of
 
     def refused(self, method, caller, sentence):
         self.words.append(("refused", caller.connection, method, sentence))
@@ -242,11 +247,11 @@ def client(api) -> Client:
 
 
 @contextlib.contextmanager
-def a_stranger() -> Iterator[None]:
+def a_stranger(uid: int = NOBODY) -> Iterator[None]:
     """What connects in here is not root, whom nothing can be refused."""
     own = os.geteuid()
     if own == 0:
-        os.seteuid(NOBODY)
+        os.seteuid(uid)
     try:
         yield
     finally:

@@ -9,6 +9,7 @@ import pytest
 
 from vcu_gateway.api import openrpc, page, rights
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
+from vcu_gateway.core.demand import Refusal
 
 ROOT = Path(__file__).parents[2]
 
@@ -89,3 +90,8 @@ def test_rights_come_from_the_user_and_all_groups_of_the_peer(changes, expected)
 
 def test_root_may_do_everything():
     assert POLICY.rights_of(PEER._replace(uid=0)) == frozenset(rights.Right)
+
+
+def test_the_page_names_every_word_of_a_refusal():
+    text = (ROOT / "docs" / "api.md").read_text()
+    assert [one.value for one in Refusal if f"`{one.value}`" not in text] == []

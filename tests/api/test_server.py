@@ -16,16 +16,17 @@ from tests.api.conftest import (
     KNOWN,
     MS,
     NO_ONE,
+    NOBODY,
     PATIENCE_S,
     Client,
     a_stranger,
     eventually,
 )
-from vcu_gateway.api.connection import Limits
+from vcu_gateway.api.connection import GAVE_WAY, Limits
 from vcu_gateway.api.counters import Counters
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.api.gaps import Gaps
-from vcu_gateway.api.methods import DemandParams
+from vcu_gateway.api.methods import DemandParams, Nothing
 from vcu_gateway.api.pace import Pace
 from vcu_gateway.api.reception import Guests, Reception
 from vcu_gateway.api.rights import Right
@@ -178,6 +179,46 @@ def test_no_request_leaves_work_for_the_garbage_collector(idle_api, line):
         assert gc.collect() < 100
     finally:
         gc.enable()
+
+
+# Stopping is always possible.
+
+WRONG_STOPS = [
+    (b'{"jsonrpc":"2.0","id":5,"method":"estop","params":[]}', 5, "params must be an object"),
+    (b'{"jsonrpc":"2.0","id":null,"method":"estop"}', None, "id must be a string"),
+    (b'{"id":"a","method":"estop"}', "a", 'jsonrpc must be "2.0"'),
+    (b'{"jsonrpc":"2.0","method":"estop","params":[]}', None, "params must be an object"),
+    (b'{"jsonrpc":"2.0","id":5,"id":5,"method":"estop"}', None, "stands twice"),
+]
+
+
+@pytest.mark.parametrize(("line", "request_id", "sentence"), WRONG_STOPS)
+@pytest.mark.parametrize("stop", ["estop", "disarm"])
+def test_a_stop_wrong_in_form_is_done_and_the_answer_says_what_was_wrong(
+    idle_api, line, request_id, sentence, stop
+):
+    """Also for those who may only read: whoever reaches the socket may stop the vehicle."""
+    reader = a_reader(idle_api.start(policy=NO_ONE))
+    reader.send(line.replace(b"estop", stop.encode()) + b"\n")
+    eventually(lambda: idle_api.service.held)
+    ((method, params, _),) = idle_api.service.begun
+    assert (method, params) == (stop, Nothing())
+    assert not reader.has_news(), "the answer waits until it is done"
+    idle_api.service.release()
+    answer = reader.line()
+    assert answer["id"] == request_id
+    assert sentence in answer["error"]["message"]
+    assert answer["error"]["message"].endswith("; done all the same")
+    assert idle_api.counts()["stopped_anyway"] == 1
+    assert sum(idle_api.counts()["errors"].values()) == 1
+    assert reader.ask("why", 6)
+
+
+def test_a_stop_wrong_in_form_that_cannot_be_done_is_not_told_as_done(api, client):
+    client.send(b'{"method":"estop"}\n')
+    eventually(lambda: api.service.held)
+    api.service.release(Failure(Code.NOT_READY, "the gateway is ending"))
+    assert client.line()["error"]["message"].endswith("; not done: the gateway is ending")
 
 
 # Rights.
@@ -574,25 +615,133 @@ def test_a_pace_is_a_burst_and_then_one_after_the_other(late_ns, at_once):
 # Places.
 
 
-def test_sixteen_clients_have_a_place_and_the_next_is_told_why_not(api):
-    clients = [api.connect() for _ in range(16)]
+def connected(api, count: int) -> list[Client]:
+    """So many connections, each with a place, the first idle for longest."""
+    clients = [api.connect() for _ in range(count)]
     assert all(client.ask("why") for client in clients)
+    return clients
+
+
+def number_of(api, client: Client) -> int:
+    """The gateway's number of this connection, which asks for something to be found."""
+    client.ask("health")
+    return api.service.begun[-1][2].connection
+
+
+def test_where_sixteen_are_in_the_longest_idle_gives_way_and_the_next_is_served(api):
+    clients = connected(api, 16)
+    assert clients[0].ask("why")  # now the second is idle for longest
+    assert api.connect().ask("why")
+    assert clients[1].line() is None
+    assert not any(client.has_news() for client in [clients[0], *clients[2:]])
+    counts = api.counts()
+    assert (counts["clients"], counts["gave_way"], counts["turned_away"]) == (16, 1, 0)
+    assert counts["closed"] == {GAVE_WAY: 1}
+    assert api.service.told("closed") == [(GAVE_WAY,)]
+    assert len(api.service.told("gone")) == 1
+
+
+@pytest.mark.parametrize("attempt", range(10))
+def test_sixteen_idle_connections_shut_nobody_out_of_an_emergency_stop(idle_api, attempt):
+    idle_api.start(policy=NO_ONE)
+    for _ in range(16):  # that many readers have 12 places
+        a_reader(idle_api)
+    stopping = a_reader(idle_api)
+    stopping.request("estop")
+    eventually(lambda: idle_api.service.begun)
+    idle_api.service.release()
+    assert stopping.line()["result"]["granted"]
+
+
+def test_who_reads_a_subscription_is_not_idle(api):
+    watching, *others = connected(api, 16)
+    watching.ask("state.subscribe", rate_hz=50)
+    assert [watching.line()["method"] for _ in range(3)] == ["state.update"] * 3
+    assert api.connect().ask("why")
+    assert others[0].line() is None
+    assert watching.line()["method"] == "state.update"
+
+
+def test_the_owner_of_a_fresh_demand_keeps_its_place_however_idle(api):
+    owner, *others = connected(api, 16)
+    api.service.demand_of = {number_of(api, owner)}
+    for other in others:
+        assert other.ask("why")
+    for _ in range(20):
+        api.connect()
+    eventually(lambda: api.counts()["gave_way"] == 20)
+    assert owner.ask("why")
+
+
+def test_where_every_place_has_a_demand_the_next_is_told_why_not(idle_api):
+    api = idle_api.start(Limits(clients=2, kept_places=0))
+    clients = connected(api, 2)
+    api.service.demand_of = {number_of(api, client) for client in clients}
     extra = api.connect()
     error = extra.line()["error"]
     assert error["code"] == Code.TOO_MANY_CLIENTS.value
-    assert "16 clients at most" in error["message"]
+    assert "2 clients at most" in error["message"]
+    assert "a demand keeps its place" in error["message"]
     assert extra.line() is None
-    assert (api.counts()["clients"], api.counts()["turned_away"]) == (16, 1)
+    counts = api.counts()
+    assert (counts["clients"], counts["turned_away"], counts["gave_way"]) == (2, 1, 0)
     clients.pop().close()
-    eventually(lambda: api.counts()["clients"] == 15)
+    eventually(lambda: api.counts()["clients"] == 1)
     assert api.connect().ask("why")
 
 
-def test_four_places_are_kept_from_those_who_only_read(idle_api):
+def test_what_a_connection_asked_for_before_it_gives_way_is_done(idle_api):
+    """A flood of connections between an emergency stop and its turn does not lose it."""
+    server = idle_api.make(Limits(clients=1, kept_places=0, accepts_per_s=1_000))
+    server.open()
+    stopping = idle_api.connect()
+    for _ in range(20):
+        stopping.notify("why")
+    stopping.request("estop")
+    others = [idle_api.connect() for _ in range(8)]
+    server.start()
+    assert others[-1].ask("why")
+    assert "estop" in [method for method, _, _ in idle_api.service.begun]
+
+
+def many(api, count: int, uid: int) -> list[Client]:
+    """So many readers of this user, the first idle for longest."""
+    readers = []
+    for _ in range(count):
+        with a_stranger(uid):
+            readers.append(api.connect())
+        assert readers[-1].ask("why")
+    return readers
+
+
+NEEDS_USERS = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be several users")
+
+
+@NEEDS_USERS
+def test_of_two_users_the_one_with_most_of_the_places_gives_way_to_itself(idle_api):
     idle_api.start(policy=NO_ONE)
-    readers = [a_reader(idle_api) for _ in range(12)]
-    assert all(reader.ask("why") for reader in readers)
-    assert a_reader(idle_api).line()["error"]["code"] == Code.TOO_MANY_CLIENTS.value
+    few, most = many(idle_api, 3, NOBODY), many(idle_api, 9, NOBODY - 2)
+    many(idle_api, 1, NOBODY - 2)
+    assert most[0].line() is None
+    many(idle_api, 1, NOBODY)
+    assert few[0].line() is None, "the longest idle of all, for a user with few places"
+    many(idle_api, 30, NOBODY - 2)
+    assert idle_api.counts()["gave_way"] == 32
+    assert all(client.ask("why") for client in few[1:])
+
+
+@NEEDS_USERS
+def test_four_places_are_kept_from_those_who_only_read(idle_api):
+    idle_api.start(policy=NO_ONE._replace(own_uid=0))
+    ours = connected(idle_api, 4)
+    readers = many(idle_api, 12, NOBODY)
+    many(idle_api, 1, NOBODY - 2)  # the longest idle are ours, and not for a reader's sake
+    assert readers[0].line() is None
+    assert idle_api.counts()["clients"] == 16
+    assert all(client.ask("why") for client in ours)
+    many(idle_api, 5, NOBODY - 2)
+    assert idle_api.counts()["clients"] == 16
+    assert all(client.ask("why") for client in ours)
 
 
 @pytest.mark.parametrize(
@@ -615,7 +764,7 @@ def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, guests, i
         with a_stranger() if policy is NO_ONE else open(os.devnull):
             client.connect(path)
         reception = Reception(listener, False, policy, Limits(), Counters(), 0)
-        connection = reception.accept(guests, 0)
+        connection = reception.accept(guests, lambda *_: False, 0)
         assert (connection is not None) is is_in
         if connection is not None:
             connection.sock.close()

@@ -93,8 +93,8 @@ ABOUT_JSON = {
     b'{"id":1' + b"0" * 20 + b"}": "an integer needs more than 64 bits",
     b'{"id":1' + b"0" * 5000 + b"}": "too many digits",
     b'{"id":' + b"[" * 16 + b"]" * 16 + b"}": "nested more than 16 deep",
-    b"[" * 2000: "nested more than 16 deep",
-    b'{"a":' * 2000: "nested more than 16 deep",
+    b"[" * 2000 + b"]" * 2000: "nested more than 16 deep",
+    b'{"a":' * 2000 + b"1" + b"}" * 2000: "nested more than 16 deep",
     b'{"b":1,"a":1,"a":1}': '"a" stands twice',
     b"[" + b"1," * 512 + b"1]": "more than 512 values",
     b"[[1],[" + b"1," * 509 + b"1]]": "more than 512 values",
@@ -232,6 +232,77 @@ def test_what_is_no_request_is_answered_even_without_an_id():
     assert refused(line_with(id=..., jsonrpc="1.0")).is_answered
 
 
+# Stopping is always possible.
+
+WRONG_IN_FORM = {
+    "an empty list of parameters": line_with(method="estop", params=[]),
+    "a list of parameters": line_with(method="estop", params=[1, "now"]),
+    "parameters that are null": line_with(method="estop", params=None),
+    "an unknown parameter": line_with(method="estop", params={"now": True}),
+    "no version": line_with(method="estop", params={}, jsonrpc=...),
+    "version 1": line_with(method="estop", params={}, jsonrpc="1.0"),
+    "a version that is a number": line_with(method="estop", params={}, jsonrpc=2.0),
+    "an id that is null": line_with(method="estop", params={}, id=None),
+    "an id that is a list": line_with(method="estop", params={}, id=[1]),
+    "a fraction as id": line_with(method="estop", params={}, id=1.5),
+    "no id, and an empty list": line_with(method="estop", params=[], id=...),
+    "nothing but the method": b'{"method":"estop"}',
+    "an unknown member": line_with(method="estop", params={}, now=1),
+    "a member twice": b'{"id":1,"id":2,"jsonrpc":"2.0","method":"estop"}',
+    "the method twice": b'{"jsonrpc":"2.0","id":1,"method":"estop","method":"estop"}',
+    "NaN": b'{"jsonrpc":"2.0","id":1,"method":"estop","params":{"a":NaN}}',
+    "half of a surrogate pair": b'{"jsonrpc":"2.0","id":"\\ud800","method":"estop"}',
+    "deep parameters": line_with(method="estop", params=[[[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]]]),
+    "many values": line_with(method="estop", params=[0] * 600),
+    "very many values": line_with(method="estop", params=[0] * 20_000),
+    "a long integer": line_with(method="estop", params=[2**70]),
+}
+
+
+@pytest.mark.parametrize("line", WRONG_IN_FORM.values(), ids=WRONG_IN_FORM.keys())
+@pytest.mark.parametrize("stop", ["estop", "disarm"])
+def test_a_stop_that_is_wrong_in_form_is_named_and_answered(line, stop):
+    answer = refused(line.replace(b"estop", stop.encode()))
+    assert (answer.stop, answer.is_answered) == (stop, True)
+    assert answer.failure.sentence
+
+
+def test_a_stop_may_be_written_with_escapes():
+    assert refused(b'{"id":1,"method":"\\u0065stop"}').stop == "estop"
+
+
+NO_STOP = {
+    "not JSON": b"estop",
+    "cut off": b'{"jsonrpc":"2.0","id":1,"method":"estop","params":{}',
+    "something behind": b'{"jsonrpc":"2.0","id":1,"method":"estop"} x',
+    "not UTF-8": b'{"jsonrpc":"2.0","id":1,"method":"estop","params":"\xff"}',
+    "no object": b'["estop"]',
+    "a batch": b'[{"jsonrpc":"2.0","id":1,"method":"estop"}]',
+    "a word": b'"estop"',
+    "another method": line_with(method="reset", params=["estop"]),
+    "an unknown method": line_with(method="estop ", params={}),
+    "capitals": line_with(method="ESTOP", params={}),
+    "a list of one": line_with(method=["estop"]),
+    "two methods": b'{"jsonrpc":"2.0","id":1,"method":"why","method":"estop"}',
+    "two methods, estop first": b'{"jsonrpc":"2.0","id":1,"method":"estop","method":"why"}',
+    "estop and disarm": b'{"jsonrpc":"2.0","id":1,"method":"estop","method":"disarm"}',
+    "in another member": line_with(method=..., params={"method": "estop"}),
+    "in a name": line_with(method=..., estop=1),
+    "nested too deep for any reader": b'{"method":"estop","params":' + b"[" * 60_000,
+}
+
+
+@pytest.mark.parametrize("line", NO_STOP.values(), ids=NO_STOP.keys())
+def test_what_names_no_stop_stops_nothing(line):
+    assert refused(line).stop is None
+
+
+@pytest.mark.parametrize("stop", ["estop", "disarm"])
+def test_a_stop_in_good_form_is_a_request_with_or_without_an_id(stop):
+    for line in (line_with(method=stop, params={}), line_with(method=stop, params={}, id=...)):
+        assert wire.parse(line).method == stop
+
+
 LONG = "ABCDEFGH" * 8000
 ECHOING = [
     line_with(method=LONG),
@@ -270,6 +341,9 @@ COSTLY = {
     ),
     "long names": line_with(params={"n" * 120 + str(n): 1 for n in range(500)}),
     "escapes": b'"' + b"\\u0041" * 10900 + b'"',
+    "a stop among many integers": b'{"method":"estop","id":[' + b"1," * 32000 + b"1]}",
+    "a stop among many objects": b'{"method":"estop","id":[' + b"{}," * 21000 + b"{}]}",
+    "a stop among many names": b'{"method":"estop"' + b',"a":1' * 10900 + b"}",
 }
 
 

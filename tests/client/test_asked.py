@@ -8,6 +8,8 @@ from pydantic import BaseModel
 from vcu_gateway.api import methods
 from vcu_gateway.client import asked
 
+ZERO = {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0}
+
 
 class LikeNumpy:
     """A number of another library."""
@@ -69,13 +71,12 @@ def test_a_number_out_of_range_is_left_for_the_gateway_to_judge():
 )
 def test_no_motion_keeps_the_direction_and_nothing_else(before, after):
     still = asked.stilled(asked.body_of(before))
-    assert still == {"values": {"throttle_pct": 0.0, "brake_pct": 0.0, **after}}
+    assert still == {"values": {**ZERO, **after}}
 
 
 def test_no_motion_keeps_each_controllers_direction():
     body = asked.body_of({"PCU1": {"throttle_pct": 9, "motor_reverse": True}, "PCU2": {}})
-    zero = {"throttle_pct": 0.0, "brake_pct": 0.0}
-    expected = {"PCU1": {**zero, "motor_reverse": True}, "PCU2": zero}
+    expected = {"PCU1": {**ZERO, "motor_reverse": True}, "PCU2": ZERO}
     assert asked.stilled(body) == {"controllers": expected}
 
 

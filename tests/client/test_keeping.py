@@ -13,12 +13,12 @@ START_NS = 5_000 * S
 TTL_MS = 300
 PAUSE_NS = 100 * MS
 DRIVING = body_of({"throttle_pct": 20})
-ZERO = {"throttle_pct": 0.0, "brake_pct": 0.0}
+ZERO = {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0}
 GRANTED = {"granted": True, "mode": "active"}
 
 
-def refusal() -> RefusedError:
-    return RefusedError(-32002, "refused", "another owns the demand", "other_owner")
+def refusal(word: str = "other_owner") -> RefusedError:
+    return RefusedError(-32002, "refused", "another owns the demand", word)
 
 
 @pytest.fixture
@@ -192,3 +192,12 @@ def test_the_last_granted_answer_is_kept(keeping):
     assert keeping.last_answer is None
     keeping.granted(GRANTED)
     assert keeping.last_answer == GRANTED
+
+
+@pytest.mark.parametrize(("word", "kept"), [("other_owner", True), ("directions_differ", False)])
+def test_two_directions_that_were_refused_are_not_asked_for_again(keeping, word, kept):
+    keeping.ask(body_of({"PCU1": {"motor_reverse": True}, "PCU2": {}}), START_NS)
+    keeping.refused(refusal(word))
+    again = keeping.repeat(START_NS + PAUSE_NS)
+    assert ("controllers" in again) is kept
+    assert kept or again["values"] == ZERO

@@ -32,6 +32,7 @@ from tests.docs.pages import (
     words,
 )
 from tests.driven import Driven
+from tests.packaging.built import RELEASES
 from vcu_gateway import cli
 from vcu_gateway.client import RefusedError
 
@@ -44,9 +45,7 @@ READ_LINES = [line for _, line in LINES if words(line)[0] in READING]
 SOCKETS = re.compile(r"/run/vcu-gateway\S*/control\.sock")
 FILES = re.compile(r"/etc/vcu-gateway/\S+\.yaml")
 # What matters here is what the commands say, and not how busy this machine is.
-PATIENT = (
-    "freshness: {stale_after_ms: {PCU1_Status2: 5000, PCU2_Status2: 5000, BMS_Status: 9000}}\n"
-)
+PATIENT = "freshness: {stale_after_ms: {PCU1_Status2: 400, PCU2_Status2: 400, BMS_Status: 3200}}\n"
 PATIENT_DEMAND = ["--ttl-ms", "1000"]
 
 
@@ -249,7 +248,8 @@ def test_the_trial_of_the_emergency_stop_goes_as_the_page_says(driven):
         assert {frame.data[0] for frame in frames} == {0x8C}
         assert "service level" in says(driven, "vcu-gateway reset", 75)
     driven.until(lambda: "first:" not in headline(driven), "nothing stands against a reset")
-    assert says(driven, "vcu-gateway reset --level service") == "standby\n"
+    assert says(driven, "vcu-gateway reset --level service") == "starting\n"
+    driven.until_mode("standby")
 
 
 def test_a_checked_configuration_says_what_the_page_says(driven):
@@ -318,6 +318,17 @@ def test_the_files_of_the_source_tree_that_the_page_installs_are_there():
     assert len(named) == 6
     for name in named:
         assert (ROOT / name).is_file(), name
+
+
+def test_the_releases_of_the_pages_are_those_that_the_package_is_tested_on():
+    of_the_makefile = re.search(r"^SUITES := (.*)$", text(ROOT / "Makefile"), re.MULTILINE)
+    assert of_the_makefile
+    assert of_the_makefile[1].split() == list(RELEASES)
+    for suite, release in RELEASES.items():
+        assert f"Debian {release.number} (Python {release.python})" in text(INSTALL)
+        assert f"`~deb{release.number}u1`" in text(INSTALL)
+        assert f"`make deb SUITE={suite}`" in text(INSTALL)
+        assert f"Debian {release.number}" in text(ROOT / "README.md")
 
 
 def test_every_path_that_a_unit_needs_is_in_the_table_of_places():

@@ -55,7 +55,7 @@ def as_page_says(events: list[Event]) -> None:
 def test_the_severities_that_depend_are_as_the_core_gives_them():
     causes, supervisor = Causes(), Supervisor(0)
     began = causes.update([Finding("stale", "IMU", Effect.ALARM)], 1, 1)
-    ended = causes.update([], 1, 3)
+    ended = causes.update([], 1, 3) + causes.update([], 1, 4)
     assert [event.name for event in began + ended] == ["cause_began", "cause_ended"]
     changed = [
         supervisor.apply(stimulus, 1, "a reason")

@@ -85,17 +85,6 @@ def test_while_somebody_drives_nothing_is_to_be_changed(healthy):
     assert "somebody drives: change nothing now" in well(findings)
 
 
-def test_a_long_reason_is_told_in_short_with_what_to_do(healthy):
-    cause = {"subject": "BMS_Status", "detail": "never received"}
-    latch = {"fault_class": "driver", "reason": "bus off"}
-    why = {"sentence": "x" * 161, "blocks": [cause, cause, cause], "next_step": "wait"}
-    found = only(judge(changed(healthy, "why", mode="fault", latch=latch, **why)))
-    expected = "latched (driver): bus off; blocked by BMS_Status never received and 2 more; wait"
-    assert found.what == f"fault; {expected}"
-    found = only(judge(changed(healthy, "why", sentence="x" * 160)))
-    assert found.what == "x" * 160
-
-
 @pytest.mark.parametrize(
     ("section", "values"),
     [("frames", {"dropped": None}), ("health", {"config_file": "gateway.yaml"})],

@@ -95,6 +95,23 @@ def test_a_command_from_another_node_is_wrong_beside_a_gateway_or_without(can_id
         assert "another node" in found.what
 
 
+@pytest.mark.parametrize("can_id", [0x0008A755, 0x1C08A855])
+def test_a_command_from_another_source_address_is_wrong_and_named(can_id):
+    found = only(heard(SENT, frames() + Counter({can_id: 1})))
+    assert (found.check, found.kind.value) == ("other_sender", "wrong")
+    assert f"({can_id:08X})" in found.what
+    found = only(heard(SENT + Counter({can_id: 1}), frames()))
+    assert found.check == "other_sender"
+
+
+def test_a_command_to_all_is_a_command_to_both_controllers():
+    found = [
+        one for one in heard(SENT, frames() + Counter({0x0008FF55: 1})) if one.kind.value == "wrong"
+    ]
+    assert [one.check for one in found] == ["other_sender", "other_sender"]
+    assert all("(0008FF55)" in one.what for one in found)
+
+
 def test_a_second_program_of_this_machine_is_known_by_too_many_commands():
     assert complaints(heard(Counter(dict.fromkeys(COMMANDS, 60)), frames())) == {}
     found = only(heard(Counter({COMMANDS[0]: 61, COMMANDS[1]: 40}), frames()))

@@ -17,7 +17,7 @@ from vcu_gateway.doctor.finding import Finding, Kind
 ROOT = Path(__file__).parents[2]
 SUBJECTS = [
     *("configuration", "protocol", "interface", "time", "permissions", "buffers", "process"),
-    *("service", "gateway"),
+    *("service", "libraries", "gateway"),
 ]
 LINE = re.compile(r"(ok|warning|wrong|unknown) +([a-z]+)  .+")
 

@@ -9,8 +9,8 @@ from tests.driven import Driven, driven
 
 # The vehicle is a thread of this process: on a busy machine it is late, and not silent.
 PATIENT = (
-    "freshness: {stale_after_ms: {PCU1_Status1: 10000, PCU1_Status2: 10000,"
-    " PCU2_Status1: 10000, PCU2_Status2: 10000, BMS_Status: 10000}}\n"
+    "freshness: {stale_after_ms: {PCU1_Status1: 10000, PCU1_Status2: 400,"
+    " PCU2_Status1: 10000, PCU2_Status2: 400, BMS_Status: 3200}}\n"
 )
 
 

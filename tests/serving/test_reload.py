@@ -91,20 +91,28 @@ def test_every_key_is_taken_by_a_running_gateway_or_named_as_needing_a_restart()
 
 
 OTHER = {
-    "limits.speed_limit_max_rpm": 1,
+    "limits.speed_limit_max_rpm": 600,
     "limits.power_limit_max_w": 1,
     "limits.derated_power_w": 1,
     "limits.regen_limit_pct": 1,
     "limits.throttle_slew_pct_per_s": 11,
     "limits.power_slew_w_per_s": 7000,
     "limits.regen_slew_pct_per_s": 11,
+    "limits.speed_slew_rpm_per_s": 600,
     "limits.direction_change_rpm": 1,
+    "limits.regen_min_rpm": 200,
     "safety.required_messages": [*configuration.Config().safety.required_messages, "IMU_Attitude"],
     "safety.qualify_frames": 4,
     "safety.clear_hold_ms": 2000,
+    "safety.echo_below_max_pct": 6,
+    "safety.motor_speed_step_max_rpm": 600,
+    "safety.wheel_speed_step_max_kmh": 6,
+    "safety.wheel_speed_difference_max_kmh": 6,
     "demand.ttl_max_ms": 500,
     "demand.ttl_default_ms": 100,
     "demand.priorities": {"remote_stop": 10},
+    "demand.independent_directions": True,
+    "demand.second_track_required": True,
 }
 
 

@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[2]
 SCRIPTED = f"{sys.executable} -m tests.watch.scripted"
 VCU_GATEWAY = f"{sys.executable} -m vcu_gateway"
 WAIT_S = 60.0
+HISTORY_LINES = 100_000
 
 
 def require_tmux() -> None:
@@ -32,16 +33,18 @@ def require_tmux() -> None:
 
 
 class Window:
-    """A shell in a window of a tmux server of its own."""
+    """A shell, or another command, in a window of a tmux server of its own."""
 
-    def __init__(self, name: str, columns: int, lines: int) -> None:
+    def __init__(self, name: str, columns: int, lines: int, command: str = "/bin/sh") -> None:
         self._tmux = ["tmux", "-L", name, "-f", "/dev/null"]
         environment = {key: value for key, value in os.environ.items() if key != "TMUX"}
         environment["LC_ALL"] = "C.UTF-8"
         environment.pop("NO_COLOR", None)
         size = ["-x", str(columns), "-y", str(lines)]
-        command = [*self._tmux, "new-session", "-d", *size, "-c", str(ROOT), "/bin/sh"]
-        subprocess.run(command, check=True, env=environment)
+        options = ["set-option", "-g", "history-limit", str(HISTORY_LINES), ";"]
+        options += ["set-option", "-gw", "remain-on-exit", "on", ";"]
+        start = ["new-session", "-d", *size, "-c", str(ROOT), command]
+        subprocess.run([*self._tmux, *options, *start], check=True, env=environment)
         self._socket = self.fact("socket_path")
 
     def _ask(self, *arguments: str) -> str:
@@ -62,6 +65,11 @@ class Window:
     @property
     def screen(self) -> str:
         return self._ask("capture-pane", "-p")
+
+    @property
+    def scrolled(self) -> str:
+        """Everything since the window was opened; lines that it broke are whole again."""
+        return self._ask("capture-pane", "-p", "-J", "-S", "-").rstrip() + "\n"
 
     @property
     def screen_with_escapes(self) -> str:

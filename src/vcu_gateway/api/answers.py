@@ -14,6 +14,7 @@ from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.api.program import Program
 from vcu_gateway.api.restraint import Restraint
 from vcu_gateway.api.service import Caller, Reply
+from vcu_gateway.api.stops import STOPS
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.reload import Outcome
 
@@ -54,9 +55,8 @@ class Answers:
         caller: Caller,
         reply: Callable[[Reply], None],
     ) -> None:
-        self._program.latest()
-        if self._inbox.full:
-            raise Failure(Code.NOT_READY, "too many requests wait for the next tick; try again")
+        if method not in STOPS:
+            self._check_ready()
 
         def carry_out() -> None:
             try:
@@ -65,6 +65,11 @@ class Answers:
                 reply(failure)
 
         self._inbox.post(carry_out)
+
+    def _check_ready(self) -> None:
+        self._program.latest()
+        if self._inbox.full:
+            raise Failure(Code.NOT_READY, "too many requests wait for the next tick; try again")
 
     def _reload(self, reply: Callable[[Reply], None]) -> None:
         self._program.latest()
@@ -87,6 +92,10 @@ class Answers:
             sentence = "metrics need an extra: pip install 'vcu-gateway[metrics]'"
             raise Failure(Code.NOT_READY, sentence)
         return self._program.metrics()
+
+    def owns_demand(self, caller: Caller) -> bool:
+        """True while a fresh demand of this connection counts."""
+        return self._asking.owns_demand(caller)
 
     def refused(self, method: str, caller: Caller, sentence: str) -> None:
         """Have it logged that a right was missing."""

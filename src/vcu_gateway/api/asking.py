@@ -39,6 +39,14 @@ class Asking:
         result: Mapping[str, Any] = _ASKING[method](self, params, caller)
         return result
 
+    def owns_demand(self, caller: Caller) -> bool:
+        """True while a fresh demand of this connection counts; from any thread."""
+        desk = self._requests.desk
+        demand = desk.current
+        if demand is None or not desk.fresh(time.monotonic_ns()):
+            return False
+        return self._sources.owner_of(demand.source) == caller.connection
+
     def end_demands_of(self, caller: Caller) -> None:
         """The connection has ended, and its demand with it."""
         for source in self._sources.forget(caller.connection):
@@ -76,7 +84,7 @@ class Asking:
         return self._told("estop", caller, self._requests.emergency_stop())
 
     def reset(self, params: methods.ResetParams, caller: Caller) -> shapes.Granted:
-        """From fault to standby."""
+        """From fault to starting."""
         level = FaultClass(params.level)
         return self._told("reset", caller, self._requests.reset(level, time.monotonic_ns()))
 
@@ -139,6 +147,7 @@ def _controller_demand(values: methods.Values, settings: Settings) -> Controller
     speed_rpm, power_w = values.speed_limit_rpm, values.power_limit_w
     return ControllerDemand(
         throttle_pct=values.throttle_pct,
+        throttle_track2_pct=values.throttle_track2_pct,
         brake_pct=values.brake_pct,
         power_mode=PowerMode[values.power_mode.upper()],
         motor_reverse=values.motor_reverse,

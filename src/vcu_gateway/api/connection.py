@@ -4,6 +4,7 @@ import select
 import socket
 from typing import NamedTuple
 
+from vcu_gateway.api.failures import Failure
 from vcu_gateway.api.lines import Lines
 from vcu_gateway.api.pace import Pace
 from vcu_gateway.api.service import Caller
@@ -17,6 +18,19 @@ LINE_TOO_LONG = "line too long"
 LINE_LATE = "line not finished in time"
 OUTPUT_FULL = "too much output waits"
 OUTPUT_STUCK = "reader stands still"
+GAVE_WAY = "gave way to a new connection"
+
+
+class Addressee(NamedTuple):
+    """To whom an answer goes.
+
+    Attributes:
+        id: of the request; None where it had no good one.
+        wrong: what was wrong with a request that is done all the same.
+    """
+
+    id: RequestId | None
+    wrong: Failure | None = None
 
 
 class Limits(NamedTuple):
@@ -53,13 +67,15 @@ class Connection:
 
     Attributes:
         caller: None on the metrics port.
-        unanswered: id of each request without an answer, by our own number of it.
+        unanswered: addressee of each request without an answer, by our own number of it; None
+            where it was a notification.
         head: the lines of an HTTP request so far; None while it speaks JSON.
         peer_ended: the peer sends no more; `peer_is_gone`: nor does it read.
         is_told: the service knows of that.
         drives: it has made a demand; it is served between all the others.
         waited: the next request was held up by the rate.
         is_new: no line was taken yet.
+        active_ns: when it came, last asked for something, or was last sent something.
     """
 
     def __init__(
@@ -69,12 +85,13 @@ class Connection:
         self.caller = caller
         self.lines = Lines()
         self.pace = Pace(limits.rate_per_s, limits.burst, now_ns)
-        self.unanswered: dict[int, RequestId | None] = {}
+        self.unanswered: dict[int, Addressee | None] = {}
         self.subscriptions: dict[int, Subscription] = {}
         self.head: list[bytes] | None = [] if caller is None else None
         self.peer_ended = self.peer_is_gone = self.is_told = False
         self.waited = self.drives = False
         self.is_new = True
+        self.active_ns = now_ns
         self._limits = limits
         self._out = bytearray()
         self._is_read_to_end = False
@@ -146,6 +163,7 @@ class Connection:
 
     def take_line(self, now_ns: int) -> bytes:
         """The next line; the one behind it begins now."""
+        self.active_ns = now_ns
         self._begin(now_ns)
         return self.lines.take()
 
@@ -154,8 +172,8 @@ class Connection:
         if self.head is None:
             self._began_ns = now_ns
 
-    def answered(self, number: int, now_ns: int) -> RequestId | None:
-        """Forget this request; its id, or None for a notification or one that is forgotten."""
+    def answered(self, number: int, now_ns: int) -> Addressee | None:
+        """Forget this request; None for a notification or one that is forgotten."""
         if len(self.unanswered) == self._limits.unanswered:
             self._begin(now_ns)  # nothing was read meanwhile
         return self.unanswered.pop(number, None)
@@ -164,6 +182,7 @@ class Connection:
         """Send now, or keep what the peer has no room for."""
         if self.peer_is_gone:
             return
+        self.active_ns = now_ns
         if not self._out:
             self._progress_ns = now_ns
         self._out += data

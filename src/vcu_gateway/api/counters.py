@@ -21,6 +21,8 @@ class Counters:
     errors: dict[str, int] = field(default_factory=dict)
     closed: dict[str, int] = field(default_factory=dict)
     lost_updates: int = 0
+    gave_way: int = 0
+    stopped_anyway: int = 0
 
     def count_error(self, word: str) -> None:
         """One more answer that is an error."""
@@ -40,4 +42,6 @@ class Counters:
             errors=self.errors.copy(),
             closed=self.closed.copy(),
             lost_updates=self.lost_updates,
+            gave_way=self.gave_way,
+            stopped_anyway=self.stopped_anyway,
         )

@@ -5,11 +5,13 @@ import itertools
 from collections.abc import Callable
 
 from vcu_gateway.api import wire
-from vcu_gateway.api.connection import LINE_TOO_LONG, Connection
+from vcu_gateway.api.connection import LINE_TOO_LONG, Addressee, Connection
 from vcu_gateway.api.counters import Counters
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.api.lines import MAX_LINE_BYTES
 from vcu_gateway.api.methods import (
+    Nothing,
+    Params,
     ResetParams,
     SubscribeParams,
     UnsubscribeParams,
@@ -48,8 +50,7 @@ class Desk:
         self._counters.requests += 1
         request = wire.parse(line)
         if isinstance(request, wire.Refused):
-            if request.is_answered:
-                self._send(connection, request.id, request.failure, now_ns)
+            self._refuse(connection, request, now_ns)
             return
         try:
             result = self._result(connection, request, now_ns)
@@ -59,11 +60,23 @@ class Desk:
         if result is not None and request.id is not None:
             self._send(connection, request.id, result, now_ns)
 
+    def _refuse(self, connection: Connection, refused: wire.Refused, now_ns: int) -> None:
+        """Say what is wrong; a stop is done all the same, and the answer waits for that."""
+        if refused.stop is not None:
+            self._counters.stopped_anyway += 1
+            addressee = Addressee(refused.id, refused.failure)
+            self._begin(connection, refused.stop, Nothing(), addressee)
+        elif refused.is_answered:
+            self._send(connection, refused.id, refused.failure, now_ns)
+
     def answer(self, connection: Connection, number: int, reply: Reply, now_ns: int) -> None:
         """Send the service's reply to the request of this number; the first one counts."""
-        request_id = connection.answered(number, now_ns)
-        if request_id is not None:
-            self._send(connection, request_id, reply, now_ns)
+        addressee = connection.answered(number, now_ns)
+        if addressee is None:
+            return
+        if addressee.wrong is not None:
+            reply = _with_what_became(addressee.wrong, reply)
+        self._send(connection, addressee.id, reply, now_ns)
 
     def update(self, connection: Connection, subscription: Subscription, now_ns: int) -> None:
         """Send what is due, or count what a slow reader misses."""
@@ -88,10 +101,7 @@ class Desk:
 
     def _result(self, connection: Connection, request: wire.Request, now_ns: int) -> Reply | None:
         """The result; None where the service will reply. Failure is raised."""
-        caller = connection.caller
-        if caller is None:
-            raise AssertionError("the metrics port speaks no JSON")
-        self._check_right(caller, request)
+        self._check_right(_caller(connection), request)
         if isinstance(request.params, SubscribeParams):
             return self._subscribe(connection, request.params, now_ns)
         if isinstance(request.params, UnsubscribeParams):
@@ -99,15 +109,18 @@ class Desk:
         if request.method == "demand.set" and connection.peer_ended:
             what = "this connection has ended, and a demand ends with its connection"
             raise Failure(Code.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
-        self._begin(connection, caller, request)
+        addressee = None if request.id is None else Addressee(request.id)
+        self._begin(connection, request.method, request.params, addressee)
         return None
 
-    def _begin(self, connection: Connection, caller: Caller, request: wire.Request) -> None:
-        number = next(self._numbers)
-        connection.drives = connection.drives or request.method == "demand.set"
-        connection.unanswered[number] = request.id
+    def _begin(
+        self, connection: Connection, method: str, params: Params, addressee: Addressee | None
+    ) -> None:
+        caller, number = _caller(connection), next(self._numbers)
+        connection.drives = connection.drives or method == "demand.set"
+        connection.unanswered[number] = addressee
         reply = functools.partial(self._reply, caller.connection, number)
-        self._service.begin(request.method, request.params, caller, reply)
+        self._service.begin(method, params, caller, reply)
 
     def _check_right(self, caller: Caller, request: wire.Request) -> None:
         needed = right_needed(request.method, request.params)
@@ -134,6 +147,18 @@ class Desk:
         subscription = Subscription(number, params.messages, params.rate_hz, now_ns)
         connection.subscriptions[number] = subscription
         return Subscribed(subscription=number, rate_hz=params.rate_hz)
+
+
+def _caller(connection: Connection) -> Caller:
+    if connection.caller is None:
+        raise AssertionError("the metrics port speaks no JSON")
+    return connection.caller
+
+
+def _with_what_became(wrong: Failure, reply: Reply) -> Failure:
+    """What was wrong with a request to stop, and that the vehicle was stopped all the same."""
+    became = f"not done: {reply.sentence}" if isinstance(reply, Failure) else "done all the same"
+    return Failure(wrong.code, f"{wrong.sentence}; {became}")
 
 
 def _unsubscribe(connection: Connection, params: UnsubscribeParams) -> Subscribed:

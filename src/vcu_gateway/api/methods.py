@@ -54,6 +54,11 @@ class Values(Params):
     """
 
     throttle_pct: float = Field(default=0.0, description="0 to 100 %.")
+    throttle_track2_pct: float | None = Field(
+        default=None,
+        description="The pedal's second track, 0 to 100 %; null where there is none. A difference"
+        " of more than 10 % for more than 100 ms takes the throttle away.",
+    )
     brake_pct: float = Field(default=0.0, description="0 to 100 %.")
     power_mode: Literal["eco", "normal", "turbo", "safety"] = "eco"
     motor_reverse: bool = False
@@ -76,7 +81,10 @@ class DemandParams(Params):
         description="Who asks. A source name belongs to one connection at a time."
     )
     sequence: int = Field(
-        ge=0, lt=2**63, description="Rises with every demand of a source; an old one is refused."
+        ge=0,
+        lt=2**63,
+        description="Rises with every demand of a source; an old one is refused,"
+        " also after another source had the demand.",
     )
     ttl_ms: int | None = Field(
         default=None,
@@ -148,7 +156,12 @@ METHODS: Mapping[str, Method] = {
     "demand.release": Method(
         ReleaseParams, shapes.Granted, Right.OPERATE, "End one's own demand at once."
     ),
-    "arm": Method(Nothing, shapes.Granted, Right.OPERATE, "From standby to active."),
+    "arm": Method(
+        Nothing,
+        shapes.Granted,
+        Right.OPERATE,
+        "From standby to active, once nothing but a throttle of 0 was demanded for 200 ms.",
+    ),
     "disarm": Method(
         Nothing,
         shapes.Granted,
@@ -156,7 +169,7 @@ METHODS: Mapping[str, Method] = {
         "From active to standby. Whoever reaches the socket may stop the vehicle.",
     ),
     "reset": Method(
-        ResetParams, shapes.Granted, Right.OPERATE, "From fault to standby, at a level."
+        ResetParams, shapes.Granted, Right.OPERATE, "From fault to starting, at a level."
     ),
     "estop": Method(
         Nothing,

@@ -20,7 +20,7 @@ _ERRORS: Mapping[Code, str] = {
     Code.INTERNAL_ERROR: "A bug in the gateway.",
     Code.NO_RIGHT: "The peer's user may not do this.",
     Code.REFUSED: "Not now, or not this: `data.refusal` is a word for programs.",
-    Code.TOO_MANY_CLIENTS: "All places are taken; the connection is closed.",
+    Code.TOO_MANY_CLIENTS: "Every place has a fresh demand; the connection is closed.",
     Code.NOT_READY: "The gateway is starting, ending or busy; try again.",
     Code.CONFIG_REFUSED: "Nothing was changed; `data.problems` has a sentence for each reason.",
 }

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import itertools
 import socket
+from collections.abc import Callable
 from typing import NamedTuple
 
 from vcu_gateway.api import wire
@@ -25,6 +26,13 @@ class Guests(NamedTuple):
     clients: int
     readers: int
     metrics_clients: int
+
+
+MakeRoom = Callable[[Caller, bool], bool]
+"""Called where no place is left for this caller; True where one was made.
+
+The second argument is True where only the place of one who may only read will do.
+"""
 
 
 class Reception:
@@ -59,7 +67,7 @@ class Reception:
         """From when on it accepts; until then, who connects waits in the backlog."""
         return max(self._pause_until_ns, self._pace.ready_ns)
 
-    def accept(self, guests: Guests, now_ns: int) -> Connection | None:
+    def accept(self, guests: Guests, make_room: MakeRoom, now_ns: int) -> Connection | None:
         """The next connection; None where none waits, or it was turned away."""
         try:
             sock, _ = self.sock.accept()
@@ -75,7 +83,7 @@ class Reception:
         self._pace.take(now_ns)
         sock.setblocking(False)
         caller = None if self.is_for_metrics else self._caller(sock)
-        if self._is_full(caller, guests):
+        if not self._has_place(caller, guests, make_room):
             self._turn_away(sock)
             return None
         self._counters.accepted += 1
@@ -85,20 +93,22 @@ class Reception:
         peer = peer_of(sock)
         return Caller(next(self._numbers), peer, self._policy.rights_of(peer))
 
-    def _is_full(self, caller: Caller | None, guests: Guests) -> bool:
+    def _has_place(self, caller: Caller | None, guests: Guests, make_room: MakeRoom) -> bool:
+        """True where a place is left, or was made."""
         limits = self._limits
         if caller is None:
-            return guests.metrics_clients >= limits.metrics_clients
+            return guests.metrics_clients < limits.metrics_clients
         if may_only_read(caller) and guests.readers >= limits.clients - limits.kept_places:
-            return True
-        return guests.clients >= limits.clients
+            return make_room(caller, True)
+        return guests.clients < limits.clients or make_room(caller, False)
 
     def _turn_away(self, sock: socket.socket) -> None:
         self._counters.turned_away += 1
         if not self.is_for_metrics:
             what = (
                 f"no place is left: {self._limits.clients} clients at most,"
-                f" {self._limits.kept_places} places kept for those who may operate"
+                f" {self._limits.kept_places} places kept for those who may operate,"
+                " and a demand keeps its place"
             )
             line = wire.error_line(None, Failure(Code.TOO_MANY_CLIENTS, what))
             with contextlib.suppress(OSError):  # it may have left already

@@ -4,7 +4,7 @@ import contextlib
 import select
 import time
 
-from vcu_gateway.api.connection import Connection, Limits
+from vcu_gateway.api.connection import GAVE_WAY, Connection, Limits
 from vcu_gateway.api.counters import Counters
 from vcu_gateway.api.desk import Desk
 from vcu_gateway.api.failures import Code, Failure
@@ -13,7 +13,7 @@ from vcu_gateway.api.http import is_http
 from vcu_gateway.api.mailbox import Mailbox
 from vcu_gateway.api.reception import Guests, Reception, may_only_read
 from vcu_gateway.api.scraping import Scraping
-from vcu_gateway.api.service import Service
+from vcu_gateway.api.service import Caller, Service
 
 _UPDATES_PER_ROUND = 4
 _NS_PER_S = 1_000_000_000
@@ -110,7 +110,7 @@ class Rounds:
             self._receive(connection, now_ns)
 
     def _accept(self, reception: Reception) -> None:
-        connection = reception.accept(self._guests(), self._now_ns())
+        connection = reception.accept(self._guests(), self._make_room, self._now_ns())
         if connection is not None:
             self._connections[connection.sock.fileno()] = connection
             self._counters.clients += connection.caller is not None
@@ -120,6 +120,30 @@ class Rounds:
         clients = [caller for caller in callers if caller is not None]
         readers = sum(may_only_read(caller) for caller in clients)
         return Guests(len(clients), readers, len(callers) - len(clients))
+
+    def _make_room(self, newcomer: Caller, must_be_readers: bool) -> bool:
+        """The longest idle connection without a fresh demand gives way; False without one.
+
+        A user with more than half of the places makes room among its own: a flood of
+        connections does not push out those of others.
+        """
+        clients = [(one.caller, one) for one in self._connections.values() if one.caller]
+        own = [(caller, one) for caller, one in clients if caller.peer.uid == newcomer.peer.uid]
+        within = own if 2 * len(own) > len(clients) else clients
+        for caller, connection in sorted(within, key=lambda pair: pair[1].active_ns):
+            fits = not must_be_readers or may_only_read(caller)
+            if fits and not self._service.owns_demand(caller):
+                self._give_way(connection)
+                return True
+        return False
+
+    def _give_way(self, connection: Connection) -> None:
+        """What it asked for before counts: it may be an emergency stop."""
+        self._receive(connection, self._now_ns())
+        while connection.has_request and time.monotonic_ns() >= connection.pace.ready_ns:
+            self._serve(connection)
+        self._counters.gave_way += 1
+        self._end(connection, GAVE_WAY)
 
     def _deliver(self) -> None:
         """Send the replies that have come."""

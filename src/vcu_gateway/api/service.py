@@ -38,6 +38,9 @@ class Service(Protocol):
     def metrics(self) -> bytes:
         """The metrics in Prometheus's text format; Failure where they are not installed."""
 
+    def owns_demand(self, caller: Caller) -> bool:
+        """True while a fresh demand of this connection counts."""
+
     def refused(self, method: str, caller: Caller, sentence: str) -> None:
         """A request was refused for want of a right; to be logged."""
 

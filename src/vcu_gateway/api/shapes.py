@@ -112,7 +112,7 @@ class Why(TypedDict):
     """Why the vehicle does or does not move."""
 
     sentence: str
-    """All of it in one line."""
+    """What matters most, in one line of at most 200 characters; the rest here is complete."""
     mode: ModeName
     latch: Latch | None
     blocks: list[Cause]
@@ -161,7 +161,9 @@ class FrameCounts(TypedDict):
     rejected: dict[str, int]
     """Not decoded, by reason."""
     out_of_order: int
-    """Older than the one before them; not taken."""
+    """Older than the one before them; judged, and not kept."""
+    unjudged: int
+    """Of which a late tick found more than it could judge."""
     dropped: int | None
     """By the kernel's receive buffer; null where that cannot be known."""
     sent: int
@@ -170,7 +172,7 @@ class FrameCounts(TypedDict):
     confirmed: dict[ControllerName, int]
     """Own command frames that came back because they had left."""
     foreign_commands: dict[ControllerName, int]
-    """Command frames of another sender."""
+    """Command frames of another sender; one to all counts for each controller."""
     blocked_by_gate: dict[str, int]
     """By the rule that they broke."""
     receiver_bugs: int
@@ -191,6 +193,10 @@ class ApiCounts(TypedDict):
     """Connections that the gateway ended, by reason."""
     lost_updates: int
     """Notifications that a slow reader did not get."""
+    gave_way: int
+    """Idle connections that were ended because a new one needed their place."""
+    stopped_anyway: int
+    """Requests of estop and disarm that were wrong in form, and done all the same."""
 
 
 class Versions(TypedDict):

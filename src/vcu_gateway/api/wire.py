@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.api.methods import METHODS, Params, Values
+from vcu_gateway.api.stops import stop_named
 
 MAX_DEPTH = 16
 MAX_VALUES = 512
@@ -41,11 +42,16 @@ class Request(NamedTuple):
 
 
 class Refused(NamedTuple):
-    """Why a line is no request; `is_answered` is False where it was a notification."""
+    """Why a line is no request; `is_answered` is False where it was a notification.
+
+    Attributes:
+        stop: the method of `STOPS` that it names, and that is done all the same.
+    """
 
     failure: Failure
     id: RequestId | None
     is_answered: bool
+    stop: str | None = None
 
 
 class _UnreadableError(ValueError):
@@ -54,6 +60,13 @@ class _UnreadableError(ValueError):
 
 def parse(line: bytes) -> Request | Refused:
     """The request in this line, or what is wrong with it."""
+    parsed = _parse(line)
+    if isinstance(parsed, Refused) and (stop := stop_named(line)) is not None:
+        return parsed._replace(stop=stop, is_answered=True)
+    return parsed
+
+
+def _parse(line: bytes) -> Request | Refused:
     try:
         message = _read(line)
     except _UnreadableError as error:

@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from vcu_gateway import streams
 from vcu_gateway.errors import GatewayError
 
 _VERBS = {
@@ -111,9 +112,9 @@ def main() -> None:
             _tell(functools.partial(click.echo, f"error: {problem}", err=True))
         sys.exit(error.exit_code)
     except _ReaderGoneError:
-        # Nobody is left to tell; what is still buffered goes nowhere.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+        sys.exit(0)  # nobody is left to tell
+    finally:
+        streams.flush()
 
 
 def _fill_standard_descriptors() -> None:

@@ -19,6 +19,12 @@ _TELL_EVERY_S = 0.5
 
 _PEDALS = (
     click.option("--throttle", "throttle_pct", type=float, default=0.0, help="Percent, 0 to 100."),
+    click.option(
+        "--throttle-track2",
+        "throttle_track2_pct",
+        type=float,
+        help="The pedal's second track, percent; where demand.second_track_required is set.",
+    ),
     click.option("--brake", "brake_pct", type=float, default=0.0, help="Percent, 0 to 100."),
     click.option(
         "--mode",

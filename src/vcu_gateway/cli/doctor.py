@@ -19,9 +19,9 @@ _SEVEREST_FIRST = (Kind.WRONG, Kind.WARNING, Kind.UNKNOWN, Kind.OK)
 _HELP = """Check everything that the gateway needs before it can drive.
 
 Looks at the configuration and its DBC, the interface, time, permissions, buffers, process,
-service and the running gateway. A line each: how it is, the subject, what was found, and after
-a semicolon the command that mends it. Nothing is changed and nothing is sent; run as root it
-tells more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
+service, libraries and the running gateway. A line each: how it is, the subject, what was found,
+and after a semicolon the command that mends it. Nothing is changed and nothing is sent; run as
+root it tells more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
 
 \b
 --json prints one object:

@@ -1,4 +1,4 @@
-"""`vcu-gateway reset`: from fault to standby."""
+"""`vcu-gateway reset`: from fault to starting."""
 
 from pathlib import Path
 from typing import Literal
@@ -18,7 +18,7 @@ from vcu_gateway.cli.asking import asking_options, connected, show
     help="A cut needs service; `vcu-gateway why` says which.",
 )
 def command(socket_path: Path | None, as_json: bool, level: Literal["driver", "service"]) -> None:
-    """Leave a latched fault for standby; refused, with the reason, while its cause stands."""
+    """Leave a latched fault, unarmed; refused, with the reason, while its cause stands."""
     with connected(socket_path) as client:
         granted = client.reset(level)
     show(granted, as_json, lambda: granted["mode"])

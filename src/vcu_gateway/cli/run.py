@@ -8,12 +8,13 @@ from pathlib import Path
 import click
 
 from vcu_gateway import config as configuration
-from vcu_gateway import log, memory, report, wiring
+from vcu_gateway import health, log, memory, report, wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import Daemon
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
 from vcu_gateway.notify import ServiceManager
+from vcu_gateway.restart_state import RestartState, folder_for
 from vcu_gateway.service import Service
 from vcu_gateway.serving import Serving
 
@@ -53,7 +54,9 @@ def command(
 
     A service manager is told over $NOTIFY_SOCKET when it is ready, how it fares and that it
     lives. Starts are counted, and the safe frames are kept for `safe_stop`, in
-    $RUNTIME_DIRECTORY where that is set.
+    $RUNTIME_DIRECTORY where that is set. A latched CUT and the directions are kept there for the
+    next start in this boot; without it in /run/vcu-gateway, $XDG_RUNTIME_DIR/vcu-gateway or
+    /tmp/vcu-gateway-UID, the first that can be written.
     """
     manager = ServiceManager.of_this_process()
     try:
@@ -81,13 +84,23 @@ def _run(
         raise ConfigError(*problems)
     writer = log.configure(config.log.level, config.log.format)
     daemon = wiring.build(config, protocol)
+    daemon.journal.tell(health.started(config))
     daemon.door.claim()
     if lock_memory:
         _lock_memory(daemon)
-    service = Service(manager, _runtime_folder(), daemon)
+    runtime = _runtime_folder()
+    restart_state = RestartState(
+        folder_for(daemon.door.settings, runtime),
+        daemon.door.settings,
+        daemon.gateway,
+        daemon.journal,
+    )
+    restart_state.begin()
+    service = Service(manager, runtime, daemon)
     service.begin()
     serving = Serving(config, protocol, daemon, lambda: writer.dropped, service.start)
     daemon.handle_signals(on_hangup=serving.reloader.on_hangup)
+    daemon.observe_with(restart_state.observe)
     daemon.observe_with(serving.observe)
     daemon.observe_with(service.observe)
     serving.open()

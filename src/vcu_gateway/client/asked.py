@@ -14,6 +14,8 @@ class Values(TypedDict, total=False):
 
     throttle_pct: float
     """0 to 100."""
+    throttle_track2_pct: float | None
+    """0 to 100, the pedal's second track; None where there is none."""
     brake_pct: float
     """0 to 100."""
     power_mode: PowerModeName
@@ -35,7 +37,10 @@ class Asked(Values, total=False):
 Body = Mapping[str, Mapping[str, Any]]
 """The part of a demand that says what: `values`, or `controllers`."""
 
-NOTHING: Body = {"values": {"throttle_pct": 0.0, "brake_pct": 0.0}}
+# Both tracks, because the gateway may require the second.
+NOTHING: Body = {
+    "values": {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0},
+}
 
 
 def body_of(asked: Mapping[str, Any]) -> Body:

@@ -80,7 +80,7 @@ class AsyncClient:
         return await self.call(calls.disarm())
 
     async def reset(self, level: Literal["driver", "service"] = "driver") -> shapes.Granted:
-        """From fault to standby."""
+        """From fault to starting."""
         return await self.call(calls.reset(level))
 
     async def estop(self) -> shapes.Granted:

@@ -11,7 +11,7 @@ from vcu_gateway.api import shapes
 from vcu_gateway.client.asked import Asked, body_of
 from vcu_gateway.client.demand_link import DemandLink
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
-from vcu_gateway.client.keeping import Keeping
+from vcu_gateway.client.keeping import RELEASED_S, Keeping
 
 _FAREWELL_S = 0.2
 _NS_PER_S = 1_000_000_000
@@ -73,6 +73,7 @@ class AsyncDemandOwner:
         self._task = asyncio.create_task(self._keep(), name=f"demand {self._keeping.source}")
         try:
             await self._await_first_answer()
+            await asyncio.sleep(RELEASED_S)
         except BaseException:
             await self._end()
             raise

@@ -80,7 +80,7 @@ class Client:
         return self.call(calls.disarm())
 
     def reset(self, level: Literal["driver", "service"] = "driver") -> shapes.Granted:
-        """From fault to standby."""
+        """From fault to starting."""
         return self.call(calls.reset(level))
 
     def estop(self) -> shapes.Granted:

@@ -14,7 +14,7 @@ from vcu_gateway.api import shapes
 from vcu_gateway.client.asked import Asked, body_of
 from vcu_gateway.client.demand_link import DemandLink
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
-from vcu_gateway.client.keeping import Keeping
+from vcu_gateway.client.keeping import RELEASED_S, Keeping
 
 _FAREWELL_S = 0.2
 _NS_PER_MS = 1_000_000
@@ -31,8 +31,8 @@ class DemandOwner:
     gateway ends a demand `ttl_ms` after it was made, and when its connection ends: a killed
     or frozen process is covered by that.
 
-    Entering asks for no motion and returns once the gateway has granted that, so that `arm`
-    is possible. Leaving, also by an exception, asks for no motion and releases the demand.
+    Entering asks for no motion and returns 0.2 s after the gateway has granted that, so that
+    `arm` is possible. Leaving, also by an exception, asks for no motion and releases the demand.
 
     A broken connection is mended by itself. What was asked for before, or meanwhile, does not
     come back: no motion is asked for until the next `set`. Only `motor_reverse` outlasts
@@ -98,6 +98,7 @@ class DemandOwner:
             self._thread.start()
         try:
             self._await_first_answer()
+            self._ended.wait(RELEASED_S)
         except BaseException:
             self._end()
             raise

@@ -93,7 +93,7 @@ def disarm() -> Call[shapes.Granted]:
 
 
 def reset(level: Literal["driver", "service"]) -> Call[shapes.Granted]:
-    """From fault to standby."""
+    """From fault to starting."""
     return Call("reset", {"level": level}, changes=True)
 
 

@@ -12,9 +12,13 @@ _NS_PER_US = 1_000
 _NS_PER_S = 1_000_000_000
 _SHORTEST_PAUSE_NS = 1_000_000
 _LONGEST_PAUSE_NS = 1_000_000_000
+_DIRECTIONS_DIFFER = "directions_differ"
 
 Demand = Mapping[str, Any]
 """The parameters of one `demand.set`."""
+
+RELEASED_S = 0.2
+"""How long the gateway must have been asked for no throttle before it can be armed."""
 
 
 class Keeping:
@@ -81,6 +85,8 @@ class Keeping:
         self.refusal, self._told = error, False
         self._refused_in_a_row += 1
         self.still()
+        if error.refusal == _DIRECTIONS_DIFFER:
+            self._body = NOTHING
         if self._refused_in_a_row == 1:
             self.due_ns = 0
 

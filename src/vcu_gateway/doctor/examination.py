@@ -11,6 +11,7 @@ from vcu_gateway.doctor import (
     configuration,
     gateway,
     interface,
+    libraries,
     listening,
     permissions,
     process,
@@ -25,7 +26,7 @@ _NETWORKD_RUNS = "/run/systemd/netif/state"
 _SHIPPED_FOR, _SHIPPED_BIT_S = "can0", 250_000
 _ORDER = (
     *("protocol", "interface", "bus", "time", "permissions", "buffers", "process", "service"),
-    "gateway",
+    *("libraries", "gateway"),
 )
 _Room = Callable[[], Iterable[Finding]]
 _DEFAULT_SERVICE_USER = "root"  # what systemd takes where a unit names nobody
@@ -86,6 +87,7 @@ def _of_machine(case: _Case) -> dict[str, _Room]:
         "time": lambda: clock.judge(clock.read()),
         "process": lambda: _process(case),
         "service": lambda: service.judge(case.unit),
+        "libraries": lambda: libraries.judge(libraries.read()),
         "gateway": lambda: gateway.judge(case.gateway),
     }
 

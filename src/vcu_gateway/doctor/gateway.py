@@ -14,7 +14,6 @@ from vcu_gateway.doctor.reading import Unread
 SAY = Subject("gateway")
 _PATIENCE_S = 0.5
 _DRIVING = "active"
-_LONGEST = 160
 
 
 class Facts(NamedTuple):
@@ -83,22 +82,8 @@ def _alive(facts: Facts, why: shapes.Why, health: shapes.Health) -> Iterator[Fin
     yield from SAY.summed(f"process {health['pid']}", good)
 
 
-def _short(why: shapes.Why) -> str:
-    """The sentence, or the most important of it where it is long."""
-    if len(why["sentence"]) <= _LONGEST:
-        return why["sentence"]
-    latch, blocks = why["latch"], why["blocks"]
-    parts: list[str] = [why["mode"]]
-    if latch is not None:
-        parts.append(f"latched ({latch['fault_class']}): {latch['reason']}")
-    if blocks:
-        others = f" and {len(blocks) - 1} more" if len(blocks) > 1 else ""
-        parts.append(f"blocked by {blocks[0]['subject']} {blocks[0]['detail']}{others}")
-    return "; ".join([*parts, why["next_step"]])
-
-
 def _mode(why: shapes.Why) -> Finding:
-    sentence = _short(why)
+    sentence = why["sentence"]
     if why["mode"] == _DRIVING:
         return SAY.ok("mode", f"{sentence}; somebody drives: change nothing now")
     if why["mode"] == "standby":

@@ -133,18 +133,32 @@ def _missing(facts: Facts, heard: Heard, message: MessageSpec, is_required: bool
 
 
 def _command(facts: Facts, heard: Heard, message: MessageSpec) -> Told | None:
-    key = j1939.match_key(message.can_id)
+    groups = (
+        j1939.group_key(message.can_id),
+        j1939.group_key_to(message.can_id, j1939.GLOBAL_ADDRESS),
+    )
     remote, local = (
-        sum(count for one, count in side.items() if j1939.match_key(one) == key)
+        Counter({one: n for one, n in side.items() if j1939.group_key(one) in groups})
         for side in (heard.remote, heard.local)
     )
+    return _senders(facts, heard, message, remote, local)
+
+
+def _senders(
+    facts: Facts, heard: Heard, message: MessageSpec, remote: Counter[int], local: Counter[int]
+) -> Told | None:
+    """What commands of this kind, whatever sender they name, say; by identifier."""
     if remote:
-        what = f"another node on the bus sends {message.name}, {remote / heard.duration_s:.0f}/s"
+        rate_hz = remote.total() / heard.duration_s
+        names = ", ".join(f"{one:08X}" for one in sorted(remote))
+        what = f"another node on the bus sends {message.name}, {rate_hz:.0f}/s ({names})"
         return SAY.wrong("other_sender", what, "find it and switch it off: two would fight")
     if not local:
         return None
     expected = heard.duration_s * _MS_PER_S / (message.period_ms or _MS_PER_S)
-    if not facts.gateway_runs or local > _TOO_MANY * expected:
+    own = j1939.match_key(message.can_id)
+    strange = any(j1939.match_key(one) != own for one in local)
+    if not facts.gateway_runs or strange or local.total() > _TOO_MANY * expected:
         what = f"a process of this machine sends {message.name}, and it is not the gateway alone"
         return SAY.wrong("other_sender", what, "find it (sudo ss -p -f can) and end it")
     return f"{message.name} sent"

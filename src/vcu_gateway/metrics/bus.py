@@ -43,8 +43,13 @@ FAMILIES = (
     counter("frames_rejected", "Received frames not decoded, by reason.", _rejected, "reason"),
     counter(
         "frames_out_of_order",
-        "Received frames older than the one of their kind before them; not taken.",
+        "Received frames older than the one of their kind before them; judged, not kept.",
         lambda at: one(at.gateway.intake.store.out_of_order),
+    ),
+    counter(
+        "frames_unjudged",
+        "Received frames of which a late tick found more than it could judge.",
+        lambda at: one(at.gateway.intake.store.unjudged),
     ),
     counter(
         "frames_dropped",

@@ -71,12 +71,22 @@ FAMILIES: tuple[Family, ...] = (
         lambda at: by(at.api["closed"]),
         "reason",
     ),
+    counter(
+        "api_connections_gave_way",
+        "Idle connections that the gateway ended because a new one needed their place.",
+        lambda at: one(at.api["gave_way"]),
+    ),
     counter("api_requests", "Requests received.", lambda at: one(at.api["requests"])),
     counter(
         "api_errors",
         "Answers that were errors, by the word of their code.",
         _errors,
         "code",
+    ),
+    counter(
+        "api_stopped_anyway",
+        "Requests of estop and disarm that were wrong in form, and done all the same.",
+        lambda at: one(at.api["stopped_anyway"]),
     ),
     counter(
         "api_lost_updates",

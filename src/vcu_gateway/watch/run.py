@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 
+from vcu_gateway import streams
 from vcu_gateway.watch import terminal
 from vcu_gateway.watch.app import WatchApp
 from vcu_gateway.watch.picture import Source
@@ -24,6 +25,7 @@ def watch(source: Source, title: str, over: Callable[[], bool] = lambda: False) 
     app = WatchApp(source, title, done)
     # Without the mouse the terminal keeps its own way to select and copy.
     app.run(mouse=False)
+    streams.flush()  # the terminal may be gone
     leaving.finished()
     if app.return_code:
         raise SystemExit(os.EX_SOFTWARE)
