@@ -1,11 +1,11 @@
 """The gateway's core and the simulated vehicle on one desk: no bus, no waiting."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.demand import ControllerDemand, PowerMode
+from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
@@ -47,12 +47,18 @@ class Drive(NamedTuple):
         return next(tick for tick in self.ticks if tick.mode is mode)
 
 
+Asked = ControllerDemand | Callable[[float], ControllerDemand]
+"""The same all the time, or what is asked at a time, s after the start."""
+
+
 def drive(
-    codec: Codec, scenario: Scenario, seconds: float, demand: ControllerDemand = CRUISE
+    codec: Codec, scenario: Scenario, seconds: float, asked: Asked = CRUISE, **settings: object
 ) -> Drive:
-    """Let a gateway with this bench demand drive the vehicle that the scenario breaks."""
+    """Let a gateway drive the vehicle that the scenario breaks, as it is asked."""
     now_ns, end_ns = START_NS, START_NS + round(seconds * S_NS)
-    gateway = Gateway(codec, Settings(bench_demand=demand, auto_arm=True), now_ns)
+    bench = asked if isinstance(asked, ControllerDemand) else None
+    settings |= {"bench_demand": bench, "auto_arm": bench is not None}
+    gateway = Gateway(codec, Settings(**settings), now_ns)
     done = Drive(gateway, [], [], [])
     faults = scenario.faults(codec, START_NS, done.told.append)
     nodes = simulator.build(codec, START_NS, soc_pct=scenario.start.soc_pct, faults=faults)
@@ -64,9 +70,19 @@ def drive(
             done.heard.append((at_s, frame))
             gateway.intake.receive(Frame(frame.can_id, frame.data, now_ns))
         if now_ns == tick_ns:
+            if not isinstance(asked, ControllerDemand):
+                _ask(gateway, asked(at_s), now_ns)
             done.ticks.append(_tick(gateway, nodes, now_ns, at_s))
             tick_ns += gateway.settings.period_ns
     return done
+
+
+def _ask(gateway: Gateway, asked: ControllerDemand, now_ns: int) -> None:
+    """Make a demand as a driver does, and arm where that can be."""
+    demand = Demand("driver", now_ns, 200, dict.fromkeys(CONTROLLERS, asked))
+    assert gateway.requests.offer(demand, now_ns).granted
+    if gateway.supervisor.mode is Mode.STANDBY and not gateway.requests.against_arming(now_ns):
+        gateway.requests.arm(now_ns)
 
 
 def _tick(gateway: Gateway, nodes: simulator.Nodes, now_ns: int, at_s: float) -> Ticked:

@@ -87,6 +87,19 @@ def test_a_signal_of_a_short_frame_is_overridden_as_far_as_it_is_there():
     assert found.data == b"\0\0\0"
 
 
+@pytest.mark.parametrize(("message", "signal"), SIGNALS)
+def test_a_signal_is_shifted_as_far_as_its_bits_go_and_no_other_changes(message, signal):
+    codec = CODEC.by_name[message]
+    index = codec.spec.signal_names.index(signal.name)
+    data = random.Random(signal.name).randbytes(8)
+    before = codec.decode(data).raws[index]
+    for by in (1, -1, 1 << signal.length_bits, -(1 << signal.length_bits)):
+        (found,) = faults.shifted(signal, by)(FRAME._replace(data=data))
+        raws = list(codec.decode(data).raws)
+        raws[index] = max(signal.raw_lowest, min(signal.raw_highest, before + by))
+        assert list(codec.decode(found.data).raws) == raws
+
+
 def test_a_frozen_signal_keeps_its_first_code():
     life = CODEC.protocol.message("BMS_Status").signal("LifeSignal")
     frozen = faults.frozen(life)

@@ -1,12 +1,15 @@
 """What each ready scenario promises, kept by the pure core; and bad scenarios refused."""
 
+import itertools
+import random
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from tests.simulator.driving import Drive, drive, signals
+from tests.simulator.driving import CRUISE, Asked, Drive, Ticked, drive, signals
 from vcu_gateway.cli.simulate import command as simulate
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
@@ -25,11 +28,10 @@ NAMES = ", ".join(FAULTS)
 CHECKED = set(re.findall(r'ready\("([a-z0-9-]+)"', Path(__file__).read_text()))
 
 
-def ready(name: str, seconds: float, **demand: object) -> Drive:
+def ready(name: str, seconds: float, asked: Asked = CRUISE, **settings: object) -> Drive:
     """A drive with a ready scenario, all of which break at 10 s; it drives until then."""
     scenario = load(READY / f"{name}.yaml", CODEC.protocol)
-    options = {"demand": ControllerDemand(**demand)} if demand else {}
-    done = drive(CODEC, scenario, seconds, **options)
+    done = drive(CODEC, scenario, seconds, asked, **settings)
     assert done.tick_at(9.99).mode is Mode.ACTIVE, done.tick_at(9.99).why.sentence()
     return done
 
@@ -87,7 +89,8 @@ def test_the_undervoltage_ladder_limits_then_stops_then_cuts():
 
 
 def test_overcharge_limits_regeneration_then_forbids_it_until_restart():
-    done = ready("overcharge", 22, brake_pct=50, regen_brake=True)
+    braking = ControllerDemand(brake_pct=50, regen_brake=True)
+    done = ready("overcharge", 22, braking, regen_min_rpm=0)
 
     def brakes(at_s: float) -> set[tuple[float, float]]:
         frames = [signals(CODEC, data) for data in done.tick_at(at_s).frames]
@@ -189,18 +192,116 @@ def test_a_corrupt_bus_ends_in_zero_torque_and_every_short_frame_is_counted():
     assert after <= {ZERO_TORQUE, POWER_CUT}
 
 
-def test_a_wrong_direction_is_an_alarm_and_the_speed_is_not_used():
+def causes(tick: Ticked) -> set[tuple[str, str]]:
+    """Word and subject of each alarm that stands."""
+    return {(held.finding.cause, held.finding.subject) for held in tick.why.alarms}
+
+
+def test_a_controller_that_does_not_obey_stops_both_at_its_second_echo():
+    done = ready("limp-controller", 14)
+    second_s = [at for at, _ in done.heard_of("PCU1_Status1", 10)][1]
+    assert done.tick_at(second_s - 1e-6).mode is Mode.ACTIVE
+    assert_latched(done, second_s, 0, "PCU1_Status1.Throttle")
+
+
+def test_two_controllers_that_do_not_obey_are_an_alarm_and_no_more():
+    done = ready("limp-controllers", 18)
+    assert {tick.mode for tick in done.ticks if tick.at_s > 10} == {Mode.ACTIVE}
+    both = {("echo_below", f"PCU{number}_Status1.Throttle") for number in (1, 2)}
+    second_s = [at for at, _ in done.heard_of("PCU2_Status1", 10)][1]
+    assert causes(done.tick_at(second_s + TICK_S)) == both
+    assert "does not obey" in str(done.tick_at(14).why.alarms[0].finding)
+    assert done.tick_at(14).frames == done.tick_at(9.9).frames
+    assert not causes(done.ticks[-1])
+
+
+def test_a_wrong_direction_stops_both_at_its_second_echo():
     done = ready("wrong-direction", 15)
-    during = done.tick_at(14.9)
-    assert during.mode is Mode.ACTIVE
-    alarms = {str(held.finding) for held in during.why.alarms}
+    status1 = CODEC.by_name["PCU2_Status1"]
+    index = status1.spec.signal_names.index("MotorReverse")
+    echoed = [(at, status1.decode(f.data).raws[index]) for at, f in done.heard_of("PCU2_Status1")]
+    wrong_s = [at for at, raw in echoed if raw]
+    assert wrong_s[0] < 10.6
+    assert {raw for at, raw in echoed if at >= wrong_s[0]} == {1}
+    before = done.tick_at(wrong_s[1] - 1e-6)
+    assert before.mode is Mode.ACTIVE
+    alarms = {str(held.finding) for held in before.why.alarms}
     assert any(re.match(r"PCU2_Status2.MotorSpeed raw 6\d{4}: alarm", one) for one in alarms), (
         alarms
     )
-    status1 = CODEC.by_name["PCU2_Status1"]
-    echoed = [status1.decode(frame.data) for _, frame in done.heard_of("PCU2_Status1", 10.6)]
-    index = status1.spec.signal_names.index("MotorReverse")
-    assert {decoded.raws[index] for decoded in echoed} == {1}
+    assert_latched(done, wrong_s[1], 0, "PCU2_Status1.MotorReverse")
+
+
+def spans_s(done: Drive, cause: tuple[str, str]) -> list[tuple[float, float]]:
+    """From when until when each alarm of this cause stood."""
+    spans: list[tuple[float, float]] = []
+    for before, tick in itertools.pairwise(done.ticks):
+        if cause in causes(tick) and cause not in causes(before):
+            spans.append((tick.at_s, tick.at_s))
+        elif cause in causes(tick):
+            spans[-1] = (spans[-1][0], tick.at_s)
+    return spans
+
+
+@pytest.mark.parametrize("jump", ["motor", "wheel"])
+def test_a_speed_that_jumps_is_an_alarm_and_no_more(jump: str):
+    done, cause = {
+        "motor": lambda: (
+            ready("motor-speed-jump", 14),
+            ("speed_step", "PCU1_Status2.MotorSpeed"),
+        ),
+        "wheel": lambda: (
+            ready("wheel-speed-jump", 14),
+            ("wheel_speed_step", "ARD2_SteeringWheel.WheelSpeedFL"),
+        ),
+    }[jump]()
+    assert set().union(*map(causes, done.ticks[300:])) <= {cause}
+    ((begin_s, end_s),) = spans_s(done, cause)
+    assert 10 <= begin_s <= 10.1 + TICK_S
+    assert 11.5 - 1e-9 <= end_s <= 11.8 + TICK_S, "a second after the jump back"
+    assert {tick.mode for tick in done.ticks if tick.at_s > 10} == {Mode.ACTIVE}
+    assert {tick.frames for tick in done.ticks if tick.at_s > 10} == {done.tick_at(9.9).frames}
+
+
+def test_wheels_that_differ_for_a_second_are_an_alarm_and_no_more():
+    done = ready("wheel-speeds-differ", 16)
+    first_s = done.heard_of("ARD2_SteeringWheel", 10)[0][0]
+    ((begin_s, end_s),) = spans_s(done, ("wheel_speed_difference", "ARD2_SteeringWheel"))
+    assert first_s + 1 - 1e-9 <= begin_s <= first_s + 1 + TICK_S
+    good_s = done.heard_of("ARD2_SteeringWheel", 13)[0][0]
+    assert good_s + 1 - TICK_S <= end_s <= good_s + 1 + TICK_S
+    assert set().union(*map(causes, done.ticks[200:])) == {
+        ("wheel_speed_difference", "ARD2_SteeringWheel")
+    }
+    assert {tick.mode for tick in done.ticks if tick.at_s > 10} == {Mode.ACTIVE}
+
+
+def roughly(dice: random.Random) -> Callable[[float], ControllerDemand]:
+    """Throttle and brake in jumps, and from one direction into the other; from 8 s on."""
+    asked = {"throttle_pct": 0.0}
+
+    def demand(at_s: float) -> ControllerDemand:
+        if at_s > 8 and dice.random() < 0.03:
+            asked["throttle_pct"] = dice.choice([0, 0, 10, 40, 100])
+            asked["brake_pct"] = 0 if asked["throttle_pct"] else dice.choice([0, 30, 100])
+            asked["regen_brake"] = dice.random() < 0.5
+            asked["motor_reverse"] = dice.random() < 0.5
+            asked["power_mode"] = dice.choice([PowerMode.ECO, PowerMode.TURBO])
+        return ControllerDemand(**asked)
+
+    return demand
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_healthy_vehicle_is_plausible_however_it_is_driven(seed: int):
+    done = drive(CODEC, parse("start: {}", "s", CODEC.protocol), 120, roughly(random.Random(seed)))
+    driven = [tick for tick in done.ticks if tick.at_s > 8]
+    assert {tick.mode for tick in driven} == {Mode.ACTIVE}
+    held = [one for t in driven for one in (*t.why.blocks, *t.why.limits, *t.why.alarms)]
+    assert {one.finding.cause for one in held} == set()
+    commands = [signals(CODEC, data) for tick in driven for data in tick.frames]
+    assert {command["MotorReverse"] for command in commands} == {0, 1}
+    assert max(command["Throttle"] for command in commands) > 95
 
 
 # Reading.
@@ -249,6 +350,10 @@ def problems(text: str) -> list[str]:
          ".raw: must be a code of 0 to 3, not 4"),
         ("{at_s: 1, fault: set, signal: BMS_Temperatures.PackTemperature1, value: -51}",
          ".value: must be -50 to 205 degC, not -51"),
+        ("{at_s: 1, fault: shift, signal: ARD2_SteeringWheel.WheelSpeedFL, by: 66}",
+         ".by: must be -65.535 to 65.535 km/h, not 66"),
+        ("{at_s: 1, fault: shift, signal: BMS_Status.SOC}",
+         ".by: is missing; so much more, in the signal's unit; less below 0"),
         ("{at_s: 1, fault: foreign_sender, controller: PCU3}",
          '.controller: must be a motor controller, not "PCU3"; did you mean "PCU2"?'),
     ],

@@ -101,14 +101,23 @@ def frozen(signal: SignalSpec) -> Transform:
     return transform
 
 
+def shifted(signal: SignalSpec, by: int) -> Transform:
+    """One signal says so many codes more, and its last code beyond that."""
+    mask = _placed(signal, -1)
+
+    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+        raw = max(signal.raw_lowest, min(signal.raw_highest, _raw(signal, frame) + by))
+        return (_with_bits(frame, mask, _placed(signal, raw)),)
+
+    return transform
+
+
 def negated(signal: SignalSpec) -> Transform:
     """One signal says its code below 0, in two's complement."""
     mask = _placed(signal, -1)
 
     def transform(frame: OutFrame) -> Iterable[OutFrame]:
-        number = _number(frame.data)
-        raw = sum((number >> bit & 1) << i for i, bit in enumerate(signal.bit_positions()))
-        return (_with_bits(frame, mask, _placed(signal, -raw)),)
+        return (_with_bits(frame, mask, _placed(signal, -_raw(signal, frame))),)
 
     return transform
 
@@ -240,6 +249,14 @@ def _bytes(number: int, length: int) -> bytes:
 def _placed(signal: SignalSpec, raw: int) -> int:
     """The bits of a code where the signal has them in the frame; -1 is all of them."""
     return sum((raw >> i & 1) << bit for i, bit in enumerate(signal.bit_positions()))
+
+
+def _raw(signal: SignalSpec, frame: OutFrame) -> int:
+    """The code of a signal in this frame."""
+    number = _number(frame.data)
+    bits = enumerate(signal.bit_positions())
+    raw = sum((number >> bit & 1) << i for i, bit in bits)
+    return raw - (1 << signal.length_bits) if raw > signal.raw_highest else raw
 
 
 def _with_bits(frame: OutFrame, mask: int, bits: int) -> OutFrame:

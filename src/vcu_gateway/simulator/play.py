@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-import can
-
 from vcu_gateway.core import j1939
 from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.python_can import can
 from vcu_gateway.simulator.nodes import Nodes, OutFrame
 
 _NS_PER_S = 1_000_000_000

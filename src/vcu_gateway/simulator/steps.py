@@ -166,6 +166,27 @@ def _of_signal(signal: str, transform: Transform) -> Fault:
     return Fault(faults.only([signal.partition(".")[0]], transform))
 
 
+class Shift(Step):
+    """A signal says more than it is, or less."""
+
+    signal: SignalName = Field(description="MESSAGE.SIGNAL, such as PCU1_Status2.MotorSpeed.")
+    by: float = Field(description="So much more, in the signal's unit; less below 0.")
+
+    @field_validator("by")
+    @classmethod
+    def _within_the_signal(cls, by: float, info: ValidationInfo) -> float:
+        if "signal" in info.data:
+            spec = signal_spec(info.data["signal"], protocol_of(info))
+            most = abs((spec.raw_highest - spec.raw_lowest) * spec.factor)
+            if not -most <= by <= most:
+                raise refusal(f"must be -{most:g} to {most:g} {spec.unit}".rstrip())
+        return by
+
+    def _fault(self, codec: Codec) -> Fault:
+        spec = signal_spec(self.signal, codec.protocol)
+        return _of_signal(self.signal, faults.shifted(spec, round(self.by / spec.factor)))
+
+
 class Freeze(Step):
     """A signal keeps what it says first."""
 
@@ -238,6 +259,7 @@ FAULTS: Mapping[str, type[Step]] = {
     "corrupt": Corrupt,
     "shorten": Shorten,
     "set": Set,
+    "shift": Shift,
     "freeze": Freeze,
     "wrong_direction": WrongDirection,
     "ignore_commands": IgnoreCommands,
