@@ -173,6 +173,11 @@ class Drive:
         for at_ns in range(first_ns, self.now_ns + 1, period_ns):
             self.receive(name, at_ns)
 
+    def turn(self, *speeds_rpm: int) -> None:
+        """Both motors turn at this speed, or each at its own, from the next frames on."""
+        for name, rpm in zip(CONTROLLERS, speeds_rpm * 2, strict=False):
+            self.codes[f"{name}_Status2.MotorSpeed"] = rpm
+
     def run(self, duration_ms: int) -> TickResult:
         """Tick for so long."""
         for _ in range(duration_ms // 50):

@@ -27,6 +27,8 @@ ID_OF = {name: can_id for can_id, name in RECEIVED_IDS.items() if can_id != 0x08
 _MATCH = 0x03FF_FFFF
 _BY_KEY = {can_id & _MATCH: name for can_id, name in RECEIVED_IDS.items()}
 _COMMAND_BY_KEY = {can_id & _MATCH: name for can_id, name in COMMAND_IDS.items()}
+# Pages 0 and PF 8, then whom it is for; the last byte is the sender.
+_COMMANDED = {0x0008A7: ("PCU1",), 0x0008A8: ("PCU2",), 0x0008FF: SLOTS}
 _GROUPS = {key >> 8 for key in (*_BY_KEY, *_COMMAND_BY_KEY)}
 
 STALE_AFTER_MS = {"BMS_Status": 1600, "PCU1_Status2": 200, "PCU2_Status2": 200,
@@ -37,9 +39,9 @@ FUTURE_MS = 20
 
 @dataclass
 class Seen:
-    """A cause with an effect: at which tick it was last seen."""
+    """A cause with an effect: since which tick it is not seen any more."""
 
-    at_ns: int
+    absent_since_ns: int | None = None
     until_restart: bool = False
 
 
@@ -51,13 +53,19 @@ class Shadow:
     received: dict = field(default_factory=dict)
     rejected: Counter = field(default_factory=Counter)
     taken: Counter = field(default_factory=Counter)
+    arrived: dict = field(default_factory=dict)
     life_repeats: int = 0
+    odd: dict = field(default_factory=Counter)
+    seen: dict = field(default_factory=dict)
     sent: dict = field(default_factory=dict)
     history: dict = field(default_factory=lambda: {slot: [] for slot in SLOTS})
     held: dict = field(default_factory=dict)
     power_w: dict = field(default_factory=dict)
     brake_pct: dict = field(default_factory=dict)
-    override: bool = False
+    granted: list = field(default_factory=list)
+    waiting: set = field(default_factory=set)
+    apart_since_ns: int | None = None
+    regenerates: bool = False
     foreign: bool = False
     silent_ticks: dict = field(default_factory=lambda: dict.fromkeys(SLOTS, 0))
     echoed: set = field(default_factory=set)
@@ -71,13 +79,13 @@ class Shadow:
     def receive(self, frame):
         """Sort one frame; the name of the kind it was counted as."""
         kind = self._kind(frame)
-        command = _COMMAND_BY_KEY.get(frame.can_id & _MATCH)
-        if kind in ("remote", "short", "long") and frame.extended and command:
-            self._command(frame, command, confirms=False)
+        if kind not in (None, "error") and frame.extended:
+            for slot in _COMMANDED.get((frame.can_id & _MATCH) >> 8, ()):
+                self._command(frame, slot, confirms=False)
         if kind is not None:
             self.rejected[kind] += 1
             return kind
-        if command:
+        if command := _COMMAND_BY_KEY.get(frame.can_id & _MATCH):
             self._command(frame, command, confirms=True)
             return "command"
         return self._message(_BY_KEY[frame.can_id & _MATCH], frame)
@@ -104,6 +112,10 @@ class Shadow:
 
     def _message(self, name, frame):
         before = self.received.get(name)
+        entry = (bytes(frame.data), frame.arrival_ns)
+        self.arrived.setdefault(name, []).append(entry)
+        if name.endswith("Status1"):
+            self._hold_echo_against_commands(name[:4], *entry)
         if before is not None and frame.arrival_ns < before[1]:
             self.taken["out_of_order"] += 1
             return "out_of_order"
@@ -111,8 +123,53 @@ class Shadow:
         if name == "BMS_Status" and before is not None:
             same = (before[0][7] ^ frame.data[7]) & 0x80 == 0
             self.life_repeats = self.life_repeats + 1 if same else 0
-        self.received[name] = (bytes(frame.data), frame.arrival_ns)
+            self._see("life", self.life_repeats)
+        if name.endswith("Status2"):
+            self._hold_speed_against_the_last(name[:4], before, entry)
+        self.received[name] = entry
         return "stored"
+
+    def _hold_echo_against_commands(self, slot, data, at_ns):
+        """Frames in a row with too little throttle, or with a direction nobody commanded."""
+        told = self.history[slot]
+        second = [raw for sent_ns, raw, _ in told if 0 <= at_ns - sent_ns <= 1000 * MS]
+        whole = bool(told) and at_ns - told[0][0] >= 1000 * MS
+        lack_pct = (min(second, default=0) - data[1]) * PERCENT_PER_BIT
+        low = whole and lack_pct > self.settings.echo_below_max_pct
+        turned = {back for sent_ns, _, back in told if 0 <= at_ns - sent_ns <= 1100 * MS}
+        wrong = bool(turned) and bool(data[0] & 0x10) not in turned
+        for kind, odd in (("low", low), ("wrong", wrong)):
+            self.odd[kind, slot] = self.odd[kind, slot] + 1 if odd else 0
+            self._see((kind, slot), self.odd[kind, slot])
+
+    def _hold_speed_against_the_last(self, slot, before, entry):
+        """A step is doubted until three frames without one."""
+        if before is not None:
+            speeds = [int.from_bytes(one[0][6:8], "little") for one in (before, entry)]
+            near = entry[1] - before[1] <= 100 * MS
+            if near and abs(speeds[0] - speeds[1]) > self.settings.motor_speed_step_max_rpm:
+                self.odd["step", slot] = 4
+        self.odd["step", slot] = max(0, self.odd["step", slot] - 1)
+        self._see(("step", slot), self.odd["step", slot])
+
+    def _see(self, what, count):
+        self.seen[what] = max(count, self.seen.get(what, 0))
+
+    def worst(self, what):
+        """Of the frames since the tick before; where none came, as it stands."""
+        standing = self.life_repeats if what == "life" else self.odd[what]
+        return self.seen.get(what, standing)
+
+    def end_tick(self):
+        """What came before this tick has been judged."""
+        self.arrived.clear()
+        self.seen.clear()
+
+    def judged(self, name):
+        """Every frame since the tick before, or the last one."""
+        last = self.received.get(name)
+        frames = self.arrived.get(name) or ([last] if last else [])
+        return [data for data, _ in frames]
 
     # What is known at an instant.
 
@@ -133,20 +190,27 @@ class Shadow:
             name = f"{slot}_Status2"
             if self.stale(name, now_ns):
                 return False
-            speed_rpm = int.from_bytes(self.received[name][0][6:8], "little")
-            if speed_rpm > 6000 or speed_rpm >= self.settings.direction_change_rpm:
+            speeds_rpm = [int.from_bytes(data[6:8], "little") for data in self.judged(name)]
+            if max(speeds_rpm) > 6000 or max(speeds_rpm) >= self.settings.direction_change_rpm:
                 return False
-        return True
+        return not any(self.worst(("step", slot)) for slot in SLOTS)
 
-    def _battery(self, byte, shift, bits=3):
-        data = self.received.get("BMS_Status", (bytes(8),))[0]
-        return data[byte - 1] >> shift & bits
+    def note_speeds(self, now_ns):
+        """Regeneration begins 50 rpm above its least speed and ends below it."""
+        least_rpm = self.settings.regen_min_rpm
+        known = not any(self.stale(f"{slot}_Status2", now_ns) for slot in SLOTS)
+        frames = [data for slot in SLOTS for data in self.judged(f"{slot}_Status2")]
+        speeds = [int.from_bytes(data[6:8], "little") for data in frames] if known else [9999]
+        margin_rpm = 0 if self.regenerates else 50
+        fast = all(least_rpm + margin_rpm <= speed <= 6000 for speed in speeds)
+        self.regenerates = fast or least_rpm == 0
 
     def causes(self, now_ns, tick_late_ns, link_down):
         """Names of the causes of this instant, by effect; the worst ones stop or cut."""
         found = {effect: set() for effect in
                  ("turbo_off", "power", "regen", "regen_off", "stop", "cut")}  # fmt: skip
-        self._battery_causes(found)
+        for data in self.judged("BMS_Status"):
+            self._battery_causes(found, data)
         self._age_causes(found, now_ns)
         for slot in SLOTS:
             self._controller_causes(found, slot, now_ns)
@@ -159,9 +223,9 @@ class Shadow:
         found["stop"] |= {name for name, stands in stops.items() if stands}
         return found
 
-    def _battery_causes(self, found):
-        over, under, current = (self._battery(6, shift) for shift in (0, 2, 6))
-        hot, cold, internal = self._battery(7, 2), self._battery(7, 4), self._battery(7, 7, 1)
+    def _battery_causes(self, found, data):
+        over, under, current = (data[5] >> shift & 3 for shift in (0, 2, 6))
+        hot, cold, internal = data[6] >> 2 & 3, data[6] >> 4 & 3, data[6] >> 7
         table = {
             "regen": {"over 1": over == 1, "current 1": current == 1},
             "regen_off": {"over": over >= 2, "cold 1": cold == 1},
@@ -180,10 +244,10 @@ class Shadow:
         if age_ms is not None and age_ms > LATE_AFTER_MS:
             found["regen"].add("late")
             found["power"].add("late")
-        if self.life_repeats >= 1:
+        if self.worst("life") >= 1:
             found["regen"].add("life")
             found["power"].add("life")
-        if self.life_repeats >= 2:
+        if self.worst("life") >= 2:
             found["stop"].add("life")
         for name in ("BMS_Status", "PCU1_Status2", "PCU2_Status2"):
             if self.stale(name, now_ns):
@@ -196,7 +260,18 @@ class Shadow:
             found["power"].add(name)
         if name not in self.received:
             return
-        data, arrival_ns = self.received[name]
+        for data, arrival_ns in self.arrived.get(name) or [self.received[name]]:
+            self._status_causes(found, slot, data, arrival_ns)
+        if self.stale(name, now_ns):
+            return
+        other = SLOTS[1 - SLOTS.index(slot)]
+        both = self.worst(("low", other)) and not self.stale(f"{other}_Status1", now_ns)
+        if self.worst(("low", slot)) >= 2 and not both:
+            found["stop"].add(f"{slot} echoes too little")
+        if self.worst(("wrong", slot)) >= 2:
+            found["stop"].add(f"{slot} direction")
+
+    def _status_causes(self, found, slot, data, arrival_ns):
         level, heat = data[3] & 7, data[3] >> 5 & 3
         if level in (0, 1, 6, 7):
             found["power"].add(f"{slot} voltage")
@@ -207,21 +282,27 @@ class Shadow:
         if heat >= 2:
             found["stop"].add(f"{slot} heat")
         told = max(
-            (raw for at_ns, raw in self.history[slot] if 0 <= arrival_ns - at_ns <= 1000 * MS),
+            (raw for at_ns, raw, _ in self.history[slot] if 0 <= arrival_ns - at_ns <= 1000 * MS),
             default=0,
         )
         excess_pct = (data[1] - told) * PERCENT_PER_BIT - 5.0
-        if not self.stale(name, now_ns) and excess_pct > 1e-6:
+        if excess_pct > 1e-6 and f"{slot}_Status1" not in found["turbo_off"]:  # not stale
             found["stop"].add(f"{slot} echo")
 
     def hold(self, found, now_ns):
         """Effects that count now: seen now, or gone for less than the holding time."""
+        for key, seen in list(self.held.items()):
+            if key[1] not in found[key[0]] and seen.absent_since_ns is None:
+                seen.absent_since_ns = now_ns
         for effect, names in found.items():
             for name in names:
-                self.held[effect, name] = Seen(now_ns, name == "over 3")
+                self.held[effect, name] = Seen(until_restart=name == "over 3")
         hold_ns = self.settings.clear_hold_ms * MS
         for key, seen in list(self.held.items()):
-            if not seen.until_restart and 0 < now_ns - seen.at_ns >= hold_ns:
+            absent_since_ns = seen.absent_since_ns
+            if seen.until_restart or absent_since_ns is None:
+                continue
+            if now_ns - absent_since_ns >= hold_ns:
                 del self.held[key]
         return {effect for effect, _ in self.held}
 
@@ -236,13 +317,13 @@ class Shadow:
             told_w = int.from_bytes(data[6:8], "little")
             # The highest code stands for everything up to 100 % (PROTOCOL.md E10).
             told_pct = 100.0 if data[2] == 255 else data[2] * PERCENT_PER_BIT
-            target_w = target_pct = None
+            target_w, target_pct = settings.power_limit_max_w, None
             if "power" in effects:
-                target_w = min(settings.derated_power_w, settings.power_limit_max_w)
+                target_w = min(settings.derated_power_w, target_w)
             if "regen" in effects:
                 target_pct = settings.regen_limit_pct
             self.power_w[slot] = _moved(
-                self.power_w[slot], told_w, target_w, settings.power_limit_max_w,
+                self.power_w[slot], told_w, target_w, target_w,
                 settings.power_slew_w_per_s * elapsed_s,
             )  # fmt: skip
             self.brake_pct[slot] = _moved(
@@ -252,20 +333,72 @@ class Shadow:
             if "regen_off" in effects:
                 self.brake_pct[slot] = 0.0
 
-    def note_override(self, asked):
-        if any(one.throttle_pct > 25 and one.brake_pct > 5 for one in asked.values()):
-            self.override = True
-        elif all(one.throttle_pct < 5 for one in asked.values()):
-            self.override = False
+    # Pedals.
+
+    def note_granted(self, asked, made_ns, now_ns, took_over):
+        self.granted.append((asked, made_ns, now_ns, took_over))
+
+    def note_gap(self):
+        """No demand was fresh."""
+        self.granted.append(None)
+
+    def throttle_waits(self, asked, now_ns):
+        """Whether any demand since the tick before, or the one that counts now, forbids it."""
+        last = [] if asked is None else [(asked, now_ns, now_ns, False)]
+        found = set()
+        for one in [*self.granted, *(last or [None])]:
+            if one is None:
+                self.apart_since_ns = None
+                continue
+            found |= self._waits_after(*one) | self.waiting
+        self.granted = []
+        return bool(found | self.waiting)
+
+    def _waits_after(self, asked, made_ns, now_ns, took_over):
+        values = asked.values()
+        begun = {"taken over"} if took_over else set()
+        if [one for one in values if one.throttle_pct > 25 and one.brake_pct > 5]:
+            begun.add("override")
+        if self.apart_since_ns is not None and now_ns > self.apart_since_ns + 100 * MS:
+            begun.add("tracks")
+        self.waiting |= begun
+        second = [one.throttle_pct if one.throttle_track2_pct is None else one.throttle_track2_pct
+                  for one in values]  # fmt: skip
+        first = [one.throttle_pct for one in values]
+        if max(abs(a - b) for a, b in zip(first, second, strict=True)) <= 10:
+            self.apart_since_ns = None
+        elif self.apart_since_ns is None:
+            self.apart_since_ns = made_ns
+        if max(first) < 5:
+            self.waiting -= {"override", "taken over"}
+            if max(second) < 5:
+                self.waiting.discard("tracks")
+        turned = {
+            slot for slot, one in asked.items() if one.motor_reverse is not self.reverse(slot)
+        }
+        return begun | turned
+
+    def reverse(self, slot):
+        """The direction that was sent last."""
+        return slot in self.sent and bool(self.sent[slot][0][0] & 0x10)
 
     # Frames out.
 
     def note_sent(self, slot, data, now_ns):
         self.sent[slot] = (data, now_ns)
         history = self.history[slot]
-        history.append((now_ns, data[1]))
-        while now_ns - history[0][0] > 4000 * MS:
-            history.pop(0)
+        history.append((now_ns, data[1], data[0] & 0x10 != 0))
+        del history[:-80]  # as much as anybody has to remember
+
+    def speed_limit_rpm(self, slot, asked_rpm, elapsed_ns):
+        """What the frame has to say, within the rounding of two frames."""
+        settings = self.settings
+        target_rpm = max(500, min(asked_rpm, settings.speed_limit_max_rpm))
+        if slot not in self.sent:
+            return target_rpm
+        before_rpm = int.from_bytes(self.sent[slot][0][4:6], "little")
+        elapsed_s = min(max(elapsed_ns, 0), settings.period_ns) / 1e9
+        return max(target_rpm, before_rpm - settings.speed_slew_rpm_per_s * elapsed_s)
 
     def throttle_max_raw(self, slot, now_ns):
         """Last one sent, plus the slew, plus half a bit of rounding now and half a bit then."""
@@ -283,8 +416,7 @@ def _moved(limit, told, target, highest, step):
     return max(target, min(limit, told) - step)
 
 
-def is_safe(data, speed_limit_max_rpm):
+def is_safe(data):
     """ZERO_TORQUE or POWER_CUT: nothing but safety mode, direction, cut and the speed limit."""
-    speed_rpm = data[4] | data[5] << 8
     zero = data[1] == data[2] == data[3] == data[6] == data[7] == 0
-    return zero and data[0] & ~0x90 == 0x0C and speed_rpm == speed_limit_max_rpm
+    return zero and data[0] & ~0x90 == 0x0C

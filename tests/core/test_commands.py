@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.commands import Command, Commander, message_name, moved, strictest_mode
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
+from vcu_gateway.core.pedals import Hold
 from vcu_gateway.core.settings import Settings
 
 MS = 1_000_000
@@ -33,10 +34,11 @@ class Drive:
         if asked is None:
             asked = dict.fromkeys(CONTROLLERS, ControllerDemand(**both))
         args = (frozenset(effects), slow, self.settings, self.now_ns)
+        speed = {"regenerates": True} if what == "active" else {}
         if what == "safe":
-            commands = self.commander.safe(self.settings, False, self.now_ns)
+            commands = self.commander.safe(asked, self.settings, False, self.now_ns)
         else:
-            commands = getattr(self.commander, what)(asked, *args)
+            commands = getattr(self.commander, what)(asked, *args, **speed)
         first, second = commands["PCU1"], commands["PCU2"]
         return first if first == second else commands
 
@@ -45,6 +47,11 @@ class Drive:
 
     def settle(self, *effects, **facts):
         return self.step("settle", None, *effects, **facts)
+
+    def leave(self, *controllers):
+        """The bus takes the last commands: of these controllers, or of both."""
+        for name in controllers or CONTROLLERS:
+            self.commander.note_sent(name)
 
     def up_to(self, **asked):
         """Ask for this until the slews have nothing left to do."""
@@ -97,7 +104,7 @@ def test_the_safe_command_keeps_the_direction_and_the_maximum_speed(cut):
     drive = Drive(speed_limit_max_rpm=3000)
     drive.settle(motor_reverse=True)
     drive.up_to(motor_reverse=True, throttle_pct=50, regen_brake=True, brake_pct=4)
-    commands = drive.commander.safe(drive.settings, cut, drive.now_ns + PERIOD_NS)
+    commands = drive.commander.safe(None, drive.settings, cut, drive.now_ns + PERIOD_NS)
     expected = Command(motor_reverse=True, power_cut=cut, speed_limit_rpm=3000)
     assert commands == {"PCU1": expected, "PCU2": expected}
     assert drive.commander.last == commands
@@ -107,7 +114,7 @@ def test_before_the_first_tick_the_last_command_is_zero_torque():
     commander = Commander(Settings(speed_limit_max_rpm=4000))
     expected = Command(speed_limit_rpm=4000)
     assert commander.last == {"PCU1": expected, "PCU2": expected}
-    assert commander.override_latched is False
+    assert commander.pedals.latched == set()
 
 
 def test_before_the_first_tick_nothing_can_be_lost():
@@ -120,7 +127,7 @@ def test_before_the_first_tick_nothing_can_be_lost():
 def test_the_first_tick_earns_no_throttle():
     commander = Commander(Settings())
     asked = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=100))
-    commands = commander.active(asked, frozenset(), True, Settings(), 10**12)
+    commands = commander.active(asked, frozenset(), True, Settings(), 10**12, regenerates=True)
     assert commands["PCU1"].throttle_pct == 0
 
 
@@ -213,7 +220,7 @@ def test_throttle_and_brake_together_give_no_throttle_to_either(
     drive.step("active", asked)
     throttles = {command.throttle_pct for command in drive.commander.last.values()}
     assert (throttles == {0.0}) is overridden
-    assert drive.commander.override_latched is overridden
+    assert (Hold.OVERRIDE in drive.commander.pedals.latched) is overridden
 
 
 def test_the_override_leaves_the_brake(drive):
@@ -229,7 +236,7 @@ def test_the_override_ends_below_five_percent_brake_released_or_not(
     drive.active(throttle_pct=30, brake_pct=6)
     assert drive.active(throttle_pct=30, brake_pct=0).throttle_pct == 0, "the brake ends nothing"
     drive.active(throttle_pct=throttle_pct, brake_pct=brake_pct)
-    assert drive.commander.override_latched is not released
+    assert (Hold.OVERRIDE in drive.commander.pedals.latched) is not released
     assert drive.active(throttle_pct=20).throttle_pct == pytest.approx(
         min(throttle_pct, 5) + 5 if released else 0
     )
@@ -239,7 +246,7 @@ def test_the_override_ends_only_when_both_throttles_are_released(drive):
     drive.active(throttle_pct=30, brake_pct=6)
     asked = {"PCU1": ControllerDemand(throttle_pct=0), "PCU2": ControllerDemand(throttle_pct=5)}
     drive.step("active", asked)
-    assert drive.commander.override_latched
+    assert drive.commander.pedals.latched == {Hold.OVERRIDE}
 
 
 def test_standby_notes_the_override_too(drive):
@@ -502,11 +509,26 @@ def test_the_strictest_mode_wins_at_once(drive, asked, effects, expected):
     assert drive.active(*effects, power_mode=asked).power_mode is expected
 
 
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_there_is_no_throttle_for_a_controller_in_power_mode_safety(drive, controller):
+    pushed = ControllerDemand(throttle_pct=60)
+    drive.up_to(throttle_pct=60)
+    asked = dict.fromkeys(CONTROLLERS, pushed)
+    asked[controller] = dataclasses.replace(pushed, power_mode=SAFETY)
+    told = drive.step("active", asked)
+    (other,) = set(CONTROLLERS) - {controller}
+    assert (told[controller].throttle_pct, told[other].throttle_pct) == (0, 60)
+    assert drive.active(throttle_pct=60)[controller].throttle_pct == pytest.approx(5)
+
+
 # Maxima.
 
 
-@pytest.mark.parametrize(("asked", "sent"), [(0, 0), (2999, 2999), (3000, 3000), (3001, 3000)])
-def test_the_speed_limit_never_exceeds_its_maximum(asked, sent):
+@pytest.mark.parametrize(
+    ("asked", "sent"),
+    [(0, 500), (499.9, 500), (500.1, 500.1), (2999, 2999), (3000, 3000), (3001, 3000)],
+)
+def test_the_speed_limit_is_between_500_rpm_and_its_maximum(asked, sent):
     assert Drive(speed_limit_max_rpm=3000).active(speed_limit_rpm=asked).speed_limit_rpm == sent
 
 
@@ -515,11 +537,62 @@ def test_the_power_limit_never_exceeds_its_maximum(asked, sent):
     assert Drive(power_limit_max_w=3000).active(power_limit_w=asked).power_limit_w == sent
 
 
-def test_stricter_maxima_count_in_the_very_next_tick(drive):
+def test_a_stricter_power_maximum_is_reached_along_its_slew(drive):
     drive.up_to(throttle_pct=20)
-    drive.settings = Settings(power_limit_max_w=30_000, speed_limit_max_rpm=1000)
-    command = drive.active(throttle_pct=20)
-    assert (command.power_limit_w, command.speed_limit_rpm) == (30_000, 1000)
+    drive.settings = Settings(power_limit_max_w=55_000)
+    assert [drive.active().power_limit_w for _ in range(3)] == [57_000, 55_000, 55_000]
+
+
+def test_a_stricter_power_maximum_is_approached_from_what_is_commanded(drive):
+    drive.up_to(power_limit_w=40_000)
+    drive.settings = Settings(power_limit_max_w=30_000)
+    assert drive.active().power_limit_w == 37_000
+
+
+@pytest.mark.parametrize("what", ["active", "settle", "safe"])
+def test_the_speed_limit_falls_along_its_slew_from_what_was_sent(drive, what):
+    drive.leave()
+    drive.settings = Settings(speed_limit_max_rpm=11_700)
+    assert drive.step(what).speed_limit_rpm == 11_800
+    drive.leave()
+    assert drive.step(what, after_ns=25 * MS).speed_limit_rpm == 11_700
+    drive.leave()
+    assert drive.step(what).speed_limit_rpm == 11_700
+
+
+def test_a_demanded_speed_limit_falls_along_its_slew_and_rises_at_once(drive):
+    drive.leave()
+    for expected in (11_800, 11_600):
+        assert drive.active(speed_limit_rpm=500).speed_limit_rpm == expected
+        drive.leave()
+    assert drive.active(speed_limit_rpm=12_000).speed_limit_rpm == 12_000
+
+
+def test_a_late_tick_earns_the_speed_limit_one_period_at_most(drive):
+    drive.leave()
+    assert drive.active(speed_limit_rpm=500, after_ns=400 * MS).speed_limit_rpm == 11_800
+
+
+def test_a_speed_limit_that_was_not_sent_is_not_fallen_from(drive):
+    drive.leave()
+    for _ in range(5):
+        assert drive.active(speed_limit_rpm=500).speed_limit_rpm == 11_800
+        for name in CONTROLLERS:
+            drive.commander.not_sent(name)
+    drive.active(speed_limit_rpm=500)
+    drive.leave("PCU1")
+    drive.commander.not_sent("PCU2")
+    commands = drive.active(speed_limit_rpm=500)
+    assert [commands[name].speed_limit_rpm for name in CONTROLLERS] == [11_600, 11_800]
+
+
+def test_a_replaced_command_follows_the_speed_limits_slew(drive):
+    drive.leave()
+    drive.settings = Settings(speed_limit_max_rpm=3000)
+    drive.active()
+    assert drive.commander.replaced(drive.settings)["PCU2"].speed_limit_rpm == 11_800
+    drive.leave()
+    assert drive.commander.zero_torque(drive.settings, False)["PCU1"].speed_limit_rpm == 11_600
 
 
 def test_looser_maxima_are_reached_along_the_slew():
@@ -596,5 +669,5 @@ def test_the_directions_of_a_gateway_before_are_taken_over_where_they_are_known(
         "PCU1": False,
         "PCU2": True,
     }
-    told = commander.safe(Settings(), power_cut=False, now_ns=0)
+    told = commander.safe(None, Settings(), power_cut=False, now_ns=0)
     assert told["PCU2"].motor_reverse

@@ -11,13 +11,13 @@ from vcu_gateway.core.demand import (
     BENCH_SOURCE,
     CONTROLLERS,
     GRANTED,
-    NOTHING,
     RANGES,
     ControllerDemand,
     Demand,
     DemandDesk,
     PowerMode,
     Refusal,
+    Terms,
     fault_of,
     refused,
 )
@@ -39,7 +39,7 @@ def desk():
 
 
 def offer(desk, *args, now_ns=0, priorities=PRIORITIES, **kwargs):
-    return desk.offer(demand(*args, **kwargs), priorities, TTL_MAX_MS, now_ns)
+    return desk.offer(demand(*args, **kwargs), Terms(TTL_MAX_MS, priorities), now_ns)
 
 
 # Values.
@@ -64,6 +64,7 @@ def test_a_value_that_is_not_finite_is_refused_by_name(desk, name, value, contro
         ("brake_pct", 0, 100),
         ("speed_limit_rpm", 0, 12_000),
         ("power_limit_w", 0, 60_000),
+        ("throttle_track2_pct", 0, 100),
     ],
 )
 def test_the_range_ends_exactly_at_its_limits(desk, name, low, high):
@@ -84,7 +85,7 @@ def test_the_range_ends_exactly_at_its_limits(desk, name, low, high):
     )
 )
 def test_only_finite_values_inside_their_ranges_are_taken(asked):
-    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, asked)), TTL_MAX_MS)
+    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, asked)), Terms())
     inside = all(low <= getattr(asked, name) <= high for name, (low, high) in RANGES.items())
     assert answer.granted is inside
     assert (answer.refusal is None) is inside
@@ -118,13 +119,18 @@ def test_any_other_time_to_live_is_refused(desk, ttl_ms):
     assert answer == (False, Refusal.TTL_OUT_OF_RANGE, sentence)
 
 
+def test_unless_configured_otherwise_a_demand_counts_for_a_second_at_most():
+    assert fault_of(demand(ttl_ms=1000), Terms()) == GRANTED
+    assert fault_of(demand(ttl_ms=1001), Terms()).refusal is Refusal.TTL_OUT_OF_RANGE
+
+
 def test_a_demand_that_never_ends_is_taken_from_the_configuration_only(desk):
     for wrong in (demand(ttl_ms=None), demand(source=BENCH_SOURCE)):
-        answer = desk.offer(wrong, PRIORITIES, TTL_MAX_MS, 0)
+        answer = desk.offer(wrong, Terms(TTL_MAX_MS, PRIORITIES), 0)
         sentence = "bench is the configured bench demand"
         assert answer == (False, Refusal.NAME_RESERVED, sentence)
     assert desk.current is None
-    assert fault_of(demand(ttl_ms=None), TTL_MAX_MS) == GRANTED
+    assert fault_of(demand(ttl_ms=None), Terms()) == GRANTED
 
 
 def test_a_refusal_is_never_granted():
@@ -198,7 +204,6 @@ def test_the_owner_ends_its_demand_and_its_old_requests_do_not_come_back(desk):
     offer(desk, "driver", sequence=1000, throttle_pct=30)
     assert desk.end("driver") == GRANTED
     assert not desk.fresh(0)
-    assert desk.asked(0) == {"PCU1": NOTHING, "PCU2": NOTHING}
     assert offer(desk, "driver", sequence=1000).refusal is Refusal.OLD_SEQUENCE
     assert not desk.fresh(0)
     assert offer(desk, "driver", sequence=1001) == GRANTED
@@ -225,13 +230,11 @@ def test_nobody_else_ends_a_demand(desk):
 @pytest.mark.parametrize("ttl_ms", [1, 200, 1000])
 def test_a_demand_counts_until_exactly_its_time_to_live(desk, ttl_ms):
     start_ns = 5_000 * MS
-    offer(desk, ttl_ms=ttl_ms, throttle_pct=30, now_ns=start_ns)
+    offer(desk, ttl_ms=ttl_ms, now_ns=start_ns)
     end_ns = start_ns + ttl_ms * MS
     assert desk.fresh(start_ns)
     assert desk.fresh(end_ns)
     assert not desk.fresh(end_ns + 1)
-    assert desk.asked(end_ns)["PCU1"].throttle_pct == 30
-    assert desk.asked(end_ns + 1) == {"PCU1": NOTHING, "PCU2": NOTHING}
     assert desk.age_ns(end_ns + 1) == ttl_ms * MS + 1
 
 
@@ -239,7 +242,6 @@ def test_a_demand_from_the_future_does_not_count(desk):
     offer(desk, now_ns=10 * MS)
     assert desk.fresh(10 * MS)
     assert not desk.fresh(10 * MS - 1)
-    assert desk.asked(0)["PCU2"] == NOTHING
 
 
 def test_a_new_demand_counts_from_its_own_arrival(desk):
@@ -251,7 +253,7 @@ def test_a_new_demand_counts_from_its_own_arrival(desk):
 
 def made(desk, made_ns: int, now_ns: int, sequence: int = 1, ttl_ms: int = 200):
     demand = Demand("driver", sequence, ttl_ms, dict.fromkeys(CONTROLLERS, IDLE), made_ns)
-    return desk.offer(demand, {}, 1000, now_ns)
+    return desk.offer(demand, Terms(), now_ns)
 
 
 def test_the_time_to_live_counts_from_when_the_demand_was_made(desk):
@@ -276,14 +278,80 @@ def test_a_demand_made_in_the_future_is_refused(desk):
     assert made(desk, made_ns=10, now_ns=10) == GRANTED
 
 
-def test_without_a_demand_nothing_is_asked(desk):
+def test_before_the_first_demand_nothing_counts(desk):
     assert desk.current is None
     assert not desk.fresh(0)
     assert desk.age_ns(0) is None
-    assert desk.asked(0) == {"PCU1": NOTHING, "PCU2": NOTHING}
-    assert NOTHING.throttle_pct == NOTHING.brake_pct == 0
-    assert NOTHING.power_mode is PowerMode.SAFETY
-    assert NOTHING.regen_brake is NOTHING.motor_reverse is False
+
+
+# The pedal's second track, and directions.
+
+
+def two_ways(**first):
+    return {"PCU1": ControllerDemand(**first), "PCU2": ControllerDemand(motor_reverse=True)}
+
+
+def test_a_demand_without_a_second_track_is_taken_unless_it_is_required(desk):
+    track = ControllerDemand(throttle_track2_pct=0.0)
+    terms = Terms(second_track_required=True)
+    for missing in CONTROLLERS:
+        controllers = dict.fromkeys(CONTROLLERS, track) | {missing: IDLE}
+        answer = desk.offer(demand(controllers=controllers), terms, 0)
+        assert answer.refusal is Refusal.SECOND_TRACK_MISSING
+        sentence = f"{missing} throttle_track2_pct is missing; the configuration requires it"
+        assert answer.sentence == sentence
+    assert desk.offer(demand(controllers=dict.fromkeys(CONTROLLERS, track)), terms, 0) == GRANTED
+    assert offer(desk, sequence=2) == GRANTED
+
+
+def test_two_directions_are_refused_unless_they_are_configured(desk):
+    answer = offer(desk, controllers=two_ways())
+    sentence = "both controllers must have the same direction"
+    assert answer == (False, Refusal.DIRECTIONS_DIFFER, sentence)
+    independent = Terms(independent_directions=True)
+    assert desk.offer(demand(controllers=two_ways()), independent, 0) == GRANTED
+    assert offer(desk, sequence=2, controllers=two_ways(motor_reverse=True)) == GRANTED
+
+
+# Sequence numbers of every source.
+
+
+@pytest.mark.parametrize("between", ["expired", "taken over"])
+def test_an_old_number_is_refused_whoever_had_the_demand_meanwhile(desk, between):
+    offer(desk, "guest", sequence=7)
+    now_ns = 0 if between == "taken over" else 201 * MS
+    assert offer(desk, "driver", sequence=1, now_ns=now_ns) == GRANTED
+    later_ns = now_ns + 201 * MS
+    for sequence in (6, 7):
+        answer = offer(desk, "guest", sequence=sequence, now_ns=later_ns)
+        sentence = f"sequence {sequence} is not above 7"
+        assert answer == (False, Refusal.OLD_SEQUENCE, sentence)
+    assert offer(desk, "guest", sequence=8, now_ns=later_ns) == GRANTED
+
+
+@pytest.mark.parametrize(
+    "refused",
+    [
+        {"throttle_pct": 101},
+        {"ttl_ms": 0},
+        {"source": "guest"},
+    ],
+)
+def test_a_refused_demand_does_not_count_for_the_sequence(desk, refused):
+    offer(desk, sequence=1)
+    assert not offer(desk, **{"sequence": 9} | refused).granted
+    now_ns = 201 * MS
+    assert offer(desk, refused.get("source", "driver"), sequence=2, now_ns=now_ns) == GRANTED
+
+
+def test_no_more_than_64_sources_can_ask(desk):
+    for number in range(64):
+        assert offer(desk, f"source{number}", now_ns=number * 201 * MS) == GRANTED
+    now_ns = 100_000 * MS
+    answer = offer(desk, "driver", now_ns=now_ns)
+    sentence = "64 sources have asked since the start, which is the most"
+    assert answer == (False, Refusal.TOO_MANY_SOURCES, sentence)
+    assert offer(desk, "source0", sequence=2, now_ns=now_ns) == GRANTED
 
 
 # The bench demand.
@@ -295,7 +363,6 @@ def test_the_bench_demand_counts_for_ever_and_has_no_age():
     assert desk.fresh(-(10**15))
     assert desk.fresh(10**18)
     assert desk.age_ns(10**18) is None
-    assert desk.asked(10**18) == {"PCU1": bench, "PCU2": bench}
     both = {"PCU1": bench, "PCU2": bench}
     assert desk.current == Demand(BENCH_SOURCE, sequence=0, ttl_ms=None, controllers=both)
 
@@ -315,6 +382,7 @@ def test_the_defaults_of_a_demand_ask_for_no_torque():
         "regen_brake": False,
         "speed_limit_rpm": 12_000.0,
         "power_limit_w": 60_000.0,
+        "throttle_track2_pct": None,
     }
 
 

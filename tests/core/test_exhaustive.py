@@ -8,6 +8,8 @@ that is put back, before the case, into the state in which it was prepared:
   16,384 values of the bits that mean something, with the two reserved bits taking turns.
 - PCU1_Status1 and PCU2_Status1: all 256 values of byte 4 of each controller in each mode,
   and in ACTIVE all 1,024 pairs of the levels of the two.
+- In ACTIVE every one of those words of the three messages once more, with good frames before
+  it, after it, and both, within the same tick.
 - All 128 sets of effects in ACTIVE, through the battery and both controllers at once.
 
 Checked are the set of effects, the mode, the class of the latch, whether `arm` is granted,
@@ -128,7 +130,7 @@ class Checkpoint:
         self._seen.add(id(owner))
         if isinstance(owner, dict):
             self._note(owner, dict(owner), owner.values())
-        elif isinstance(owner, list | deque):
+        elif isinstance(owner, list | deque | set):
             self._note(owner, list(owner), owner)
         elif isinstance(owner, tuple):
             for part in owner:
@@ -147,7 +149,7 @@ class Checkpoint:
 
     def restore(self) -> None:
         for owner, content in self._kept:
-            if isinstance(owner, dict):
+            if isinstance(owner, dict | set):
                 owner.clear()
                 owner.update(content)
             elif isinstance(owner, list | deque):
@@ -164,6 +166,7 @@ class Prepared:
     def __init__(self, mode: Mode) -> None:
         drive = in_mode(mode)
         if mode is Mode.ACTIVE:
+            drive.turn(3000)
             drive.asked = ASKED
             drive.run(2000)
             assert drive.commands == [expected_frame("ACTIVE", frozenset())] * 2
@@ -181,8 +184,9 @@ class Prepared:
             self.gateway.intake.receive(Frame(can_id, content, self.now_ns))
         return self.gateway.tick(self.now_ns)
 
-    def battery(self, byte6: int, byte7: int) -> tuple[str, bytes]:
-        content = bytearray(data("BMS_Status", {"LifeSignal": self.life}))
+    def battery(self, byte6: int, byte7: int, number: int = 0) -> tuple[str, bytes]:
+        """The frame of this number in a row."""
+        content = bytearray(data("BMS_Status", {"LifeSignal": self.life ^ number & 1}))
         content[5:7] = byte6, byte7
         return "BMS_Status", bytes(content)
 
@@ -219,8 +223,8 @@ def driving():
     return Prepared(Mode.ACTIVE)
 
 
-def controller(name: str, byte4: int) -> tuple[str, bytes]:
-    content = bytearray(data(f"{name}_Status1", {"Throttle": 0}))
+def controller(name: str, byte4: int, throttle: int = 0) -> tuple[str, bytes]:
+    content = bytearray(data(f"{name}_Status1", {"Throttle": throttle}))
     content[3] = byte4
     return f"{name}_Status1", bytes(content)
 
@@ -262,6 +266,29 @@ def test_every_word_of_the_battery_has_its_effects_and_no_others(prepared):
             continue
         effects = expected_effects("battery", ((6, byte6), (7, byte7)))
         prepared.check(effects, prepared.battery(byte6, byte7))
+
+
+GOOD_BEFORE_AND_AFTER = ((0, 1), (1, 0), (1, 1))
+
+
+def test_every_word_has_its_effects_though_good_frames_come_in_the_same_tick(driving):
+    for case, (byte6, byte7) in enumerate(product(range(256), repeat=2)):
+        if (byte6 >> 4 & 3) != (byte6 + byte7 + byte7 // 4) % 4:
+            continue
+        before, after = GOOD_BEFORE_AND_AFTER[case % 3]
+        words = [(0, 0)] * before + [(byte6, byte7)] + [(0, 0)] * after
+        frames = [driving.battery(*word, number) for number, word in enumerate(words)]
+        driving.check(expected_effects("battery", ((6, byte6), (7, byte7))), *frames)
+
+
+@pytest.mark.parametrize("name", ["PCU1", "PCU2"])
+@pytest.mark.parametrize(("before", "after"), GOOD_BEFORE_AND_AFTER)
+def test_every_word_of_a_controller_counts_though_good_frames_come(driving, name, before, after):
+    for byte4 in range(256):
+        effects = expected_effects("controller", ((4, byte4),))
+        words = (*[3] * before, byte4, *[3] * after)
+        frames = [controller(name, word, throttle=51) for word in words]  # it obeys
+        driving.check(effects, *frames)
 
 
 @pytest.mark.parametrize("name", ["PCU1", "PCU2"])

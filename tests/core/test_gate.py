@@ -2,6 +2,7 @@
 
 import ast
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,12 @@ LIMITS = GateLimits(
     throttle_slew_pct_per_s=100.0,
     direction_change_rpm=50.0,
     period_ns=50 * MS,
+    power_slew_w_per_s=60_000.0,
+    speed_slew_rpm_per_s=4_000.0,
+    regen_min_rpm=100.0,
+    independent_directions=False,
 )
+ROLLING = (1_000.0, 1_000.0)
 STANDING = (0.0, 0.0)
 ZERO_TORQUE = bytes.fromhex("0c00000070170000")
 ZERO_TORQUE_REVERSE = bytes.fromhex("1c00000070170000")
@@ -113,20 +119,21 @@ def test_a_bit_that_is_not_used_is_blocked(gate, bit, data):
 
 @pytest.mark.parametrize("first", [0x00, 0x04, 0x08, 0x0C, 0x20, 0x80])
 def test_every_bit_that_is_used_passes(gate, first):
-    assert_passes(gate, frame(first))
+    assert_passes(gate, frame(first), speeds=ROLLING)
 
 
 # Ranges and maxima.
 
 
-@pytest.mark.parametrize("speed", [0, 1, SPEED_MAX_RPM - 1, SPEED_MAX_RPM])
-def test_a_speed_limit_up_to_the_maximum_passes(gate, speed):
-    assert_passes(gate, frame(speed=speed))
+@pytest.mark.parametrize("speed", [500, 501, SPEED_MAX_RPM - 1, SPEED_MAX_RPM])
+@pytest.mark.parametrize("first", [0x04, 0x0C])
+def test_a_speed_limit_of_500_up_to_the_maximum_passes(speed, first):
+    assert check(Gate(LIMITS), frame(first, speed=speed, power=0)).blocked is None
 
 
-@pytest.mark.parametrize("speed", [SPEED_MAX_RPM + 1, 12_000, 0xFFFF])
+@pytest.mark.parametrize("speed", [0, 1, 499, SPEED_MAX_RPM + 1, 12_000, 0xFFFF])
 @pytest.mark.parametrize("armed", [True, False])
-def test_a_speed_limit_above_the_maximum_is_blocked(gate, speed, armed):
+def test_any_other_speed_limit_is_blocked(gate, speed, armed):
     assert_blocked(gate, "speed_limit", frame(speed=speed), armed=armed)
 
 
@@ -142,6 +149,135 @@ def test_a_power_limit_up_to_the_maximum_passes(gate, power):
 @pytest.mark.parametrize("power", [POWER_MAX_W + 1, 60_000, 0xFFFF])
 def test_a_power_limit_above_the_maximum_is_blocked(gate, power):
     assert_blocked(gate, "power_limit", frame(power=power))
+
+
+# Limits on their way.
+
+
+@pytest.mark.parametrize(
+    ("speed", "rule"),
+    [
+        (SPEED_MAX_RPM, None),
+        (SPEED_MAX_RPM - 200, None),  # 4,000 rpm/s in 50 ms
+        (SPEED_MAX_RPM - 201, None),  # half a bit of rounding now, half a bit before
+        (SPEED_MAX_RPM - 202, "speed_slew"),
+        (500, "speed_slew"),
+    ],
+)
+@pytest.mark.parametrize("first", [0x04, 0x0C])
+@pytest.mark.parametrize("now_ns", [0, 50 * MS, 10_000 * MS])
+def test_the_speed_limit_falls_by_one_periods_slew_at_most(gate, speed, rule, first, now_ns):
+    data = frame(first, speed=speed, power=0)
+    assert check(gate, data, armed=first == 0x04, now_ns=now_ns).blocked == rule
+
+
+def test_a_frame_that_falls_too_fast_is_replaced_by_one_that_does_not(gate):
+    gate.sent(0, frame(speed=12_000), 0)
+    assert_blocked(
+        gate, "speed_slew", frame(speed=6_000), instead=frame(0x0C, speed=11_800, power=0)
+    )
+
+
+@pytest.mark.parametrize("speed", [500, 501, 5_999, SPEED_MAX_RPM])
+def test_the_speed_limit_rises_at_once(speed):
+    gate = Gate(LIMITS)
+    gate.sent(0, frame(speed=500), 0)
+    assert_passes(gate, frame(speed=speed))
+
+
+@pytest.mark.parametrize(
+    ("speed", "rule"),
+    [
+        (12_000, "speed_limit"),
+        (11_902, "speed_limit"),
+        (11_901, None),  # 100 rpm in half a period, one bit of rounding
+        (11_800, None),
+        (11_799, None),
+        (11_798, "speed_slew"),
+    ],
+)
+@pytest.mark.parametrize("first", [0x04, 0x0C])
+def test_above_a_maximum_that_became_stricter_the_speed_limit_comes_down(speed, rule, first):
+    gate = Gate(LIMITS)
+    gate.sent(0, frame(first, speed=12_000, power=0), 0)
+    assert check(gate, frame(first, speed=speed, power=0)).blocked == rule
+
+
+@pytest.mark.parametrize(
+    ("power", "rule"),
+    [
+        (60_000, "power_limit"),
+        (58_502, "power_limit"),
+        (58_501, None),  # 1,500 W in half a period, one bit of rounding
+        (57_000, None),
+        (0, None),
+    ],
+)
+def test_above_a_maximum_that_became_stricter_the_power_limit_comes_down(power, rule):
+    gate = Gate(LIMITS)
+    gate.sent(0, frame(power=60_000), 0)
+    assert check(gate, frame(power=power)).blocked == rule
+
+
+@pytest.mark.parametrize(("speed", "power"), [(SPEED_MAX_RPM + 1, 0), (6_000, POWER_MAX_W + 1)])
+def test_before_the_first_frame_left_nothing_is_on_its_way(speed, power):
+    assert check(Gate(LIMITS), frame(speed=speed, power=power)).blocked is not None
+
+
+# Regeneration.
+
+
+@pytest.mark.parametrize(
+    ("speeds", "rule"),
+    [
+        ((100.0, 100.0), None),
+        ((math.nextafter(100, 0), 100.0), "regeneration"),
+        ((100.0, math.nextafter(100, 0)), "regeneration"),
+        ((None, 1_000.0), "regeneration"),
+        ((1_000.0, None), "regeneration"),
+    ],
+)
+@pytest.mark.parametrize("data", [frame(0x24), frame(0x24, brake=255)])
+def test_nothing_regenerates_unless_both_motors_are_known_to_turn(gate, speeds, rule, data):
+    assert check(gate, data, speeds=speeds).blocked == rule
+
+
+@pytest.mark.parametrize("speeds", [(0.0, 0.0), (None, None)])
+def test_the_pedal_alone_passes_at_any_speed(gate, speeds):
+    assert_passes(gate, frame(brake=255), speeds=speeds)
+
+
+@pytest.mark.parametrize("speeds", [(0.0, 0.0), (None, None)])
+def test_a_least_speed_of_zero_lets_everything_regenerate(gate, speeds):
+    gate.limits = replace(LIMITS, regen_min_rpm=0)
+    assert_passes(gate, frame(0x24, brake=255), speeds=speeds)
+
+
+def test_a_least_speed_of_one_rpm_lets_nothing_brake_at_a_standstill(gate):
+    gate.limits = replace(LIMITS, regen_min_rpm=1)
+    assert_blocked(gate, "regeneration", frame(0x24, brake=255), speeds=STANDING)
+
+
+# Throttle.
+
+
+@pytest.mark.parametrize(("throttle", "rule"), [(0, None), (1, "power_mode")])
+def test_there_is_no_throttle_in_power_mode_safety(gate, throttle, rule):
+    assert check(gate, frame(0x0C, throttle)).blocked == rule
+
+
+@pytest.mark.parametrize(("throttle", "rule"), [(0, None), (1, "directions")])
+@pytest.mark.parametrize("slot", [0, 1])
+def test_there_is_no_throttle_while_the_slots_have_two_directions(gate, throttle, rule, slot):
+    gate.sent(1, ZERO_TORQUE_REVERSE, 0)
+    first = 0x14 if slot else 0x04
+    assert check(gate, frame(first, throttle), slot=slot).blocked == rule
+
+
+def test_two_directions_pass_where_the_configuration_says_so(gate):
+    gate.limits = replace(LIMITS, independent_directions=True)
+    gate.sent(1, ZERO_TORQUE_REVERSE, 0)
+    assert_passes(gate, frame(throttle=1))
 
 
 # Unarmed means zero torque.
@@ -164,7 +300,7 @@ def test_unarmed_one_field_beyond_the_safe_frame_is_blocked(gate, field, data):
     assert_blocked(gate, "unarmed", data, armed=False)
 
 
-@pytest.mark.parametrize("data", [ZERO_TORQUE, POWER_CUT, bytes.fromhex("0c00000000000000")])
+@pytest.mark.parametrize("data", [ZERO_TORQUE, POWER_CUT, frame(0x0C, speed=5_800, power=0)])
 def test_unarmed_a_safe_frame_passes(gate, data):
     assert_passes(gate, data, armed=False)
 
@@ -195,7 +331,7 @@ def test_the_throttle_rises_by_the_slew_since_the_last_frame_sent(before, elapse
 
 
 def test_a_whole_code_earned_exactly_is_allowed():
-    limits = GateLimits((PCU1_ID,), SPEED_MAX_RPM, POWER_MAX_W, 39.0, 50.0, 10 * MS)
+    limits = replace(LIMITS, throttle_slew_pct_per_s=39.0, period_ns=10 * MS)
     gate = Gate(limits)
     gate.sent(0, frame(throttle=10), 0)
     assert check(gate, frame(throttle=12), now_ns=10 * MS).blocked is None
@@ -226,7 +362,7 @@ def test_before_the_first_frame_left_only_a_throttle_of_zero_passes():
 
 
 def test_a_stricter_slew_counts_at_once(gate):
-    gate.limits = GateLimits((PCU1_ID, PCU2_ID), SPEED_MAX_RPM, POWER_MAX_W, 10.0, 50.0, 50 * MS)
+    gate.limits = replace(LIMITS, throttle_slew_pct_per_s=10.0)
     assert_passes(gate, frame(throttle=2))
     assert_blocked(gate, "throttle_slew", frame(throttle=3))
 
@@ -315,9 +451,9 @@ def test_every_blocked_frame_is_counted_by_its_rule(gate):
 def test_zero_torque_carries_the_maximum_speed_and_the_direction(gate):
     assert gate.zero_torque(reverse=False) == ZERO_TORQUE
     assert gate.zero_torque(reverse=True) == ZERO_TORQUE_REVERSE
-    gate.limits = GateLimits((PCU1_ID,), 12_000, POWER_MAX_W, 1.0, 50.0, 1)
+    gate.limits = replace(LIMITS, speed_limit_max_rpm=12_000)
     assert gate.zero_torque(reverse=False) == bytes.fromhex("0c000000e02e0000")
-    gate.limits = GateLimits((PCU1_ID,), 0x0DFF, POWER_MAX_W, 1.0, 50.0, 1)
+    gate.limits = replace(LIMITS, speed_limit_max_rpm=0x0DFF)
     assert gate.zero_torque(reverse=False) == bytes.fromhex("0c000000ff0d0000")
 
 
@@ -337,8 +473,8 @@ LAST_SENT = st.none() | st.builds(
     st.sampled_from([0x00, 0x04, 0x08, 0x0C, 0x14, 0x34, 0x8C]),
     st.integers(0, 255),
     st.integers(0, 255),
-    speed=st.integers(0, SPEED_MAX_RPM),
-    power=st.integers(0, POWER_MAX_W),
+    speed=st.integers(0, 12_000),
+    power=st.integers(0, 60_000),
 )
 SPEEDS = st.tuples(*[st.none() | st.floats(0, 6000)] * 2)
 TIMES_NS = st.integers(-(10**12), 10**15)
@@ -354,7 +490,11 @@ def gate_after(last_sent):
 @given(last_sent=LAST_SENT, armed=st.booleans(), speeds=SPEEDS, now_ns=TIMES_NS, cut=st.booleans())
 def test_the_safe_frame_always_passes(last_sent, armed, speeds, now_ns, cut):
     gate = gate_after(last_sent)
-    data = bytearray(gate.zero_torque(bool(last_sent and last_sent[0] & 0x10)))
+    speed = SPEED_MAX_RPM
+    if last_sent is not None:
+        speed = max(speed, (last_sent[4] | last_sent[5] << 8) - 200)
+    reverse = 0x10 if last_sent is not None and last_sent[0] & 0x10 else 0
+    data = bytearray(frame(0x0C | reverse, speed=speed, power=0))
     data[0] |= 0x80 if cut else 0
     assert_passes(gate, bytes(data), armed=armed, speeds=speeds, now_ns=now_ns)
 

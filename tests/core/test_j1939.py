@@ -61,3 +61,10 @@ def test_the_sender_makes_another_message_of_the_same_group(can_id, address):
 def test_identifiers_match_if_all_but_their_priority_is_equal(one, other):
     fields = [j1939.parse(can_id)[1:] for can_id in (one, other)]
     assert (j1939.match_key(one) == j1939.match_key(other)) == (fields[0] == fields[1])
+
+
+@given(can_id=IDENTIFIERS, destination=st.integers(0, 255))
+def test_a_group_to_another_node_differs_in_the_destination_alone(can_id, destination):
+    fields = j1939.parse(can_id)
+    group = j1939.parse(j1939.group_key_to(can_id, destination))
+    assert group == fields._replace(priority=0, pdu_specific=destination, source_address=0)

@@ -11,6 +11,7 @@ from vcu_gateway.core.link import (
     Link,
     LinkBook,
     LinkState,
+    PassiveTime,
     after_error_frame,
     with_carrier,
 )
@@ -220,3 +221,58 @@ def test_the_intake_enters_error_frames_and_nothing_else(codec: Codec):
     assert intake.link == Link(OFF, 10)
     intake.link = Link(UP, 20)
     assert intake.link == Link(UP, 20)
+
+
+# Error-passive, in all.
+
+
+def test_passive_time_gathers_over_interruptions(book):
+    for at_ns in (1000, 2000):
+        book.take_error_frame(CONTROLLER, controller_byte(0x10), at_ns)
+        assert book.passive_ns(at_ns + 400) == (at_ns == 2000) * 500 + 400
+        book.take_error_frame(CONTROLLER, controller_byte(0x40), at_ns + 500)
+    assert book.passive_ns(9000) == 1000
+
+
+def test_an_error_frame_that_says_passive_again_changes_nothing(book):
+    for at_ns in (1000, 1100, 1200):
+        book.take_error_frame(CONTROLLER, controller_byte(0x20), at_ns)
+    assert book.passive_ns(1300) == 300
+
+
+def test_a_stamp_ahead_of_the_tick_is_no_passive_time_yet(book):
+    book.take_error_frame(CONTROLLER, controller_byte(0x20), 1000)
+    assert book.passive_ns(999) == 0
+
+
+def test_an_interface_opened_in_the_passive_state_gathers_from_then(book):
+    book.begin(Link(PASSIVE, 500))
+    assert book.passive_ns(700) == 200
+    book.take_error_frame(CONTROLLER, controller_byte(0x40), 800)
+    assert book.passive_ns(900) == 300
+
+
+@pytest.mark.parametrize(("at_s", "within_s"), [(4.9, 1), (5.0, 1), (6.0, 0.0), (5.5, 0.5)])
+def test_of_the_passive_time_only_that_of_the_last_5_s_counts(at_s, within_s):
+    """Passive for the first second, looked at every 50 ms."""
+    passive, seconds = PassiveTime(), 10**9
+    for tick in range(round(at_s * 20) + 1):
+        now_ns = tick * seconds // 20
+        found_ns = passive.within(min(now_ns, seconds), now_ns)
+    assert found_ns == within_s * seconds
+
+
+def test_passive_time_is_never_told_too_short_where_ticks_are_far_apart():
+    passive = PassiveTime()
+    assert passive.within(0, 0) == 0
+    assert passive.within(900, 3_000_000_000) == 900
+    assert passive.within(1000, 7_000_000_000) == 1000
+    assert passive.within(1000, 12_000_000_000) == 0
+
+
+@pytest.mark.parametrize(("after_ns", "told_ns"), [(5 * 10**9 - 1, 100), (5 * 10**9, 0)])
+def test_passive_time_counts_until_the_tick_after_it_is_5_s_old(after_ns, told_ns):
+    passive = PassiveTime()
+    passive.within(0, 0)
+    passive.within(100, 10)
+    assert passive.within(100, 10 + after_ns) == told_ns

@@ -181,10 +181,10 @@ def test_a_new_demand_does_not_continue_a_drive_whose_demand_expired_between_two
 
 
 def test_the_latest_code_is_told_however_old_it_is(store, put):
-    assert store.snapshot(0).codes(STATUS, ["SOC"]) is None
+    assert store.snapshot(0).codes(STATUS, ("SOC", "PackVoltage")) == []
     put(status(0, soc=80))
     put(status(1, soc=101))
     for now_ns in (0, 10**15):
-        assert store.snapshot(now_ns).codes(STATUS, ["SOC", "PackVoltage"])[0] == 101
+        assert store.snapshot(now_ns).codes(STATUS, ("SOC", "InternalFault")) == [(101, 0)]
     with pytest.raises(KeyError, match="Soc"):
-        store.snapshot(0).codes(STATUS, ["Soc"])
+        store.snapshot(0).codes(STATUS, ("Soc", "SOC"))

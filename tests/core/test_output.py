@@ -65,7 +65,10 @@ def test_the_transmit_priority_is_configuration_and_the_gate_knows_it(codec, pri
 
 
 def test_both_frames_are_shown_to_the_gate_each_in_its_slot(output):
-    good, bad = Command(power_mode=PowerMode.ECO), Command(throttle_pct=100)
+    good, bad = (
+        Command(power_mode=PowerMode.ECO),
+        Command(power_mode=PowerMode.ECO, throttle_pct=100),
+    )
     for frames, rule in (
         (output.encoded(decided(good, good)), None),
         (output.encoded(decided(bad, good)), "throttle_slew"),
@@ -87,7 +90,9 @@ def test_the_gate_is_told_whether_torque_is_allowed_and_how_fast_the_motors_turn
 
 
 def test_a_frame_that_was_sent_is_what_the_next_one_is_held_against(output):
-    low, high = (output.encoded(decided(throttle_pct=pct)) for pct in (4.0, 8.0))
+    low, high = (
+        output.encoded(decided(power_mode=PowerMode.ECO, throttle_pct=pct)) for pct in (4.0, 8.0)
+    )
     for frame in low[:1]:
         output.note_sent(frame, 1_000 * MS)
     assert output.fault_of(high[:1], True, STANDING, 1_050 * MS) is None
@@ -109,20 +114,23 @@ def test_what_was_sent_is_booked_as_the_wire_carried_it(output):
 @pytest.mark.parametrize(
     ("change", "command", "rule"),
     [
-        ({"speed_limit_max_rpm": 5999}, {"speed_limit_rpm": 6000}, "speed_limit"),
-        ({"power_limit_max_w": 5999}, {"power_limit_w": 6000, "speed_limit_rpm": 0}, "power_limit"),
+        ({"speed_limit_max_rpm": 11_899}, {"speed_limit_rpm": 11_950}, "speed_limit"),
+        ({"speed_slew_rpm_per_s": 2000}, {"speed_limit_rpm": 11_800}, "speed_slew"),
+        ({"power_limit_max_w": 5999}, {"power_limit_w": 6000}, "power_limit"),
         ({"throttle_slew_pct_per_s": 10}, {"throttle_pct": 4.0}, "throttle_slew"),
         ({"direction_change_rpm": 30.0}, {"motor_reverse": True}, "direction"),
+        ({"regen_min_rpm": 31.0}, {"regen_brake": True}, "regeneration"),
     ],
 )
 def test_new_limits_count_from_the_next_frame_on(codec, change, command, rule):
-    output = Output(codec, Settings())
+    settings = Settings(regen_min_rpm=30.0)
+    output = Output(codec, settings)
     for frame in output.encoded(decided()):
         output.note_sent(frame, 0)
-    frames = output.encoded(decided(**command))
+    frames = output.encoded(decided(power_mode=PowerMode.ECO, **command))
     speeds = (30.0, 30.0)
     assert output.fault_of(frames, True, speeds, 50 * MS) is None
-    output.reload(dataclasses.replace(Settings(), **change))
+    output.reload(dataclasses.replace(settings, **change))
     assert output.fault_of(frames, True, speeds, 50 * MS) == rule
 
 
@@ -130,8 +138,15 @@ def test_the_period_of_the_gate_is_the_configured_one(codec):
     output = Output(codec, Settings(period_ns=20 * MS))
     for frame in output.encoded(decided()):
         output.note_sent(frame, 0)
-    frames = output.encoded(decided(throttle_pct=4.0))
+    frames = output.encoded(decided(power_mode=PowerMode.ECO, throttle_pct=4.0))
     assert output.fault_of(frames, True, STANDING, 50 * MS) == "throttle_slew"
+
+
+def test_the_gate_knows_how_a_power_limit_comes_down_and_whether_directions_may_differ(codec):
+    settings = Settings(power_slew_w_per_s=1000.0, independent_directions=True)
+    output = Output(codec, settings)
+    assert output.gate.limits.power_slew_w_per_s == 1000.0
+    assert output.gate.limits.independent_directions is True
 
 
 def test_zero_torque_of_commands_and_of_the_gate_are_the_same_bytes(output):

@@ -5,10 +5,11 @@ import pytest
 from tests.core.safety_world import MS
 from vcu_gateway.core.causes import Causes, Effect, Finding
 from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.permission import against_arming, against_resetting
+from vcu_gateway.core.permission import Pedal, against_arming, against_resetting
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 
 NOTHING_ASKED = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand()}
+RELEASED = Pedal(NOTHING_ASKED, zero_for_ns=200 * MS)
 DRIVER, SERVICE = FaultClass.DRIVER, FaultClass.SERVICE
 
 
@@ -26,7 +27,9 @@ def supervisor(*stimuli: Stimulus) -> Supervisor:
 def causes(*effects: Effect, absent_ms: int = 0) -> Causes:
     made = Causes()
     made.update([Finding("code", "BMS_Status.X", effect, "2") for effect in effects], 10**9, 0)
-    made.update([], 10**9, absent_ms * MS)
+    if absent_ms:
+        made.update([], 10**9, MS)
+        made.update([], 10**9, (1 + absent_ms) * MS)
     return made
 
 
@@ -36,7 +39,7 @@ CUT = (Stimulus.CUT,)
 
 
 def test_a_healthy_standby_with_a_fresh_demand_of_nothing_may_be_armed():
-    assert against_arming(supervisor(*STANDBY), causes(), NOTHING_ASKED, False) == ""
+    assert against_arming(supervisor(*STANDBY), causes(), RELEASED) == ""
 
 
 @pytest.mark.parametrize(
@@ -49,15 +52,32 @@ def test_a_healthy_standby_with_a_fresh_demand_of_nothing_may_be_armed():
     ],
 )
 def test_arming_needs_standby(stimuli, mode):
-    sentence = against_arming(supervisor(*stimuli), causes(), NOTHING_ASKED, False)
+    sentence = against_arming(supervisor(*stimuli), causes(), RELEASED)
     assert sentence == f"arming needs standby, the mode is {mode}"
+
+
+@pytest.mark.parametrize("zero_for_ns", [None, 0, 200 * MS - 1])
+def test_a_throttle_that_was_not_zero_for_200_ms_refuses_arming(zero_for_ns):
+    pedal = RELEASED._replace(zero_for_ns=zero_for_ns)
+    sentence = against_arming(supervisor(*STANDBY), causes(), pedal)
+    assert sentence == "the demanded throttle has not been 0 for 200 ms"
+
+
+@pytest.mark.parametrize(
+    ("independent", "sentence"),
+    [(False, "both controllers must have the same direction"), (True, "")],
+)
+def test_two_directions_refuse_arming_unless_they_are_configured(independent, sentence):
+    asked = NOTHING_ASKED | {"PCU2": ControllerDemand(motor_reverse=True)}
+    pedal = RELEASED._replace(asked=asked, independent_directions=independent)
+    assert against_arming(supervisor(*STANDBY), causes(), pedal) == sentence
 
 
 @pytest.mark.parametrize("absent_ms", [0, 1, 999])
 @pytest.mark.parametrize("effect", [Effect.STOP, Effect.CUT])
 def test_a_violation_that_stands_or_stood_a_moment_ago_refuses_arming(effect, absent_ms):
     found = causes(effect, absent_ms=absent_ms)
-    sentence = against_arming(supervisor(*STANDBY), found, NOTHING_ASKED, False)
+    sentence = against_arming(supervisor(*STANDBY), found, RELEASED)
     assert sentence == f"BMS_Status.X 2: {effect.value} stands or stood a moment ago"
 
 
@@ -66,27 +86,29 @@ def test_a_violation_that_stands_or_stood_a_moment_ago_refuses_arming(effect, ab
     [Effect.ALARM, Effect.TURBO_OFF, Effect.POWER_LIMIT, Effect.REGEN_LIMIT, Effect.REGEN_OFF],
 )
 def test_alarms_and_limits_do_not_refuse_arming(effect):
-    assert against_arming(supervisor(*STANDBY), causes(effect), NOTHING_ASKED, False) == ""
+    assert against_arming(supervisor(*STANDBY), causes(effect), RELEASED) == ""
 
 
 def test_a_violation_absent_for_the_hold_no_longer_refuses_arming():
     found = causes(Effect.STOP, absent_ms=1000)
-    assert against_arming(supervisor(*STANDBY), found, NOTHING_ASKED, False) == ""
+    assert against_arming(supervisor(*STANDBY), found, RELEASED) == ""
 
 
 def test_without_a_fresh_demand_arming_is_refused():
-    sentence = against_arming(supervisor(*STANDBY), causes(), None, False)
+    sentence = against_arming(supervisor(*STANDBY), causes(), Pedal(None, None))
     assert sentence == "there is no fresh demand"
 
 
 @pytest.mark.parametrize("asked", [(0.39, 0), (0, 0.39), (1e-9, 0), (100, 100)])
 def test_arming_is_refused_while_either_throttle_is_asked(asked):
-    sentence = against_arming(supervisor(*STANDBY), causes(), throttle(*asked), False)
+    sentence = against_arming(supervisor(*STANDBY), causes(), Pedal(throttle(*asked), None))
     assert sentence == "the demanded throttle is not 0"
 
 
 def test_arming_is_refused_while_a_change_of_direction_is_pending():
-    sentence = against_arming(supervisor(*STANDBY), causes(), NOTHING_ASKED, True)
+    sentence = against_arming(
+        supervisor(*STANDBY), causes(), RELEASED._replace(reverse_pending=True)
+    )
     assert sentence == "a change of direction is pending"
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from tests.core.safety_world import active, standby
+from tests.core.safety_world import MS, PERIOD_NS, active, standby
 from vcu_gateway.core.demand import ControllerDemand, Demand
 from vcu_gateway.core.supervisor import Mode
 
@@ -30,6 +30,21 @@ def test_a_refused_source_is_no_owner():
     drive = standby()
     assert not drive.gateway.requests.offer(demand_of("remote"), drive.now_ns).granted
     assert owners(drive) == ["driver"]
+
+
+def test_the_time_that_a_demand_waited_counts_for_the_tracks_of_the_pedal():
+    drive = active()
+    drive.asked = None
+    apart = ControllerDemand(20.0, throttle_track2_pct=40.0)
+    assert drive.offer(apart, made_ns=drive.now_ns - 60 * MS).granted
+    drive.tick()
+    assert "the pedal's tracks differ" in drive.sentence
+
+
+def test_a_request_to_arm_that_comes_too_late_finds_the_fault_of_the_late_tick():
+    drive = active()
+    drive.now_ns += 5 * PERIOD_NS + 1
+    assert drive.arm().sentence == "arming needs standby, the mode is fault"
 
 
 def test_a_reload_reaches_the_gate():

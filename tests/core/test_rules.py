@@ -11,9 +11,9 @@ import pytest
 
 from tests.core.safety_world import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, world
 from vcu_gateway.core.link import Link, LinkState
+from vcu_gateway.core.plausibility import Excess, Observed
 from vcu_gateway.core.rules import RULES, findings
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.world import Sent
 
 BY_NAME = {rule.__name__: rule for rule in RULES}
 
@@ -30,7 +30,11 @@ KINDS = {
     "battery_life": OF_A_MESSAGE - {UNKNOWN},  # one bit has no code to spare
     "stale": OF_A_MESSAGE - {UNKNOWN},
     "out_of_range": OF_A_MESSAGE,
-    "throttle_echo": OF_A_MESSAGE,
+    "throttle_echo": OF_A_MESSAGE - {AT, UNKNOWN},  # test_plausibility.py has the limit
+    "echo_below": OF_A_MESSAGE - {UNKNOWN},  # frames in a row are counted
+    "echo_direction": OF_A_MESSAGE - {UNKNOWN},
+    "speed_steps": OF_THE_GATEWAY - {AT},  # seen or not
+    "wheel_speeds": OF_A_MESSAGE - {UNKNOWN, MISSING},
     "unconfirmed": OF_THE_GATEWAY,
     "link_down": OF_THE_GATEWAY,
     "foreign_sender": OF_THE_GATEWAY - {AT},  # there or not
@@ -243,38 +247,59 @@ RANGE_ROWS = [
 ]  # fmt: skip
 
 
-def echo_rows(controller: str) -> list[Row]:
-    """The echo came 100 ms ago; a bit is 0.39 %: 100 bits are 39 %, 12 bits are below 5 %."""
-    message, echo_ns = f"{controller}_Status1", NOW_NS - 100 * MS
-    finds = f"{message}.Throttle STOP"
+EXCESS = Observed(echo_above={"PCU2": Excess(39.39, 34.0)})
+ECHO_ROWS = [
+    row("throttle_echo", HEALTHY),
+    row("throttle_echo", BEYOND, "PCU2_Status1.Throttle STOP", observed=EXCESS),
+    row("throttle_echo", STALE, "", "judged by its age instead",
+        observed=EXCESS, ages_ns={"PCU2_Status1": 1600 * MS + 1}),
+    row("throttle_echo", MISSING, "", observed=EXCESS, never=["PCU2_Status1"]),
+]  # fmt: skip
 
-    def echoed(raw: int, *sent: tuple[int, float]) -> dict[str, Any]:
-        history = {controller: tuple(Sent(echo_ns - age_ns, pct) for age_ns, pct in sent)}
-        ages_ns, codes = {message: 100 * MS}, {f"{message}.Throttle": raw}
-        return {"codes": codes, "ages_ns": ages_ns, "history": history}
 
-    def of(kind: str, finds: str, label: str, broken: dict[str, Any]) -> Row:
-        return row("throttle_echo", kind, finds, f"{controller} {label}", **broken)
+def runs_of(rule: str, runs: str, subject: str, alone: str, both: str) -> list[Row]:
+    """A rule that counts frames in a row of each controller's Status1."""
 
+    def observed(**counts: int) -> dict[str, Any]:
+        return {"observed": Observed(**{runs: {name: n for name, n in counts.items() if n}})}
+
+    one, other = (f"{name}_Status1.{subject}" for name in ("PCU1", "PCU2"))
+    status1 = ("PCU1_Status1", "PCU2_Status1")
     return [
-        of(HEALTHY, "", "obeys", echoed(100, (50 * MS, 39.0))),
-        of(HEALTHY, "", "obeys less", echoed(0, (50 * MS, 39.0))),
-        of(AT, "", "5 % more", echoed(100, (50 * MS, 34.0))),
-        of(BEYOND, finds, "a little more than 5 %", echoed(100, (50 * MS, 33.999))),
-        of(BEYOND, finds, "one bit more than 5 %", echoed(101, (50 * MS, 34.0))),
-        of(AT, "", "12 bits above 0", echoed(12, (50 * MS, 0.0))),
-        of(BEYOND, finds, "13 bits above 0", echoed(13, (50 * MS, 0.0))),
-        of(AT, "", "a command of one second ago", echoed(100, (1000 * MS, 39.0), (0, 0.0))),
-        of(BEYOND, finds, "an older command", echoed(100, (1000 * MS + 1, 39.0), (0, 0.0))),
-        of(AT, "", "a command at that instant", echoed(100, (0, 39.0))),
-        of(BEYOND, finds, "a command after the echo", echoed(100, (-1, 39.0))),
-        of(BEYOND, finds, "a throttle never commanded", echoed(13)),
-        of(UNKNOWN, finds, "the highest code", echoed(255, (0, 39.0))),
-        of(STALE, "", "judged by its age instead",
-           echoed(255) | {"ages_ns": {message: 1600 * MS + 1}}),
-        of(MISSING, "", "nothing is echoed", {"never": [message]}),
+        row(rule, HEALTHY),
+        row(rule, AT, "", "one frame", **observed(PCU1=1, PCU2=0)),
+        row(rule, AT, "", "one frame of both", **observed(PCU1=1, PCU2=1)),
+        row(rule, BEYOND, f"{one} {alone}", "two frames", **observed(PCU1=2, PCU2=0)),
+        row(rule, BEYOND, f"{other} {alone}", "two frames", **observed(PCU1=0, PCU2=2)),
+        row(rule, BEYOND, f"{one} {both}", "the other begins", **observed(PCU1=2, PCU2=1)),
+        row(rule, BEYOND, f"{one} {both}, {other} {both}", "both", **observed(PCU1=3, PCU2=2)),
+        row(rule, STALE, f"{one} {alone}", "the other is stale",
+            **observed(PCU1=2, PCU2=2), ages_ns={status1[1]: 1600 * MS + 1}),
+        row(rule, STALE, "", "judged by their age instead",
+            **observed(PCU1=2, PCU2=2), ages_ns=dict.fromkeys(status1, 1600 * MS + 1)),
+        row(rule, MISSING, f"{one} {alone}", "the other", **observed(PCU1=2), never=[status1[1]]),
     ]  # fmt: skip
 
+
+def apart(for_ns: int) -> dict[str, Any]:
+    return {"observed": Observed(wheels_apart_since_ns=NOW_NS - for_ns)}
+
+
+WHEELS = "ARD2_SteeringWheel"
+PLAUSIBILITY_ROWS = [
+    *runs_of("echo_below", "echo_below", "Throttle", "STOP", "ALARM"),
+    *runs_of("echo_direction", "echo_direction", "MotorReverse", "STOP", "STOP"),
+    row("speed_steps", HEALTHY),
+    row("speed_steps", BEYOND, "PCU2_Status2.MotorSpeed ALARM",
+        observed=Observed(speed_steps_rpm={"PCU2": 2001.0})),
+    row("wheel_speeds", HEALTHY),
+    row("wheel_speeds", BEYOND, f"{WHEELS}.WheelSpeedFL ALARM", "a step",
+        observed=Observed(wheel_steps_kmh={"WheelSpeedFL": 20.001})),
+    row("wheel_speeds", AT, "", "apart for less than a second", **apart(1000 * MS - 1)),
+    row("wheel_speeds", BEYOND, f"{WHEELS} ALARM", "apart for a second", **apart(1000 * MS)),
+    row("wheel_speeds", STALE, "", "judged by its age instead",
+        **apart(2000 * MS), ages_ns={WHEELS: 300 * MS + 1}),
+]  # fmt: skip
 
 SENDING_ROWS = [
     row("unconfirmed", HEALTHY),
@@ -283,8 +308,8 @@ SENDING_ROWS = [
     row("unconfirmed", BEYOND, "", "where the bus cannot tell",
         unconfirmed_ticks=3, settings=Settings(expect_echo=False)),
     row("foreign_sender", HEALTHY),
-    row("foreign_sender", BEYOND, "command 0008A7D0 STOP", foreign_sender=0x0008A7D0),
-    row("foreign_sender", BEYOND, "command 1808A8D0 STOP", foreign_sender=0x1808A8D0),
+    row("foreign_sender", BEYOND, "command STOP", foreign_sender=0x0008A7D0),
+    row("foreign_sender", BEYOND, "command STOP", foreign_sender=0x1808A8D0),
     row("gate_blocked", HEALTHY),
     row("gate_blocked", BEYOND, "gate STOP", blocked_by_gate="unarmed"),
 ]  # fmt: skip
@@ -297,10 +322,8 @@ def link(state: LinkState, for_ns: int) -> dict[str, Link]:
 LINK_ROWS = [
     row("link_down", HEALTHY),
     row("link_down", AT, "", "warned for a minute", **link(LinkState.WARNING, 60_000 * MS)),
-    row("link_down", AT, "", "passive", **link(LinkState.PASSIVE, 0)),
-    row("link_down", AT, "", "passive for 1 s", **link(LinkState.PASSIVE, 1000 * MS)),
-    row("link_down", BEYOND, "link STOP", "passive for longer",
-        **link(LinkState.PASSIVE, 1000 * MS + 1)),
+    row("link_down", AT, "", "passive for 1 s in all", passive_ns=1000 * MS),
+    row("link_down", BEYOND, "link STOP", "passive for longer", passive_ns=1000 * MS + 1),
     row("link_down", BEYOND, "link STOP", "bus off", **link(LinkState.BUS_OFF, 0)),
     row("link_down", BEYOND, "link STOP", "lost", **link(LinkState.LOST, 0)),
 ]  # fmt: skip
@@ -317,7 +340,8 @@ TICK_ROWS = [
 
 ROWS = [
     *BATTERY_ROWS, *CONTROLLER_ROWS, *LATE_ROWS, *LIFE_ROWS, *STALE_ROWS, *RANGE_ROWS,
-    *echo_rows("PCU1"), *echo_rows("PCU2"), *SENDING_ROWS, *LINK_ROWS, *TICK_ROWS,
+    *ECHO_ROWS, *PLAUSIBILITY_ROWS, *SENDING_ROWS,
+    *LINK_ROWS, *TICK_ROWS,
 ]  # fmt: skip
 
 
@@ -378,7 +402,7 @@ def test_only_another_sender_and_the_gate_latch_from_every_mode_without_a_cut():
     latching = {
         one.subject for each in ROWS for one in findings(world(**each.broken)) if one.latches
     }
-    assert latching == {"command 0008A7D0", "command 1808A8D0", "gate"}
+    assert latching == {"command", "gate"}
 
 
 @pytest.mark.parametrize(
@@ -391,8 +415,19 @@ def test_only_another_sender_and_the_gate_latch_from_every_mode_without_a_cut():
         ({"never": ["IMU_Attitude"]}, "IMU_Attitude never received"),
         ({"ages_ns": {"IMU_Attitude": 101 * MS}}, "IMU_Attitude 101 ms"),
         ({"codes": {"BMS_Status.SOC": 101}}, "BMS_Status.SOC raw 101"),
-        ({"codes": {"PCU1_Status1.Throttle": 100}},
+        ({"observed": Observed(echo_above={"PCU1": Excess(39.0, 0.0)})},
          "PCU1_Status1.Throttle 39.0 %, commanded 0.0 %"),
+        ({"observed": Observed(echo_below={"PCU1": 2})},
+         "PCU1_Status1.Throttle does not obey, in 2 frames"),
+        ({"observed": Observed(echo_direction={"PCU1": 2})},
+         "PCU1_Status1.MotorReverse not as commanded, in 2 frames"),
+        ({"observed": Observed(speed_steps_rpm={"PCU1": 2001.0})},
+         "PCU1_Status2.MotorSpeed changed by 2001 rpm"),
+        ({"observed": Observed(wheel_steps_kmh={"WheelSpeedFL": 20.04})},
+         "ARD2_SteeringWheel.WheelSpeedFL changed by 20.0 km/h"),
+        ({"observed": Observed(wheels_apart_since_ns=NOW_NS - 1200 * MS)},
+         "ARD2_SteeringWheel wheels differ for 1200 ms"),
+        ({"passive_ns": 1001 * MS}, "link error passive for 1001 ms of 5 s"),
         ({"unconfirmed_ticks": 3}, "own frames for 3 ticks"),
         (link(LinkState.BUS_OFF, 0), "link bus off"),
         ({"foreign_sender": 0x0008A7D0}, "command 0008A7D0"),

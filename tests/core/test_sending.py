@@ -2,8 +2,7 @@
 
 import pytest
 
-from vcu_gateway.core.sending import Sending
-from vcu_gateway.core.world import Sent
+from vcu_gateway.core.sending import Sending, Sent
 
 BOTH = ("PCU1", "PCU2")
 
@@ -60,20 +59,20 @@ def test_silence_of_our_own_does_not_excuse_what_was_missed_before():
 
 def test_the_history_holds_each_controllers_throttles_oldest_first():
     sending = Sending(BOTH)
-    sending.note_sent("PCU1", 10.0, 1)
-    sending.note_sent("PCU2", 20.0, 2)
-    sending.note_sent("PCU1", 30.0, 3)
+    sending.note_sent("PCU1", Sent(1, 10.0))
+    sending.note_sent("PCU2", Sent(2, 20.0, reverse=True))
+    sending.note_sent("PCU1", Sent(3, 30.0))
     assert {name: list(sent) for name, sent in sending.history.items()} == {
         "PCU1": [Sent(1, 10.0), Sent(3, 30.0)],
-        "PCU2": [Sent(2, 20.0)],
+        "PCU2": [Sent(2, 20.0, reverse=True)],
     }
 
 
 def test_the_history_reaches_over_the_echo_window_and_is_bounded():
-    """One second before a Status1 of up to 1.6 s: 52 frames of 50 ms."""
+    """1.1 s before a Status1 of up to 1.6 s: 54 frames of 50 ms."""
     sending = Sending(BOTH)
     for number in range(1000):
-        sending.note_sent("PCU1", 1.0, number * 50_000_000)
+        sending.note_sent("PCU1", Sent(number * 50_000_000, 1.0))
     kept = sending.history["PCU1"]
-    assert kept[-1].at_ns - kept[0].at_ns >= 2_600_000_000
+    assert kept[-1].at_ns - kept[0].at_ns >= 2_700_000_000
     assert len(kept) <= 100

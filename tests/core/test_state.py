@@ -68,6 +68,25 @@ def test_a_value_is_stale_one_nanosecond_after_its_deadline(store, put):
     assert late.good_value is None, "and is not relied upon"
 
 
+def test_the_values_of_a_stale_message_are_not_relied_upon(store, put):
+    put(0, "PCU1_Status2", MotorSpeed=40)
+    assert list(store.snapshot(STALE_NS).good_values("PCU1_Status2", "MotorSpeed")) == [40]
+    assert store.snapshot(STALE_NS + 1).good_values("PCU1_Status2", "MotorSpeed") == ()
+
+
+def test_one_value_out_of_range_since_the_tick_before_spoils_the_others(store, put, codec):
+    put(0, "PCU1_Status2", MotorSpeed=40)
+    store.put("PCU1_Status2", codec.by_name["PCU1_Status2"].decode(b"\xff" * 8), 1)
+    put(2, "PCU1_Status2", MotorSpeed=40)
+    assert store.take(3).good_values("PCU1_Status2", "MotorSpeed") == ()
+
+
+def test_of_several_frames_the_highest_code_of_each_signal_is_told_last(store, put):
+    put(0, SOC=80, CellUndervoltage=0)
+    put(1, SOC=20, CellUndervoltage=2)
+    assert store.take(2).codes(STATUS, ("SOC", "CellUndervoltage")) == [(20, 0), (80, 2)]
+
+
 def test_a_stamp_slightly_ahead_is_fresh_and_one_far_ahead_is_not(store, put):
     put(FUTURE_TOLERANCE_NS + 5, SOC=80)
     snapshot = store.snapshot(5)
@@ -120,6 +139,12 @@ def test_the_observed_period_follows_the_traffic(store, put):
     for index in range(1, 60):
         put(1008 * MS + index * 100 * MS)
     assert store.snapshot(0).latest(STATUS).period_ns == pytest.approx(100 * MS, rel=0.01)
+
+
+def test_a_code_has_the_protocols_name_and_a_reserved_one_has_none(store):
+    snapshot = store.snapshot(0)
+    assert snapshot.code_name(STATUS, "CellUndervoltage", 2) == "level2"
+    assert snapshot.code_name("PCU1_Status1", "VoltageLevel", 7) is None
 
 
 def test_a_name_that_the_protocol_does_not_have_is_an_error(store):

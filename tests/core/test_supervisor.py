@@ -24,7 +24,7 @@ def expected(mode: Mode, stimulus: Stimulus) -> Mode:
     if stimulus in (Stimulus.CUT, Stimulus.LATCHING_STOP):
         return Mode.FAULT  # "from every mode by a CUT effect or another sender"
     if mode is Mode.FAULT:
-        return Mode.STANDBY if stimulus is Stimulus.RESET else Mode.FAULT  # "never to ACTIVE"
+        return Mode.STARTING if stimulus is Stimulus.RESET else Mode.FAULT  # "never to ACTIVE"
     if mode is Mode.ACTIVE:
         return {
             Stimulus.STOP: Mode.FAULT,  # "entered from ACTIVE by any STOP effect"
@@ -151,7 +151,7 @@ def test_what_does_not_latch_leaves_the_latch_alone():
 def test_a_reset_takes_the_latch_away():
     supervisor = in_mode(Mode.FAULT)
     (moved,) = supervisor.apply(Stimulus.RESET, 9, "reset at driver level")
-    assert (moved.fields["before"], moved.fields["after"]) == ("fault", "standby")
+    assert (moved.fields["before"], moved.fields["after"]) == ("fault", "starting")
     assert moved.severity is Severity.INFO
     assert supervisor.latch is None
 

@@ -1,6 +1,7 @@
 """Each refusal of the generator, by breaking one thing in the real definition."""
 
 import dataclasses
+import re
 
 import pytest
 
@@ -332,13 +333,13 @@ def test_a_row_used_by_several_messages_is_refused_once():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the file: is no mapping"),
-        ("[1, 2]", "the file: is no mapping"),
-        ("name: 2024-13-45", "is not YAML: month must be in 1..12"),
+        ("", r"the file: is no mapping$"),
+        ("[1, 2]", r"the file: is no mapping$"),
+        ("name: 2024-13-45", r": is not YAML: month must be in 1\.\.12"),
     ],
 )
 def test_a_file_that_is_something_else_is_refused(text, message):
-    assert refusals(text)[0].endswith(message)
+    assert re.search(message, refusals(text)[0])
 
 
 def test_a_file_that_cannot_be_read_is_missing_input(tmp_path):
