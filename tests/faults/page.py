@@ -60,13 +60,12 @@ class Row(NamedTuple):
 
     @property
     def state(self) -> str:
-        """`passed`, `failed`, `not run` or `no test`."""
-        if not self.tests:
-            return "no test"
+        """`passed`, `failed` or `not run`."""
         run = {result["test"].partition("[")[0] for result in self.results}
         if not all(result["passed"] for result in self.results):
             return "failed"
-        return "passed" if {test.place for test in self.tests} <= run else "not run"
+        is_run = self.tests and {test.place for test in self.tests} <= run
+        return "passed" if is_run else "not run"
 
 
 def catalogue() -> list[dict[str, Any]]:
@@ -120,17 +119,12 @@ def page(all_rows: list[Row]) -> str:
     releases = {one["kernel"] for row in all_rows for one in row.results}
     kernels = sorted({".".join(release.split(".")[:2]) for release in releases})
     head = HEAD.format(
-        automated=sum(row.state != "no test" for row in all_rows),
+        automated=sum(bool(row.tests) for row in all_rows),
         passed=sum(row.state == "passed" for row in all_rows),
         all=len(all_rows),
         kernels=" and ".join(f"Linux {kernel}" for kernel in kernels) or "no machine yet",
     )
-    tail = "\n## Without a test\n\n" + "".join(
-        f"- **{row.fault['number']}** {row.fault['fault']}: {row.fault['untested']}.\n"
-        for row in all_rows
-        if row.state == "no test"
-    )
-    return head + "".join(map(_line, all_rows)) + tail
+    return head + "".join(map(_line, all_rows))
 
 
 def _line(row: Row) -> str:
@@ -153,8 +147,6 @@ def _line(row: Row) -> str:
 
 
 def _seen(row: Row) -> str:
-    if row.state == "no test":
-        return f"no test: {row.fault['untested']}"
     told = list(dict.fromkeys(_cut(one["seen"]) for one in row.results if one["seen"]))
     mark = [] if row.state == "passed" else [f"**{row.state}**"]
     more = [f"(and {len(told) - _SHOWN} more cases)"] if len(told) > _SHOWN + 1 else []

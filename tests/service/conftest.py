@@ -1,5 +1,6 @@
 """The installed package under a real systemd, a healthy vehicle and a recorder on vcan0."""
 
+import json
 import os
 import subprocess
 from collections.abc import Iterator
@@ -56,6 +57,7 @@ class Booted(NamedTuple):
     restarts: int
     pid: int
     ready_us: int  # from systemd's start
+    warnings: list[str]  # of systemd about it
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -68,7 +70,21 @@ def booted(a_real_systemd: None) -> Booted:
         unit.number("NRestarts"),
         unit.pid,
         unit.number("ActiveEnterTimestampMonotonic") - begun_us,
+        warnings_of_systemd(),
     )
+
+
+def warnings_of_systemd() -> list[str]:
+    """What the journal has of the package's files, but for what the gateway itself said."""
+    subprocess.run(["journalctl", "--sync"], check=True)
+    ask = ["journalctl", "--boot", "--priority=warning", "--output=json"]
+    lines = subprocess.run(ask, capture_output=True, text=True).stdout.splitlines()
+    told = [json.loads(line) for line in lines]
+    return [
+        str(one["MESSAGE"])
+        for one in told
+        if one.get("SYSLOG_IDENTIFIER") != "vcu-gateway" and "vcu-gateway" in str(one)
+    ]
 
 
 @pytest.fixture(scope="session")

@@ -1,12 +1,13 @@
 """From the machine's boot to traffic on the bus; the interface comes last."""
 
 import contextlib
+import subprocess
 from collections.abc import Iterator
 
 from tests.faults.driving import QUIET
 from tests.service.conftest import Booted
 from tests.service.driver import Driver
-from tests.service.unit import PATIENCE_S, Unit
+from tests.service.unit import NAME, PATIENCE_S, Unit
 from tests.vcan.conftest import Stand, ip, program, wait_until
 
 
@@ -41,3 +42,13 @@ def test_at_boot_it_is_ready_without_its_interface_and_goes_on_unarmed_when_that
         vehicle.stop()
     wait_until(lambda: "can0" in unit.show("StatusText"), "the loss in the status", PATIENCE_S)
     assert (unit.pid, unit.number("NRestarts")) == (booted.pid, 0)
+
+
+def test_this_systemd_understands_every_line_and_has_no_warning_about_one(booted: Booted):
+    """What it does not know, or no longer wants, it ignores and tells in the journal."""
+    both = (NAME, NAME.replace(".", "@can1."))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", *both], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert booted.warnings == []

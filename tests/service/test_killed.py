@@ -13,6 +13,7 @@ from tests.vcan.conftest import COMMANDS, Recorded, wait_until
 from vcu_gateway.client import RefusedError
 
 NARROWEST_MS, PERIOD_MS = 25, 50
+POWER_CUT = bytes.fromhex("8c000000e02e0000")
 # A fresh interpreter and 50 ms; in a busy lab the interpreter alone takes up to a second.
 SAFE_WITHIN_MS = 2000
 
@@ -100,3 +101,26 @@ def test_the_safe_frames_keep_a_power_cut(service: Unit, driver: Driver):
     service.until_restarted()
     safe = frames_between(service, driver, killed)
     assert {frame.data for frame in safe} == {cut}
+
+
+def test_a_latched_cut_survives_kill_stop_and_start_until_a_service_reset(
+    service: Unit, driver: Driver
+):
+    driver.until_standby()
+    driver.client.estop()
+    wait_until(lambda: driver.mode() == "fault", "the latch", PATIENCE_S)
+    service.kill()
+    service.until_restarted()
+    assert first_frames(service, driver) == {POWER_CUT}
+    wait_until(lambda: "cut_kept" in service.told(), "that it is told", PATIENCE_S)
+    service.stop()
+    service.start()
+    assert first_frames(service, driver) == {POWER_CUT}
+    driver.settle()
+    service.restart()
+    assert first_frames(service, driver) == {ZERO_TORQUE}
+
+
+def first_frames(service: Unit, driver: Driver) -> set[bytes]:
+    """What the running process sent first; nobody else sends by then."""
+    return {one.data for one in driver.until_commands(10, service.stamp_ns("ExecMainStart"))}

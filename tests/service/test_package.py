@@ -1,4 +1,4 @@
-"""The Debian package in a clean Debian 12 with a systemd of its own and no network.
+"""The Debian package in a clean Debian with a systemd of its own and no network.
 
 Run as root inside the lab, in a guest of its own, for it installs and removes the package: VCU_DEB
 is the package, VCU_DEB_NEXT the same with a higher revision.
@@ -24,7 +24,8 @@ INSTANCE = "vcu-gateway@second.service"
 CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
 SECOND = CONFIG.with_name("second.yaml")
 HOME = Path("/usr/lib/vcu-gateway")
-PACKAGED = HOME / "lib/python3.11/site-packages/vcu_gateway/data/gateway.yaml"
+PYTHON = os.path.realpath("/usr/bin/python3")
+PACKAGED = HOME / f"lib/{Path(PYTHON).name}/site-packages/vcu_gateway/data/gateway.yaml"
 PATIENCE_S = 120.0
 
 pytestmark = pytest.mark.timeout(1200)
@@ -72,10 +73,10 @@ def remove(how: str = "remove") -> None:
 
 
 def installed() -> tuple[str, str]:
-    """State and revision."""
+    """State and revision, that without the release which it is built for."""
     state = output("dpkg-query", "-W", "-f", "${Status} ${Version}", PACKAGE)
     status, _, version = state.rpartition(" ")
-    return status, version.rpartition("-")[2]
+    return status, version.rpartition("-")[2].partition("~")[0]
 
 
 def show(unit: str, what: str) -> str:
@@ -89,12 +90,18 @@ def until(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.2)
 
 
-def journal(since_s: float = 0) -> str:
-    """What the service said last."""
-    since = f"--since=@{since_s:.3f}"
-    return output(
-        *("journalctl", "--unit", SERVICE, "--no-pager", "--output", "cat", "--lines", "30", since)
-    )
+def journal(*which: str) -> str:
+    """What the service said, last unless told otherwise."""
+    which = which or ("--lines=30",)
+    return output("journalctl", "--unit", SERVICE, "--no-pager", "--output", "cat", *which)
+
+
+def ended_by_itself(since_s: float) -> bool:
+    """Whether a drive ended since then, but for an orderly end of the program."""
+    since = journal(f"--since=@{since_s:.3f}").splitlines()
+    told = [json.loads(line) for line in since if line.startswith("{")]
+    changes = [(one["before"], one["after"]) for one in told if one["event"] == "mode_changed"]
+    return not {("active", "fault"), ("active", "standby")}.isdisjoint(changes)
 
 
 def why() -> dict[str, object]:
@@ -121,10 +128,18 @@ def first() -> str:
 
 
 @pytest.fixture
-def ready() -> None:
-    """Revision 1, enabled and not started, whatever an earlier test left behind."""
-    output("systemctl", "stop", SERVICE, INSTANCE)
+def revision_1() -> None:
+    """Where another one may be installed by now."""
     if installed() != ("install ok installed", "1"):
+        output("systemctl", "stop", SERVICE, INSTANCE)
+        install("VCU_DEB")
+
+
+@pytest.fixture
+def ready() -> None:
+    """Installed, enabled and not started, whatever an earlier test left behind."""
+    output("systemctl", "stop", SERVICE, INSTANCE)
+    if installed()[0] != "install ok installed":
         install("VCU_DEB")
     CONFIG.write_text(PACKAGED.read_text())
     SECOND.unlink(missing_ok=True)
@@ -143,7 +158,7 @@ def running(ready: None) -> int:
 
 
 @pytest.fixture
-def healthy(running, tmp_path: Path) -> Iterator[None]:
+def healthy(revision_1: None, running: int, tmp_path: Path) -> Iterator[None]:
     """Beside a healthy vehicle, ready to be armed."""
     scenario = tmp_path / "quiet.yaml"
     scenario.write_text(QUIET)
@@ -201,23 +216,12 @@ def test_a_foreign_python_path_does_not_matter(ready, tmp_path):
 
 def test_the_service_runs_from_it(running):
     assert os.stat(f"/proc/{running}").st_uid == pwd.getpwnam("vcu-gateway").pw_uid
-    assert os.readlink(f"/proc/{running}/exe") == "/usr/bin/python3.11"
+    assert os.readlink(f"/proc/{running}/exe") == PYTHON
     until(lambda: "mode" in why(), "an answer")
 
 
-def test_an_upgrade_keeps_the_configuration_and_restarts_what_runs(running):
-    changed = CONFIG.read_text()
-    said = install("VCU_DEB_NEXT")
-    assert installed() == ("install ok installed", "2")
-    assert CONFIG.read_text() == changed
-    assert [path.name for path in CONFIG.parent.iterdir()] == ["gateway.yaml"]
-    assert show(SERVICE, "ActiveState") == "active"
-    assert int(show(SERVICE, "MainPID")) not in (0, running)
-    assert "doctor" not in said
-
-
 @pytest.mark.slow
-def test_an_upgrade_restarts_an_instance_too(ready):
+def test_an_upgrade_restarts_an_instance_too(revision_1, ready):
     SECOND.write_text(
         "bus: {channel: vcan0}\napi: {socket_path: /run/vcu-gateway-second/control.sock}\n"
     )
@@ -232,7 +236,7 @@ def test_an_upgrade_restarts_an_instance_too(ready):
 
 
 @pytest.mark.slow
-def test_an_upgrade_neither_starts_nor_enables_what_somebody_disabled(ready):
+def test_an_upgrade_neither_starts_nor_enables_what_somebody_disabled(revision_1, ready):
     output("systemctl", "disable", SERVICE)
     install("VCU_DEB_NEXT")
     found = show(SERVICE, "UnitFileState"), show(SERVICE, "ActiveState")
@@ -242,8 +246,9 @@ def test_an_upgrade_neither_starts_nor_enables_what_somebody_disabled(ready):
 def refused(change: list[str], attempts: int = 3) -> str:
     """What apt says while the gateway is active.
 
-    On a busy machine the gateway's tick may be late while apt works: it latches a fault, and a
-    gateway in FAULT is rightly no reason to refuse. Then the attempt says nothing.
+    On a busy machine the gateway's tick may be late while apt works, or the demand: then the drive
+    ends, and a gateway that is not active is rightly no reason to refuse. Such an attempt says
+    nothing.
     """
     for _ in range(attempts):
         with doing("demand", "--throttle", "0", "--ttl-ms", "1000"):
@@ -253,7 +258,7 @@ def refused(change: list[str], attempts: int = 3) -> str:
             if done.returncode != 0:
                 assert show(SERVICE, "MainPID") == pid
                 return done.stdout
-        assert '"after": "fault"' in journal(since_s), done.stdout
+        assert ended_by_itself(since_s), f"{done.stdout}\n{journal('--lines=200')}"
         install("VCU_DEB")
         CONFIG.write_text(PACKAGED.read_text().replace("channel: can0\n", "channel: vcan0\n"))
         output("systemctl", "restart", SERVICE)
@@ -269,7 +274,7 @@ def armed() -> bool:
     return mode == "active"
 
 
-def test_nothing_changes_while_the_gateway_is_active_and_once_disarmed_it_upgrades(healthy):
+def test_nothing_changes_while_it_is_active_and_once_disarmed_it_upgrades_what_runs(healthy):
     for change in (
         ["install", os.environ["VCU_DEB_NEXT"]],
         ["remove", PACKAGE],
@@ -280,15 +285,19 @@ def test_nothing_changes_while_the_gateway_is_active_and_once_disarmed_it_upgrad
         assert "say `vcu-gateway disarm`" in said
         assert installed()[0].endswith(" ok installed")
         assert installed()[1] == "1"
-    pid = show(SERVICE, "MainPID")
+    pid, changed = show(SERVICE, "MainPID"), CONFIG.read_text()
     subprocess.run(["vcu-gateway", "disarm"], check=True, stdout=subprocess.DEVNULL)
-    install("VCU_DEB_NEXT")
+    said = install("VCU_DEB_NEXT")
+    assert "doctor" not in said
+    assert installed() == ("install ok installed", "2")
+    assert CONFIG.read_text() == changed
+    assert [path.name for path in CONFIG.parent.iterdir()] == ["gateway.yaml"]
     assert show(SERVICE, "ActiveState") == "active"
     assert show(SERVICE, "MainPID") not in ("0", pid)
 
 
 @pytest.mark.slow
-def test_a_stopped_process_that_cannot_answer_is_no_reason_to_refuse(running):
+def test_a_stopped_process_that_cannot_answer_is_no_reason_to_refuse(revision_1, running):
     # Without the watchdog, which would end it before dpkg gets there.
     output("systemctl", "service-watchdogs", "no")
     try:
@@ -301,10 +310,11 @@ def test_a_stopped_process_that_cannot_answer_is_no_reason_to_refuse(running):
 
 def test_removal_stops_it_and_leaves_the_configuration_alone(running):
     remove()
-    assert installed() == ("deinstall ok config-files", "1")
+    assert installed()[0] == "deinstall ok config-files"
     assert not Path(f"/proc/{running}").exists()
     assert show(SERVICE, "LoadState") == "not-found"
-    assert named_after_it() - NOTES_OF_SYSTEMD == {"/etc/vcu-gateway", "/var/lib/vcu-gateway"}
+    kept = {"/etc/vcu-gateway", "/var/lib/vcu-gateway", "/run/vcu-gateway"}
+    assert named_after_it() - NOTES_OF_SYSTEMD == kept
     assert [path.name for path in CONFIG.parent.iterdir()] == ["gateway.yaml"]
 
 

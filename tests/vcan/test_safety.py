@@ -135,7 +135,13 @@ class Reaction(NamedTuple):
 
 
 @pytest.fixture
-def begin(tmp_path: Path) -> Iterator[Callable[[str], Run]]:
+def stand_in() -> Callable[[Path], Stand]:
+    """Makes the stand of one run; on another bus where a conftest beside the test says so."""
+    return functools.partial(Stand, forking=True)
+
+
+@pytest.fixture
+def begin(tmp_path: Path, stand_in: Callable[[Path], Stand]) -> Iterator[Callable[[str], Run]]:
     """Begins a run with this scenario; the one before is over, the last one ends with the test."""
     with contextlib.ExitStack() as runs:
 
@@ -143,7 +149,7 @@ def begin(tmp_path: Path) -> Iterator[Callable[[str], Run]]:
             runs.close()
             folder = tmp_path / str(len(list(tmp_path.iterdir())))
             folder.mkdir()
-            stand = runs.enter_context(ended_after(Stand(folder, forking=True)))
+            stand = runs.enter_context(ended_after(stand_in(folder)))
             recording = stand.record()
             gateway = stand.gateway(BENCH)
             wait_until(lambda: "link_open" in gateway.err.read_text(), "the gateway")

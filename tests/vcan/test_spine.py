@@ -275,6 +275,21 @@ def test_own_frames_are_confirmed_by_the_kernels_echo_and_told_from_foreign_ones
         assert ticks - unsent - state["bus"]["dropped"] <= count <= ticks
 
 
+def test_a_command_of_any_source_and_one_to_all_pass_the_kernels_filters_once(stand: Stand):
+    state_path = stand.folder / "state.json"
+    recording = stand.record()
+    gateway = stand.gateway("", "--state-out", str(state_path))
+    recording.wait_for(lambda frames: len(frames) >= 4, "command frames")
+    foreign = (COMMANDS[0], 0x0008A755, 0x1C08A8A7, 0x0008FF55)
+    send(*((EFF | can_id, ZERO_TORQUE) for can_id in foreign))
+    send(*((EFF | can_id, ZERO_TORQUE) for can_id in (0x0008A655, 0x0009A755, 0x0008FE55)))
+    send((0x755, ZERO_TORQUE))
+    until_commands(recording, 8)
+    assert gateway.stop() == 0
+    state = json.loads(state_path.read_text())
+    assert state["counters"]["foreign_commands"] == {"PCU1": 3, "PCU2": 2}
+
+
 def test_the_simulated_vehicle_answers_every_command_with_status2(stand: Stand):
     recording = stand.record()
     vehicle = stand.vehicle()

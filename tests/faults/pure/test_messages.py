@@ -403,6 +403,7 @@ def test_f26_throttle_at_arming_and_at_reset_is_refused(throttle_pct, seen: Seen
     drive.asked = ControllerDemand()
     drive.tick()
     assert drive.reset().granted
+    drive.tick()
     assert drive.mode is Mode.STANDBY, "never to ACTIVE"
     seen(f"{throttle_pct} %: arm: {armed.sentence}; reset: {reset.sentence}")
 

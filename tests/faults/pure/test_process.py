@@ -451,7 +451,7 @@ def test_f64_a_full_disk_under_the_log_costs_lines_and_no_tick(tmp_path, seen: S
         os.close(full)
 
 
-@pytest.mark.parametrize("target", ["/dev/full", "/proc/version", "gone/state.json"])
+@pytest.mark.parametrize("target", ["/dev/full", "/proc/self/oom_score_adj", "gone/state.json"])
 def test_f64_a_state_file_that_cannot_be_written_is_told_and_the_end_is_in_order(
     target, tmp_path, seen: Seen
 ):
