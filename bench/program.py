@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NoReturn
 
 from bench import CHANNEL, DBC
@@ -93,13 +94,26 @@ def stand_in_for_confirm() -> None:
 
 def ours(config: str) -> dict[str, Any]:
     """`vcu-gateway run` as it is, with a clock reading before and after what is measured."""
+    from vcu_gateway.bus.door import Door
     from vcu_gateway.cli import main as command_line
     from vcu_gateway.core.gateway import Gateway
     from vcu_gateway.core.schedule import Schedule
 
-    found: dict[str, Any] = {"first_tick_ns": 0, "lateness_ns": [], "tick_ns": [], "modes": {}}
-    tick, sent, due = Gateway.tick, Gateway.sent, Schedule.due
+    found: dict[str, Any] = {
+        "first_tick_ns": 0,
+        "lateness_ns": [],
+        "tick_ns": [],
+        "look_ns": [],
+        "modes": {},
+    }
+    read, tick, sent, due = Door.read_waiting, Gateway.tick, Gateway.sent, Schedule.due
     started_ns = 0
+
+    def timed_read(self: Door, until_ns: int) -> None:
+        begun_ns, frames = time.thread_time_ns(), self.counters.received
+        read(self, until_ns)
+        if self.counters.received == frames:
+            found["look_ns"].append(time.thread_time_ns() - begun_ns)
 
     def timed_tick(self: Gateway, now_ns: int) -> Any:
         nonlocal started_ns
@@ -121,15 +135,17 @@ def ours(config: str) -> dict[str, Any]:
         return result
 
     for owner, name, method in (
+        (Door, "read_waiting", timed_read),
         (Gateway, "tick", timed_tick),
         (Gateway, "sent", timed_sent),
         (Schedule, "due", timed_due),
     ):
         setattr(owner, name, method)
-    with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
-        file.write(config)
-        file.flush()
-        sys.argv = ["vcu-gateway", "run", "--config", file.name]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "gateway.yaml")
+        path.write_text(config)
+        os.environ["RUNTIME_DIRECTORY"] = folder
+        sys.argv = ["vcu-gateway", "run", "--config", str(path)]
         command_line()
     return found
 

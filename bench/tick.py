@@ -23,3 +23,9 @@ def figures(options: Options) -> Iterator[Figure]:
         absolute=True,
     )
     yield Figure("tick, processor time, p99", "µs", percentile(took_us, 0.99))
+    looks_us = [
+        ns / 1e3 for ours, _ in runs(options, NOMINAL_PER_S) for ns in ours.found["look_ns"][10:]
+    ]
+    if looks_us:  # elsewhere a frame waited every time
+        middle_us = percentile(looks_us, 0.5)
+        yield Figure("looking for frames before a tick, none waiting, median", "µs", middle_us)
