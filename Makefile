@@ -53,9 +53,8 @@ test-bus: setup  ## the tests on a real vcan0, in the lab where the kernel has n
 	$(LAB) install
 	@scripts/suite bus
 
-# One step at a time: those of the systems are two at a time themselves.
 test-elsewhere: tools  ## the oracle, other Debians and Pythons from nothing, two CAN controllers (40 minutes)
-	@scripts/suite elsewhere --jobs 1
+	@scripts/suite elsewhere
 
 tools: setup
 	-@scripts/test-tools

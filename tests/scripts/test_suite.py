@@ -93,6 +93,27 @@ def test_no_more_steps_run_at_once_than_asked_for(folder: Path) -> None:
     assert order == [line for step in steps for line in (f"began {step}", "ended")]
 
 
+def test_no_two_steps_that_judge_by_the_clock_run_at_once_and_the_others_give_way(
+    folder: Path,
+) -> None:
+    """Of the suite on the bus every step judges by the clock."""
+    steps = ["test-vcan", "test-faults-vcan", "test-faults-netem", "test-faults-slcan"]
+    tell = "nice >>niceness; [ ! -e timed ] || echo two; touch timed; sleep 0.2; rm timed"
+    (folder / "Makefile").write_text(f"{' '.join(steps)}:\n\t@{tell}\n")
+    done = subprocess.run(
+        [SCRIPT, "bus", "-C", folder, "--jobs", "4"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout
+    assert "two" not in "".join(
+        (folder / "build/suite" / f"{step}.log").read_text() for step in steps
+    )
+    assert set((folder / "niceness").read_text().split()) == {"0"}
+    (folder / "Makefile").write_text(QUICK)
+    replace_step(folder, "lint", "@sleep 0.3; nice >niceness")
+    suite(folder)
+    assert (folder / "niceness").read_text().split() == ["10"]
+
+
 def test_an_interrupt_ends_every_step(folder: Path) -> None:
     replace_step(folder, "lint", "@sleep 300 & echo $$! >pid; wait")
     process = subprocess.Popen([SCRIPT, "quick", "-C", folder], stdout=subprocess.PIPE, text=True)
