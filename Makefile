@@ -27,7 +27,7 @@ ORDINARY := -m 'not slow'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
-.PHONY: help setup demo test test-quick test-bus test-elsewhere tools test-core test-exhaustive test-serving test-shell test-others \
+.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core test-exhaustive test-serving test-shell test-others \
 	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
 	test-faults-slcan test-faults-netem test-systems lint nightly soak faults mutants oracle-mutants bench lock clean
 
@@ -49,8 +49,7 @@ test: tools  ## everything: lint, types, tests, the service, the real vcan0
 test-quick: tools  ## the tests that need no CAN
 	@scripts/suite quick
 
-test-bus: setup  ## the tests on a real vcan0, in the lab where the kernel has no CAN
-	$(LAB) install
+test-bus: setup lab  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	@scripts/suite bus
 
 test-elsewhere: tools  ## the oracle, other Debians and Pythons from nothing, two CAN controllers (40 minutes)
@@ -58,6 +57,9 @@ test-elsewhere: tools  ## the oracle, other Debians and Pythons from nothing, tw
 
 tools: setup
 	-@scripts/test-tools
+
+lab: setup
+	@$(LAB) install
 
 # The steps of scripts/suite, which runs several at once; each runs alone, too.
 
@@ -126,26 +128,25 @@ test-debians: setup
 test-lab: setup test-guests
 	$(BIN)/pytest -q tests/lab --ignore=$(LAB_QEMU)
 
-test-vcan: setup
+test-vcan: setup lab
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
 
 # The specification against the program, by tests that share nothing with it.
-test-oracle: setup  ## a second opinion on every frame, written from the specification alone
+test-oracle: setup lab  ## a second opinion on every frame, written from the specification alone
 	$(IN_LAB) --timeout 1500 -- $(BIN)/pytest -q -m 'not slow' tests/oracle
 
-test-faults-vcan: setup
+test-faults-vcan: setup lab
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan
 
-test-faults-slcan: setup
+test-faults-slcan: setup lab
 	$(IN_LAB) --timeout 450 $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
 
-test-faults-netem: setup
+test-faults-netem: setup lab
 	$(IN_LAB) --timeout 450 $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
 
-nightly: setup  ## the long tests: deep invariants, ten minutes on vcan0
+nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
 	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
-	$(LAB) install
 	$(IN_LAB) --timeout 3000 -- $(BIN)/pytest -s tests/vcan tests/oracle tests/faults/vcan
 	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan
 	$(IN_LAB) --timeout 900 $(WITH_NETEM) -- $(BIN)/pytest tests/faults/netem
@@ -160,14 +161,12 @@ test-systems: setup  ## the README's commands in clean systems, or SYSTEMS="trix
 	$(BIN)/python -m tests.systems $(SYSTEMS)
 
 MINUTES := 10
-soak: setup  ## nominal traffic with random faults for MINUTES=10, in the lab
-	$(LAB) install
+soak: setup lab  ## nominal traffic with random faults for MINUTES=10, in the lab
 	$(LAB) run --timeout $$(( $(MINUTES) * 60 + 180 )) -- $(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
 
 FAULTS := build/faults
-faults: setup  ## every fault that the gateway survives; writes docs/faults.md
+faults: setup lab  ## every fault that the gateway survives; writes docs/faults.md
 	rm -rf $(FAULTS)
-	$(LAB) install
 	-VCU_FAULT_RESULTS=$(FAULTS) $(BIN)/pytest -q -m 'not slow' tests/faults/pure
 	-$(IN_LAB) --timeout 900 --env VCU_FAULT_RESULTS=$(FAULTS) -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan
 	-$(IN_LAB) --timeout 300 --env VCU_FAULT_RESULTS=$(FAULTS) $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
@@ -177,8 +176,7 @@ faults: setup  ## every fault that the gateway survives; writes docs/faults.md
 mutants: setup  ## change the safety core on purpose: every mistake must turn a test red
 	scripts/mutants $(BIN)
 
-oracle-mutants: setup  ## change what the program does on purpose: the oracle alone must see it
-	$(LAB) install
+oracle-mutants: setup lab  ## change what the program does on purpose: the oracle alone must see it
 	$(BIN)/python -m tests.oracle.mutate
 
 lint: setup  ## style, types, import contracts, generated files
