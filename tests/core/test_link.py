@@ -245,6 +245,12 @@ def test_a_stamp_ahead_of_the_tick_is_no_passive_time_yet(book):
     assert book.passive_ns(999) == 0
 
 
+def test_an_end_of_the_passive_state_stamped_before_its_beginning_gathers_nothing(book):
+    book.take_error_frame(CONTROLLER, controller_byte(0x20), 1000)
+    book.take_error_frame(CONTROLLER, controller_byte(0x40), 900)
+    assert book.passive_ns(2000) == 0
+
+
 def test_an_interface_opened_in_the_passive_state_gathers_from_then(book):
     book.begin(Link(PASSIVE, 500))
     assert book.passive_ns(700) == 200

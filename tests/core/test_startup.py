@@ -114,3 +114,12 @@ def test_frames_from_before_starting_do_not_count():
     assert counted.missing("BMS_Status") == ["waiting for BMS_Status: 0 of 3 good frames"]
     counted.put("BMS_Status", 3)
     assert counted.missing("BMS_Status") == []
+
+
+def test_a_message_that_never_came_before_starting_needs_all_its_good_frames():
+    counted = Counted()
+    counted.begin("BMS_Status")
+    counted.put("BMS_Status", 2)
+    assert counted.missing("BMS_Status") == ["waiting for BMS_Status: 2 of 3 good frames"]
+    counted.put("BMS_Status")
+    assert counted.missing("BMS_Status") == []

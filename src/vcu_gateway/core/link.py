@@ -133,7 +133,7 @@ class LinkBook:
         if told.state is LinkState.BUS_OFF:
             self._last_off = told
         passive_ns = self._told.passive_ns
-        if before.state is LinkState.PASSIVE and told is not before:
+        if before.state is LinkState.PASSIVE:
             passive_ns += max(0, told.since_ns - before.since_ns)
         self._told = _Told(told, passive_ns)
 
@@ -161,8 +161,9 @@ class LinkBook:
         """For how long the controller has been error-passive in all; an opening may take some."""
         told = self._told
         link = self._after_opening(told.link)
-        standing_ns = now_ns - link.since_ns if link.state is LinkState.PASSIVE else 0
-        return told.passive_ns + max(0, standing_ns)
+        if link.state is not LinkState.PASSIVE:
+            return told.passive_ns
+        return told.passive_ns + max(0, now_ns - link.since_ns)
 
     def _latest(self) -> Link:
         return self._after_opening(self._told.link)
