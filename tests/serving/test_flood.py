@@ -18,7 +18,8 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.client import Client, DemandOwner
+from tests.driven import wait_until
+from vcu_gateway.client import Client, DemandOwner, RefusedError
 
 SHARES = (0.5, 0.9, 0.99)
 CLIENTS = 50
@@ -88,10 +89,19 @@ def ticking(tmp_path: Path) -> Iterator[Ticking]:
             assert "ready\n" in process.stdout
             socket_path = tmp_path / "control.sock"
             with Client(socket_path) as client, client.demand("driver", hold_s=None) as owner:
-                client.arm()
+                wait_until(lambda: armed(client), "a vehicle that may be armed")
                 yield Ticking(tmp_path, process, owner)
         finally:
             process.kill()
+
+
+def armed(client: Client) -> bool:
+    """Not yet where a machine that stood still cost the gateway a message."""
+    try:
+        client.arm()
+    except RefusedError:
+        return False
+    return True
 
 
 def told(name: str, percentiles_us: list[float]) -> str:
