@@ -534,4 +534,4 @@ def test_the_gate_knows_nothing_of_the_rooms_that_it_checks():
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0
             imported.add(node.module)
-    assert imported == {"dataclasses", "typing"}
+    assert imported == {"dataclasses", "functools", "typing"}

@@ -6,7 +6,7 @@ permission into a number.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
@@ -19,8 +19,7 @@ _FULL_PCT = 100.0
 _HIGHEST_RPM = math.inf
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """One command frame in physical values; the defaults are SAFETY.md's ZERO_TORQUE.
 
     The speed limit's default is the protocol's maximum: a limit of 0 could brake hard.
@@ -54,8 +53,7 @@ def message_name(controller: str) -> str:
     return f"VCU_{controller}_Command"
 
 
-@dataclass(frozen=True, slots=True)
-class Ramps:
+class Ramps(NamedTuple):
     """The limits of one controller on their way: power in W, brake in %."""
 
     power_w: float
@@ -84,7 +82,7 @@ class Commander:
     def take_over(self, reverse: Mapping[str, bool]) -> None:
         """Begin in these directions, by controller: what a gateway before this one applied."""
         self.last = {
-            name: replace(last, motor_reverse=reverse.get(name, last.motor_reverse))
+            name: last._replace(motor_reverse=reverse.get(name, last.motor_reverse))
             for name, last in self.last.items()
         }
 
@@ -137,7 +135,7 @@ class Commander:
         commands = self.zero_torque(settings, power_cut=False)
         if asked is not None and slow and self._standing():
             commands = {
-                name: replace(command, motor_reverse=asked[name].motor_reverse)
+                name: command._replace(motor_reverse=asked[name].motor_reverse)
                 for name, command in commands.items()
             }
         return self._decided(commands)

@@ -6,6 +6,7 @@ replaced by ZERO_TORQUE; the safe frame always passes.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 # Byte 1 of the command frame.
@@ -21,7 +22,7 @@ _PERCENT_PER_BIT = 0.39
 _NS_PER_S = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class GateLimits:
     """What the gate holds every frame against.
 
@@ -47,9 +48,15 @@ class GateLimits:
     regen_min_rpm: float
     independent_directions: bool
 
-    def step(self, slew_per_s: float) -> float:
-        """How far a slew leads in one period."""
-        return slew_per_s * self.period_ns / _NS_PER_S
+    @cached_property
+    def power_step_w(self) -> float:
+        """How far PowerLimit comes down in one period."""
+        return self.power_slew_w_per_s * self.period_ns / _NS_PER_S
+
+    @cached_property
+    def speed_step_rpm(self) -> float:
+        """How far SpeedLimit comes down in one period."""
+        return self.speed_slew_rpm_per_s * self.period_ns / _NS_PER_S
 
 
 class Passed(NamedTuple):
@@ -94,19 +101,18 @@ class Gate:
         """
         own_id = self.limits.allowed[slot]
         sent = self._sent.get(slot)
-        reverse = bool(sent.data[0] & _REVERSE) if sent else _reverse_of(data)
         why = self._fault(can_id == own_id, data, armed, speeds_rpm, sent, now_ns)
         if why is None:
             return Passed(own_id, bytes(data), None)
         self.blocked[why] = self.blocked.get(why, 0) + 1
+        reverse = _reverse_of(sent.data if sent else data)
         return Passed(own_id, self.zero_torque(reverse, sent), why)
 
     def zero_torque(self, reverse: bool, sent: _Sent | None = None) -> bytes:
         """SAFETY.md's ZERO_TORQUE in bytes, as it may follow the frame that was sent."""
         speed = int(self.limits.speed_limit_max_rpm)
         if sent is not None:
-            step = self.limits.step(self.limits.speed_slew_rpm_per_s)
-            speed = max(speed, _word(sent.data, 4) - int(step))
+            speed = max(speed, _word(sent.data, 4) - int(self.limits.speed_step_rpm))
         first = _MODE_SAFETY | (_REVERSE if reverse else 0)
         return bytes((first, 0, 0, 0, speed & 0xFF, speed >> 8, 0, 0))
 
@@ -139,8 +145,7 @@ class Gate:
         return self._torque_fault(data, armed, speeds_rpm, sent, now_ns)
 
     def _speed_limit_fault(self, speed: int, sent: _Sent | None) -> str | None:
-        limits = self.limits
-        step = limits.step(limits.speed_slew_rpm_per_s)
+        limits, step = self.limits, self.limits.speed_step_rpm
         before = None if sent is None else _word(sent.data, 4)
         if speed < _SPEED_LIMIT_MIN_RPM:
             return "speed_limit"
@@ -162,7 +167,7 @@ class Gate:
         power, limits = _word(data, 6), self.limits
         if power > limits.power_limit_max_w:
             before = None if sent is None else _word(sent.data, 6)
-            if not _falls(power, before, limits.step(limits.power_slew_w_per_s)):
+            if not _falls(power, before, limits.power_step_w):
                 return "power_limit"
         if data[0] & _REGEN and self._too_slow_to_regenerate(speeds_rpm):
             return "regeneration"

@@ -232,10 +232,7 @@ class Gateway:
         settings, now_ns, mode = self.settings, snapshot.now_ns, self.supervisor.mode
         effects, asked = self.causes.effects(), self.requests.asked(now_ns)
         regenerates = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
-        slow = all(
-            speed is not None and speed < settings.direction_change_rpm
-            for speed in self._speeds.highest_rpm
-        )
+        slow = speeds.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
         if mode is Mode.ACTIVE and asked is not None:
             return self._commander.active(
                 asked, effects, slow, settings, now_ns, regenerates=regenerates

@@ -61,11 +61,12 @@ class Pedals:
         self._directions: set[tuple[str, bool]] = set()
         self._differ_since_ns: int | None = None
         self._zero_since_ns: int | None = None
+        self._heard: tuple[Asked, _Said] | None = None
 
     def judge(self, asked: Asked, made_ns: int, now_ns: int) -> None:
         """Take a demand that was made then and is granted now."""
         self._directions.update([(name, one.motor_reverse) for name, one in asked.items()])
-        said = _heard(asked)
+        said = self._said(asked)
         self._judge_zero(said, now_ns)
         self._judge_tracks(said, made_ns, now_ns)
         self._judge_override(said)
@@ -93,11 +94,17 @@ class Pedals:
             self.interrupted()
         else:
             self.judge(asked, now_ns, now_ns)  # its tracks last; nobody granted a bench demand
-        turning = any(applied[name] is not back for name, back in self._directions)
+        turning = not applied.items() >= self._directions
         held = turning or bool(self.latched or self._this_interval)
         self._this_interval.clear()
         self._directions.clear()
         return held
+
+    def _said(self, asked: Asked) -> _Said:
+        """What a demand says; a tick meets the one again that was judged last."""
+        if self._heard is None or self._heard[0] is not asked:
+            self._heard = asked, _heard(asked)
+        return self._heard[1]
 
     def _judge_zero(self, said: _Said, now_ns: int) -> None:
         if said.drives:

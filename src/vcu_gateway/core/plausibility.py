@@ -6,9 +6,9 @@ stands until the next one of its kind.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.sending import Sent
@@ -69,6 +69,17 @@ class _Odd(NamedTuple):
     below: int = 0
     direction: int = 0
 
+    def with_worse_of(self, other: "_Odd") -> "_Odd":
+        """The worse of both in each respect."""
+        if not any(other):
+            return self
+        excesses = [one for one in (self.above, other.above) if one]
+        return _Odd(
+            max(excesses, default=None),
+            max(self.below, other.below),
+            max(self.direction, other.direction),
+        )
+
 
 class _Echo:
     """What one controller echoes of its commands.
@@ -84,7 +95,7 @@ class _Echo:
         self, echoed: Sequence[tuple[int, float, float]], sent: Sequence[Sent], below_max_pct: float
     ) -> _Odd:
         """Take frames: arrival, throttle, direction; the worst of each."""
-        all_odd = []
+        worst = _Odd()
         for at_ns, throttle_pct, direction in echoed:
             before = self.standing
             low = _too_low(sent, at_ns, throttle_pct, below_max_pct)
@@ -94,40 +105,47 @@ class _Echo:
                 before.below + 1 if low else 0,
                 before.direction + 1 if wrong else 0,
             )
-            all_odd.append(self.standing)
-        return _Odd(
-            max((odd.above for odd in all_odd if odd.above), default=None),
-            max(odd.below for odd in all_odd),
-            max(odd.direction for odd in all_odd),
-        )
+            worst = worst.with_worse_of(self.standing)
+        return worst
 
 
-def _commanded_pct(sent: Sequence[Sent], at_ns: int) -> list[float]:
-    """The throttles in force during the second before."""
-    from_ns = at_ns - _THROTTLE_WINDOW_NS
-    return [one.throttle_pct for one in sent if from_ns <= one.at_ns <= at_ns]
+def _commanded(sent: Sequence[Sent], at_ns: int, window_ns: int) -> Iterator[Sent]:
+    """What was sent within this time before, the latest first: it decides almost always."""
+    from_ns = at_ns - window_ns
+    return (one for one in reversed(sent) if from_ns <= one.at_ns <= at_ns)
 
 
 def _excess(sent: Sequence[Sent], at_ns: int, echoed_pct: float) -> Excess | None:
     """More throttle than any commanded in the second before."""
-    commanded_pct = max(_commanded_pct(sent, at_ns), default=0.0)
+    window = at_ns, _THROTTLE_WINDOW_NS
+    if any(echoed_pct <= one.throttle_pct + _ABOVE_MAX_PCT for one in _commanded(sent, *window)):
+        return None
+    commanded_pct = max((one.throttle_pct for one in _commanded(sent, *window)), default=0.0)
     above = echoed_pct > commanded_pct + _ABOVE_MAX_PCT
     return Excess(echoed_pct, commanded_pct) if above else None
 
 
 def _too_low(sent: Sequence[Sent], at_ns: int, echoed_pct: float, below_max_pct: float) -> bool:
     """Less throttle than the lowest commanded in the whole second before."""
-    if not sent or sent[0].at_ns > at_ns - _THROTTLE_WINDOW_NS:
-        return False  # before our first frame nothing was commanded
-    commanded_pct = _commanded_pct(sent, at_ns)
-    return bool(commanded_pct) and min(commanded_pct) - echoed_pct > below_max_pct
+    window = at_ns, _THROTTLE_WINDOW_NS
+    for one in _commanded(sent, *window):
+        if one.throttle_pct - echoed_pct <= below_max_pct:
+            return False
+    # Before our first frame nothing was commanded.
+    return _any_commanded(sent, *window) and sent[0].at_ns <= at_ns - _THROTTLE_WINDOW_NS
 
 
 def _not_commanded(sent: Sequence[Sent], at_ns: int, echoed: float) -> bool:
     """A direction that no command of the time before had, where there was one."""
-    from_ns = at_ns - _DIRECTION_WINDOW_NS
-    commanded = {one.reverse for one in sent if from_ns <= one.at_ns <= at_ns}
-    return bool(commanded) and bool(echoed) not in commanded
+    window = at_ns, _DIRECTION_WINDOW_NS
+    for one in _commanded(sent, *window):
+        if one.reverse is bool(echoed):
+            return False
+    return _any_commanded(sent, *window)
+
+
+def _any_commanded(sent: Sequence[Sent], at_ns: int, window_ns: int) -> bool:
+    return next(_commanded(sent, at_ns, window_ns), None) is not None
 
 
 class _Steps:
@@ -211,7 +229,7 @@ class Plausibility:
         for name, echo in self._echoes.items():
             worst = echo.standing
             if snapshot.arrived(_STATUS1[name]):
-                echoed = _values(snapshot, _STATUS1[name], "Throttle", "MotorReverse")
+                echoed = _pairs(snapshot, _STATUS1[name], "Throttle", "MotorReverse")
                 worst = echo.worst(echoed, history.get(name, ()), below_max_pct)
             if any(worst):
                 odd[name] = worst
@@ -231,23 +249,25 @@ class Plausibility:
         steps: dict[str, float] = {}
         if not snapshot.arrived(WHEELS_MESSAGE):
             return steps
-        for at_ns, *speeds_kmh in _values(snapshot, WHEELS_MESSAGE, *WHEELS):
-            if abs(speeds_kmh[0] - speeds_kmh[1]) <= settings.wheel_speed_difference_max_kmh:
+        max_kmh = settings.wheel_speed_step_max_kmh
+        for at_ns, left_kmh, right_kmh in _pairs(snapshot, WHEELS_MESSAGE, *WHEELS):
+            if abs(left_kmh - right_kmh) <= settings.wheel_speed_difference_max_kmh:
                 self._wheels_apart_since_ns = None
             elif self._wheels_apart_since_ns is None:
                 self._wheels_apart_since_ns = at_ns
-            for wheel, speed_kmh in zip(WHEELS, speeds_kmh, strict=True):
-                max_kmh = settings.wheel_speed_step_max_kmh
+            for wheel, speed_kmh in zip(WHEELS, (left_kmh, right_kmh), strict=True):
                 step_kmh = self._wheels[wheel].step(at_ns, speed_kmh, max_kmh)
                 if step_kmh is not None:
                     steps[wheel] = max(step_kmh, steps.get(wheel, step_kmh))
         return steps
 
 
-def _values(snapshot: Snapshot, message: str, *signals: str) -> list[tuple[Any, ...]]:
-    """Arrival in ns and the values of these signals, of each frame since the tick before."""
-    indexes = [snapshot.index(message, signal) for signal in signals]
+def _pairs(
+    snapshot: Snapshot, message: str, first: str, second: str
+) -> list[tuple[int, float, float]]:
+    """Arrival in ns and the values of two signals, of each frame since the tick before."""
+    one, other = snapshot.index(message, first), snapshot.index(message, second)
     return [
-        (frame.arrival_ns, *[frame.decoded.values[index] for index in indexes])
+        (frame.arrival_ns, frame.decoded.values[one], frame.decoded.values[other])
         for frame in snapshot.arrived(message)
     ]

@@ -4,6 +4,7 @@ A rule sees the world and returns what it found; it does not log, remember or co
 tuple at the bottom is the whole list.
 """
 
+import functools
 from collections.abc import Callable, Iterator, Mapping
 
 from vcu_gateway.core.causes import Effect, Finding
@@ -55,34 +56,45 @@ CONTROLLER_EFFECTS: Mapping[str, tuple[tuple[Effect, ...], ...]] = {
 }
 """Effects of each code of a controller's Status1."""
 
+_EFFECTS = {
+    _STATUS: BATTERY_EFFECTS,
+    **{f"{controller}_Status1": CONTROLLER_EFFECTS for controller in CONTROLLERS},
+}
+_CODED = {message: tuple(effects) for message, effects in _EFFECTS.items()}
+
 Rule = Callable[[World], Iterator[Finding]]
 
 
 def battery_codes(world: World) -> Iterator[Finding]:
     """Fault levels of the battery; the last known level counts until another is known."""
-    yield from _coded(world, _STATUS, BATTERY_EFFECTS)
+    yield from _coded(world, _STATUS)
 
 
 def controller_codes(world: World) -> Iterator[Finding]:
     """Protection levels of either controller, for both: one driven wheel turns the vehicle."""
     for controller in CONTROLLERS:
-        yield from _coded(world, f"{controller}_Status1", CONTROLLER_EFFECTS)
+        yield from _coded(world, f"{controller}_Status1")
 
 
-def _coded(
-    world: World, message: str, effects: Mapping[str, tuple[tuple[Effect, ...], ...]]
-) -> Iterator[Finding]:
-    for codes in world.snapshot.codes(message, tuple(effects)):
-        for (signal, by_code), raw in zip(effects.items(), codes, strict=True):
-            for effect in by_code[raw]:
-                name = world.snapshot.code_name(message, signal, raw)
-                yield Finding(
-                    "code",
-                    f"{message}.{signal}",
-                    effect,
-                    f"{raw} ({name or 'reserved'})",
-                    until_restart=(signal, raw) in UNTIL_RESTART,
-                )
+def _coded(world: World, message: str) -> Iterator[Finding]:
+    for codes in world.snapshot.codes(message, _CODED[message]):
+        for signal, raw, effect in _effects_of(message, codes):
+            name = world.snapshot.code_name(message, signal, raw)
+            yield Finding(
+                "code",
+                f"{message}.{signal}",
+                effect,
+                f"{raw} ({name or 'reserved'})",
+                until_restart=(signal, raw) in UNTIL_RESTART,
+            )
+
+
+# The same few rows come again and again.
+@functools.lru_cache(maxsize=256)
+def _effects_of(message: str, codes: tuple[int, ...]) -> tuple[tuple[str, int, Effect], ...]:
+    """Signal, code and effect of every code that has one."""
+    coded = zip(_EFFECTS[message].items(), codes, strict=True)
+    return tuple((name, raw, effect) for (name, by), raw in coded for effect in by[raw])
 
 
 def battery_late(world: World) -> Iterator[Finding]:
@@ -96,24 +108,23 @@ def battery_late(world: World) -> Iterator[Finding]:
 
 def battery_life(world: World) -> Iterator[Finding]:
     """The life signal stands still: frames arrive, but nobody may be alive behind them."""
-    repeats = max((frame.life_repeats for frame in world.snapshot.judged(_STATUS)), default=0)
+    repeats = max([frame.life_repeats for frame in world.snapshot.judged(_STATUS)], default=0)
+    if repeats < _LIFE_LIMIT_REPEATS:
+        return
     detail = f"unchanged in {repeats + 1} frames"
-    if repeats >= _LIFE_LIMIT_REPEATS:
-        for effect in _LIMITS:
-            yield Finding("life_signal", f"{_STATUS}.LifeSignal", effect, detail)
+    for effect in _LIMITS:
+        yield Finding("life_signal", f"{_STATUS}.LifeSignal", effect, detail)
     if repeats >= _LIFE_STOP_REPEATS:
         yield Finding("life_signal", f"{_STATUS}.LifeSignal", Effect.STOP, detail)
 
 
 def stale(world: World) -> Iterator[Finding]:
     """A message that is too old, or never came."""
-    for message in world.snapshot.messages:
-        if not world.snapshot.stale(message.name):
-            continue
-        age_ns = world.snapshot.age_ns(message.name)
+    for message in world.snapshot.stale_messages():
+        age_ns = world.snapshot.age_ns(message)
         detail = "never received" if age_ns is None else _milliseconds(age_ns)
-        for effect in _effects_of_silence(world, message.name):
-            yield Finding("stale", message.name, effect, detail)
+        for effect in _effects_of_silence(world, message):
+            yield Finding("stale", message, effect, detail)
 
 
 def _effects_of_silence(world: World, message: str) -> tuple[Effect, ...]:
@@ -165,7 +176,8 @@ def echo_direction(world: World) -> Iterator[Finding]:
 
 def _runs(world: World, runs: Mapping[str, int]) -> Mapping[str, int]:
     """Frames in a row, of each controller whose word is not stale."""
-    return {name: run for name, run in runs.items() if not world.snapshot.stale(f"{name}_Status1")}
+    stale = world.snapshot.stale
+    return {name: run for name, run in runs.items() if not stale(f"{name}_Status1")}
 
 
 def speed_steps(world: World) -> Iterator[Finding]:
@@ -264,4 +276,7 @@ RULES: tuple[Rule, ...] = (
 
 def findings(world: World) -> tuple[Finding, ...]:
     """Everything that every rule finds."""
-    return tuple(finding for rule in RULES for finding in rule(world))
+    found: list[Finding] = []
+    for rule in RULES:
+        found.extend(rule(world))
+    return tuple(found)

@@ -20,18 +20,34 @@ class Speeds(NamedTuple):
     highest_rpm: SpeedsRpm
 
 
+_MESSAGES = {name: f"{name}_Status2" for name in CONTROLLERS}
+
 UNKNOWN = Speeds(*[(None,) * len(CONTROLLERS)] * 2)
 
 
 def of(snapshot: Snapshot, observed: Observed) -> Speeds:
     """The speeds of both motors at a tick."""
-    values = [
-        ()
-        if name in observed.speed_steps_rpm
-        else snapshot.good_values(f"{name}_Status2", "MotorSpeed")
-        for name in CONTROLLERS
-    ]
-    return Speeds(
-        tuple([min(speeds) if speeds else None for speeds in values]),
-        tuple([max(speeds) if speeds else None for speeds in values]),
-    )
+    lowest: list[float | None] = []
+    highest: list[float | None] = []
+    for name, message in _MESSAGES.items():
+        doubted = name in observed.speed_steps_rpm
+        values = () if doubted else snapshot.good_values(message, "MotorSpeed")
+        lowest.append(min(values) if values else None)
+        highest.append(max(values) if values else None)
+    return Speeds(tuple(lowest), tuple(highest))
+
+
+def all_below(speeds_rpm: SpeedsRpm, limit_rpm: float) -> bool:
+    """Whether every speed is known and below the limit."""
+    for speed in speeds_rpm:  # noqa: SIM110 - in every tick; a generator takes twice the time
+        if speed is None or speed >= limit_rpm:
+            return False
+    return True
+
+
+def all_at_least(speeds_rpm: SpeedsRpm, limit_rpm: float) -> bool:
+    """Whether every speed is known and not below the limit."""
+    for speed in speeds_rpm:  # noqa: SIM110 - in every tick; a generator takes twice the time
+        if speed is None or speed < limit_rpm:
+            return False
+    return True

@@ -171,7 +171,7 @@ class Snapshot:
     """All that is known at one instant."""
 
     __slots__ = (
-        *("_arrived", "_indexes", "_latest", "_pickers", "_specs", "_stale_after_ns"),
+        *("_arrived", "_fresh", "_indexes", "_latest", "_pickers", "_specs"),
         "now_ns",
     )
 
@@ -191,7 +191,11 @@ class Snapshot:
         self._pickers = pickers
         self._latest = latest
         self._arrived = arrived
-        self._stale_after_ns = stale_after_ns
+        self._fresh = {
+            name
+            for name, frame in latest.items()
+            if -FUTURE_TOLERANCE_NS <= now_ns - frame.arrival_ns <= stale_after_ns[name]
+        }
 
     @property
     def messages(self) -> tuple[MessageSpec, ...]:
@@ -221,11 +225,12 @@ class Snapshot:
 
     def stale(self, message: str) -> bool:
         """True where the message never came, is too old, or its stamp lies in the future."""
-        latest = self._latest.get(message)
-        if latest is None:
-            return True
-        age_ns = self.now_ns - latest.arrival_ns
-        return age_ns > self._stale_after_ns[message] or age_ns < -FUTURE_TOLERANCE_NS
+        return message not in self._fresh
+
+    def stale_messages(self) -> list[str]:
+        """The names of all messages that are stale, in the protocol's order."""
+        fresh = self._fresh
+        return [name for name in self._specs if name not in fresh]
 
     def reading(self, message: str, signal: str) -> Reading:
         """One signal; KeyError where the protocol has none of that name."""
@@ -234,7 +239,7 @@ class Snapshot:
 
     def good_values(self, message: str, signal: str) -> Sequence[float]:
         """A signal's values that are to be judged; none where one of them cannot be relied upon."""
-        if self.stale(message):
+        if message not in self._fresh:
             return ()
         values, index = [], self.index(message, signal)
         for frame in self.judged(message):
@@ -246,13 +251,13 @@ class Snapshot:
     def codes(self, message: str, signals: tuple[str, ...]) -> Sequence[tuple[int, ...]]:
         """Codes of these signals that are to be judged, a row for each frame, however old.
 
-        Of several frames the codes of each signal are ordered, the highest in the last row. Two
-        signals at least.
+        Of frames that differ the codes of each signal are ordered, the highest in the last row;
+        of those that do not there is one row. Two signals at least.
         """
         pick = self._pickers.get((message, signals)) or self._picker(message, signals)
         rows = [pick(frame.decoded.raws) for frame in self.judged(message)]
-        if len(rows) < 2:
-            return rows
+        if len(set(rows)) < 2:
+            return rows[:1]
         return list(zip(*map(sorted, zip(*rows, strict=True)), strict=True))
 
     def _picker(
@@ -281,12 +286,13 @@ class Snapshot:
 
     def marked(self, message: str) -> tuple[tuple[str, int], ...]:
         """Name and code of each signal out of range or saturated in a frame to be judged."""
+        decoded = [frame.decoded for frame in self.judged(message) if frame.decoded.marks]
+        if not decoded:
+            return ()
+        names = self._specs[message].signal_names
         marked: dict[str, int] = {}
-        for frame in self.judged(message):
-            marks, raws = frame.decoded.marks, frame.decoded.raws
-            if marks:
-                names = self._specs[message].signal_names
-                marked.update((name, raws[i]) for i, name in enumerate(names) if marks >> i & 1)
+        for one in decoded:
+            marked.update((name, one.raws[i]) for i, name in enumerate(names) if one.marks >> i & 1)
         return tuple(marked.items())
 
     def _reading(self, message: str, index: int, signal: SignalSpec) -> Reading:

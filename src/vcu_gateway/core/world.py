@@ -1,17 +1,17 @@
 """All that the rules may look at: the snapshot, and facts that no message carries."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from typing import NamedTuple
 
 from vcu_gateway.core.link import Link
-from vcu_gateway.core.plausibility import NOTHING_ODD, Observed
-from vcu_gateway.core.sending import Sent
+from vcu_gateway.core.plausibility import NOTHING_ODD, History, Observed
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
 
+NOTHING_SENT: History = {}
 
-@dataclass(frozen=True, slots=True)
-class World:
+
+class World(NamedTuple):
     """One instant.
 
     Attributes:
@@ -30,7 +30,7 @@ class World:
     settings: Settings
     late_after_ns: Mapping[str, int]
     link: Link
-    history: Mapping[str, Sequence[Sent]] = field(default_factory=dict)
+    history: History = NOTHING_SENT
     observed: Observed = NOTHING_ODD
     passive_ns: int = 0
     tick_late_ns: int = 0
