@@ -87,6 +87,12 @@ def test_of_several_frames_the_highest_code_of_each_signal_is_told_last(store, p
     assert store.take(2).codes(STATUS, ("SOC", "CellUndervoltage")) == [(20, 0), (80, 2)]
 
 
+def test_of_frames_that_do_not_differ_one_row_of_codes_is_told(store, put):
+    for at_ns in range(3):
+        put(at_ns, SOC=80, CellUndervoltage=2)
+    assert store.take(3).codes(STATUS, ("SOC", "CellUndervoltage")) == [(80, 2)]
+
+
 def test_a_stamp_slightly_ahead_is_fresh_and_one_far_ahead_is_not(store, put):
     put(FUTURE_TOLERANCE_NS + 5, SOC=80)
     snapshot = store.snapshot(5)

@@ -36,7 +36,7 @@ TESTS = {
     "startup": ["startup", "gateway"],
     "pedals": ["pedals"],
     "regeneration": ["regeneration"],
-    "speeds": ["between_ticks", "gateway"],
+    "speeds": ["speeds"],
     "supervisor": ["supervisor"],
     "demand": ["demand"],
     "link": ["link"],

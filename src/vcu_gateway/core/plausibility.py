@@ -117,12 +117,14 @@ def _commanded(sent: Sequence[Sent], at_ns: int, window_ns: int) -> Iterator[Sen
 
 def _excess(sent: Sequence[Sent], at_ns: int, echoed_pct: float) -> Excess | None:
     """More throttle than any commanded in the second before."""
-    window = at_ns, _THROTTLE_WINDOW_NS
-    if any(echoed_pct <= one.throttle_pct + _ABOVE_MAX_PCT for one in _commanded(sent, *window)):
+    if echoed_pct <= _ABOVE_MAX_PCT:
         return None
-    commanded_pct = max((one.throttle_pct for one in _commanded(sent, *window)), default=0.0)
-    above = echoed_pct > commanded_pct + _ABOVE_MAX_PCT
-    return Excess(echoed_pct, commanded_pct) if above else None
+    highest_pct = 0.0
+    for one in _commanded(sent, at_ns, _THROTTLE_WINDOW_NS):
+        if echoed_pct <= one.throttle_pct + _ABOVE_MAX_PCT:
+            return None
+        highest_pct = max(highest_pct, one.throttle_pct)
+    return Excess(echoed_pct, highest_pct)
 
 
 def _too_low(sent: Sequence[Sent], at_ns: int, echoed_pct: float, below_max_pct: float) -> bool:

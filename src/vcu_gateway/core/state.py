@@ -287,8 +287,6 @@ class Snapshot:
     def marked(self, message: str) -> tuple[tuple[str, int], ...]:
         """Name and code of each signal out of range or saturated in a frame to be judged."""
         decoded = [frame.decoded for frame in self.judged(message) if frame.decoded.marks]
-        if not decoded:
-            return ()
         names = self._specs[message].signal_names
         marked: dict[str, int] = {}
         for one in decoded:
