@@ -217,7 +217,7 @@ class Shadow:
         stops = {
             "tick late": tick_late_ns > 4 * self.settings.period_ns,
             "link": link_down,
-            "unconfirmed": self.settings.expect_echo and max(self.silent_ticks.values()) >= 3,
+            "unconfirmed": max(self.silent_ticks.values()) >= 3,
             "foreign": self.foreign,
         }
         found["stop"] |= {name for name, stands in stops.items() if stands}

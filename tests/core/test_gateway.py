@@ -695,13 +695,6 @@ def test_frames_that_are_not_confirmed_for_three_ticks_stop():
     assert drive.gateway.supervisor.latch.reason == "own frames for 3 ticks: stop"
 
 
-def test_where_the_bus_cannot_confirm_nothing_is_expected():
-    drive = active(expect_echo=False)
-    drive.echo = False
-    drive.run(5000)
-    assert drive.mode is Mode.ACTIVE
-
-
 def test_a_frame_that_the_bus_did_not_take_earns_no_throttle():
     drive = active()
     drive.asked = ControllerDemand(throttle_pct=50)
@@ -899,7 +892,6 @@ def test_neither_a_reset_nor_a_request_to_disarm_is_answered_with_auto_arm(end):
         {"transmit_priority": 3},
         {"period_ns": 20 * MS},
         {"listen_before_talk_ms": 2000},
-        {"expect_echo": False},
         {"bench_demand": BENCH},
         {"auto_arm": True},
     ],

@@ -48,7 +48,6 @@ SETTINGS = st.builds(
     Settings,
     listen_before_talk_ms=st.sampled_from([100, 1000, 2000]),
     clear_hold_ms=st.sampled_from([100, 300, 1000]),
-    expect_echo=st.sampled_from([True, True, False]),
     period_ns=st.sampled_from([50 * MS, 50 * MS, 20 * MS]),
     direction_change_rpm=st.sampled_from([50.0, 20.5, 0.0]),
     throttle_slew_pct_per_s=st.sampled_from([100.0, 200.0, 13.7]),
@@ -719,11 +718,7 @@ class GatewayMachine(RuleBasedStateMachine):
             self.settings = self.shadow.settings = after
         assert self.gateway.settings == self.settings
 
-    @rule(
-        change=st.sampled_from(
-            [{"period_ns": 1}, {"expect_echo": None}, {"auto_arm": True}, {"transmit_priority": 7}]
-        )
-    )
+    @rule(change=st.sampled_from([{"period_ns": 1}, {"auto_arm": True}, {"transmit_priority": 7}]))
     def reload_what_needs_a_restart(self, change):
         assert not self.gateway.requests.reload(
             dataclasses.replace(self.settings, **change)

@@ -305,8 +305,6 @@ SENDING_ROWS = [
     row("unconfirmed", HEALTHY),
     row("unconfirmed", AT, unconfirmed_ticks=2),
     row("unconfirmed", BEYOND, "own frames STOP", unconfirmed_ticks=3),
-    row("unconfirmed", BEYOND, "", "where the bus cannot tell",
-        unconfirmed_ticks=3, settings=Settings(expect_echo=False)),
     row("foreign_sender", HEALTHY),
     row("foreign_sender", BEYOND, "command STOP", foreign_sender=0x0008A7D0),
     row("foreign_sender", BEYOND, "command STOP", foreign_sender=0x1808A8D0),

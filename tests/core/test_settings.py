@@ -38,7 +38,6 @@ OTHER_VALUES = {
     "independent_directions": True,
     "second_track_required": True,
     "priorities": {"driver": 1},
-    "expect_echo": False,
     "bench_demand": ControllerDemand(),
     "auto_arm": True,
 }
@@ -73,7 +72,6 @@ def test_the_defaults_are_safety_mds():
         "priorities": {},
         "independent_directions": False,
         "second_track_required": False,
-        "expect_echo": True,
         "bench_demand": None,
         "auto_arm": False,
     }
@@ -120,7 +118,6 @@ def test_what_is_read_once_at_the_start_needs_a_restart():
         "transmit_priority",
         "period_ns",
         "listen_before_talk_ms",
-        "expect_echo",
         "bench_demand",
         "auto_arm",
     }

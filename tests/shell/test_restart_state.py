@@ -39,7 +39,7 @@ class Process:
     life = 0
 
     def __init__(self, folder: Path | None, settings: BusSettings = BUS) -> None:
-        self.gateway = Gateway(CODEC, Settings(expect_echo=False), self.now_ns)
+        self.gateway = Gateway(CODEC, Settings(), self.now_ns)
         self.gateway.link_opened(self.now_ns)
         self.journal = Journal()
         self.state = RestartState(folder, settings, self.gateway, self.journal)
@@ -54,6 +54,8 @@ class Process:
         result = self.gateway.tick(self.now_ns)
         for frame in result.frames:
             self.gateway.sent(frame, True, self.now_ns)
+            echo = Frame(frame.can_id, frame.data, self.now_ns, own_echo=True)
+            self.gateway.intake.receive(echo)
         self.state.observe(TICK, result)
         return [frame.data.hex() for frame in result.frames]
 

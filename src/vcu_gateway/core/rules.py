@@ -90,7 +90,7 @@ def _coded(world: World, message: str) -> Iterator[Finding]:
 
 
 # The same few rows come again and again.
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def _effects_of(message: str, codes: tuple[int, ...]) -> tuple[tuple[str, int, Effect], ...]:
     """Signal, code and effect of every code that has one."""
     coded = zip(_EFFECTS[message].items(), codes, strict=True)
@@ -203,7 +203,7 @@ def wheel_speeds(world: World) -> Iterator[Finding]:
 
 def unconfirmed(world: World) -> Iterator[Finding]:
     """Our frames do not leave: what we decide does not reach the motors."""
-    if world.settings.expect_echo and world.unconfirmed_ticks >= _UNCONFIRMED_MAX_TICKS:
+    if world.unconfirmed_ticks >= _UNCONFIRMED_MAX_TICKS:
         detail = f"for {world.unconfirmed_ticks} ticks"
         yield Finding("unconfirmed", "own frames", Effect.STOP, detail)
 

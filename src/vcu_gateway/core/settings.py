@@ -31,7 +31,6 @@ RESTART_ONLY = (
     "transmit_priority",
     "period_ns",
     "listen_before_talk_ms",
-    "expect_echo",
     "bench_demand",
     "auto_arm",
 )
@@ -61,7 +60,6 @@ class Settings:
         priorities: priority by source name; a source that is not listed has 0.
         independent_directions: a demand may ask for two directions.
         second_track_required: a demand must carry the pedal's second track.
-        expect_echo: our frames come back once they have left; False where the bus cannot tell.
         bench_demand: static demand for both controllers on a test bench; None on a vehicle.
         auto_arm: arm once by itself, with a bench demand only.
     """
@@ -93,7 +91,6 @@ class Settings:
     priorities: Mapping[str, int] = field(default_factory=dict)
     independent_directions: bool = False
     second_track_required: bool = False
-    expect_echo: bool = True
     bench_demand: ControllerDemand | None = None
     auto_arm: bool = False
 
