@@ -59,14 +59,15 @@ def steady(until_ms: float, throttle_pct: float) -> list[tuple[float, float]]:
         (100, [(-1000.000001, 39.0), (0, 0.0)], True),
         (100, [(0, 39.0)], False),
         (100, [(0.000001, 39.0)], True),
+        (12, [], False),
         (13, [], True),
         (255, [(0, 39.0)], True),
     ],
     ids=[
         *("as commanded", "5 % more", "a little more than 5 %", "one bit more than 5 %"),
         *("12 bits above 0", "13 bits above 0", "a command of one second ago", "an older one"),
-        *("a command at that instant", "a command after the echo", "never commanded"),
-        "the highest code",
+        *("a command at that instant", "a command after the echo"),
+        *("12 bits, never commanded", "13 bits, never commanded", "the highest code"),
     ],
 )
 def test_an_echo_is_too_high_by_more_than_5_percent(raw, sent, found):

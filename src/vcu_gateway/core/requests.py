@@ -156,18 +156,11 @@ class Requests:
         asked = self.asked(now_ns)
         pedal = Pedal(
             asked=asked,
-            zero_for_ns=self._zero_for_ns(now_ns),
+            zero_for_ns=parts.commander.pedals.zero_for_ns(now_ns),
             reverse_pending=asked is not None and parts.commander.reverse_pending(asked),
             independent_directions=self.settings.independent_directions,
         )
         return permission.against_arming(parts.supervisor, parts.causes, pedal)
-
-    def _zero_for_ns(self, now_ns: int) -> int | None:
-        """How long no throttle has been asked for; the bench demand asks for none before ACTIVE."""
-        demand = self.desk.current
-        if demand is not None and demand.source == BENCH_SOURCE:
-            return now_ns
-        return self._parts.commander.pedals.zero_for_ns(now_ns)
 
     def against_resetting(self, level: FaultClass, now_ns: int) -> str:
         """Why FAULT cannot be left now; empty where nothing speaks against it."""
