@@ -155,8 +155,9 @@ def test_a_life_signal_that_stands_still_in_every_other_frame_limits(bench):
     bench.drive(throttle_pct=30)
     bench.vehicle.periods(BMS_Status=1000)  # none but these: one more would be a third
     began = time.monotonic()
-    for number in range(8):
-        life = number & 1
+    life = bench.recorder.of(BATTERY, began - 1)[-1].data[7] >> 7
+    for _ in range(8):
+        life ^= 1
         bench.vehicle.script((0.0, BATTERY, {"life": life}), (0.001, BATTERY, {"life": life}))
         bench.rest(0.045)
     bench.vehicle.periods(BMS_Status=500)
