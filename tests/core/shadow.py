@@ -115,7 +115,8 @@ class Shadow:
         entry = (bytes(frame.data), frame.arrival_ns)
         self.arrived.setdefault(name, []).append(entry)
         if name.endswith("Status1"):
-            self._hold_echo_against_commands(name[:4], *entry)
+            latest = before is None or frame.arrival_ns >= before[1]
+            self._hold_echo_against_commands(name[:4], *entry, latest)
         if before is not None and frame.arrival_ns < before[1]:
             self.taken["out_of_order"] += 1
             return "out_of_order"
@@ -129,7 +130,7 @@ class Shadow:
         self.received[name] = entry
         return "stored"
 
-    def _hold_echo_against_commands(self, slot, data, at_ns):
+    def _hold_echo_against_commands(self, slot, data, at_ns, latest):
         """Frames in a row with too little throttle, or with a direction nobody commanded."""
         told = self.history[slot]
         second = [raw for sent_ns, raw, _ in told if 0 <= at_ns - sent_ns <= 1000 * MS]
@@ -139,7 +140,10 @@ class Shadow:
         turned = {back for sent_ns, _, back in told if 0 <= at_ns - sent_ns <= 1100 * MS}
         wrong = bool(turned) and bool(data[0] & 0x10) not in turned
         for kind, odd in (("low", low), ("wrong", wrong)):
-            self.odd[kind, slot] = self.odd[kind, slot] + 1 if odd else 0
+            run = self.odd[kind, slot] + 1 if odd else 0
+            self._see((kind, slot), run)
+            if latest:
+                self.odd[kind, slot] = run
             self._see((kind, slot), self.odd[kind, slot])
 
     def _hold_speed_against_the_last(self, slot, before, entry):
@@ -265,7 +269,7 @@ class Shadow:
         if self.stale(name, now_ns):
             return
         other = SLOTS[1 - SLOTS.index(slot)]
-        both = self.worst(("low", other)) and not self.stale(f"{other}_Status1", now_ns)
+        both = self.odd["low", other] and not self.stale(f"{other}_Status1", now_ns)
         if self.worst(("low", slot)) >= 2 and not both:
             found["stop"].add(f"{slot} echoes too little")
         if self.worst(("wrong", slot)) >= 2:

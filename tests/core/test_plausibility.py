@@ -29,8 +29,8 @@ class Watch:
         self.store.put(message, decoded, START_NS + int(at_ms * MS))
         return self
 
-    def tick(self):
-        snapshot = self.store.take(START_NS + 60_000 * MS)
+    def tick(self, at_ms: int = 60_000):
+        snapshot = self.store.take(START_NS + at_ms * MS)
         return self.plausibility.observe(snapshot, self.history, self.settings)
 
     def sent(self, *commands: tuple[float, float], reverse: bool = False) -> None:
@@ -155,6 +155,29 @@ def test_frames_in_a_row_are_counted_and_one_that_obeys_ends_the_run():
         watch.put("PCU1_Status1", 500 * number, Throttle=raw)
         seen.append(watch.tick().echo_below.get("PCU1", 0))
     assert seen == [1, 2, 0, 1]
+
+
+def test_a_frame_out_of_order_is_judged_and_ends_nothing():
+    watch = Watch()
+    watch.sent(*steady(1000, 78.0))
+    watch.put("PCU1_Status1", 0, Throttle=0).put("PCU1_Status1", 500, Throttle=0)
+    watch.put("PCU1_Status1", 499, Throttle=200)
+    assert watch.tick().echo_below == {"PCU1": 2}
+    watch.put("PCU1_Status1", 498, Throttle=255)
+    observed = watch.tick()
+    assert (observed.echo_below, list(observed.echo_above)) == ({"PCU1": 2}, ["PCU1"])
+    observed = watch.tick()
+    assert (observed.echo_below, observed.echo_above) == ({"PCU1": 2}, {})
+
+
+def test_whoever_obeyed_in_its_last_frame_is_told():
+    watch = Watch()
+    watch.sent(*steady(1000, 78.0))
+    watch.put("PCU1_Status1", 0, Throttle=0).put("PCU1_Status1", 1, Throttle=0)
+    assert watch.tick().echoes_below == {"PCU1"}
+    watch.put("PCU1_Status1", 2, Throttle=0).put("PCU1_Status1", 3, Throttle=200)
+    observed = watch.tick()
+    assert (observed.echo_below, observed.echoes_below) == ({"PCU1": 3}, frozenset())
 
 
 def test_a_run_stands_until_the_next_frame_says_otherwise():
@@ -284,6 +307,15 @@ def test_a_frame_older_than_the_one_before_it_is_no_step():
     assert watch.tick().speed_steps_rpm == {}
 
 
+def test_frames_out_of_order_are_no_plausible_ones():
+    watch = Watch()
+    watch.put("PCU1_Status2", 0, MotorSpeed=0).put("PCU1_Status2", 50, MotorSpeed=5000)
+    watch.tick()
+    for at_ms in (10, 20, 30):
+        watch.put("PCU1_Status2", at_ms, MotorSpeed=5000)
+    assert [watch.tick().speed_steps_rpm for _ in range(2)] == [{"PCU1": 5000.0}] * 2
+
+
 # Wheels.
 
 
@@ -301,7 +333,7 @@ def test_wheels_that_change_together_are_told_though_they_are_not_apart():
     watch = Watch()
     watch.put(WHEELS, 0).put(WHEELS, 100, WheelSpeedFL=30_000, WheelSpeedFR=30_000)
     observed = watch.tick()
-    assert observed.wheels_apart_since_ns is None
+    assert observed.wheels_apart_ns is None
     assert observed.wheel_steps_kmh == {one: pytest.approx(30) for one in plausibility.WHEELS}
 
 
@@ -315,16 +347,33 @@ def test_the_largest_step_between_two_ticks_is_told():
 def test_wheels_are_apart_from_the_first_frame_with_more_than_15_kmh_between_them():
     watch = Watch()
     watch.put(WHEELS, 0, WheelSpeedFL=15_000)
-    assert watch.tick().wheels_apart_since_ns is None
+    assert watch.tick(0).wheels_apart_ns is None
     for at_ms in (100, 200):
         watch.put(WHEELS, at_ms, WheelSpeedFR=15_001)
-        assert watch.tick().wheels_apart_since_ns == START_NS + 100 * MS
+        assert watch.tick(250).wheels_apart_ns == 150 * MS
     watch.put(WHEELS, 300, WheelSpeedFR=15_000)
-    assert watch.tick().wheels_apart_since_ns is None
+    assert watch.tick(300).wheels_apart_ns is None
+
+
+def test_wheels_that_were_apart_until_just_before_the_tick_are_told():
+    watch = Watch()
+    for at_ms in range(0, 1001, 100):
+        watch.put(WHEELS, at_ms, WheelSpeedFR=15_001)
+    watch.put(WHEELS, 1010, WheelSpeedFR=15_000)
+    assert watch.tick(1040).wheels_apart_ns == 1000 * MS
+    assert watch.tick(1090).wheels_apart_ns is None
+
+
+def test_a_frame_out_of_order_says_nothing_of_the_wheels():
+    watch = Watch()
+    watch.put(WHEELS, 100, WheelSpeedFR=15_001).put(WHEELS, 50)
+    assert watch.tick(200).wheels_apart_ns == 100 * MS
+    watch.put(WHEELS, 60, WheelSpeedFR=60_000)
+    assert watch.tick(250).wheel_steps_kmh == {}
 
 
 def test_one_frame_of_agreement_between_two_ticks_begins_the_second_anew():
     watch = Watch(wheel_speed_difference_max_kmh=1.0)
     for at_ms, raw in ((0, 2000), (10, 0), (20, 2000)):
         watch.put(WHEELS, at_ms, WheelSpeedFL=raw)
-    assert watch.tick().wheels_apart_since_ns == START_NS + 20 * MS
+    assert watch.tick(100).wheels_apart_ns == 80 * MS

@@ -260,8 +260,10 @@ ECHO_ROWS = [
 def runs_of(rule: str, runs: str, subject: str, alone: str, both: str) -> list[Row]:
     """A rule that counts frames in a row of each controller's Status1."""
 
-    def observed(**counts: int) -> dict[str, Any]:
-        return {"observed": Observed(**{runs: {name: n for name, n in counts.items() if n}})}
+    def observed(*, obeys: bool = False, **counts: int) -> dict[str, Any]:
+        odd = {name: n for name, n in counts.items() if n}
+        below = frozenset(odd) - {"PCU2"} if obeys else frozenset(odd)
+        return {"observed": Observed(**{runs: odd, "echoes_below": below})}
 
     one, other = (f"{name}_Status1.{subject}" for name in ("PCU1", "PCU2"))
     status1 = ("PCU1_Status1", "PCU2_Status1")
@@ -273,6 +275,8 @@ def runs_of(rule: str, runs: str, subject: str, alone: str, both: str) -> list[R
         row(rule, BEYOND, f"{other} {alone}", "two frames", **observed(PCU1=0, PCU2=2)),
         row(rule, BEYOND, f"{one} {both}", "the other begins", **observed(PCU1=2, PCU2=1)),
         row(rule, BEYOND, f"{one} {both}, {other} {both}", "both", **observed(PCU1=3, PCU2=2)),
+        row(rule, BEYOND, f"{one} {alone}", "the other obeys again",
+            **observed(PCU1=2, PCU2=1, obeys=True)),
         row(rule, STALE, f"{one} {alone}", "the other is stale",
             **observed(PCU1=2, PCU2=2), ages_ns={status1[1]: 1600 * MS + 1}),
         row(rule, STALE, "", "judged by their age instead",
@@ -282,7 +286,7 @@ def runs_of(rule: str, runs: str, subject: str, alone: str, both: str) -> list[R
 
 
 def apart(for_ns: int) -> dict[str, Any]:
-    return {"observed": Observed(wheels_apart_since_ns=NOW_NS - for_ns)}
+    return {"observed": Observed(wheels_apart_ns=for_ns)}
 
 
 WHEELS = "ARD2_SteeringWheel"
@@ -423,7 +427,7 @@ def test_only_another_sender_and_the_gate_latch_from_every_mode_without_a_cut():
          "PCU1_Status2.MotorSpeed changed by 2001 rpm"),
         ({"observed": Observed(wheel_steps_kmh={"WheelSpeedFL": 20.04})},
          "ARD2_SteeringWheel.WheelSpeedFL changed by 20.0 km/h"),
-        ({"observed": Observed(wheels_apart_since_ns=NOW_NS - 1200 * MS)},
+        ({"observed": Observed(wheels_apart_ns=1200 * MS)},
          "ARD2_SteeringWheel wheels differ for 1200 ms"),
         ({"passive_ns": 1001 * MS}, "link error passive for 1001 ms of 5 s"),
         ({"unconfirmed_ticks": 3}, "own frames for 3 ticks"),

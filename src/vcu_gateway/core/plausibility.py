@@ -45,18 +45,21 @@ class Observed:
     Attributes:
         echo_above: the highest throttle that was not commanded.
         echo_below: frames in a row that echoed too little throttle, at the most in this tick.
+        echoes_below: the controllers whose last frame did.
         echo_direction: the same for a direction that was not commanded.
         speed_steps_rpm: the last implausible change, while the speed is not believed again.
         wheel_steps_kmh: implausible changes of this tick.
-        wheels_apart_since_ns: since when both wheels differ too much; None while they do not.
+        wheels_apart_ns: for how long both wheels differ too much, or did in this tick; None
+            where they do not.
     """
 
     echo_above: Mapping[str, Excess] = field(default_factory=dict)
     echo_below: Mapping[str, int] = field(default_factory=dict)
+    echoes_below: frozenset[str] = frozenset()
     echo_direction: Mapping[str, int] = field(default_factory=dict)
     speed_steps_rpm: Mapping[str, float] = field(default_factory=dict)
     wheel_steps_kmh: Mapping[str, float] = field(default_factory=dict)
-    wheels_apart_since_ns: int | None = None
+    wheels_apart_ns: int | None = None
 
 
 NOTHING_ODD = Observed()
@@ -85,11 +88,12 @@ class _Echo:
     """What one controller echoes of its commands.
 
     Attributes:
-        standing: what is odd of its last frame.
+        standing: what is odd of its latest frame; one out of order never is the latest.
     """
 
     def __init__(self) -> None:
         self.standing = _Odd()
+        self._latest_ns = -math.inf
 
     def worst(
         self, echoed: Sequence[tuple[int, float, float]], sent: Sequence[Sent], below_max_pct: float
@@ -100,13 +104,15 @@ class _Echo:
             before = self.standing
             low = _too_low(sent, at_ns, throttle_pct, below_max_pct)
             wrong = _not_commanded(sent, at_ns, direction)
-            self.standing = _Odd(
+            odd = _Odd(
                 _excess(sent, at_ns, throttle_pct),
                 before.below + 1 if low else 0,
                 before.direction + 1 if wrong else 0,
             )
-            worst = worst.with_worse_of(self.standing)
-        return worst
+            worst = worst.with_worse_of(odd)
+            if at_ns >= self._latest_ns:
+                self._latest_ns, self.standing = at_ns, odd
+        return worst.with_worse_of(self.standing)
 
 
 def _commanded(sent: Sequence[Sent], at_ns: int, window_ns: int) -> Iterator[Sent]:
@@ -156,16 +162,18 @@ class _Steps:
     def __init__(self) -> None:
         self._before: tuple[int, float] | None = None
 
+    def out_of_order(self, at_ns: int) -> bool:
+        """True for a frame older than the one before: it is no next step of anything."""
+        return self._before is not None and at_ns < self._before[0]
+
     def step(
         self, at_ns: int, value: float, max_change: float, within_ns: float = math.inf
     ) -> float | None:
         """The change since the frame before, where it is too large for so short a time.
 
-        None where it is not, for the first frame and for one out of order.
+        None where it is not, and for the first frame; not for one out of order.
         """
         before = self._before
-        if before is not None and at_ns < before[0]:
-            return None
         self._before = (at_ns, value)
         if before is None or at_ns - before[0] > within_ns:
             return None
@@ -188,14 +196,17 @@ class _Speed:
         """
         doubted = not frames and self._plausible_left > 0
         for frame in frames:
-            speed_rpm = frame.decoded.values[index]
-            step_rpm = self._steps.step(frame.arrival_ns, speed_rpm, step_max_rpm, _STEP_WITHIN_NS)
-            if step_rpm is not None:
-                self._plausible_left, self._step_rpm = _PLAUSIBLE_FRAMES, step_rpm
-            elif self._plausible_left > 0:
-                self._plausible_left -= 1
+            if not self._steps.out_of_order(frame.arrival_ns):
+                self._take(frame.arrival_ns, frame.decoded.values[index], step_max_rpm)
             doubted = doubted or self._plausible_left > 0
         return self._step_rpm if doubted else None
+
+    def _take(self, at_ns: int, speed_rpm: float, step_max_rpm: float) -> None:
+        step_rpm = self._steps.step(at_ns, speed_rpm, step_max_rpm, _STEP_WITHIN_NS)
+        if step_rpm is not None:
+            self._plausible_left, self._step_rpm = _PLAUSIBLE_FRAMES, step_rpm
+        elif self._plausible_left > 0:
+            self._plausible_left -= 1
 
 
 class Plausibility:
@@ -211,13 +222,13 @@ class Plausibility:
         """Look at every frame since the tick before."""
         odd = self._odd_echoes(snapshot, history, settings.echo_below_max_pct)
         speed_steps = self._speed_steps(snapshot, settings.motor_speed_step_max_rpm)
-        wheel_steps = self._wheel_steps(snapshot, settings)
-        apart_ns = self._wheels_apart_since_ns
+        wheel_steps, apart_ns = self._wheel_steps(snapshot, settings)
         if not (odd or speed_steps or wheel_steps or apart_ns is not None):
             return NOTHING_ODD
         return Observed(
             {name: one.above for name, one in odd.items() if one.above},
             {name: one.below for name, one in odd.items() if one.below},
+            frozenset(name for name, echo in self._echoes.items() if echo.standing.below),
             {name: one.direction for name, one in odd.items() if one.direction},
             speed_steps,
             wheel_steps,
@@ -247,21 +258,28 @@ class Plausibility:
                 steps[name] = step_rpm
         return steps
 
-    def _wheel_steps(self, snapshot: Snapshot, settings: Settings) -> Mapping[str, float]:
+    def _wheel_steps(
+        self, snapshot: Snapshot, settings: Settings
+    ) -> tuple[Mapping[str, float], int | None]:
+        """Steps of the wheels in this tick; for how long they differ, or did in it, in ns."""
         steps: dict[str, float] = {}
-        if not snapshot.arrived(WHEELS_MESSAGE):
-            return steps
+        apart_ns: list[int] = []
         max_kmh = settings.wheel_speed_step_max_kmh
         for at_ns, left_kmh, right_kmh in _pairs(snapshot, WHEELS_MESSAGE, *WHEELS):
+            if self._wheels[WHEELS[0]].out_of_order(at_ns):
+                continue
             if abs(left_kmh - right_kmh) <= settings.wheel_speed_difference_max_kmh:
                 self._wheels_apart_since_ns = None
-            elif self._wheels_apart_since_ns is None:
-                self._wheels_apart_since_ns = at_ns
+            else:
+                self._wheels_apart_since_ns = self._wheels_apart_since_ns or at_ns
+                apart_ns.append(at_ns - self._wheels_apart_since_ns)
             for wheel, speed_kmh in zip(WHEELS, (left_kmh, right_kmh), strict=True):
                 step_kmh = self._wheels[wheel].step(at_ns, speed_kmh, max_kmh)
                 if step_kmh is not None:
                     steps[wheel] = max(step_kmh, steps.get(wheel, step_kmh))
-        return steps
+        if self._wheels_apart_since_ns is not None:
+            apart_ns.append(snapshot.now_ns - self._wheels_apart_since_ns)
+        return steps, max(apart_ns, default=None)
 
 
 def _pairs(

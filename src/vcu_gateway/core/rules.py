@@ -160,7 +160,10 @@ def echo_below(world: World) -> Iterator[Finding]:
     runs = _runs(world, world.observed.echo_below)
     for controller, run in runs.items():
         if run >= _ECHO_FRAMES:
-            effect = Effect.ALARM if len(runs) == len(CONTROLLERS) else Effect.STOP
+            # The other one's last frame counts: what it obeys now it drives with.
+            others = set(CONTROLLERS) - {controller}
+            both = others <= world.observed.echoes_below & runs.keys()
+            effect = Effect.ALARM if both else Effect.STOP
             detail = f"does not obey, in {run} frames"
             yield Finding("echo_below", f"{controller}_Status1.Throttle", effect, detail)
 
@@ -192,10 +195,9 @@ def wheel_speeds(world: World) -> Iterator[Finding]:
     for wheel, step_kmh in world.observed.wheel_steps_kmh.items():
         subject, detail = f"{WHEELS_MESSAGE}.{wheel}", f"changed by {step_kmh:.1f} km/h"
         yield Finding("wheel_speed_step", subject, Effect.ALARM, detail)
-    since_ns = world.observed.wheels_apart_since_ns
-    if since_ns is None or world.snapshot.stale(WHEELS_MESSAGE):
+    apart_ns = world.observed.wheels_apart_ns
+    if apart_ns is None or world.snapshot.stale(WHEELS_MESSAGE):
         return
-    apart_ns = world.snapshot.now_ns - since_ns
     if apart_ns >= _WHEELS_APART_NS:
         detail = f"wheels differ for {_milliseconds(apart_ns)}"
         yield Finding("wheel_speed_difference", WHEELS_MESSAGE, Effect.ALARM, detail)
@@ -245,8 +247,13 @@ def emergency_stop(world: World) -> Iterator[Finding]:
 
 def gate_blocked(world: World) -> Iterator[Finding]:
     """The gate stopped a frame that the rest of the core wanted to send: a bug."""
-    if world.blocked_by_gate is not None:
-        yield Finding("gate", "gate", Effect.STOP, world.blocked_by_gate, latches=True)
+    yield from blocked(world.blocked_by_gate)
+
+
+def blocked(rule: str | None) -> Iterator[Finding]:
+    """The finding of a frame that breaks this rule of the gate, where one does."""
+    if rule is not None:
+        yield Finding("gate", "gate", Effect.STOP, rule, latches=True)
 
 
 def _milliseconds(duration_ns: int) -> str:
