@@ -235,6 +235,40 @@ def test_a_tick_that_is_late_by_4_periods_ends_the_drive_as_asked(request_of):
     assert drive.mode is Mode.STANDBY
 
 
+@pytest.mark.parametrize("request_of", ["disarm", "a demand ends"])
+@pytest.mark.parametrize(("late_ns", "latches"), [(LATE_NS, False), (LATE_NS + 1, True)])
+def test_a_request_in_time_does_not_excuse_the_late_tick_of_a_drive(request_of, late_ns, latches):
+    drive = active()
+    drive.now_ns += LATE_NS - MS
+    REQUESTS[request_of](drive)
+    assert drive.mode is Mode.STANDBY
+    drive.gateway.tick(drive.now_ns + late_ns - LATE_NS + MS)
+    assert (drive.mode is Mode.FAULT) is latches
+
+
+def test_a_late_tick_in_standby_latches_nothing():
+    drive = active()
+    REQUESTS["disarm"](drive)
+    drive.tick()
+    drive.gateway.tick(drive.now_ns + LATE_NS + 1)
+    assert drive.gateway.supervisor.latch is None
+
+
+@pytest.mark.parametrize("request_of", ["disarm", "a demand"])
+def test_a_late_tick_cannot_be_reset_before_it_was_ticked(request_of):
+    drive = active()
+    drive.now_ns += LATE_NS + 1
+    REQUESTS[request_of](drive)
+    assert drive.mode is Mode.FAULT
+    assert drive.reset().sentence == "tick 200 ms: stop stands or stood a moment ago"
+    drive.asked = ControllerDemand()
+    drive.tick()
+    drive.run(950)
+    assert not drive.reset(FaultClass.DRIVER).granted
+    drive.run(100)
+    assert drive.reset(FaultClass.DRIVER).granted
+
+
 # A reset goes through STARTING.
 
 
@@ -287,6 +321,16 @@ def test_what_is_lost_in_a_fault_has_to_qualify_again_after_the_reset(how):
     drive.tick()
     assert drive.mode is Mode.STARTING
     drive.until(Mode.STANDBY, within_ms=2500)
+
+
+def test_a_link_lost_for_a_moment_in_standby_begins_the_qualification_anew():
+    drive = standby()
+    drive.gateway.link_lost(drive.now_ns)
+    drive.gateway.link_opened(drive.now_ns)
+    drive.tick()
+    assert drive.mode is Mode.STARTING
+    assert not drive.arm().granted
+    drive.until(Mode.STANDBY)
 
 
 def test_arming_is_refused_until_the_tick_after_a_reset():

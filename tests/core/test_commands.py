@@ -284,7 +284,8 @@ def test_the_direction_waits_one_frame_of_zero_throttle_even_when_slow(drive):
     assert drive.active(throttle_pct=50, motor_reverse=True).motor_reverse is True
 
 
-def test_a_change_of_one_controller_holds_the_other_one_too(drive):
+def test_a_change_of_one_controller_holds_the_other_one_too():
+    drive = Drive(independent_directions=True)
     asked = {
         "PCU1": ControllerDemand(throttle_pct=50, motor_reverse=True),
         "PCU2": ControllerDemand(throttle_pct=50),
@@ -308,13 +309,22 @@ def test_one_throttle_that_is_not_zero_keeps_both_directions(drive):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_a_change_is_pending_while_one_direction_differs(drive, name):
+def test_a_change_is_pending_while_one_direction_differs(name):
+    drive = Drive(independent_directions=True)
     asked = dict.fromkeys(CONTROLLERS, ControllerDemand())
     assert not drive.commander.reverse_pending(asked)
     asked[name] = ControllerDemand(motor_reverse=True)
     assert drive.commander.reverse_pending(asked)
     drive.step("settle", asked)
     assert not drive.commander.reverse_pending(asked)
+
+
+@pytest.mark.parametrize("mode", ["settle", "active"])
+def test_two_directions_that_a_reload_forbids_are_not_turned_to(drive, mode):
+    asked = dict.fromkeys(CONTROLLERS, ControllerDemand())
+    asked["PCU2"] = ControllerDemand(motor_reverse=True)
+    assert not drive.step(mode, asked).motor_reverse
+    assert drive.commander.reverse_pending(asked)
 
 
 # Ramps of the limits.

@@ -568,6 +568,42 @@ def test_a_cut_while_ending_cuts_the_power():
     assert (drive.mode, drive.commands) == (Mode.STOPPING, [POWER_CUT] * 2)
 
 
+@pytest.mark.parametrize("order", ["the stop first", "the end first", "a tick between"])
+@pytest.mark.parametrize("how", ["emergency stop", "InternalFault"])
+@pytest.mark.parametrize("mode", [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE, Mode.FAULT])
+def test_a_cut_that_comes_with_the_end_is_latched_for_the_next_start(mode, how, order):
+    drive = in_mode(mode)
+    requests = drive.gateway.requests
+
+    def cut() -> None:
+        if how == "emergency stop":
+            requests.emergency_stop()
+        else:
+            drive.codes["BMS_Status.InternalFault"] = 1
+            drive.receive("BMS_Status")
+
+    for ask in (
+        (cut, requests.terminate) if order == "the stop first" else (requests.terminate, cut)
+    ):
+        ask()
+        if order == "a tick between":
+            drive.tick()
+    drive.codes.clear()
+    drive.tick()
+    assert (drive.mode, drive.commands) == (Mode.STOPPING, [POWER_CUT] * 2)
+    assert drive.gateway.supervisor.latch.fault_class is SERVICE
+
+
+@pytest.mark.parametrize("stop", ["a stop", "another sender"])
+def test_what_only_stops_is_not_latched_while_ending(stop):
+    drive = in_mode(Mode.STOPPING)
+    drive.codes["BMS_Status.CellUndervoltage"] = 2
+    if stop == "another sender":
+        drive.receive_foreign()
+    drive.tick()
+    assert drive.gateway.supervisor.latch is None
+
+
 @NOT_ENDING
 def test_another_sender_latches_from_every_mode_with_zero_torque(mode):
     drive = in_mode(mode)
@@ -860,6 +896,14 @@ def test_auto_arm_waits_until_nothing_speaks_against_it():
     drive.until(Mode.ACTIVE)
 
 
+def test_auto_arm_never_arms_the_demand_of_somebody_who_took_over():
+    drive = Drive(bench_demand=BENCH, auto_arm=True, priorities={"driver": 5})
+    drive.run(200)
+    drive.asked = None
+    drive.run(5000)
+    assert drive.mode is Mode.STANDBY
+
+
 def test_auto_arm_without_a_bench_demand_does_nothing():
     drive = standby(auto_arm=True)
     drive.run(5000)
@@ -1134,6 +1178,23 @@ def test_the_first_frames_keep_the_direction_that_each_controller_echoes():
     drive.asked = None
     drive.until(Mode.STANDBY)
     assert [command[0] & 0x10 for command in drive.commands] == [0x10, 0]
+
+
+def test_an_echo_turns_no_controller_that_was_sent_a_direction_though_the_other_was_not():
+    drive = Drive()
+    drive.silent = {"PCU1_Status1", "PCU2_Status1"}
+    drive.run(950)
+    drive.now_ns += PERIOD_NS
+    for frame in drive.gateway.tick(drive.now_ns).frames:
+        drive.gateway.sent(frame, frame.controller == "PCU1", drive.now_ns)
+    drive.silent = set()
+    drive.codes = {f"PCU{n}_Status1.MotorReverse": 1 for n in (1, 2)}
+    drive.turn(1000)
+    for name in ("PCU1_Status1", "PCU2_Status1"):
+        drive.receive(name)
+    drive.run(500)
+    assert [data[0] >> 4 & 1 for data in drive.commands] == [0, 1]
+    assert drive.gateway.supervisor.latch is None
 
 
 def test_an_echo_after_the_first_frames_changes_no_direction():

@@ -85,16 +85,7 @@ class Causes:
         """Take in what was found now; events for what began and what ended."""
         events = []
         for finding in findings:
-            before = self._held.get(finding.key)
-            if before is None:
-                events.append(_event("cause_began", finding))
-                self._held[finding.key] = Held(finding, now_ns, now_ns)
-                continue
-            # A lower code of the same signal does not end what stays until restart.
-            stays = before.finding.until_restart or finding.until_restart
-            self._held[finding.key] = Held(
-                replace(finding, until_restart=stays), before.since_ns, now_ns
-            )
+            events += self.note(finding, now_ns)
         for key, held in tuple(self._held.items()):
             if held.seen_ns == now_ns or held.finding.until_restart:
                 continue
@@ -105,6 +96,19 @@ class Causes:
             elif held.absent_since_ns is None:
                 self._held[key] = replace(held, absent_since_ns=now_ns)
         return events
+
+    def note(self, finding: Finding, now_ns: int) -> list[Event]:
+        """Take in one thing that was found, also between two ticks; an event where it began."""
+        before = self._held.get(finding.key)
+        if before is None:
+            self._held[finding.key] = Held(finding, now_ns, now_ns)
+            return [_event("cause_began", finding)]
+        # A lower code of the same signal does not end what stays until restart.
+        stays = before.finding.until_restart or finding.until_restart
+        self._held[finding.key] = Held(
+            replace(finding, until_restart=stays), before.since_ns, now_ns
+        )
+        return []
 
     def effects(self) -> frozenset[Effect]:
         """Every effect that counts."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.causes import Effect
-from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
+from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode, directions_differ
 from vcu_gateway.core.pedals import Pedals
 from vcu_gateway.core.settings import Settings
 
@@ -133,7 +133,7 @@ class Commander:
         self._step(settings, asked, now_ns)
         self._move_ramps(effects, settings)
         commands = self.zero_torque(settings, power_cut=False)
-        if asked is not None and slow and self._standing():
+        if asked is not None and slow and self._standing() and not _differ(asked, settings):
             commands = {
                 name: command._replace(motor_reverse=asked[name].motor_reverse)
                 for name, command in commands.items()
@@ -160,7 +160,7 @@ class Commander:
         """
         held = self._step(settings, asked, now_ns)
         self._move_ramps(effects, settings)
-        change = slow and self._standing()
+        change = slow and self._standing() and not _differ(asked, settings)
         rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s
         return self._decided(
             {
@@ -259,6 +259,11 @@ class Commander:
                 moved(ramps.brake_pct, last.brake_pct, brake_pct,
                       settings.regen_slew_pct_per_s * self._elapsed_s),
             )  # fmt: skip
+
+
+def _differ(asked: Mapping[str, ControllerDemand], settings: Settings) -> bool:
+    """True where two directions are asked for that must not be: a reload may have forbidden it."""
+    return not settings.independent_directions and directions_differ(asked)
 
 
 def moved(limit: float, commanded: float, target: float, step: float) -> float:

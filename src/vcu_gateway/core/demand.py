@@ -248,6 +248,11 @@ class DemandDesk:
         """The last demand taken, fresh or not; None before the first."""
         return self._current
 
+    @property
+    def taken(self) -> bool:
+        """True once somebody asked: the bench demand counts no more."""
+        return self._current is not None and self._current.ttl_ms is not None
+
     def age_ns(self, now_ns: int) -> int | None:
         """Time since the demand was made; None without one and for the bench demand."""
         if self._current is None or self._current.ttl_ms is None:

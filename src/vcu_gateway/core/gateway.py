@@ -4,14 +4,13 @@
 tick, one at a time; everything else belongs to the ticking thread.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core import freshness, rules, speeds, throttle, why
 from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
-from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.ending import Ending
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.intake import OWN_NODE, Intake
@@ -73,6 +72,7 @@ class Gateway:
         self._blocked_by_gate: str | None = None
         self._auto_arm_left = settings.auto_arm and settings.bench_demand is not None
         self._last_tick_ns: int | None = None
+        self._was_active = False
         self._ending = Ending()
         self._events: list[Event] = []
         self._snapshot = self.intake.store.snapshot(now_ns)
@@ -108,6 +108,8 @@ class Gateway:
         self._listening.again(now_ns)
         snapshot = self.intake.store.snapshot(now_ns)
         self._qualification.begin(snapshot, self.settings.required)
+        if self.supervisor.mode is Mode.STANDBY:
+            self._apply(Stimulus.REQUIRED_LOST, now_ns, "the link was opened anew")
 
     def restarted(self, unexpectedly: int) -> None:
         """How often the gateway was started in this drive without having ended in order."""
@@ -149,10 +151,14 @@ class Gateway:
     # The tick.
 
     def judge_lateness(self, now_ns: int) -> None:
-        """Latch a tick that is too late in ACTIVE, before anything else of it is applied."""
-        if self.supervisor.mode is Mode.ACTIVE:
+        """Latch a tick that is too late in ACTIVE, before anything else of it is applied.
+
+        It was ACTIVE that had to be ticked where only a request since the tick before ended it.
+        """
+        if self._was_active or self.supervisor.mode is Mode.ACTIVE:
             for finding in rules.late(self._late_ns(now_ns), self.settings.period_ns):
-                self._apply(Stimulus.STOP, now_ns, str(finding))
+                self._events += self.causes.note(finding, now_ns)
+                self._apply(Stimulus.LATCHING_STOP, now_ns, str(finding))
 
     def _late_ns(self, now_ns: int) -> int:
         """How long after its period a tick now would come."""
@@ -167,8 +173,8 @@ class Gateway:
         if world.foreign_sender is not None or self._lost is not None:
             self._listening.again(now_ns)  # without a bus nobody can be heard
         talking = self._listening.update(now_ns)
-        if not self.output.sending.begun:
-            self._commander.take_over(_echoed_directions(snapshot))
+        if unsent := self.output.sending.unsent:
+            self._commander.take_over(_echoed_directions(snapshot, unsent))
         hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
         self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
         self._supervise(snapshot)
@@ -177,6 +183,7 @@ class Gateway:
         frames = self._frames(decided, now_ns) if talking else ()
         self.output.sending.note_emitted(bool(frames))
         self._last_tick_ns = now_ns
+        self._was_active = self.supervisor.mode is Mode.ACTIVE
         return self._result(snapshot, frames)
 
     def _world(self, snapshot: Snapshot) -> World:
@@ -215,6 +222,8 @@ class Gateway:
             self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
         elif self.supervisor.mode is Mode.STARTING and self._qualified(snapshot):
             self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
+        if self.requests.desk.taken:
+            self._auto_arm_left = False  # a driver arms on purpose
         if self._auto_arm_left and not self.requests.against_arming(now_ns):
             self._auto_arm_left = False
             self._apply(Stimulus.ARM, now_ns, "armed by auto_arm on a test bench")
@@ -253,6 +262,8 @@ class Gateway:
         if rule is None:
             return frames
         self._blocked_by_gate = rule
+        for finding in rules.blocked(rule):
+            self._events += self.causes.note(finding, now_ns)
         self._apply(Stimulus.LATCHING_STOP, now_ns, f"the gate blocked a frame: {rule}")
         return self.output.encoded(self._commander.replaced(self.settings, self._power_is_cut))
 
@@ -297,9 +308,9 @@ def _stimulus_of(finding: Finding) -> Stimulus:
     return Stimulus.LATCHING_STOP if finding.latches else Stimulus.STOP
 
 
-def _echoed_directions(snapshot: Snapshot) -> Mapping[str, bool]:
-    """Reverse or not, of each controller that says what it was told last."""
-    readings = {name: snapshot.reading(f"{name}_Status1", "MotorReverse") for name in CONTROLLERS}
+def _echoed_directions(snapshot: Snapshot, controllers: Iterable[str]) -> Mapping[str, bool]:
+    """Reverse or not, of each of these controllers that says what it was told last."""
+    readings = {name: snapshot.reading(f"{name}_Status1", "MotorReverse") for name in controllers}
     return {
         name: bool(one.good_value) for name, one in readings.items() if one.good_value is not None
     }

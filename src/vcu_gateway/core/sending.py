@@ -33,9 +33,14 @@ class Sending:
         self._history[controller].append(sent)
 
     @property
+    def unsent(self) -> list[str]:
+        """The controllers for which no frame has left yet."""
+        return [name for name, sent in self._history.items() if not sent]
+
+    @property
     def begun(self) -> bool:
         """True once a frame has left for every controller."""
-        return all(self._history.values())
+        return not self.unsent
 
     def note_emitted(self, emitted: bool) -> None:
         """Whether this tick gave frames to send at all."""

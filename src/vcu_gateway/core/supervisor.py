@@ -80,7 +80,8 @@ class Supervisor:
     """The mode and the latch; both change here only.
 
     Attributes:
-        latch: the fault that is latched; None outside FAULT, unless STOPPING out of it.
+        latch: the fault that is latched; None outside FAULT, unless STOPPING out of it or with
+            a CUT meanwhile: the next start is to know of that.
     """
 
     def __init__(self, now_ns: int) -> None:
@@ -92,7 +93,7 @@ class Supervisor:
         """Go where the table says; an event where that changes the mode or the latch."""
         before, after = self.mode, following(self.mode, stimulus)
         events = []
-        if after is Mode.FAULT:
+        if after is Mode.FAULT or (after is Mode.STOPPING and stimulus is Stimulus.CUT):
             events += self._latch(stimulus, now_ns, reason)
         elif after is not Mode.STOPPING:
             self.latch = None
