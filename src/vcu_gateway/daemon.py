@@ -141,12 +141,12 @@ class Daemon:
         if self._stopping is not None:
             gateway.requests.terminate()
         self.inbox.do_waiting()
-        self.door.read_waiting(begun_ns)
+        read = self.door.read_waiting(begun_ns)
         now_ns = time.monotonic_ns()
         self._linking.before_tick(now_ns)
         result = gateway.tick(now_ns)
         for frame in result.frames:
-            gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
+            gateway.sent(frame, self._send_in_time(frame, tick, read), now_ns)
         self.schedule.left(time.monotonic_ns())
         # What follows has the rest of the period.
         self._finished = gateway.finished
@@ -158,8 +158,13 @@ class Daemon:
         if tick.index % _COLLECT_EVERY_TICKS == _COLLECT_EVERY_TICKS - 1:
             gc.collect()
 
-    def _send_in_time(self, frame: OutFrame, tick: Tick) -> bool:
-        """Send, unless the process was held up since the tick: what it decided is old by now."""
+    def _send_in_time(self, frame: OutFrame, tick: Tick, read: bool) -> bool:
+        """Send, unless the process was held up since the tick: what it decided is old by now.
+
+        Nor where the tick could not read what waits: a power cut may be in it.
+        """
+        if not read:
+            return self.door.withhold("unread")
         if self.schedule.too_late(tick, time.monotonic_ns()):
             return self.door.withhold("late")
         return self.door.send(frame)

@@ -106,11 +106,11 @@ def test_a_reader_that_is_held_up_is_waited_for_some_milliseconds_only(
     queue.pending.extend(messages(1, 2))
     assert reader.has_one.wait(PATIENCE_S)
     took_s = []
-    for _ in range(5):
+    for _ in range(3):
         begun_s = time.monotonic()
         assert not queue.empty(handed_on.append, nothing_more)
         took_s.append(time.monotonic() - begun_s)
-    assert 0.004 < min(took_s) < 0.1
+    assert 0.014 < min(took_s) < 0.1
     assert handed_on == [], "never both at the same time"
     reader.may_go_on.set()
     while reader.handed_on != [1, 2]:

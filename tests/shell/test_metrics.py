@@ -342,10 +342,16 @@ def test_what_was_sent_confirmed_foreign_unsent_and_blocked_is_counted():
         "PCU2": 10,
     }
     assert scrape.by("frames_foreign_total", "controller") == {"PCU1": 0, "PCU2": 1}
-    assert before.by("frames_unsent_total", "reason") == {"closed": 0, "late": 0, "ENOBUFS": 0}
+    assert before.by("frames_unsent_total", "reason") == {
+        "closed": 0,
+        "late": 0,
+        "unread": 0,
+        "ENOBUFS": 0,
+    }
     assert scrape.by("frames_unsent_total", "reason") == {
         "closed": 0,
         "late": 1,
+        "unread": 0,
         "ENOBUFS": 0,
         "ENODEV": 1,
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.driving import Driving, driving_in
+from tests.faults.driving import Driving, driving_in, set_up
 from tests.vcan.conftest import CHANNEL, COMMANDS, PATIENCE_S, wait_until
 
 EFF = 0x8000_0000
@@ -79,6 +79,25 @@ def test_the_first_frame_after_a_stall_knows_of_the_cut_that_came_meanwhile(
             f" POWER_CUT {cut} of {TIMES} times, with torque {torque} times"
         )
         assert (cut, torque) == (TIMES, 0), first
+
+
+def test_a_cut_that_came_before_the_interface_went_down_is_latched(tmp_path: Path):
+    with driving_in(tmp_path) as one:
+        one.until_driving()
+        after_the_next_battery_frame()
+        pid = one.gateway.popen.pid
+        assert pid is not None
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            send_cut()
+            set_up(CHANNEL, up=False)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        wait_until(lambda: bool(one.events("link_lost")), "the loss of the link")
+        wait_until(lambda: one.mode() == "fault", "the latch")
+        latched = [event["fault_class"] for event in one.events("fault_latched")]
+        set_up(CHANNEL, up=True)
+        assert "service" in latched
 
 
 def test_without_a_stall_no_tick_waits_for_the_reader(tmp_path: Path):

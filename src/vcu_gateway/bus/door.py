@@ -40,14 +40,15 @@ class _Opening:
         self._listener = listener
         self._notifier = can.Notifier(bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
 
-    def read_waiting(self, until_ns: int) -> None:
+    def read_waiting(self, until_ns: int) -> bool:
         """Hand on what waits in a socket, on the calling thread; it never raises."""
         bus = self.bus
         if isinstance(bus, DrainingSocketcanBus) and bus.may_wait():
             try:
-                bus.read_waiting(until_ns, self._hand_on)
+                return bus.read_waiting(until_ns, self._hand_on)
             except (OSError, can.CanError) as error:
                 self._listener.on_error(error)
+        return True
 
     def _hand_on(self, message: can.Message) -> None:
         try:
@@ -193,15 +194,15 @@ class Door:
         if self._opening is not None and isinstance(self._opening.bus, DrainingSocketcanBus):
             self._opening.bus.align(origin_ns, period_ns)
 
-    def read_waiting(self, until_ns: int) -> None:
+    def read_waiting(self, until_ns: int) -> bool:
         """Take in what arrived until this time; on the ticking thread, right before a tick.
 
-        Only where frames wait in a socket of ours (socketcan); elsewhere the reader has every
-        frame as soon as it is there.
+        Also what came before the interface was lost. Only where frames wait in a socket of ours
+        (socketcan); elsewhere the reader has every frame as soon as it is there. False where the
+        reader has something in its hands and could not be waited for: nothing was taken in.
         """
         opening = self._opening
-        if opening is not None and self.lost is None:
-            opening.read_waiting(until_ns)
+        return opening is None or opening.read_waiting(until_ns)
 
     def admit(self) -> None:
         """Send on what is open from now on."""

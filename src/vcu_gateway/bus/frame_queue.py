@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 from vcu_gateway.python_can import can
 
-# The reader needs some microseconds for the frame in its hands; a machine that is so busy that it
-# does not get them would not be helped by waiting longer.
-_PATIENCE_NS = 5_000_000
+# The reader needs some microseconds for the frame in its hands, and gets them while the ticking
+# thread sleeps; frames of a tick may leave until 25 ms after it.
+_PATIENCE_NS = 15_000_000
 _GIVE_WAY_S = 0.000_05
 _NS_PER_S = 1_000_000_000
 
@@ -45,7 +45,7 @@ class FrameQueue:
     def empty(self, hand_on: Callable[[can.Message], None], read_more: Callable[[], bool]) -> bool:
         """Hand on all that is pending, then what `read_more` puts in, until it returns False.
 
-        Waits at most 5 ms for the reader; False, and nothing was handed on, where that was too
+        Waits at most 15 ms for the reader; False, and nothing was handed on, where that was too
         short. `hand_on` must not raise; what `read_more` raises is raised when all that was
         pending has been handed on.
         """

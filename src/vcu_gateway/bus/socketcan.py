@@ -137,17 +137,18 @@ class DrainingSocketcanBus(SocketcanBus):
         queue = self._queue
         return queue.lock.locked() or bool(queue.pending) or queue.with_reader
 
-    def read_waiting(self, until_ns: int, hand_on: Callable[[can.Message], None]) -> None:
+    def read_waiting(self, until_ns: int, hand_on: Callable[[can.Message], None]) -> bool:
         """Hand on, on the calling thread, all that arrived until this time and that nobody read.
 
         It goes on until nothing waits or a frame that arrived later was handed on. What the reader
         has in its hands is waited for; where that takes longer than some milliseconds the reader
-        goes on alone, and `BusCounters.reader_not_awaited` counts it. `hand_on` must not raise.
+        goes on alone, and `BusCounters.reader_not_awaited` counts it: False, and nothing was read.
+        `hand_on` must not raise.
 
         Raises can.CanOperationError once when the interface fails, as `recv`.
         """
         if self._reader is not None and not self._reader.is_alive():
-            return  # a dead reader must not go unnoticed: the drive ends for want of echoes
+            return True  # a dead reader must not go unnoticed: the drive ends for want of echoes
         last_s = 0.0
 
         def hand_on_noting(message: can.Message) -> None:
@@ -161,8 +162,9 @@ class DrainingSocketcanBus(SocketcanBus):
             self._drain()
             return True
 
-        if not self._queue.empty(hand_on_noting, read_more):
-            self._counters.reader_not_awaited += 1
+        done = self._queue.empty(hand_on_noting, read_more)
+        self._counters.reader_not_awaited += not done
+        return done
 
     def align(self, origin_ns: int, period_ns: int) -> None:
         """Read shortly before every point of this grid, whatever may gather otherwise."""
@@ -179,16 +181,7 @@ class DrainingSocketcanBus(SocketcanBus):
         """Read all that waits, at most some hundreds of frames, holding the queue's lock."""
         if self._failed:
             return
-        receive, failure = self.socket.recvmsg, None
-        read: list[Any] = []
-        try:
-            for _ in range(_DRAIN_AT_MOST):
-                # One by one: what was read before a failure must not be lost.
-                read += (receive(_FD_FRAME_BYTES, _ANCILLARY_BYTES, socket.MSG_DONTWAIT),)
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            failure = error
+        read, failure = self._read()
         # The clocks are read after the frames, so no stamp lies in their future.
         before, self._clocks = self._clocks, read_clocks()
         self._distance_ns = self._clocks.distance_ns if steady(before, self._clocks) else None
@@ -204,6 +197,23 @@ class DrainingSocketcanBus(SocketcanBus):
             raise can.CanOperationError(
                 f"Failed to receive: {failure.strerror}", failure.errno
             ) from failure
+
+    def _read(self) -> tuple[list[Any], OSError | None]:
+        """What waits, at most some hundreds of frames, and the first failure."""
+        receive = self.socket.recvmsg
+        read: list[Any] = []
+        failures: list[OSError] = []
+        while len(failures) < _FAILURES_AT_MOST:
+            try:
+                for _ in range(_DRAIN_AT_MOST):
+                    # One by one: what was read before a failure must not be lost.
+                    read += (receive(_FD_FRAME_BYTES, _ANCILLARY_BYTES, socket.MSG_DONTWAIT),)
+                break
+            except BlockingIOError:
+                break
+            except OSError as error:
+                failures.append(error)  # told once, before the frames that wait behind it
+        return read, failures[0] if failures else None
 
     def _count_drops(self) -> None:
         """Take over the kernel's 32-bit counter: SO_RXQ_OVFL's, at this instant."""

@@ -3,7 +3,7 @@
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.metrics.family import NS_PER_S, Instant, Samples, by, counter, gauge, one, states
 
-_USUAL_UNSENT = ("closed", "late", "ENOBUFS")
+_USUAL_UNSENT = ("closed", "late", "unread", "ENOBUFS")
 """Exposed before the first of them, so that the first one counts as an increase."""
 
 
