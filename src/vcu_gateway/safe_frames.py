@@ -12,6 +12,12 @@ from vcu_gateway.journal import Journal
 NAME = "safe-frames"
 
 
+def forget(folder: Path) -> None:
+    """Remove what a process before this one left: it says nothing of what this one sends."""
+    with contextlib.suppress(OSError):
+        (folder / NAME).unlink(missing_ok=True)
+
+
 class SafeFrames:
     """The file: the interface, then one frame a line as identifier#data.
 
@@ -20,6 +26,7 @@ class SafeFrames:
     """
 
     def __init__(self, folder: Path, channel: str, gateway: Gateway, journal: Journal) -> None:
+        self._folder = folder
         self._path = folder / NAME
         self._channel = channel
         self._gateway = gateway
@@ -52,5 +59,4 @@ class SafeFrames:
 
     def end(self) -> None:
         """An orderly end has sent its own: nobody is to send more."""
-        with contextlib.suppress(OSError):
-            self._path.unlink(missing_ok=True)
+        forget(self._folder)

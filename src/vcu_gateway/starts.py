@@ -31,11 +31,11 @@ class Starts:
         self._now: Start | None = None
 
     def begin(self) -> Start | None:
-        """Count this start; None where that cannot be kept."""
+        """Count this start; None where nothing can be kept and nothing is known of any before."""
         before, ended = self._known()
         now = Start(before.number + 1, 0 if ended else before.unexpected + 1)
         self._now = now if self._write(now, _RUNNING) else None
-        return self._now
+        return now if self._now or before.number else None
 
     def end(self) -> None:
         """This was an orderly end: the next start begins a new drive."""

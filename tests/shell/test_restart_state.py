@@ -121,6 +121,19 @@ def test_an_orderly_end_keeps_it(tmp_path):
     assert Process(tmp_path).mode is Mode.FAULT
 
 
+@pytest.mark.parametrize("in_one_tick", [True, False])
+def test_a_cut_of_the_last_ticks_of_an_orderly_end_is_kept(tmp_path, in_one_tick):
+    process = Process(tmp_path)
+    process.run(2)
+    process.gateway.requests.terminate()
+    if not in_one_tick:
+        process.tick()
+    process.gateway.requests.emergency_stop()
+    while not process.gateway.finished:
+        process.tick()
+    assert Process(tmp_path).mode is Mode.FAULT
+
+
 def test_a_service_reset_ends_it_and_a_drivers_does_not(tmp_path):
     estopped(tmp_path)
     process = Process(tmp_path)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.core.safety_world import CODEC, Drive, active, standby
+from vcu_gateway import safe_frames
 from vcu_gateway.bus.door import BusSettings, Door
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.schedule import Tick
@@ -206,6 +207,14 @@ def test_they_are_written_only_when_they_change(world):
     (one.folder / "safe-frames").unlink()
     one.tick(100)
     assert one.safe_frames == ""
+
+
+def test_what_a_process_before_left_is_forgotten_before_anything_is_sent(tmp_path):
+    left = tmp_path / "safe-frames"
+    left.write_text(f"can0\n{ZERO_TORQUE}")
+    for _ in range(2):
+        safe_frames.forget(tmp_path)
+        assert not left.exists()
 
 
 def test_a_folder_that_cannot_be_written_is_told_and_stops_nobody(world):

@@ -68,3 +68,10 @@ def test_a_configuration_that_is_refused_is_no_start(tmp_path):
     assert done.returncode == 78, done.stderr
     assert "nobody-has-this-group" in done.stderr
     assert not (tmp_path / "starts").exists()
+
+
+def test_a_start_that_cannot_be_written_down_still_knows_of_those_before(tmp_path):
+    for _ in range(4):
+        started(tmp_path)
+    (tmp_path / "starts.new").mkdir()
+    assert started(tmp_path) == Start(5, 4)

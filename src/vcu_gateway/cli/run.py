@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway import config as configuration
-from vcu_gateway import health, log, memory, report, wiring
+from vcu_gateway import health, log, memory, report, safe_frames, wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import Daemon
@@ -85,10 +85,12 @@ def _run(
     writer = log.configure(config.log.level, config.log.format)
     daemon = wiring.build(config, protocol)
     daemon.journal.tell(health.started(config))
+    runtime = _runtime_folder()
+    if runtime is not None:
+        safe_frames.forget(runtime)
     daemon.door.claim()
     if lock_memory:
         _lock_memory(daemon)
-    runtime = _runtime_folder()
     restart_state = RestartState(
         folder_for(daemon.door.settings, runtime),
         daemon.door.settings,
