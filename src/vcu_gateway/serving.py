@@ -81,6 +81,8 @@ class Serving:
             self._server.start()
             fields = {"socket": self._config.api.socket_path}
             self._daemon.journal.tell(Event("api_open", Severity.INFO, fields))
+            if self._server.metrics_unavailable is not None:
+                self._tell("metrics_unavailable", self._server.metrics_unavailable)
 
     def close(self) -> None:
         """End every connection and remove the socket."""

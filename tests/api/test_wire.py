@@ -256,6 +256,11 @@ WRONG_IN_FORM = {
     "many values": line_with(method="estop", params=[0] * 600),
     "very many values": line_with(method="estop", params=[0] * 20_000),
     "a long integer": line_with(method="estop", params=[2**70]),
+    "an id of 5000 digits": b'{"jsonrpc":"2.0","id":' + b"1" * 5000 + b',"method":"estop"}',
+    "not UTF-8": b'{"jsonrpc":"2.0","id":1,"method":"estop","params":"\xff"}',
+    "a byte order mark": b'\xef\xbb\xbf{"jsonrpc":"2.0","id":1,"method":"estop"}',
+    "a tab in the id": b'{"jsonrpc":"2.0","id":"a\tb","method":"estop"}',
+    "a batch of one": b'[{"jsonrpc":"2.0","id":1,"method":"estop"}]',
 }
 
 
@@ -275,9 +280,9 @@ NO_STOP = {
     "not JSON": b"estop",
     "cut off": b'{"jsonrpc":"2.0","id":1,"method":"estop","params":{}',
     "something behind": b'{"jsonrpc":"2.0","id":1,"method":"estop"} x',
-    "not UTF-8": b'{"jsonrpc":"2.0","id":1,"method":"estop","params":"\xff"}',
     "no object": b'["estop"]',
-    "a batch": b'[{"jsonrpc":"2.0","id":1,"method":"estop"}]',
+    "a batch of two": b'[{"jsonrpc":"2.0","id":1,"method":"estop"},{"method":"estop"}]',
+    "an empty batch, and the word": b'[[], "estop"]',
     "a word": b'"estop"',
     "another method": line_with(method="reset", params=["estop"]),
     "an unknown method": line_with(method="estop ", params={}),

@@ -4,6 +4,8 @@ import contextlib
 import errno
 import os
 import socket
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -118,3 +120,16 @@ def test_trying_in_vain_leaves_nothing_open(path):
         connect(path)
     assert raised.value.__traceback__  # It holds on to what connect() had in its hands.
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_where_others_crowd_in_it_waits_for_its_turn_and_no_longer(path, listener):
+    listener.listen(0)
+    with socket.socket(socket.AF_UNIX) as other:
+        other.connect(str(path))  # the backlog is full now
+        begun_s = time.monotonic()
+        with pytest.raises(UnreachableError, match="takes no more connections"):
+            connect(path, 0.3)
+        assert 0.25 < time.monotonic() - begun_s < 5
+        threading.Timer(0.3, listener.accept).start()
+        with connect(path, 60.0) as connection:
+            assert not connection.getblocking()

@@ -29,7 +29,11 @@ _JOIN_S = 3.0
 
 
 class Server:
-    """The local API: `open`, `start`, and `close` at the end."""
+    """The local API: `open`, `start`, and `close` at the end.
+
+    Attributes:
+        metrics_unavailable: why there is no port for metrics though it is wanted; else None.
+    """
 
     def __init__(
         self,
@@ -49,6 +53,7 @@ class Server:
         self._thread: threading.Thread | None = None
         self._is_closing = False
         self._failed: str | None = None
+        self.metrics_unavailable: str | None = None
 
     @property
     def failed(self) -> str | None:
@@ -70,14 +75,17 @@ class Server:
         return self._counters.report()
 
     def open(self) -> None:
-        """Listen; UnavailableError, with what to do, where that cannot be."""
+        """Listen; UnavailableError, with what to do, where that cannot be.
+
+        A port for metrics that cannot be had is no reason to go without the rest: see
+        `metrics_unavailable`.
+        """
         self._door = UnixDoor(self._settings)
         if self._settings.metrics_port is not None:
             try:
                 self._metrics_sock = listen_on_loopback(self._settings.metrics_port)
-            except UnavailableError:
-                self._close_doors()
-                raise
+            except UnavailableError as error:
+                self.metrics_unavailable = str(error)
 
     def start(self) -> None:
         """Serve, on a thread of its own; after `open`."""

@@ -12,14 +12,22 @@ _SIGNS = (*(name.encode() for name in STOPS), b"\\u")
 def stop_named(line: bytes) -> str | None:
     """The stop that this line names, which `wire.parse` refuses; None where it names none.
 
-    A JSON object whose every member `method` is the same one of `STOPS`, however wrong the rest.
+    A JSON object, alone or alone in a list, whose every member `method` is the same one of `STOPS`,
+    however wrong the rest.
     """
     if not any(sign in line for sign in _SIGNS):  # costs a hundredth of reading
         return None
     try:
-        members = json.loads(line.decode("utf-8"), object_pairs_hook=_Members)
+        members = json.loads(
+            line.decode("utf-8-sig", "replace"),
+            object_pairs_hook=_Members,
+            parse_int=str,  # of any length
+            strict=False,
+        )
     except (ValueError, RecursionError):
         return None
+    if isinstance(members, list) and len(members) == 1:
+        members = members[0]
     if not isinstance(members, _Members):
         return None
     methods = [value for name, value in members if name == "method"]

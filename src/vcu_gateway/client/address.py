@@ -3,6 +3,7 @@
 import errno
 import os
 import socket
+import struct
 from pathlib import Path
 
 from vcu_gateway.client.errors import UnreachableError
@@ -27,21 +28,30 @@ def default_socket_path() -> Path:
     return Path(os.environ.get(SOCKET_VARIABLE) or SOCKET_PATH)
 
 
-def connect(path: Path) -> socket.socket:
-    """A non-blocking connection, at once or not at all; UnreachableError says what to do."""
+def connect(path: Path, within_s: float = 0.0) -> socket.socket:
+    """A non-blocking connection; UnreachableError says what to do.
+
+    Where others crowd in, it waits for its turn for so long: the kernel lets them in one by one.
+    """
     try:
-        return _connected(os.fspath(path))
+        return _connected(os.fspath(path), within_s)
     except OSError as error:
         known = _REMEDIES.get(error.errno or 0)
         sentence = known.format(path=path) if known else f"cannot connect to {path}: {error}"
         raise UnreachableError(sentence) from error
 
 
-def _connected(path: str) -> socket.socket:
+def _connected(path: str, within_s: float) -> socket.socket:
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
+        if within_s > 0:
+            # Not Python's own time-out: with that it would not wait here at all.
+            timeval = struct.pack("@ll", int(within_s), int(within_s % 1 * 1e6))
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
+            connection.connect(path)
         connection.setblocking(False)
-        connection.connect(path)
+        if within_s <= 0:
+            connection.connect(path)
     except BaseException:
         connection.close()
         raise

@@ -15,13 +15,14 @@ from vcu_gateway.client.errors import GarbledError
 ResultT = TypeVar("ResultT")
 
 READ_BYTES = 65536
+_TURN_WITHIN_S = 2.0  # a hundred are let in a second
 
 
 class Connection:
     """Lines to the gateway and messages from it; deadlines are in time.monotonic()."""
 
     def __init__(self, path: Path) -> None:
-        self._socket = connect(path)
+        self._socket = connect(path, _TURN_WITHIN_S)
         self._inbox = wire.Inbox()
         self._arrived: deque[wire.Incoming] = deque()
         self._ended = False
