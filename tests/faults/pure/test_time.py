@@ -291,7 +291,7 @@ def _run_at(place: str, config) -> list[str]:
         )
         assert done.returncode == 0, done.stderr
         lines = done.stderr.decode("ascii").splitlines()
-        if not any('"tick_late"' in line for line in lines):
+        if not any(cause in line for line in lines for cause in ('"tick_late"', '"unconfirmed"')):
             break
     return lines
 
