@@ -170,6 +170,14 @@ def test_a_frame_out_of_order_is_judged_and_ends_nothing():
     assert (observed.echo_below, observed.echo_above) == ({"PCU1": 2}, {})
 
 
+def test_of_two_frames_of_one_instant_the_second_is_the_latest():
+    watch = Watch()
+    watch.sent(*steady(1000, 78.0))
+    watch.put("PCU1_Status1", 0, Throttle=0).put("PCU1_Status1", 0, Throttle=200)
+    watch.tick()
+    assert watch.tick().echo_below == {}
+
+
 def test_whoever_obeyed_in_its_last_frame_is_told():
     watch = Watch()
     watch.sent(*steady(1000, 78.0))

@@ -260,10 +260,9 @@ ECHO_ROWS = [
 def runs_of(rule: str, runs: str, subject: str, alone: str, both: str) -> list[Row]:
     """A rule that counts frames in a row of each controller's Status1."""
 
-    def observed(*, obeys: bool = False, **counts: int) -> dict[str, Any]:
+    def observed(*, obeys: str = "", **counts: int) -> dict[str, Any]:
         odd = {name: n for name, n in counts.items() if n}
-        below = frozenset(odd) - {"PCU2"} if obeys else frozenset(odd)
-        return {"observed": Observed(**{runs: odd, "echoes_below": below})}
+        return {"observed": Observed(**{runs: odd, "echoes_below": frozenset(odd) - {obeys}})}
 
     one, other = (f"{name}_Status1.{subject}" for name in ("PCU1", "PCU2"))
     status1 = ("PCU1_Status1", "PCU2_Status1")
@@ -276,7 +275,9 @@ def runs_of(rule: str, runs: str, subject: str, alone: str, both: str) -> list[R
         row(rule, BEYOND, f"{one} {both}", "the other begins", **observed(PCU1=2, PCU2=1)),
         row(rule, BEYOND, f"{one} {both}, {other} {both}", "both", **observed(PCU1=3, PCU2=2)),
         row(rule, BEYOND, f"{one} {alone}", "the other obeys again",
-            **observed(PCU1=2, PCU2=1, obeys=True)),
+            **observed(PCU1=2, PCU2=1, obeys="PCU2")),
+        row(rule, BEYOND, f"{one} {both}, {other} {alone}", "the first obeys again",
+            **observed(PCU1=2, PCU2=2, obeys="PCU1")),
         row(rule, STALE, f"{one} {alone}", "the other is stale",
             **observed(PCU1=2, PCU2=2), ages_ns={status1[1]: 1600 * MS + 1}),
         row(rule, STALE, "", "judged by their age instead",

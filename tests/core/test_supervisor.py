@@ -113,6 +113,20 @@ def test_a_fault_is_latched_with_its_class_where_it_is_entered(mode, stimulus, f
     assert supervisor.power_is_cut is (fault_class is FaultClass.SERVICE)
 
 
+@pytest.mark.parametrize("stimulus", Stimulus)
+def test_while_ending_a_cut_alone_is_latched(stimulus):
+    supervisor = in_mode(Mode.STOPPING)
+    events = supervisor.apply(stimulus, 5, "because")
+    assert supervisor.mode is Mode.STOPPING
+    if stimulus is Stimulus.CUT:
+        (latched,) = events
+        assert latched.fields == {"fault_class": "service", "reason": "because"}
+        assert supervisor.power_is_cut
+        assert supervisor.apply(stimulus, 6, "again") == []
+    else:
+        assert (events, supervisor.latch) == ([], None)
+
+
 def test_entering_a_fault_tells_the_latch_and_the_mode():
     supervisor = in_mode(Mode.ACTIVE)
     latched, moved = supervisor.apply(Stimulus.STOP, 5, "BMS_Status 1601 ms: stop")

@@ -93,7 +93,7 @@ class Supervisor:
         """Go where the table says; an event where that changes the mode or the latch."""
         before, after = self.mode, following(self.mode, stimulus)
         events = []
-        if after is Mode.FAULT or (after is Mode.STOPPING and stimulus is Stimulus.CUT):
+        if after is Mode.FAULT or stimulus is Stimulus.CUT:
             events += self._latch(stimulus, now_ns, reason)
         elif after is not Mode.STOPPING:
             self.latch = None
