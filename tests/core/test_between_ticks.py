@@ -254,7 +254,7 @@ def test_a_late_tick_in_standby_latches_nothing():
     assert drive.gateway.supervisor.latch is None
 
 
-@pytest.mark.parametrize("request_of", ["disarm", "a demand"])
+@pytest.mark.parametrize("request_of", ["disarm", "a demand", "a demand ends"])
 def test_a_late_tick_cannot_be_reset_before_it_was_ticked(request_of):
     drive = active()
     drive.now_ns += LATE_NS + 1
