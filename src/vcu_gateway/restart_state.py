@@ -8,7 +8,7 @@ import contextlib
 import json
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -46,17 +46,25 @@ NOTHING = Kept(None, {})
 class RestartState:
     """The file of one bus: the boot's number, then the state as one line of JSON.
 
-    Written by the ticking thread when it changes; it stays after an orderly end.
+    Written by the ticking thread when it changes; it stays after an orderly end. `others` are
+    folders in which another run of the gateway may have left a latched CUT for the same bus.
 
     Attributes:
         path: None where nothing is kept.
     """
 
     def __init__(
-        self, folder: Path | None, settings: BusSettings, gateway: Gateway, journal: Journal
+        self,
+        folder: Path | None,
+        settings: BusSettings,
+        gateway: Gateway,
+        journal: Journal,
+        others: Sequence[Path] = (),
     ) -> None:
         self._settings = settings
-        self.path = None if folder is None else folder / file_name(settings.channel)
+        name = file_name(settings.channel)
+        self.path = None if folder is None else folder / name
+        self._elsewhere = [other / name for other in others]
         self._gateway = gateway
         self._journal = journal
         self._written = self._now = NOTHING
@@ -64,13 +72,19 @@ class RestartState:
 
     def begin(self) -> None:
         """Begin from what the last process of this boot left; before the first tick."""
+        kept = NOTHING
         if self.path is None:
             self._tell_that_nothing_is_kept()
-            return
-        self._written = self._now = kept = read(self.path)
-        self._gateway.begin_from(kept.cut and f"{_BEFORE}{kept.cut}", kept.reverse)
-        if kept.cut is not None:
-            fields = {"file": str(self.path), "reason": kept.cut}
+        else:
+            self._written = self._now = kept = read(self.path)
+        found = [(path, read(path).cut) for path in self._elsewhere]
+        if self.path is not None:
+            found.insert(0, (self.path, kept.cut))
+        cuts = [(path, cut) for path, cut in found if cut is not None]
+        self._gateway.begin_from(f"{_BEFORE}{cuts[0][1]}" if cuts else None, kept.reverse)
+        self._elsewhere = [path for path, _ in cuts if path != self.path]
+        for path, cut in cuts:
+            fields = {"file": str(path), "reason": cut}
             self._journal.tell(Event("cut_kept", Severity.CRITICAL, fields))
 
     def _tell_that_nothing_is_kept(self) -> None:
@@ -82,14 +96,24 @@ class RestartState:
     def observe(self, tick: Tick, result: TickResult) -> None:
         """After each tick."""
         del tick
+        latched = self._latched()
+        if self._elsewhere and latched is None:
+            self._forget_elsewhere()
         if self.path is None:
             return
         reverse = self._now.reverse
         if result.frames:
             reverse = {name: one.motor_reverse for name, one in result.commands.items()}
-        self._now = Kept(self._latched(), reverse)
+        self._now = Kept(latched, reverse)
         if self._now != self._written:
             self._write(self.path, self._now)
+
+    def _forget_elsewhere(self) -> None:
+        """A service reset ends it there too, as far as this user may; what stays latches again."""
+        for path in self._elsewhere:
+            with contextlib.suppress(OSError):
+                path.unlink()
+        self._elsewhere = []
 
     def _latched(self) -> str | None:
         supervisor = self._gateway.supervisor
@@ -171,6 +195,18 @@ def folder_for(settings: BusSettings, runtime: Path | None) -> Path | None:
             return folder
     folder = _TEMPORARY / f"vcu-gateway-{os.geteuid()}"
     return folder if _can_be_written(folder, 0o700) and _is_mine_alone(folder) else None
+
+
+def other_folders(settings: BusSettings, own: Path | None) -> list[Path]:
+    """Where else another run may have left what is kept: as the service, or as this user."""
+    if settings.interface == "virtual":
+        return []
+    user = os.environ.get("XDG_RUNTIME_DIR")
+    temporary = _TEMPORARY / f"vcu-gateway-{os.geteuid()}"
+    candidates = [_RUN, _RUN.with_name(f"{_RUN.name}-{settings.channel}")]
+    candidates += [Path(user) / "vcu-gateway"] if user else []
+    candidates += [temporary] if temporary.is_dir() and _is_mine_alone(temporary) else []
+    return [folder for folder in candidates if folder != own and os.access(folder, os.X_OK)]
 
 
 def _can_be_written(folder: Path, mode: int) -> bool:

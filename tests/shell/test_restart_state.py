@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,15 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.journal import Journal
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.restart_state import NOTHING, Kept, RestartState, file_name, folder_for, read
+from vcu_gateway.restart_state import (
+    NOTHING,
+    Kept,
+    RestartState,
+    file_name,
+    folder_for,
+    other_folders,
+    read,
+)
 
 CODEC = Codec(dbc.load(packaged("vcu.dbc")))
 BUS = BusSettings("socketcan", "vcan0")
@@ -38,11 +47,13 @@ class Process:
     now_ns = time.monotonic_ns()
     life = 0
 
-    def __init__(self, folder: Path | None, settings: BusSettings = BUS) -> None:
+    def __init__(
+        self, folder: Path | None, settings: BusSettings = BUS, others: Sequence[Path] = ()
+    ) -> None:
         self.gateway = Gateway(CODEC, Settings(), self.now_ns)
         self.gateway.link_opened(self.now_ns)
         self.journal = Journal()
-        self.state = RestartState(folder, settings, self.gateway, self.journal)
+        self.state = RestartState(folder, settings, self.gateway, self.journal, others)
         self.state.begin()
 
     def tick(self) -> list[str]:
@@ -290,7 +301,47 @@ def test_without_a_folder_it_is_told_but_for_a_virtual_bus():
     assert "restart_state_unwritten" not in process.events()
 
 
+@pytest.mark.parametrize("own", [True, False])
+def test_a_cut_that_another_run_kept_elsewhere_is_latched_until_a_reset(tmp_path, own):
+    elsewhere, mine = tmp_path / "service", tmp_path / "user"
+    for folder in (elsewhere, mine):
+        folder.mkdir()
+    estopped(elsewhere)
+    process = Process(mine if own else None, others=[elsewhere])
+    assert process.mode is Mode.FAULT
+    process.run(3)
+    assert process.events()["cut_kept"] == 1
+    assert process.gateway.requests.reset(FaultClass.SERVICE, process.now_ns).granted
+    process.tick()
+    assert Process(mine, others=[elsewhere]).mode is not Mode.FAULT
+
+
+def test_the_directions_of_another_run_elsewhere_stay_there(tmp_path):
+    elsewhere, mine = tmp_path / "service", tmp_path / "user"
+    for folder in (elsewhere, mine):
+        folder.mkdir()
+    Process(elsewhere).run(2)
+    (left,) = elsewhere.iterdir()
+    before = left.read_text()
+    Process(mine, others=[elsewhere]).run(2)
+    assert left.read_text() == before
+
+
 # Where.
+
+
+def test_a_cut_is_looked_for_wherever_another_run_may_have_kept_it(places):
+    mine = places / "run" / "vcu-gateway"
+    instance, temporary = places / "run" / "vcu-gateway-vcan0", places / "tmp"
+    temporary /= f"vcu-gateway-{os.geteuid()}"
+    for folder in (mine, instance, places / "user" / "vcu-gateway"):
+        folder.mkdir()
+    temporary.mkdir(0o700)
+    others = [instance, places / "user" / "vcu-gateway", temporary]
+    assert other_folders(BUS, mine) == others
+    assert other_folders(BusSettings("virtual", "x"), None) == []
+    temporary.chmod(0o755)
+    assert other_folders(BUS, instance) == [mine, others[1]]
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import Daemon
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
 from vcu_gateway.notify import ServiceManager
-from vcu_gateway.restart_state import RestartState, folder_for
+from vcu_gateway.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.service import Service
 from vcu_gateway.serving import Serving
 
@@ -56,7 +56,7 @@ def command(
     lives. Starts are counted, and the safe frames are kept for `safe_stop`, in
     $RUNTIME_DIRECTORY where that is set. A latched CUT and the directions are kept there for the
     next start in this boot; without it in /run/vcu-gateway, $XDG_RUNTIME_DIR/vcu-gateway or
-    /tmp/vcu-gateway-UID, the first that can be written.
+    /tmp/vcu-gateway-UID, the first that can be written; a CUT is looked for in all of them.
     """
     manager = ServiceManager.of_this_process()
     try:
@@ -91,11 +91,13 @@ def _run(
     daemon.door.claim()
     if lock_memory:
         _lock_memory(daemon)
+    folder = folder_for(daemon.door.settings, runtime)
     restart_state = RestartState(
-        folder_for(daemon.door.settings, runtime),
+        folder,
         daemon.door.settings,
         daemon.gateway,
         daemon.journal,
+        other_folders(daemon.door.settings, folder),
     )
     restart_state.begin()
     service = Service(manager, runtime, daemon)
