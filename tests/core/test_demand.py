@@ -367,6 +367,15 @@ def test_the_bench_demand_counts_for_ever_and_has_no_age():
     assert desk.current == Demand(BENCH_SOURCE, sequence=0, ttl_ms=None, controllers=both)
 
 
+def test_the_bench_demand_is_taken_over_once_somebody_asked():
+    for desk in (DemandDesk(None), DemandDesk(ControllerDemand())):
+        assert desk.taken is False
+        assert offer(desk, source="driver", priorities={"driver": 5}).granted
+        assert desk.taken is True
+        desk.end("driver")
+        assert desk.taken is True
+
+
 def test_the_bench_demand_gives_way_to_a_higher_priority_only():
     desk = DemandDesk(IDLE)
     assert offer(desk, "unlisted").refusal is Refusal.OTHER_OWNER
