@@ -109,11 +109,12 @@ def ours(config: str) -> dict[str, Any]:
     read, tick, sent, due = Door.read_waiting, Gateway.tick, Gateway.sent, Schedule.due
     started_ns = 0
 
-    def timed_read(self: Door, until_ns: int) -> None:
+    def timed_read(self: Door, until_ns: int) -> bool:
         begun_ns, frames = time.thread_time_ns(), self.counters.received
-        read(self, until_ns)
+        done = read(self, until_ns)
         if self.counters.received == frames:
             found["look_ns"].append(time.thread_time_ns() - begun_ns)
+        return done
 
     def timed_tick(self: Gateway, now_ns: int) -> Any:
         nonlocal started_ns

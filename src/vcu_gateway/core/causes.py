@@ -18,9 +18,13 @@ class Effect(Enum):
     STOP = "stop"
     CUT = "cut"
 
+    # Members are what they are; Enum's own hash is a call in Python, ten times a tick.
+    __hash__ = object.__hash__
+
 
 LIMITING = frozenset({Effect.TURBO_OFF, Effect.POWER_LIMIT, Effect.REGEN_LIMIT, Effect.REGEN_OFF})
 BLOCKING = frozenset({Effect.STOP, Effect.CUT})
+_NO_EFFECTS: frozenset[Effect] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +116,8 @@ class Causes:
 
     def effects(self) -> frozenset[Effect]:
         """Every effect that counts."""
+        if not self._held:
+            return _NO_EFFECTS
         return frozenset(held.finding.effect for held in self._held.values())
 
     def having(self, effects: frozenset[Effect]) -> tuple[Held, ...]:

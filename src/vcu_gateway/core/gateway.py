@@ -173,7 +173,8 @@ class Gateway:
         if world.foreign_sender is not None or self._lost is not None:
             self._listening.again(now_ns)  # without a bus nobody can be heard
         talking = self._listening.update(now_ns)
-        if unsent := self.output.sending.unsent:
+        if not self.output.sending.begun:
+            unsent = self.output.sending.unsent
             self._commander.take_over(_echoed_directions(snapshot, unsent))
         hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
         self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
@@ -222,7 +223,7 @@ class Gateway:
             self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
         elif self.supervisor.mode is Mode.STARTING and self._qualified(snapshot):
             self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
-        if self.requests.desk.taken:
+        if self._auto_arm_left and self.requests.desk.taken:
             self._auto_arm_left = False  # a driver arms on purpose
         if self._auto_arm_left and not self.requests.against_arming(now_ns):
             self._auto_arm_left = False
@@ -262,8 +263,7 @@ class Gateway:
         if rule is None:
             return frames
         self._blocked_by_gate = rule
-        for finding in rules.blocked(rule):
-            self._events += self.causes.note(finding, now_ns)
+        self._events += self.causes.note(rules.blocked(rule), now_ns)
         self._apply(Stimulus.LATCHING_STOP, now_ns, f"the gate blocked a frame: {rule}")
         return self.output.encoded(self._commander.replaced(self.settings, self._power_is_cut))
 

@@ -112,7 +112,9 @@ class _Echo:
             worst = worst.with_worse_of(odd)
             if at_ns >= self._latest_ns:
                 self._latest_ns, self.standing = at_ns, odd
-        return worst.with_worse_of(self.standing)
+            else:
+                worst = worst.with_worse_of(before)
+        return worst
 
 
 def _commanded(sent: Sequence[Sent], at_ns: int, window_ns: int) -> Iterator[Sent]:
@@ -171,9 +173,11 @@ class _Steps:
     ) -> float | None:
         """The change since the frame before, where it is too large for so short a time.
 
-        None where it is not, and for the first frame; not for one out of order.
+        None where it is not, for the first frame and for one out of order.
         """
         before = self._before
+        if before is not None and at_ns < before[0]:
+            return None
         self._before = (at_ns, value)
         if before is None or at_ns - before[0] > within_ns:
             return None
@@ -196,17 +200,14 @@ class _Speed:
         """
         doubted = not frames and self._plausible_left > 0
         for frame in frames:
-            if not self._steps.out_of_order(frame.arrival_ns):
-                self._take(frame.arrival_ns, frame.decoded.values[index], step_max_rpm)
+            at_ns, speed_rpm = frame.arrival_ns, frame.decoded.values[index]
+            step_rpm = self._steps.step(at_ns, speed_rpm, step_max_rpm, _STEP_WITHIN_NS)
+            if step_rpm is not None:
+                self._plausible_left, self._step_rpm = _PLAUSIBLE_FRAMES, step_rpm
+            elif self._plausible_left > 0 and not self._steps.out_of_order(at_ns):
+                self._plausible_left -= 1
             doubted = doubted or self._plausible_left > 0
         return self._step_rpm if doubted else None
-
-    def _take(self, at_ns: int, speed_rpm: float, step_max_rpm: float) -> None:
-        step_rpm = self._steps.step(at_ns, speed_rpm, step_max_rpm, _STEP_WITHIN_NS)
-        if step_rpm is not None:
-            self._plausible_left, self._step_rpm = _PLAUSIBLE_FRAMES, step_rpm
-        elif self._plausible_left > 0:
-            self._plausible_left -= 1
 
 
 class Plausibility:
@@ -263,6 +264,8 @@ class Plausibility:
     ) -> tuple[Mapping[str, float], int | None]:
         """Steps of the wheels in this tick; for how long they differ, or did in it, in ns."""
         steps: dict[str, float] = {}
+        if not snapshot.arrived(WHEELS_MESSAGE) and self._wheels_apart_since_ns is None:
+            return steps, None
         apart_ns: list[int] = []
         max_kmh = settings.wheel_speed_step_max_kmh
         for at_ns, left_kmh, right_kmh in _pairs(snapshot, WHEELS_MESSAGE, *WHEELS):

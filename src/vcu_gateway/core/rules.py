@@ -247,13 +247,13 @@ def emergency_stop(world: World) -> Iterator[Finding]:
 
 def gate_blocked(world: World) -> Iterator[Finding]:
     """The gate stopped a frame that the rest of the core wanted to send: a bug."""
-    yield from blocked(world.blocked_by_gate)
+    if world.blocked_by_gate is not None:
+        yield blocked(world.blocked_by_gate)
 
 
-def blocked(rule: str | None) -> Iterator[Finding]:
-    """The finding of a frame that breaks this rule of the gate, where one does."""
-    if rule is not None:
-        yield Finding("gate", "gate", Effect.STOP, rule, latches=True)
+def blocked(rule: str) -> Finding:
+    """The finding of a frame that breaks this rule of the gate."""
+    return Finding("gate", "gate", Effect.STOP, rule, latches=True)
 
 
 def _milliseconds(duration_ns: int) -> str:

@@ -40,7 +40,7 @@ class Sending:
     @property
     def begun(self) -> bool:
         """True once a frame has left for every controller."""
-        return not self.unsent
+        return all(self._history.values())
 
     def note_emitted(self, emitted: bool) -> None:
         """Whether this tick gave frames to send at all."""
