@@ -359,6 +359,7 @@ def test_wheels_are_apart_from_the_first_frame_with_more_than_15_kmh_between_the
     for at_ms in (100, 200):
         watch.put(WHEELS, at_ms, WheelSpeedFR=15_001)
         assert watch.tick(250).wheels_apart_ns == 150 * MS
+    assert watch.tick(275).wheels_apart_ns == 175 * MS, "also without a frame"
     watch.put(WHEELS, 300, WheelSpeedFR=15_000)
     assert watch.tick(300).wheels_apart_ns is None
 
