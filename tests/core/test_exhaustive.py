@@ -82,10 +82,13 @@ def expected_mode(mode: str, effects: frozenset[str]) -> str:
 
 
 def expected_latch(mode: str, effects: frozenset[str]) -> str | None:
-    """The class of the latch; the drive in FAULT was latched for the driver to reset."""
-    if expected_mode(mode, effects) != "FAULT":
-        return None
-    return "SERVICE" if "CUT" in effects else "DRIVER"
+    """The class of the latch; the drive in FAULT was latched for the driver to reset.
+
+    While ending a CUT alone is latched: for the next start.
+    """
+    if "CUT" in effects:
+        return "SERVICE"
+    return "DRIVER" if expected_mode(mode, effects) == "FAULT" else None
 
 
 def expected_frame(mode: str, effects: frozenset[str]) -> bytes:
