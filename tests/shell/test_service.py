@@ -1,7 +1,11 @@
 """A run as a service: ready, alive, its status, and what it leaves for the next one."""
 
 import contextlib
+import os
 import socket
+import subprocess
+import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -215,6 +219,24 @@ def test_what_a_process_before_left_is_forgotten_before_anything_is_sent(tmp_pat
     for _ in range(2):
         safe_frames.forget(tmp_path)
         assert not left.exists()
+
+
+def test_a_run_forgets_them_before_it_has_sent_anything(tmp_path):
+    config, left = tmp_path / "gateway.yaml", tmp_path / "safe-frames"
+    config.write_text(
+        f"bus: {{interface: virtual, channel: {tmp_path.name}}}\napi: {{enabled: false}}\n"
+    )
+    left.write_text(f"can0\n{ZERO_TORQUE}")
+    command = [sys.executable, "-m", "vcu_gateway", "run", "-c", str(config)]
+    environment = {**os.environ, "RUNTIME_DIRECTORY": str(tmp_path)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as process:
+        deadline_s = time.monotonic() + 60
+        while not (tmp_path / "starts").exists():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.005)
+        found = left.read_text() if left.exists() else ""
+        process.kill()
+    assert "can0" not in found
 
 
 def test_a_folder_that_cannot_be_written_is_told_and_stops_nobody(world):
