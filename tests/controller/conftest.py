@@ -13,9 +13,9 @@ from tests.faults.driving import BusStand, Driving
 from tests.vcan.conftest import (
     Stand,
     ended_after,
-    figures,  # noqa: F401
+    figures,  # noqa: F401 - a fixture
     ip,
-    pytest_terminal_summary,  # noqa: F401
+    pytest_terminal_summary,  # noqa: F401 - a hook of pytest
 )
 
 GATEWAY, VEHICLE = "can0", "can1"

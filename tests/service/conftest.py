@@ -17,8 +17,8 @@ from tests.vcan.conftest import (
     Recording,
     Stand,
     ended_after,
-    figures,  # noqa: F401
-    pytest_terminal_summary,  # noqa: F401
+    figures,  # noqa: F401 - a fixture
+    pytest_terminal_summary,  # noqa: F401 - a hook of pytest
 )
 
 MEMBER, STRANGER = "member", "stranger"
