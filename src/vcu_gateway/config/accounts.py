@@ -4,9 +4,9 @@ import grp
 import pwd
 from collections.abc import Callable, Iterator
 
-from vcu_gateway.config.findings import Finding, problems
 from vcu_gateway.config.model import Config
 from vcu_gateway.errors import Problem
+from vcu_gateway.strict_yaml.problems import Finding, problems
 
 _USERS = ("operator_users", "service_users", "socket_owner")
 _GROUPS = ("operator_groups", "service_groups", "socket_group")

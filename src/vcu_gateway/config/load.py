@@ -4,10 +4,12 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from vcu_gateway.config import document, shape, text
-from vcu_gateway.config.findings import Finding, problems
 from vcu_gateway.config.model import Config, Source
 from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.strict_yaml import file_text as text
+from vcu_gateway.strict_yaml import parser as document
+from vcu_gateway.strict_yaml import validation as shape
+from vcu_gateway.strict_yaml.problems import Finding, problems
 
 # The bench demand's own limits and what they must not exceed.
 _DEMAND_LIMITS = {

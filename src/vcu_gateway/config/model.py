@@ -12,7 +12,7 @@ from pydantic import PrivateAttr
 from vcu_gateway.config.kinds import Section
 from vcu_gateway.config.machine import Api, Bus, Freshness, Log, Protocol
 from vcu_gateway.config.vehicle import Bench, Demand, Limits, Safety
-from vcu_gateway.yaml_lines import LineMap
+from vcu_gateway.strict_yaml.lines import LineMap
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 
-from vcu_gateway.config.findings import Finding, problems
 from vcu_gateway.config.model import Config
-from vcu_gateway.config.shape import did_you_mean
 from vcu_gateway.core import j1939
 from vcu_gateway.core.freshness import deadlines
 from vcu_gateway.core.intake import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import Problem
+from vcu_gateway.strict_yaml.problems import Finding, problems
+from vcu_gateway.strict_yaml.validation import did_you_mean
 
 _NS_PER_MS = 1_000_000
 _PATIENCE = 2  # times its default, for a required message

@@ -12,7 +12,7 @@ from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
 from vcu_gateway.protocol.builder import Builder
 from vcu_gateway.protocol.rows import File, MessageRow, SignalRow
-from vcu_gateway.yaml_lines import LineMap, load_with_lines
+from vcu_gateway.strict_yaml.lines import LineMap, load_with_lines
 
 _PLAINER = {
     "extra_forbidden": "unknown key",

@@ -4,11 +4,11 @@ from typing import Annotated
 
 from pydantic import AfterValidator, ValidationInfo
 
-from vcu_gateway.config import shape
 from vcu_gateway.config.kinds import refusal
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.intake import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
+from vcu_gateway.strict_yaml import validation as shape
 
 PROTOCOL = "protocol"
 """Key of the validation's context; it holds the ProtocolSpec that names must be in."""

@@ -7,8 +7,6 @@ from typing import Any
 
 from pydantic import Field
 
-from vcu_gateway.config import document, shape, text
-from vcu_gateway.config.findings import Finding, problems, shown
 from vcu_gateway.config.kinds import Section
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
@@ -16,7 +14,11 @@ from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.simulator.faults import Spell, Told
 from vcu_gateway.simulator.names import PROTOCOL
 from vcu_gateway.simulator.steps import FAULTS, Step
-from vcu_gateway.yaml_lines import Path as KeyPath
+from vcu_gateway.strict_yaml import file_text as text
+from vcu_gateway.strict_yaml import parser as document
+from vcu_gateway.strict_yaml import validation as shape
+from vcu_gateway.strict_yaml.lines import Path as KeyPath
+from vcu_gateway.strict_yaml.problems import Finding, problems, shown
 
 _NS_PER_S = 1_000_000_000
 _EXAMPLE = "{at_s: 10, fault: silence, of: BMS}"

@@ -119,7 +119,7 @@ def _refused_to_somebody(path: Path) -> str:
         parent.chmod(0o755)
     code = (
         "import os, sys; sys.path[:0] = sys.argv[2:]; os.setuid(65534)\n"
-        "from pathlib import Path; from vcu_gateway.config.text import read\n"
+        "from pathlib import Path; from vcu_gateway.strict_yaml.file_text import read\n"
         "from vcu_gateway.errors import ConfigError\n"
         "try: read(Path(sys.argv[1]))\n"
         "except ConfigError as error: print(error)\n"

@@ -10,9 +10,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from vcu_gateway.config.findings import Finding, shown
 from vcu_gateway.config.kinds import REFUSED
-from vcu_gateway.yaml_lines import Path
+from vcu_gateway.strict_yaml.lines import Path
+from vcu_gateway.strict_yaml.problems import Finding, shown
 
 _Model = TypeVar("_Model", bound=BaseModel)
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from vcu_gateway.config.findings import Finding, shown
-from vcu_gateway.yaml_lines import LineMap, Path
+from vcu_gateway.strict_yaml.lines import LineMap, Path
+from vcu_gateway.strict_yaml.problems import Finding, shown
 
 _MAX_DEPTH = 8
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from vcu_gateway.errors import Problem
-from vcu_gateway.yaml_lines import LineMap, Path
+from vcu_gateway.strict_yaml.lines import LineMap, Path
 
 _SHOWN_CHARACTERS = 40
 _ALIASES = ("protocol", "aliases")
