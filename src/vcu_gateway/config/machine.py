@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from vcu_gateway.config.kinds import (
+from vcu_gateway.config.value_types import (
     AgeMs,
     File,
     FileMode,

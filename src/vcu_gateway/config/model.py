@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 from pydantic import PrivateAttr
 
-from vcu_gateway.config.kinds import Section
 from vcu_gateway.config.machine import Api, Bus, Freshness, Log, Protocol
+from vcu_gateway.config.value_types import Section
 from vcu_gateway.config.vehicle import Bench, Demand, Limits, Safety
 from vcu_gateway.strict_yaml.lines import LineMap
 

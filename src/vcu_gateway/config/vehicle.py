@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from vcu_gateway.config.kinds import (
+from vcu_gateway.config.value_types import (
     Confirmation,
     MessageName,
     Priority,

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, ValidationInfo
 
-from vcu_gateway.config.kinds import refusal
+from vcu_gateway.config.value_types import refusal
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.intake import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec

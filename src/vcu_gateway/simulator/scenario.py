@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field
 
-from vcu_gateway.config.kinds import Section
+from vcu_gateway.config.value_types import Section
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, Problem

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from vcu_gateway.config.kinds import Section, refusal
+from vcu_gateway.config.value_types import Section, refusal
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import message_name
 from vcu_gateway.core.demand import CONTROLLERS, PowerMode

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from vcu_gateway.config.kinds import REFUSED
+from vcu_gateway.config.value_types import REFUSED
 from vcu_gateway.strict_yaml.lines import Path
 from vcu_gateway.strict_yaml.problems import Finding, shown
 
