@@ -13,7 +13,8 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon import Daemon, Observer
 from vcu_gateway.errors import DataError, Problem
-from vcu_gateway.protocol import agreement, dbc, packaged
+from vcu_gateway.protocol import compatibility as agreement
+from vcu_gateway.protocol import dbc, packaged
 
 _MOST_DIFFERENCES = 20
 

@@ -5,7 +5,8 @@ import pytest
 
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError
-from vcu_gateway.protocol import dbc, definition, packaged, page
+from vcu_gateway.protocol import dbc, definition, packaged
+from vcu_gateway.protocol import docs_page as page
 
 DEFINITION = definition.load(packaged("vcu.yaml"))
 DBC_PATH = packaged("vcu.dbc")

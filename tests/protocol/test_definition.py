@@ -7,7 +7,7 @@ import pytest
 
 from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.protocol import definition, packaged
-from vcu_gateway.protocol.rows import parse_bits
+from vcu_gateway.protocol.definition_model import parse_bits
 
 TEXT = packaged("vcu.yaml").read_text(encoding="utf-8")
 

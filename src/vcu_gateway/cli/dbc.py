@@ -11,7 +11,8 @@ from pathlib import Path
 import click
 
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
-from vcu_gateway.protocol import dbc, definition, page
+from vcu_gateway.protocol import dbc, definition
+from vcu_gateway.protocol import docs_page as page
 
 _DEFINITION = Path("dbc/vcu.yaml")
 _OUTPUT = Path("dbc/vcu.dbc")

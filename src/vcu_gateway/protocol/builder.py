@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import Problem
-from vcu_gateway.protocol.rows import ByteOrder, File, MessageRow, SignalRow, parse_bits
+from vcu_gateway.protocol.definition_model import ByteOrder, File, MessageRow, SignalRow, parse_bits
 from vcu_gateway.strict_yaml.lines import LineMap
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}")

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
 from vcu_gateway.protocol.builder import Builder
-from vcu_gateway.protocol.rows import File, MessageRow, SignalRow
+from vcu_gateway.protocol.definition_model import File, MessageRow, SignalRow
 from vcu_gateway.strict_yaml.lines import LineMap, load_with_lines
 
 _PLAINER = {
