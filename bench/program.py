@@ -94,7 +94,7 @@ def stand_in_for_confirm() -> None:
 
 def ours(config: str) -> dict[str, Any]:
     """`vcu-gateway run` as it is, with a clock reading before and after what is measured."""
-    from vcu_gateway.bus.door import Door
+    from vcu_gateway.bus.connection import Door
     from vcu_gateway.cli import main as command_line
     from vcu_gateway.core.gateway import Gateway
     from vcu_gateway.core.schedule import Schedule

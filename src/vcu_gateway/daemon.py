@@ -8,8 +8,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NamedTuple
 
-from vcu_gateway.bus.door import Door
-from vcu_gateway.bus.keeper import Keeper
+from vcu_gateway.bus.connection import Door
+from vcu_gateway.bus.reconnect import Keeper
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.output import OutFrame

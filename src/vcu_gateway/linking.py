@@ -1,8 +1,8 @@
 """The link as the ticking thread sees it: the keeper's news taken in, and told as events."""
 
-from vcu_gateway.bus.cautions import cautions
-from vcu_gateway.bus.door import Door
-from vcu_gateway.bus.keeper import CarrierChanged, Keeper, Lost, Opened, Unavailable
+from vcu_gateway.bus.connection import Door
+from vcu_gateway.bus.interface_warnings import cautions
+from vcu_gateway.bus.reconnect import CarrierChanged, Keeper, Lost, Opened, Unavailable
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, Link, LinkState

@@ -1,6 +1,6 @@
 """Whether the receiving thread lives, seen from the ticking thread."""
 
-from vcu_gateway.bus.door import Door
+from vcu_gateway.bus.connection import Door
 
 # The reader wakes at least every 120 ms, which is seen at every third tick. Ticks are counted
 # and not time: a process that stood still has a reader that stood still too.

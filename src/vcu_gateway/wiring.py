@@ -4,7 +4,7 @@ import dataclasses
 import time
 from pathlib import Path
 
-from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.config import BenchDemand, Config
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, PowerMode

@@ -7,7 +7,7 @@ import pytest
 
 from tests.shell.test_bus_facts import answer, attribute
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.description import (
+from vcu_gateway.bus.interface_info import (
     Controller,
     Description,
     Details,

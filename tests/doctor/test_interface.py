@@ -5,7 +5,7 @@ import errno
 import pytest
 
 from tests.doctor.told import complaints, only, well
-from vcu_gateway.bus.description import (
+from vcu_gateway.bus.interface_info import (
     Controller,
     Description,
     Details,

@@ -14,10 +14,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from vcu_gateway.bus import lock, netlink
-from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus import instance_lock as lock
+from vcu_gateway.bus import netlink
+from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.instance_lock import Claim
 from vcu_gateway.bus.interface import Interfaces
-from vcu_gateway.bus.lock import Claim
 from vcu_gateway.bus.netlink import Details, parsed
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
@@ -150,9 +151,7 @@ def test_a_hundred_refusals_do_not_wear_it_out(channel):
 
 
 def test_a_gateway_that_was_killed_leaves_no_lock_behind(channel):
-    program = (
-        f"from vcu_gateway.bus.lock import Claim; c = Claim({channel!r});print(flush=True); input()"
-    )
+    program = f"from vcu_gateway.bus.instance_lock import Claim; c = Claim({channel!r});print(flush=True); input()"
     child = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )

@@ -12,8 +12,8 @@ import can
 import pytest
 
 from vcu_gateway import simulator
-from vcu_gateway.bus.door import BusSettings, Door
-from vcu_gateway.bus.lock import Claim
+from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.instance_lock import Claim
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import LinkState

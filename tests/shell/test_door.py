@@ -9,7 +9,7 @@ from collections.abc import Callable
 import can
 import pytest
 
-from vcu_gateway.bus.door import BusSettings, Door, kernel_filters
+from vcu_gateway.bus.connection import BusSettings, Door, kernel_filters
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.output import OutFrame
 from vcu_gateway.errors import UnavailableError

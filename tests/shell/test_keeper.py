@@ -4,10 +4,10 @@ import itertools
 
 import pytest
 
-from vcu_gateway.bus.door import BusSettings
+from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.bus.interface import Interface
-from vcu_gateway.bus.keeper import CarrierChanged, Keeper, Lost, Opened, Unavailable
 from vcu_gateway.bus.netlink import Details
+from vcu_gateway.bus.reconnect import CarrierChanged, Keeper, Lost, Opened, Unavailable
 from vcu_gateway.errors import Problem, UnavailableError
 
 MS = 1_000_000

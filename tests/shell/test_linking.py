@@ -5,10 +5,10 @@ from collections import deque
 import pytest
 
 from tests.core.safety_world import Drive, active
-from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.bus.interface import Interface
-from vcu_gateway.bus.keeper import CarrierChanged, Lost, Opened, Unavailable
 from vcu_gateway.bus.netlink import Details
+from vcu_gateway.bus.reconnect import CarrierChanged, Lost, Opened, Unavailable
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode

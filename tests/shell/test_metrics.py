@@ -15,7 +15,7 @@ from tests.core.safety_world import COMMAND_IDS, MS, Drive, active, data, in_mod
 from tests.monitoring.program import STARTED_S, Program, Scrape, driven
 from vcu_gateway import metrics, simulator
 from vcu_gateway.api.failures import Code
-from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode

@@ -9,8 +9,8 @@ import can
 import pytest
 from can.interfaces.udp_multicast import utils
 
+from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.bus.counters import BusCounters
-from vcu_gateway.bus.door import BusSettings, Door
 from vcu_gateway.bus.multicast import _REMEMBERED, EchoingMulticastBus
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.output import OutFrame

@@ -12,7 +12,7 @@ import pytest
 
 from tests.core.safety_world import CODEC, Drive, active, standby
 from vcu_gateway import safe_frames
-from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon import Daemon, Latest

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from vcu_gateway.api import shapes
 from vcu_gateway.api.failures import Code, Failure
-from vcu_gateway.bus.door import BusSettings
+from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.daemon import Daemon, Latest
 from vcu_gateway.health import Facts
 from vcu_gateway.reload import InEffect, Reloader

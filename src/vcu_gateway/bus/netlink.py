@@ -11,7 +11,7 @@ import socket
 import struct
 from collections.abc import Iterator
 
-from vcu_gateway.bus.description import (
+from vcu_gateway.bus.interface_info import (
     Controller,
     Description,
     Details,

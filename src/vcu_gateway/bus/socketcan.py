@@ -19,9 +19,9 @@ from vcu_gateway.python_can import can
 # isort: split
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
-from vcu_gateway.bus.clocks import read_clocks
 from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.frame_queue import FrameQueue
+from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.clock import ClockPair, arrival_ns, steady
 from vcu_gateway.core.link import ERROR_CLASSES
 from vcu_gateway.core.schedule import next_drain_ns

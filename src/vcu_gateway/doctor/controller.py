@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.bus.description import Controller, Description, DeviceCounters, Mode
+from vcu_gateway.bus.interface_info import Controller, Description, DeviceCounters, Mode
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.doctor.finding import Finding, Subject, Told
 

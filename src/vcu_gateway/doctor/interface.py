@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.description import Description, Traffic
+from vcu_gateway.bus.interface_info import Description, Traffic
 from vcu_gateway.doctor import controller
 from vcu_gateway.doctor.finding import Finding, Subject, Told
 from vcu_gateway.doctor.reading import Unread, names, refused, text

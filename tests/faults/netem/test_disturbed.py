@@ -14,7 +14,7 @@ from tests.faults import metronome
 from tests.faults.conftest import Seen
 from tests.faults.driving import MS, BusStand, Driving
 from tests.vcan.conftest import wait_until
-from vcu_gateway.bus.door import BusSettings, Door
+from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.output import OutFrame
 
 # A busy machine has what is measured taken once more.

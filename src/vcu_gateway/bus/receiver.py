@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from vcu_gateway.bus.clocks import read_clocks
 from vcu_gateway.bus.counters import BusCounters
+from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.clock import arrival_ns
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.python_can import can

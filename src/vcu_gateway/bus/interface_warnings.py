@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from vcu_gateway.bus.keeper import Opened
+from vcu_gateway.bus.reconnect import Opened
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.events import Event, Severity
 

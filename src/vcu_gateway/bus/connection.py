@@ -11,10 +11,10 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from vcu_gateway.bus.complaints import unopened
 from vcu_gateway.bus.counters import BusCounters
-from vcu_gateway.bus.listener import Listener
-from vcu_gateway.bus.lock import Claim
+from vcu_gateway.bus.diagnostics import unopened
+from vcu_gateway.bus.instance_lock import Claim
+from vcu_gateway.bus.receiver import Listener
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.core import j1939

@@ -9,8 +9,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from vcu_gateway.bus import complaints, netlink
-from vcu_gateway.bus.door import Door
+from vcu_gateway.bus import diagnostics as complaints
+from vcu_gateway.bus import netlink
+from vcu_gateway.bus.connection import Door
 from vcu_gateway.bus.interface import Interface, Interfaces
 from vcu_gateway.bus.netlink import Details
 from vcu_gateway.core.link import LinkState
