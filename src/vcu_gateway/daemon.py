@@ -12,8 +12,8 @@ from vcu_gateway.bus.connection import Door
 from vcu_gateway.bus.reconnect import Keeper
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.output import OutFrame
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
+from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Why
 from vcu_gateway.inbox import Inbox
 from vcu_gateway.journal import Journal

@@ -12,10 +12,10 @@ from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.link import Link, LinkState
+from vcu_gateway.core.rule_inputs import World
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.core.world import World
 from vcu_gateway.protocol import dbc, packaged
 
 MS = 1_000_000

@@ -4,7 +4,6 @@ import pytest
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.intake import Intake
 from vcu_gateway.core.link import (
     ERROR_CLASSES,
     Carrier,
@@ -15,6 +14,7 @@ from vcu_gateway.core.link import (
     after_error_frame,
     with_carrier,
 )
+from vcu_gateway.core.receive import Intake
 
 CONTROLLER, BUS_OFF, RESTARTED, LOST_ARBITRATION = 0x004, 0x040, 0x100, 0x002
 UP, WARNING, PASSIVE, OFF = LinkState.UP, LinkState.WARNING, LinkState.PASSIVE, LinkState.BUS_OFF

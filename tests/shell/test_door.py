@@ -11,7 +11,7 @@ import pytest
 
 from vcu_gateway.bus.connection import BusSettings, Door, kernel_filters
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.output import OutFrame
+from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
 
 PATIENCE_S = 30.0

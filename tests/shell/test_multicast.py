@@ -13,7 +13,7 @@ from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.multicast import _REMEMBERED, EchoingMulticastBus
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.output import OutFrame
+from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
 
 PORT = 43113

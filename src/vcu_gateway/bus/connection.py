@@ -19,7 +19,7 @@ from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.output import OutFrame
+from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.python_can import can
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.timestamps import read_clocks
-from vcu_gateway.core.clock import arrival_ns
+from vcu_gateway.core.arrival_time import arrival_ns
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.python_can import can
 

@@ -22,7 +22,7 @@ from can.interfaces.socketcan.socketcan import SocketcanBus
 from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.frame_queue import FrameQueue
 from vcu_gateway.bus.timestamps import read_clocks
-from vcu_gateway.core.clock import ClockPair, arrival_ns, steady
+from vcu_gateway.core.arrival_time import ClockPair, arrival_ns, steady
 from vcu_gateway.core.link import ERROR_CLASSES
 from vcu_gateway.core.schedule import next_drain_ns
 

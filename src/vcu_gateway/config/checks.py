@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from vcu_gateway.config.model import Config
 from vcu_gateway.core import j1939
 from vcu_gateway.core.freshness import deadlines
-from vcu_gateway.core.intake import OWN_NODE
+from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import Problem
 from vcu_gateway.strict_yaml.problems import Finding, problems

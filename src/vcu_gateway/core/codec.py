@@ -11,7 +11,8 @@ from enum import Enum
 from functools import partial
 from typing import Any, NamedTuple
 
-from vcu_gateway.core import j1939, source
+from vcu_gateway.core import codegen as source
+from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec
 

@@ -7,24 +7,25 @@ tick, one at a time; everything else belongs to the ticking thread.
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.core import freshness, rules, speeds, throttle, why
+from vcu_gateway.core import freshness, rules, throttle, why
+from vcu_gateway.core import motor_speeds as speeds
 from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
 from vcu_gateway.core.ending import Ending
 from vcu_gateway.core.events import Event
-from vcu_gateway.core.intake import OWN_NODE, Intake
+from vcu_gateway.core.lifecycle import Listening, Qualification
 from vcu_gateway.core.link import Link, LinkState, PassiveTime
-from vcu_gateway.core.output import OutFrame, Output
+from vcu_gateway.core.operator_requests import LISTENING, Parts, Requests
 from vcu_gateway.core.plausibility import Plausibility
+from vcu_gateway.core.receive import OWN_NODE, Intake
 from vcu_gateway.core.regeneration import Regeneration
-from vcu_gateway.core.requests import LISTENING, Parts, Requests
+from vcu_gateway.core.rule_inputs import World
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.startup import Listening, Qualification
 from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
+from vcu_gateway.core.transmit import OutFrame, Output
 from vcu_gateway.core.why import Why
-from vcu_gateway.core.world import World
 
 _NS_PER_MS = 1_000_000
 

@@ -1,6 +1,6 @@
 """Regeneration by speed: at a standstill, and rolling slowly, it brakes nothing and may push."""
 
-from vcu_gateway.core.speeds import SpeedsRpm, all_at_least
+from vcu_gateway.core.motor_speeds import SpeedsRpm, all_at_least
 
 _RETURN_RPM = 50.0
 

@@ -11,7 +11,7 @@ from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.plausibility import WHEELS_MESSAGE
-from vcu_gateway.core.world import World
+from vcu_gateway.core.rule_inputs import World
 
 _ALARM, _STOP, _CUT = (Effect.ALARM,), (Effect.STOP,), (Effect.CUT,)
 _LIMITS = (Effect.REGEN_LIMIT, Effect.POWER_LIMIT)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from vcu_gateway.core import j1939
-from vcu_gateway.core.intake import OWN_NODE
+from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
 from vcu_gateway.doctor.finding import Finding, Subject, Told
 from vcu_gateway.doctor.reading import Unread, refused

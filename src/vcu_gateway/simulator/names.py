@@ -6,7 +6,7 @@ from pydantic import AfterValidator, ValidationInfo
 
 from vcu_gateway.config.value_types import refusal
 from vcu_gateway.core.demand import CONTROLLERS
-from vcu_gateway.core.intake import OWN_NODE
+from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
 from vcu_gateway.strict_yaml import validation as shape
 

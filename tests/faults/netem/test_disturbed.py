@@ -15,7 +15,7 @@ from tests.faults.conftest import Seen
 from tests.faults.driving import MS, BusStand, Driving
 from tests.vcan.conftest import wait_until
 from vcu_gateway.bus.connection import BusSettings, Door
-from vcu_gateway.core.output import OutFrame
+from vcu_gateway.core.transmit import OutFrame
 
 # A busy machine has what is measured taken once more.
 pytestmark = pytest.mark.timeout(300)

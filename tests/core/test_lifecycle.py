@@ -3,8 +3,8 @@
 import pytest
 
 from tests.core.safety_world import CODEC, MS, PROTOCOL, data
+from vcu_gateway.core.lifecycle import Listening, Qualification
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.startup import Listening, Qualification
 from vcu_gateway.core.state import Store
 
 

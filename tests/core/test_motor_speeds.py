@@ -5,7 +5,7 @@ import math
 import pytest
 
 from tests.core.safety_world import CODEC, data
-from vcu_gateway.core import speeds
+from vcu_gateway.core import motor_speeds as speeds
 from vcu_gateway.core.plausibility import NOTHING_ODD, Observed
 from vcu_gateway.core.state import Store
 

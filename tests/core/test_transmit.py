@@ -6,8 +6,8 @@ import pytest
 
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import PowerMode
-from vcu_gateway.core.output import OutFrame, Output
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.transmit import OutFrame, Output
 
 MS = 1_000_000
 PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0

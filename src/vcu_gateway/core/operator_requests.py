@@ -21,11 +21,11 @@ from vcu_gateway.core.demand import (
     refused,
 )
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.output import Output
+from vcu_gateway.core.lifecycle import Listening
 from vcu_gateway.core.permission import Asked, Pedal
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
-from vcu_gateway.core.startup import Listening
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
+from vcu_gateway.core.transmit import Output
 
 # With this many unexpected starts in one drive nobody knows what the next minute brings.
 _RESTARTS_AT_MOST = 2
