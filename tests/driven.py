@@ -14,9 +14,9 @@ from vcu_gateway import simulator, wiring
 from vcu_gateway.client import Client
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Why
+from vcu_gateway.daemon.restarts import Start
 from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
-from vcu_gateway.starts import Start
 
 PATIENCE_S = 60.0
 

@@ -15,8 +15,8 @@ from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.schedule import Schedule, percentile_ns
-from vcu_gateway.daemon import Daemon
-from vcu_gateway.starts import Start
+from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.restarts import Start
 
 _NS_PER_MS = 1_000_000
 _NS_PER_US = 1_000

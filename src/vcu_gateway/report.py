@@ -9,7 +9,7 @@ from vcu_gateway.core.causes import Held
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.daemon import Latest
+from vcu_gateway.daemon.loop import Latest
 
 _NS_PER_MS = 1_000_000
 _CONTROLLERS: tuple[shapes.ControllerName, ...] = get_args(shapes.ControllerName)

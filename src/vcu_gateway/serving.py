@@ -22,10 +22,10 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon import Daemon
+from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.reload import InEffect, Reloader
+from vcu_gateway.daemon.restarts import Start
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.reload import InEffect, Reloader
-from vcu_gateway.starts import Start
 
 _NS_PER_S = 1_000_000_000
 _DIGEST_CHARACTERS = 16

@@ -11,7 +11,7 @@ from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon import Daemon, Observer
+from vcu_gateway.daemon.loop import Daemon, Observer
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.protocol import compatibility as agreement
 from vcu_gateway.protocol import dbc, packaged

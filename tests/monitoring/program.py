@@ -10,7 +10,7 @@ from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.daemon import Daemon, Latest
+from vcu_gateway.daemon.loop import Daemon, Latest
 
 Labels = frozenset[tuple[str, str]]
 STARTED_S = 1_700_000_000.0

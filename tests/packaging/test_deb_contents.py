@@ -89,7 +89,7 @@ def test_the_links_are_those_of_a_virtual_environment_of_the_systems_python(deb)
     assert links == {
         "usr/bin/vcu-gateway": "../lib/vcu-gateway/bin/vcu-gateway",
         f"{HOME}/bin/python3": "../../../bin/python3",
-        f"{HOME}/safe_stop.py": deb.place("{site}/vcu_gateway/safe_stop.py").removeprefix(
+        f"{HOME}/safe_stop.py": deb.place("{site}/vcu_gateway/daemon/safe_stop.py").removeprefix(
             f"{HOME}/"
         ),
     }
@@ -155,7 +155,7 @@ def flags(compiled: bytes) -> int:
 
 
 def test_a_traceback_names_the_files_where_they_are_installed(deb):
-    source = f"{deb.site}/vcu_gateway/daemon.py"
+    source = f"{deb.site}/vcu_gateway/daemon/loop.py"
     named = re.findall(rb"[ -~]*daemon\.py", deb.contents[cached(source, deb.release.python)])
     assert {name[name.find(b"/") :].decode() for name in named} == {f"/{source}"}
 

@@ -15,8 +15,8 @@ from vcu_gateway import wiring
 from vcu_gateway.client import ConfigRefusedError
 from vcu_gateway.config import parse
 from vcu_gateway.core.settings import RESTART_ONLY, changed
-from vcu_gateway.reload import changed as changed_keys
-from vcu_gateway.reload import is_live
+from vcu_gateway.daemon.reload import changed as changed_keys
+from vcu_gateway.daemon.reload import is_live
 
 
 def problems(client) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.daemon import Daemon
+from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
 

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from vcu_gateway.inbox import Inbox
+from vcu_gateway.daemon.work_queue import Inbox
 
 
 def test_work_is_done_in_the_order_of_posting():

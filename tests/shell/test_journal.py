@@ -3,7 +3,7 @@
 from datetime import datetime
 
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.journal import Journal
+from vcu_gateway.daemon.event_log import Journal
 
 
 def event(name: str = "link_lost", **fields: object) -> Event:

@@ -12,8 +12,8 @@ from vcu_gateway.bus.reconnect import CarrierChanged, Lost, Opened, Unavailable
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.journal import Journal
-from vcu_gateway.linking import Linking
+from vcu_gateway.daemon.event_log import Journal
+from vcu_gateway.daemon.link_events import Linking
 
 MS = 1_000_000
 BUS_OFF, RESTARTED, CONTROLLER = 0x040, 0x100, 0x004

@@ -12,9 +12,9 @@ from typing import TextIO
 
 import pytest
 
-from vcu_gateway import log
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.log import QueuedWriter
+from vcu_gateway.daemon import log
+from vcu_gateway.daemon.log import QueuedWriter
 
 F_SETPIPE_SZ = 1031
 PATIENCE_S = 30.0

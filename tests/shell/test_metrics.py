@@ -26,7 +26,7 @@ from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Quality
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.daemon import Daemon
+from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
 
@@ -607,7 +607,7 @@ def test_another_module_that_is_missing_is_not_taken_for_prometheus_client(monke
 def test_the_rest_of_the_program_does_not_import_prometheus_client():
     check = (
         "import sys; sys.modules['prometheus_client'] = None;"
-        "import vcu_gateway.metrics, vcu_gateway.daemon;"
+        "import vcu_gateway.metrics, vcu_gateway.daemon.loop;"
         "print(len(vcu_gateway.metrics.FAMILIES))"
     )
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)

@@ -178,7 +178,7 @@ def test_nothing_of_asammdf_is_in_a_running_gateway(mf4_folder, configuration):
         mapped = Path(f"/proc/{running.pid}/maps").read_text()
     lines = [line for line in running.said if line.startswith("import time:")]
     imported = {line.rpartition("|")[2].strip() for line in lines}
-    assert {"can.io.mf4", "vcu_gateway.daemon"} <= imported
+    assert {"can.io.mf4", "vcu_gateway.daemon.loop"} <= imported
     assert not imported & {"asammdf.mdf", "numpy", "pandas"}  # asammdf itself was looked for
     assert ".so" in mapped
     assert str(mf4_folder) not in mapped

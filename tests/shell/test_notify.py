@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from vcu_gateway.notify import ServiceManager
+from vcu_gateway.daemon.systemd import ServiceManager
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from vcu_gateway import processor_time
-from vcu_gateway.processor_time import ProcessorTime
+from vcu_gateway.daemon import processor_time
+from vcu_gateway.daemon.processor_time import ProcessorTime
 
 MS = 1_000_000
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from tests.core.safety_world import data
-from vcu_gateway import boot_files, restart_state
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand
@@ -17,9 +16,9 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.journal import Journal
-from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.restart_state import (
+from vcu_gateway.daemon import boot_files, restart_state
+from vcu_gateway.daemon.event_log import Journal
+from vcu_gateway.daemon.restart_state import (
     NOTHING,
     Kept,
     RestartState,
@@ -28,6 +27,7 @@ from vcu_gateway.restart_state import (
     other_folders,
     read,
 )
+from vcu_gateway.protocol import dbc, packaged
 
 CODEC = Codec(dbc.load(packaged("vcu.dbc")))
 BUS = BusSettings("socketcan", "vcan0")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway import safe_stop
+from vcu_gateway.daemon import safe_stop
 
 KILLED = {"SERVICE_RESULT": "signal", "EXIT_CODE": "killed", "EXIT_STATUS": "KILL"}
 GOOD = "vcan9\n0008A7D0#0C000000E02E0000\n0008A8D0#0C000000E02E0000\n"

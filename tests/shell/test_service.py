@@ -11,15 +11,15 @@ from types import SimpleNamespace
 import pytest
 
 from tests.core.safety_world import CODEC, Drive, active, standby
-from vcu_gateway import safe_frames
 from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.daemon import Daemon, Latest
-from vcu_gateway.notify import ServiceManager
-from vcu_gateway.service import Service
-from vcu_gateway.starts import Start
-from vcu_gateway.watchdog import ReaderWatch
+from vcu_gateway.daemon import safe_frames
+from vcu_gateway.daemon.loop import Daemon, Latest
+from vcu_gateway.daemon.restarts import Start
+from vcu_gateway.daemon.service import Service
+from vcu_gateway.daemon.systemd import ServiceManager
+from vcu_gateway.daemon.watchdog import ReaderWatch
 
 TICK = Tick(0, 0, 0, 0)
 S = 1_000_000_000
@@ -39,7 +39,9 @@ class World:
         )
         self.service = Service(manager, folder, self.daemon)
         self._told: list[str] = []
-        monkeypatch.setattr("vcu_gateway.service.time.monotonic_ns", lambda: self.drive.now_ns)
+        monkeypatch.setattr(
+            "vcu_gateway.daemon.service.time.monotonic_ns", lambda: self.drive.now_ns
+        )
 
     def tick(self, times: int = 1) -> None:
         for _ in range(times):

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from vcu_gateway import boot_files
-from vcu_gateway.starts import Start, Starts
+from vcu_gateway.daemon import boot_files
+from vcu_gateway.daemon.restarts import Start, Starts
 
 
 def started(folder, *, end: bool = False) -> Start | None:

@@ -13,7 +13,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.daemon import Latest
+from vcu_gateway.daemon.loop import Latest
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.watch.picture import Picture, RefusedError, Trouble
 

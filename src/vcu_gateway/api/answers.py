@@ -16,7 +16,7 @@ from vcu_gateway.api.restraint import Restraint
 from vcu_gateway.api.service import Caller, Reply
 from vcu_gateway.api.stops import STOPS
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.reload import Outcome
+from vcu_gateway.daemon.reload import Outcome
 
 RELOAD = "config.reload"
 

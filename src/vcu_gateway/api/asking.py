@@ -21,7 +21,7 @@ from vcu_gateway.core.demand import (
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.journal import Entry
+from vcu_gateway.daemon.event_log import Entry
 
 _NS_PER_MS = 1_000_000
 

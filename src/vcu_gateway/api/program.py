@@ -6,9 +6,9 @@ from typing import NamedTuple
 from vcu_gateway.api import shapes
 from vcu_gateway.api.failures import Code, Failure
 from vcu_gateway.bus.connection import BusSettings
-from vcu_gateway.daemon import Daemon, Latest
+from vcu_gateway.daemon.loop import Daemon, Latest
+from vcu_gateway.daemon.reload import InEffect, Reloader
 from vcu_gateway.health import Facts
-from vcu_gateway.reload import InEffect, Reloader
 
 
 class Program(NamedTuple):

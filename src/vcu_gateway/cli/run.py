@@ -8,14 +8,16 @@ from pathlib import Path
 import click
 
 from vcu_gateway import config as configuration
-from vcu_gateway import health, log, memory, report, safe_frames, wiring
+from vcu_gateway import health, report, wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.daemon import Daemon
+from vcu_gateway.daemon import log, safe_frames
+from vcu_gateway.daemon import realtime as memory
+from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
+from vcu_gateway.daemon.service import Service
+from vcu_gateway.daemon.systemd import ServiceManager
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
-from vcu_gateway.notify import ServiceManager
-from vcu_gateway.restart_state import RestartState, folder_for, other_folders
-from vcu_gateway.service import Service
 from vcu_gateway.serving import Serving
 
 

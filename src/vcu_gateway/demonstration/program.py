@@ -14,9 +14,10 @@ import time
 from pathlib import Path
 
 from vcu_gateway import config as configuration
-from vcu_gateway import log, simulator, wiring
+from vcu_gateway import simulator, wiring
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.daemon import Daemon
+from vcu_gateway.daemon import log
+from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.demonstration.child import Wanted
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.serving import Serving

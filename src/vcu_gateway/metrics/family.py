@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 from vcu_gateway.api.shapes import ApiCounts
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.state import Snapshot
-from vcu_gateway.daemon import Daemon, Latest
+from vcu_gateway.daemon.loop import Daemon, Latest
 
 PREFIX = "vcu_gateway_"
 NS_PER_S = 1_000_000_000

@@ -4,7 +4,7 @@ import contextlib
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.boot_files import boot_id, write_whole
+from vcu_gateway.daemon.boot_files import boot_id, write_whole
 
 _NAME = "starts"
 _RUNNING, _ENDED = "running", "ended"

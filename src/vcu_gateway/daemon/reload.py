@@ -11,7 +11,7 @@ from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon import Daemon
+from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.errors import ConfigError
 
 LIVE = (

@@ -6,7 +6,7 @@ from vcu_gateway.bus.reconnect import CarrierChanged, Keeper, Lost, Opened, Unav
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, Link, LinkState
-from vcu_gateway.journal import Journal
+from vcu_gateway.daemon.event_log import Journal
 
 _DROPS_TOLD_EVERY_NS = 10_000_000_000
 _CHANGES_AT_ONCE = 10

@@ -15,11 +15,11 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Why
-from vcu_gateway.inbox import Inbox
-from vcu_gateway.journal import Journal
-from vcu_gateway.linking import Linking
-from vcu_gateway.log import log
-from vcu_gateway.processor_time import ProcessorTime
+from vcu_gateway.daemon.event_log import Journal
+from vcu_gateway.daemon.link_events import Linking
+from vcu_gateway.daemon.log import log
+from vcu_gateway.daemon.processor_time import ProcessorTime
+from vcu_gateway.daemon.work_queue import Inbox
 
 _SWITCH_INTERVAL_S = 0.0005
 # No work for others is begun so shortly before a tick; sleeping to it is the most punctual.

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from vcu_gateway.boot_files import HIDDEN, boot_id, write_whole
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.journal import Journal
+from vcu_gateway.daemon.boot_files import HIDDEN, boot_id, write_whole
+from vcu_gateway.daemon.event_log import Journal
 
 _BEFORE = "before this start: "
 _NAMESPACE = Path("/proc/self/ns/net")

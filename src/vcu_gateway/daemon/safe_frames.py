@@ -3,11 +3,11 @@
 import contextlib
 from pathlib import Path
 
-from vcu_gateway.boot_files import write_whole
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.journal import Journal
+from vcu_gateway.daemon.boot_files import write_whole
+from vcu_gateway.daemon.event_log import Journal
 
 NAME = "safe-frames"
 

@@ -7,11 +7,11 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.why import Why
-from vcu_gateway.daemon import Daemon
-from vcu_gateway.notify import ServiceManager
-from vcu_gateway.safe_frames import SafeFrames
-from vcu_gateway.starts import Start, Starts
-from vcu_gateway.watchdog import ReaderWatch
+from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.restarts import Start, Starts
+from vcu_gateway.daemon.safe_frames import SafeFrames
+from vcu_gateway.daemon.systemd import ServiceManager
+from vcu_gateway.daemon.watchdog import ReaderWatch
 
 _PINGS_IN_LIMIT = 4
 _STATUS_EVERY_NS = 1_000_000_000

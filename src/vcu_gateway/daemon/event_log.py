@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from vcu_gateway.core.events import Event
-from vcu_gateway.log import log_event
+from vcu_gateway.daemon.log import log_event
 
 _ENTRIES = 200
 
