@@ -16,7 +16,7 @@ from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from typing import TextIO
 
-from vcu_gateway.api.shapes import State, Update
+from vcu_gateway.api.results import State, Update
 from vcu_gateway.client import (
     ApiTimeoutError,
     AsyncClient,

@@ -10,7 +10,7 @@ from typing import cast
 
 from vcu_gateway import __version__, report
 from vcu_gateway import config as configuration
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any, cast, get_args
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import Held
 from vcu_gateway.core.gateway import Gateway, TickResult

@@ -14,9 +14,9 @@ from vcu_gateway.api.definition import definition
 from vcu_gateway.api.doors import ServerSettings
 from vcu_gateway.api.gaps import Gaps
 from vcu_gateway.api.program import Program
+from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.api.server import Server
-from vcu_gateway.api.shapes import ApiCounts
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult

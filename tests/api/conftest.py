@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from vcu_gateway.api.connection import Limits
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.gaps import Gaps, Room
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.api.server import Server, ServerSettings

@@ -10,7 +10,7 @@ import pytest
 
 from tests.api.conftest import MS, PATIENCE_S, eventually
 from vcu_gateway.api.connection import Limits
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.gaps import Gaps, Room
 from vcu_gateway.api.http import is_http, judge
 

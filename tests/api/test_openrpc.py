@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.api import openrpc, page, rights
+from vcu_gateway.api import docs_page as page
+from vcu_gateway.api import openrpc, rights
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
 from vcu_gateway.core.demand import Refusal
 

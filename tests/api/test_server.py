@@ -24,7 +24,7 @@ from tests.api.conftest import (
 )
 from vcu_gateway.api.connection import GAVE_WAY, Limits
 from vcu_gateway.api.counters import Counters
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.gaps import Gaps
 from vcu_gateway.api.methods import DemandParams, Nothing
 from vcu_gateway.api.pace import Pace

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from vcu_gateway.api import wire
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.lines import MAX_LINE_BYTES, Lines
 from vcu_gateway.api.methods import DemandParams, Nothing, StateParams, Values
 

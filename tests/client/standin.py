@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tests.client.vehicle import Vehicle
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.methods import METHODS
 
 PATIENCE_S = 30.0

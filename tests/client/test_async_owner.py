@@ -8,7 +8,7 @@ import pytest
 
 from tests.client.scripted import Scripted
 from tests.client.standin import PATIENCE_S
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.client import (
     ApiError,
     ApiTimeoutError,

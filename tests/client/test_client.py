@@ -11,7 +11,7 @@ import pytest
 from tests.client.scripted import Scripted
 from tests.client.standin import METRICS, PATIENCE_S, page
 from tests.client.vehicle import MESSAGES
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.client import (
     ApiError,
     ApiTimeoutError,

@@ -22,8 +22,8 @@ def test_importing_the_client_is_light():
     assert loaded.isdisjoint(HEAVY)
     assert {name for name in loaded if name.startswith("vcu_gateway.api")} <= {
         "vcu_gateway.api",
-        "vcu_gateway.api.shapes",
-        "vcu_gateway.api.failures",
+        "vcu_gateway.api.results",
+        "vcu_gateway.api.errors",
     }
 
 

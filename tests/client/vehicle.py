@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 
 CONTROLLERS = ("PCU1", "PCU2")
 RANGES = {"throttle_pct": 100.0, "brake_pct": 100.0}

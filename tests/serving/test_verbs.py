@@ -10,7 +10,8 @@ import sys
 import pytest
 
 from tests.driven import Driven, wait_until
-from vcu_gateway.api import openrpc, shapes
+from vcu_gateway.api import openrpc
+from vcu_gateway.api import results as shapes
 
 
 def vcu(socket_path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -14,7 +14,7 @@ import pytest
 from tests.core.safety_world import COMMAND_IDS, MS, Drive, active, data, in_mode, standby
 from tests.monitoring.program import STARTED_S, Program, Scrape, driven
 from vcu_gateway import metrics, simulator
-from vcu_gateway.api.failures import Code
+from vcu_gateway.api.errors import Code
 from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Reason

@@ -8,7 +8,7 @@ from datetime import datetime
 
 from tests.simulator.driving import CRUISE, S_NS, START_NS
 from vcu_gateway import report, simulator
-from vcu_gateway.api.shapes import Cause, Health
+from vcu_gateway.api.results import Cause, Health
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway

@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable, Mapping
 
 from vcu_gateway import config as configuration
-from vcu_gateway.api import methods, reading, shapes
+from vcu_gateway.api import methods, reading
+from vcu_gateway.api import results as shapes
 from vcu_gateway.api.asking import Asking
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.program import Program
 from vcu_gateway.api.restraint import Restraint
 from vcu_gateway.api.service import Caller, Reply

@@ -5,8 +5,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 from vcu_gateway import report
-from vcu_gateway.api import methods, shapes
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api import methods
+from vcu_gateway.api import results as shapes
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.program import Program
 from vcu_gateway.api.service import Caller
 from vcu_gateway.api.sources import Sources

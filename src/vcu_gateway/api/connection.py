@@ -4,7 +4,7 @@ import select
 import socket
 from typing import NamedTuple
 
-from vcu_gateway.api.failures import Failure
+from vcu_gateway.api.errors import Failure
 from vcu_gateway.api.lines import Lines
 from vcu_gateway.api.pace import Pace
 from vcu_gateway.api.service import Caller

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from vcu_gateway.api.shapes import ApiCounts
+from vcu_gateway.api.results import ApiCounts
 
 
 @dataclass(slots=True)

@@ -1,6 +1,6 @@
 """The protocol in the API's shape."""
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 
 

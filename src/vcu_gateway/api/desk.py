@@ -7,7 +7,7 @@ from collections.abc import Callable
 from vcu_gateway.api import wire
 from vcu_gateway.api.connection import LINE_TOO_LONG, Addressee, Connection
 from vcu_gateway.api.counters import Counters
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.lines import MAX_LINE_BYTES
 from vcu_gateway.api.methods import (
     Nothing,
@@ -17,8 +17,8 @@ from vcu_gateway.api.methods import (
     UnsubscribeParams,
     right_needed,
 )
+from vcu_gateway.api.results import Subscribed, Update
 from vcu_gateway.api.service import Caller, Reply, Service
-from vcu_gateway.api.shapes import Subscribed, Update
 from vcu_gateway.api.subscriptions import Subscription
 from vcu_gateway.core.demand import Refusal
 

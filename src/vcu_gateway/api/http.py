@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from vcu_gateway.api.failures import Failure
+from vcu_gateway.api.errors import Failure
 
 MAX_HEAD_BYTES = 8_192
 

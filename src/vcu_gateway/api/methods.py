@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.api.rights import Right
 
 MAX_RATE_HZ = 50.0

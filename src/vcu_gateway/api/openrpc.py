@@ -5,8 +5,9 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from vcu_gateway import __version__
-from vcu_gateway.api import methods, shapes
-from vcu_gateway.api.failures import Code
+from vcu_gateway.api import methods
+from vcu_gateway.api import results as shapes
+from vcu_gateway.api.errors import Code
 from vcu_gateway.api.methods import METHODS, Method
 
 NOTIFICATION = "state.update"

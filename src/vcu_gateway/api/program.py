@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from vcu_gateway.api import shapes
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api import results as shapes
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.daemon.loop import Daemon, Latest
 from vcu_gateway.daemon.reload import InEffect, Reloader

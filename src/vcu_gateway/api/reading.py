@@ -6,8 +6,9 @@ from typing import Any
 
 from vcu_gateway import config as configuration
 from vcu_gateway import health, report
-from vcu_gateway.api import methods, shapes
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api import methods
+from vcu_gateway.api import results as shapes
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.program import Program
 
 

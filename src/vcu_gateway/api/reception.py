@@ -10,7 +10,7 @@ from typing import NamedTuple
 from vcu_gateway.api import wire
 from vcu_gateway.api.connection import Connection, Limits
 from vcu_gateway.api.counters import Counters
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.pace import Pace
 from vcu_gateway.api.peer import peer_of
 from vcu_gateway.api.rights import Policy, Right

@@ -7,7 +7,7 @@ import time
 from vcu_gateway.api.connection import GAVE_WAY, Connection, Limits
 from vcu_gateway.api.counters import Counters
 from vcu_gateway.api.desk import Desk
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.gaps import Gaps
 from vcu_gateway.api.http import is_http
 from vcu_gateway.api.mailbox import Mailbox

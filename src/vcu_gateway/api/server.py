@@ -18,9 +18,9 @@ from vcu_gateway.api.doors import ServerSettings, UnixDoor, listen_on_loopback
 from vcu_gateway.api.gaps import Gaps
 from vcu_gateway.api.mailbox import Mailbox
 from vcu_gateway.api.reception import Reception
+from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.api.rounds import Rounds
 from vcu_gateway.api.service import Service
-from vcu_gateway.api.shapes import ApiCounts
 from vcu_gateway.errors import UnavailableError
 
 __all__ = ["Limits", "Server", "ServerSettings"]

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
-from vcu_gateway.api.failures import Failure
+from vcu_gateway.api.errors import Failure
 from vcu_gateway.api.methods import Params
+from vcu_gateway.api.results import State
 from vcu_gateway.api.rights import Peer, Right
-from vcu_gateway.api.shapes import State
 
 Reply = Mapping[str, Any] | Failure
 """A result, or why there is none."""

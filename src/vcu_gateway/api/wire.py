@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from vcu_gateway.api.failures import Code, Failure
+from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.methods import METHODS, Params, Values
 from vcu_gateway.api.stops import stop_named
 

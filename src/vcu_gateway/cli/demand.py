@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.cli.asking import asking_options, connected
 from vcu_gateway.client import Client, DemandOwner
 

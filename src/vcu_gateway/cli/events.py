@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.cli.asking import age, asking_options, connected, show
 
 

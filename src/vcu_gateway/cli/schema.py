@@ -17,7 +17,8 @@ def command(of_api: bool, as_page: bool) -> None:
     if as_page and not of_api:
         raise click.UsageError("--page needs --api")
     if of_api:
-        from vcu_gateway.api import openrpc, page
+        from vcu_gateway.api import docs_page as page
+        from vcu_gateway.api import openrpc
 
         document = openrpc.document()
         click.echo(

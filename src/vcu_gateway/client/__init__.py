@@ -16,7 +16,7 @@
                 print(update["state"]["mode"], update["lost"])
 
 `AsyncClient` is the same for asyncio: `await client.why()`, `async with client.demand("driver")`,
-`async for update in client.subscribe()`. Results are the dictionaries of `vcu_gateway.api.shapes`.
+`async for update in client.subscribe()`. Results are the dictionaries of `vcu_gateway.api.results`.
 Everything that goes wrong is a `ClientError`; its subclasses say what. docs/examples has whole
 programs.
 """

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, TypedDict
 
-from vcu_gateway.api.shapes import PowerModeName
+from vcu_gateway.api.results import PowerModeName
 
 CONTROLLERS = ("PCU1", "PCU2")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.client import wire
 from vcu_gateway.client.async_connection import AsyncConnection, ask
 from vcu_gateway.client.calls import Call

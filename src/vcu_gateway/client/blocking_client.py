@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self, TypeVar
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.client import calls, metrics_page
 from vcu_gateway.client.address import default_socket_path
 from vcu_gateway.client.blocking_connection import Connection, ask

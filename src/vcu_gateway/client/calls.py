@@ -6,7 +6,7 @@ The blocking and the asyncio client send these; the demand has its own connectio
 from collections.abc import Iterable, Mapping
 from typing import Generic, Literal, NamedTuple, TypeVar
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.client.errors import ApiTimeoutError, DisconnectedError
 
 ResultT = TypeVar("ResultT")

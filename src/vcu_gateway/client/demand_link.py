@@ -5,7 +5,7 @@ import socket
 from collections.abc import Mapping
 from pathlib import Path
 
-from vcu_gateway.api.failures import Code
+from vcu_gateway.api.errors import Code
 from vcu_gateway.client import wire
 from vcu_gateway.client.address import connect
 from vcu_gateway.client.asked import Body

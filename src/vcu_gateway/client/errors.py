@@ -1,6 +1,6 @@
 """What can go wrong between this program and the gateway, each as an exception."""
 
-from vcu_gateway.api.failures import Code
+from vcu_gateway.api.errors import Code
 
 
 class ClientError(Exception):

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.client.asked import NOTHING, Body, stilled
 from vcu_gateway.client.errors import ApiError
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from vcu_gateway import config as configuration
-from vcu_gateway.api import shapes
+from vcu_gateway.api import results as shapes
 from vcu_gateway.client import Client, ClientError
 from vcu_gateway.config import Config
 from vcu_gateway.doctor.finding import Finding, Subject, Told

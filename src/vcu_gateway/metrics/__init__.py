@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from vcu_gateway.api.shapes import ApiCounts
+from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.metrics.families import FAMILIES

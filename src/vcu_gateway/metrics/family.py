@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from typing import Literal, NamedTuple
 
-from vcu_gateway.api.shapes import ApiCounts
+from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.state import Snapshot
 from vcu_gateway.daemon.loop import Daemon, Latest

@@ -2,7 +2,7 @@
 
 from itertools import accumulate
 
-from vcu_gateway.api.failures import Code
+from vcu_gateway.api.errors import Code
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
 from vcu_gateway.metrics.family import (
     NS_PER_S,

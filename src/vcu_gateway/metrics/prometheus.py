@@ -11,7 +11,7 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from vcu_gateway.api.shapes import ApiCounts
+from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.metrics.families import FAMILIES
 from vcu_gateway.metrics.family import Facts, Family, Samples, look

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from pydantic import TypeAdapter, ValidationError
 
-from vcu_gateway.api.shapes import Health, State, Why
+from vcu_gateway.api.results import Health, State, Why
 from vcu_gateway.client import Client, ClientError
 from vcu_gateway.watch.picture import Picture, RefusedError, Trouble
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from rich.text import Text
 
-from vcu_gateway.api.shapes import FrameCounts, Health
+from vcu_gateway.api.results import FrameCounts, Health
 from vcu_gateway.watch.cells import ABSENT, cell, duration, line, milliseconds
 
 PANEL_COLUMNS = 44

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from rich.text import Text
 
-from vcu_gateway.api.shapes import Command, ControllerName, Signal, State
+from vcu_gateway.api.results import Command, ControllerName, Signal, State
 from vcu_gateway.watch.cells import ABSENT, cell, line, number
 from vcu_gateway.watch.quality import marked
 

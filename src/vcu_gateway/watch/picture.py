@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import NamedTuple, Protocol
 
-from vcu_gateway.api.shapes import Health, State, Why
+from vcu_gateway.api.results import Health, State, Why
 
 
 class Trouble(NamedTuple):

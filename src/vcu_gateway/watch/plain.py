@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from rich.text import Text
 
-from vcu_gateway.api.shapes import Message, Signal, State
+from vcu_gateway.api.results import Message, Signal, State
 from vcu_gateway.watch import bus, controllers, heading, reasons
 from vcu_gateway.watch.cells import ABSENT, number, wrapped
 from vcu_gateway.watch.picture import Picture

@@ -2,7 +2,7 @@
 
 from rich.text import Text
 
-from vcu_gateway.api.shapes import QualityName, Signal
+from vcu_gateway.api.results import QualityName, Signal
 
 WORD_STYLES: dict[QualityName, str] = {
     "good": "green",

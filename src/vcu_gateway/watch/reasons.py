@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from rich.text import Text
 
-from vcu_gateway.api.shapes import Cause, Why
+from vcu_gateway.api.results import Cause, Why
 from vcu_gateway.watch.cells import cell, duration, line, wrapped
 
 _LABEL_COLUMNS = 13

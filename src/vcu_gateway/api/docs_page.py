@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from vcu_gateway.api.failures import Code
+from vcu_gateway.api.errors import Code
 
 BEGIN, END = "<!-- generated: scripts/api-page -->\n", "<!-- end of what is generated -->\n"
 
