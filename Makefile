@@ -72,7 +72,7 @@ test-core: setup
 test-exhaustive: setup
 	$(BIN)/pytest -q $(ORDINARY) $(EXHAUSTIVE)
 
-SERVING := tests/api tests/client tests/serving
+SERVING := tests/api tests/server tests/client tests/serving
 test-serving: setup
 	$(BIN)/pytest -q -m 'not slow' $(SERVING)
 

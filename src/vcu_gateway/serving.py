@@ -7,16 +7,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from vcu_gateway import __version__, health, wiring
+from vcu_gateway import __version__, wiring
 from vcu_gateway import config as configuration
-from vcu_gateway.api.answers import Answers
-from vcu_gateway.api.definition import definition
-from vcu_gateway.api.doors import ServerSettings
-from vcu_gateway.api.gaps import Gaps
-from vcu_gateway.api.program import Program
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.api.rights import Policy
-from vcu_gateway.api.server import Server
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult
@@ -26,6 +20,13 @@ from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.daemon.reload import InEffect, Reloader
 from vcu_gateway.daemon.restarts import Start
 from vcu_gateway.errors import UnavailableError
+from vcu_gateway.server import health
+from vcu_gateway.server.context import Program
+from vcu_gateway.server.definition import definition
+from vcu_gateway.server.dispatch import Answers
+from vcu_gateway.server.server import Server
+from vcu_gateway.server.sockets import ServerSettings
+from vcu_gateway.server.tick_gaps import Gaps
 
 _NS_PER_S = 1_000_000_000
 _DIGEST_CHARACTERS = 16

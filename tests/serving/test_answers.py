@@ -4,11 +4,12 @@ import json
 
 import pytest
 
-from vcu_gateway.api import openrpc, reading
-from vcu_gateway.api.answers import RELOAD
-from vcu_gateway.api.asking import ASKING
+from vcu_gateway.api import openrpc
 from vcu_gateway.api.methods import METHODS
 from vcu_gateway.client import Client, RefusedError
+from vcu_gateway.server import queries as reading
+from vcu_gateway.server.commands import ASKING
+from vcu_gateway.server.dispatch import RELOAD
 
 SUBSCRIPTIONS = {"state.subscribe", "state.unsubscribe"}
 READS = {

@@ -39,7 +39,7 @@ class Ticking:
     def flood(self) -> list[str]:
         socket_path = str(self.folder / "control.sock")
         clients = ["--clients", str(CLIENTS), "--seconds", "100"]
-        return [sys.executable, "-m", "tests.api.flood", socket_path, *clients]
+        return [sys.executable, "-m", "tests.server.flood", socket_path, *clients]
 
     def during(self, command: list[str], seconds: float) -> tuple[int, int]:
         """Begin and end of so many seconds with this process beside it."""

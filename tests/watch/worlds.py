@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import datetime
 
 from tests.simulator.driving import CRUISE, S_NS, START_NS
-from vcu_gateway import report, simulator
+from vcu_gateway import simulator
 from vcu_gateway.api.results import Cause, Health
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.frame import Frame
@@ -15,6 +15,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.daemon.loop import Latest
 from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.server import views as report
 from vcu_gateway.watch.picture import Picture, RefusedError, Trouble
 
 HEALTH: Health = {

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway import config as configuration
-from vcu_gateway import health, report, wiring
+from vcu_gateway import wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import log, safe_frames
@@ -18,6 +18,8 @@ from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_fol
 from vcu_gateway.daemon.service import Service
 from vcu_gateway.daemon.systemd import ServiceManager
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
+from vcu_gateway.server import health
+from vcu_gateway.server import views as report
 from vcu_gateway.serving import Serving
 
 

@@ -25,7 +25,7 @@ from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.report import counters
+from vcu_gateway.server.views import counters
 
 FULL = ControllerDemand(throttle_pct=100, power_mode=PowerMode.NORMAL)
 SLEW_RAW = 5 / 0.39  # of one period, in codes of the throttle

@@ -1,6 +1,6 @@
 """One line of a kind in a second; what was held back is counted, and the memory is bounded."""
 
-from vcu_gateway.api.restraint import Restraint
+from vcu_gateway.server.restraint import Restraint
 
 S = 1_000_000_000
 

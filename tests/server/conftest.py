@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.api.connection import Limits
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.gaps import Gaps, Room
 from vcu_gateway.api.rights import Policy
-from vcu_gateway.api.server import Server, ServerSettings
+from vcu_gateway.server.server import Server, ServerSettings
+from vcu_gateway.server.session import Limits
+from vcu_gateway.server.tick_gaps import Gaps, Room
 
 PATIENCE_S = 30.0
 MS = 1_000_000

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.api.methods import METHODS, Params, Values
-from vcu_gateway.api.stops import stop_named
+from vcu_gateway.server.stop_requests import stop_named
 
 MAX_DEPTH = 16
 MAX_VALUES = 512

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.api.service import Reply
+from vcu_gateway.server.service import Reply
 
 
 class Letter(NamedTuple):

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.api.conftest import MS, PATIENCE_S, eventually
-from vcu_gateway.api.connection import Limits
+from tests.server.conftest import MS, PATIENCE_S, eventually
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.gaps import Gaps, Room
-from vcu_gateway.api.http import is_http, judge
+from vcu_gateway.server.http import is_http, judge
+from vcu_gateway.server.session import Limits
+from vcu_gateway.server.tick_gaps import Gaps, Room
 
 GET = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n"
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from vcu_gateway.api.mailbox import Letter, Mailbox
+from vcu_gateway.server.reply_queue import Letter, Mailbox
 
 
 @pytest.fixture

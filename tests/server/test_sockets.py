@@ -8,10 +8,10 @@ import stat
 
 import pytest
 
-from tests.api.conftest import a_stranger
-from vcu_gateway.api.doors import ServerSettings, UnixDoor
+from tests.server.conftest import a_stranger
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.errors import UnavailableError
+from vcu_gateway.server.sockets import ServerSettings, UnixDoor
 
 POLICY = Policy(own_uid=os.geteuid())
 

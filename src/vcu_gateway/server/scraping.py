@@ -2,10 +2,10 @@
 
 import functools
 
-from vcu_gateway.api import http
-from vcu_gateway.api.connection import Connection
-from vcu_gateway.api.gaps import Gaps
-from vcu_gateway.api.service import Service
+from vcu_gateway.server import http
+from vcu_gateway.server.service import Service
+from vcu_gateway.server.session import Connection
+from vcu_gateway.server.tick_gaps import Gaps
 
 _COST_NS = 10_000_000
 _FRESH_NS = 100_000_000

@@ -5,11 +5,11 @@ import socket
 from typing import NamedTuple
 
 from vcu_gateway.api.errors import Failure
-from vcu_gateway.api.lines import Lines
-from vcu_gateway.api.pace import Pace
-from vcu_gateway.api.service import Caller
-from vcu_gateway.api.subscriptions import Subscription
-from vcu_gateway.api.wire import RequestId
+from vcu_gateway.server.jsonrpc import RequestId
+from vcu_gateway.server.lines import Lines
+from vcu_gateway.server.rate_limit import Pace
+from vcu_gateway.server.service import Caller
+from vcu_gateway.server.subscriptions import Subscription
 
 _CHUNK_BYTES = 16_384
 _NS_PER_S = 1_000_000_000

@@ -4,11 +4,7 @@ import functools
 import itertools
 from collections.abc import Callable
 
-from vcu_gateway.api import wire
-from vcu_gateway.api.connection import LINE_TOO_LONG, Addressee, Connection
-from vcu_gateway.api.counters import Counters
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.lines import MAX_LINE_BYTES
 from vcu_gateway.api.methods import (
     Nothing,
     Params,
@@ -18,9 +14,13 @@ from vcu_gateway.api.methods import (
     right_needed,
 )
 from vcu_gateway.api.results import Subscribed, Update
-from vcu_gateway.api.service import Caller, Reply, Service
-from vcu_gateway.api.subscriptions import Subscription
 from vcu_gateway.core.demand import Refusal
+from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.lines import MAX_LINE_BYTES
+from vcu_gateway.server.service import Caller, Reply, Service
+from vcu_gateway.server.session import LINE_TOO_LONG, Addressee, Connection
+from vcu_gateway.server.subscriptions import Subscription
 
 MAX_SUBSCRIPTIONS = 4
 """Of one connection."""

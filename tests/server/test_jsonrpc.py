@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from vcu_gateway.api import wire
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.lines import MAX_LINE_BYTES, Lines
 from vcu_gateway.api.methods import DemandParams, Nothing, StateParams, Values
+from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.server.lines import MAX_LINE_BYTES, Lines
 
 WORST_MS = 30.0  # on a busy machine; about 1 on a quiet one
 

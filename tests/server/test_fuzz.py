@@ -18,11 +18,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.api.conftest import Client, eventually
-from vcu_gateway.api import wire
-from vcu_gateway.api.connection import Limits
-from vcu_gateway.api.lines import MAX_LINE_BYTES
+from tests.server.conftest import Client, eventually
 from vcu_gateway.api.methods import METHODS, Params
+from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.server.lines import MAX_LINE_BYTES
+from vcu_gateway.server.session import Limits
 
 NIGHTLY = settings().max_examples > 1000
 LINES = 1_000_000 if NIGHTLY else 20_000

@@ -4,13 +4,9 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from vcu_gateway import report
 from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.program import Program
-from vcu_gateway.api.service import Caller
-from vcu_gateway.api.sources import Sources
 from vcu_gateway.core.demand import (
     CONTROLLERS,
     Answer,
@@ -23,6 +19,10 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.daemon.event_log import Entry
+from vcu_gateway.server import views as report
+from vcu_gateway.server.context import Program
+from vcu_gateway.server.service import Caller
+from vcu_gateway.server.sources import Sources
 
 _NS_PER_MS = 1_000_000
 

@@ -1,6 +1,6 @@
 """Floods a running gateway from one process, in every way at once.
 
-    python -m tests.api.flood SOCKET --clients 50 --seconds 30
+    python -m tests.server.flood SOCKET --clients 50 --seconds 30
 
 Prints one JSON line: what each kind of client did, and what became of it.
 """

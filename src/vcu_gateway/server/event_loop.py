@@ -4,16 +4,16 @@ import contextlib
 import select
 import time
 
-from vcu_gateway.api.connection import GAVE_WAY, Connection, Limits
-from vcu_gateway.api.counters import Counters
-from vcu_gateway.api.desk import Desk
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.gaps import Gaps
-from vcu_gateway.api.http import is_http
-from vcu_gateway.api.mailbox import Mailbox
-from vcu_gateway.api.reception import Guests, Reception, may_only_read
-from vcu_gateway.api.scraping import Scraping
-from vcu_gateway.api.service import Caller, Service
+from vcu_gateway.server.acceptor import Guests, Reception, may_only_read
+from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.http import is_http
+from vcu_gateway.server.reply_queue import Mailbox
+from vcu_gateway.server.request_handler import Desk
+from vcu_gateway.server.scraping import Scraping
+from vcu_gateway.server.service import Caller, Service
+from vcu_gateway.server.session import GAVE_WAY, Connection, Limits
+from vcu_gateway.server.tick_gaps import Gaps
 
 _UPDATES_PER_ROUND = 4
 _NS_PER_S = 1_000_000_000

@@ -12,16 +12,16 @@ import sys
 import threading
 import time
 
-from vcu_gateway.api.connection import DEFAULT_LIMITS, Limits
-from vcu_gateway.api.counters import Counters
-from vcu_gateway.api.doors import ServerSettings, UnixDoor, listen_on_loopback
-from vcu_gateway.api.gaps import Gaps
-from vcu_gateway.api.mailbox import Mailbox
-from vcu_gateway.api.reception import Reception
 from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.api.rounds import Rounds
-from vcu_gateway.api.service import Service
 from vcu_gateway.errors import UnavailableError
+from vcu_gateway.server.acceptor import Reception
+from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.event_loop import Rounds
+from vcu_gateway.server.reply_queue import Mailbox
+from vcu_gateway.server.service import Service
+from vcu_gateway.server.session import DEFAULT_LIMITS, Limits
+from vcu_gateway.server.sockets import ServerSettings, UnixDoor, listen_on_loopback
+from vcu_gateway.server.tick_gaps import Gaps
 
 __all__ = ["Limits", "Server", "ServerSettings"]
 

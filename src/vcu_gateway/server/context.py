@@ -8,7 +8,7 @@ from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.daemon.loop import Daemon, Latest
 from vcu_gateway.daemon.reload import InEffect, Reloader
-from vcu_gateway.health import Facts
+from vcu_gateway.server.health import Facts
 
 
 class Program(NamedTuple):

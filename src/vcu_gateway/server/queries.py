@@ -5,11 +5,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from vcu_gateway import config as configuration
-from vcu_gateway import health, report
 from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.program import Program
+from vcu_gateway.server import health
+from vcu_gateway.server import views as report
+from vcu_gateway.server.context import Program
 
 
 def state(program: Program, messages: list[str] | None) -> shapes.State:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.api.gaps import DEFAULT_ROOM, Gaps
+from vcu_gateway.server.tick_gaps import DEFAULT_ROOM, Gaps
 
 MS = 1_000_000
 PERIOD = 50 * MS

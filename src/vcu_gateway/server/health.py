@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import cast
 
-from vcu_gateway import __version__, report
+from vcu_gateway import __version__
 from vcu_gateway import config as configuration
 from vcu_gateway.api import results as shapes
 from vcu_gateway.bus.connection import BusSettings
@@ -17,6 +17,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.schedule import Schedule, percentile_ns
 from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.daemon.restarts import Start
+from vcu_gateway.server import views as report
 
 _NS_PER_MS = 1_000_000
 _NS_PER_US = 1_000

@@ -8,16 +8,17 @@ import time
 from collections.abc import Callable, Mapping
 
 from vcu_gateway import config as configuration
-from vcu_gateway.api import methods, reading
+from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
-from vcu_gateway.api.asking import Asking
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.program import Program
-from vcu_gateway.api.restraint import Restraint
-from vcu_gateway.api.service import Caller, Reply
-from vcu_gateway.api.stops import STOPS
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon.reload import Outcome
+from vcu_gateway.server import queries as reading
+from vcu_gateway.server.commands import Asking
+from vcu_gateway.server.context import Program
+from vcu_gateway.server.restraint import Restraint
+from vcu_gateway.server.service import Caller, Reply
+from vcu_gateway.server.stop_requests import STOPS
 
 RELOAD = "config.reload"
 

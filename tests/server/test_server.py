@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from tests.api.conftest import (
+from tests.server.conftest import (
     EVERYONE,
     KNOWN,
     MS,
@@ -22,15 +22,15 @@ from tests.api.conftest import (
     a_stranger,
     eventually,
 )
-from vcu_gateway.api.connection import GAVE_WAY, Limits
-from vcu_gateway.api.counters import Counters
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.gaps import Gaps
 from vcu_gateway.api.methods import DemandParams, Nothing
-from vcu_gateway.api.pace import Pace
-from vcu_gateway.api.reception import Guests, Reception
 from vcu_gateway.api.rights import Right
-from vcu_gateway.api.subscriptions import Subscription
+from vcu_gateway.server.acceptor import Guests, Reception
+from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.rate_limit import Pace
+from vcu_gateway.server.session import GAVE_WAY, Limits
+from vcu_gateway.server.subscriptions import Subscription
+from vcu_gateway.server.tick_gaps import Gaps
 
 SHORT = Limits(patience_ns=300 * MS)
 # Where a test has to be done with something before it is over, also on a busy machine.

@@ -7,14 +7,14 @@ import socket
 from collections.abc import Callable
 from typing import NamedTuple
 
-from vcu_gateway.api import wire
-from vcu_gateway.api.connection import Connection, Limits
-from vcu_gateway.api.counters import Counters
 from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.api.pace import Pace
-from vcu_gateway.api.peer import peer_of
 from vcu_gateway.api.rights import Policy, Right
-from vcu_gateway.api.service import Caller
+from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.peer import peer_of
+from vcu_gateway.server.rate_limit import Pace
+from vcu_gateway.server.service import Caller
+from vcu_gateway.server.session import Connection, Limits
 
 _NOTHING_LEFT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _GIVEN_UP = (errno.ECONNABORTED, errno.EPROTO, errno.EINTR)
