@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from tests.client.shells import Bridged
-from tests.client.standin import Standin
+from tests.client.asyncio_bridge import Bridged
+from tests.client.fake_gateway import Standin
 from vcu_gateway.client import Client
 
 

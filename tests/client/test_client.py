@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.client.scripted import Scripted
-from tests.client.standin import METRICS, PATIENCE_S, page
+from tests.client.fake_gateway import METRICS, PATIENCE_S, page
+from tests.client.scripted_gateway import Scripted
 from tests.client.vehicle import MESSAGES
 from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.client import (

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.client.standin import PATIENCE_S
+from tests.client.fake_gateway import PATIENCE_S
 from tests.client.vehicle import refused
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"

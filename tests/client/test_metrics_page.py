@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.client.standin import METRICS, page
+from tests.client.fake_gateway import METRICS, page
 from vcu_gateway.client import ApiError, GarbledError
 from vcu_gateway.client.metrics_page import MAX_PAGE_BYTES, Page
 

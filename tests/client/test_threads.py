@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.client.standin import PATIENCE_S
+from tests.client.fake_gateway import PATIENCE_S
 from vcu_gateway.client import ApiTimeoutError, Client
 
 

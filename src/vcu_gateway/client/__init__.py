@@ -23,11 +23,9 @@ programs.
 
 from typing import TYPE_CHECKING, Any
 
-from vcu_gateway.client.address import default_socket_path
-from vcu_gateway.client.asked import Asked, Values
-from vcu_gateway.client.blocking_client import Client
-from vcu_gateway.client.blocking_owner import DemandOwner
 from vcu_gateway.client.blocking_subscription import Subscription
+from vcu_gateway.client.connect import default_socket_path
+from vcu_gateway.client.demand import Asked, Values
 from vcu_gateway.client.errors import (
     ApiError,
     ApiTimeoutError,
@@ -39,10 +37,12 @@ from vcu_gateway.client.errors import (
     RefusedError,
     UnreachableError,
 )
+from vcu_gateway.client.sync_client import Client
+from vcu_gateway.client.sync_demand import DemandOwner
 
 if TYPE_CHECKING:
     from vcu_gateway.client.async_client import AsyncClient
-    from vcu_gateway.client.async_owner import AsyncDemandOwner
+    from vcu_gateway.client.async_demand import AsyncDemandOwner
     from vcu_gateway.client.async_subscription import AsyncSubscription
 
 __all__ = [
@@ -68,7 +68,7 @@ __all__ = [
 
 _WITH_ASYNCIO = {
     "AsyncClient": "async_client",
-    "AsyncDemandOwner": "async_owner",
+    "AsyncDemandOwner": "async_demand",
     "AsyncSubscription": "async_subscription",
 }
 

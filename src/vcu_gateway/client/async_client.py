@@ -10,11 +10,11 @@ from typing import Literal, Self, TypeVar
 
 from vcu_gateway.api import results as shapes
 from vcu_gateway.client import calls, metrics_page
-from vcu_gateway.client.address import default_socket_path
 from vcu_gateway.client.async_connection import AsyncConnection, ask
-from vcu_gateway.client.async_owner import AsyncDemandOwner
+from vcu_gateway.client.async_demand import AsyncDemandOwner
 from vcu_gateway.client.async_subscription import AsyncSubscription
 from vcu_gateway.client.calls import Call
+from vcu_gateway.client.connect import default_socket_path
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, DisconnectedError
 
 ResultT = TypeVar("ResultT")

@@ -7,9 +7,9 @@ from collections import deque
 from pathlib import Path
 from typing import TypeVar
 
-from vcu_gateway.client import wire
-from vcu_gateway.client.address import connect
+from vcu_gateway.client import jsonrpc as wire
 from vcu_gateway.client.calls import Call
+from vcu_gateway.client.connect import connect
 from vcu_gateway.client.errors import GarbledError
 
 ResultT = TypeVar("ResultT")

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Self, cast
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client import wire
+from vcu_gateway.client import jsonrpc as wire
 from vcu_gateway.client.blocking_connection import Connection, ask
 from vcu_gateway.client.calls import Call
 from vcu_gateway.client.errors import ApiTimeoutError, GarbledError

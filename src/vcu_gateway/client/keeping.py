@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.asked import NOTHING, Body, stilled
+from vcu_gateway.client.demand import NOTHING, Body, stilled
 from vcu_gateway.client.errors import ApiError
 
 _NS_PER_MS = 1_000_000

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from vcu_gateway.api.errors import Code
-from vcu_gateway.client import wire
-from vcu_gateway.client.address import connect
-from vcu_gateway.client.asked import Body
+from vcu_gateway.client import jsonrpc as wire
+from vcu_gateway.client.connect import connect
+from vcu_gateway.client.demand import Body
 from vcu_gateway.client.errors import GarbledError, UnreachableError
 from vcu_gateway.client.keeping import Demand, Keeping
 

@@ -11,12 +11,12 @@ from typing import Literal, Self, TypeVar
 
 from vcu_gateway.api import results as shapes
 from vcu_gateway.client import calls, metrics_page
-from vcu_gateway.client.address import default_socket_path
 from vcu_gateway.client.blocking_connection import Connection, ask
-from vcu_gateway.client.blocking_owner import DemandOwner
 from vcu_gateway.client.blocking_subscription import Subscription
 from vcu_gateway.client.calls import Call
+from vcu_gateway.client.connect import default_socket_path
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, DisconnectedError
+from vcu_gateway.client.sync_demand import DemandOwner
 
 ResultT = TypeVar("ResultT")
 

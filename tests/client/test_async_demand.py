@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from tests.client.scripted import Scripted
-from tests.client.standin import PATIENCE_S
+from tests.client.fake_gateway import PATIENCE_S
+from tests.client.scripted_gateway import Scripted
 from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.client import (
     ApiError,
@@ -16,8 +16,8 @@ from vcu_gateway.client import (
     ClientError,
     RefusedError,
     UnreachableError,
-    async_owner,
 )
+from vcu_gateway.client import async_demand as async_owner
 
 TTL_MS = 60
 LONG_TTL_MS = 3000

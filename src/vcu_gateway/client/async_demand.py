@@ -8,8 +8,8 @@ from types import TracebackType
 from typing import Self, Unpack
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.asked import Asked, body_of
-from vcu_gateway.client.demand_link import DemandLink
+from vcu_gateway.client.demand import Asked, body_of
+from vcu_gateway.client.demand_session import DemandLink
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
 from vcu_gateway.client.keeping import RELEASED_S, Keeping
 

@@ -13,8 +13,8 @@ from vcu_gateway.client import (
     GarbledError,
     NoRightError,
     RefusedError,
-    wire,
 )
+from vcu_gateway.client import jsonrpc as wire
 
 RESULT = b'{"jsonrpc":"2.0","id":7,"result":{"mode":"standby"}}\n'
 UPDATE = b'{"jsonrpc":"2.0","method":"state.update","params":{"lost":0}}\n'

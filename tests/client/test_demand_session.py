@@ -5,11 +5,11 @@ import socket
 
 import pytest
 
-from tests.client.standin import PATIENCE_S
+from tests.client.fake_gateway import PATIENCE_S
 from tests.client.vehicle import refused
 from vcu_gateway.client import UnreachableError
-from vcu_gateway.client.asked import body_of
-from vcu_gateway.client.demand_link import DemandLink
+from vcu_gateway.client.demand import body_of
+from vcu_gateway.client.demand_session import DemandLink
 from vcu_gateway.client.keeping import Keeping
 
 MS = 1_000_000

@@ -4,7 +4,7 @@ import pytest
 
 from vcu_gateway.api.methods import DemandParams
 from vcu_gateway.client import RefusedError
-from vcu_gateway.client.asked import body_of
+from vcu_gateway.client.demand import body_of
 from vcu_gateway.client.keeping import Keeping
 
 MS = 1_000_000

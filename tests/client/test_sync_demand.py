@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.client.scripted import Scripted
-from tests.client.standin import PATIENCE_S
+from tests.client.fake_gateway import PATIENCE_S
+from tests.client.scripted_gateway import Scripted
 from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.client import (
     ApiError,
@@ -21,8 +21,8 @@ from vcu_gateway.client import (
     NoRightError,
     RefusedError,
     UnreachableError,
-    blocking_owner,
 )
+from vcu_gateway.client import sync_demand as blocking_owner
 
 TTL_MS = 60
 LONG_TTL_MS = 3000

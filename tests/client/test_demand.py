@@ -6,7 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from vcu_gateway.api import methods
-from vcu_gateway.client import asked
+from vcu_gateway.client import demand as asked
 
 ZERO = {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0}
 

@@ -7,7 +7,7 @@ import socket
 from pathlib import Path
 from typing import Any, Self
 
-from tests.client.standin import PATIENCE_S
+from tests.client.fake_gateway import PATIENCE_S
 
 _A_MOMENT_S = 0.05
 
