@@ -103,7 +103,7 @@ class Serving:
         self._daemon.journal.tell(Event(name, Severity.ERROR, {"reason": reason}))
 
     def _metrics(self, in_effect: InEffect, facts: health.Facts) -> Callable[[], bytes] | None:
-        from vcu_gateway import metrics
+        from vcu_gateway import exporter as metrics
 
         told = metrics.Facts(
             version=__version__,

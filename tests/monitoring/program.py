@@ -4,7 +4,7 @@ from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.core.safety_world import COMMAND_IDS, Drive, active
-from vcu_gateway import metrics
+from vcu_gateway import exporter as metrics
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.causes import Effect

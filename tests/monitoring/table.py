@@ -4,7 +4,7 @@
 """
 
 from tests.monitoring.paths import README
-from vcu_gateway.metrics import FAMILIES
+from vcu_gateway.exporter import FAMILIES
 
 BEGIN = "<!-- metrics: python -m tests.monitoring.table -->\n"
 END = "<!-- end of metrics -->\n"

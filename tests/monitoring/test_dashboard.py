@@ -8,7 +8,7 @@ import pytest
 from tests.monitoring.known import complaints
 from tests.monitoring.paths import DASHBOARD
 from tests.monitoring.promql import named
-from vcu_gateway import metrics
+from vcu_gateway import exporter as metrics
 
 BOARD = json.loads(DASHBOARD.read_text(encoding="utf-8"))
 PANELS = [panel for panel in BOARD["panels"] if panel["type"] != "row"]

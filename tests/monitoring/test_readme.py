@@ -6,7 +6,8 @@ import click
 
 from tests.monitoring.paths import MONITORING, README
 from tests.monitoring.table import page
-from vcu_gateway import cli, metrics
+from vcu_gateway import cli
+from vcu_gateway import exporter as metrics
 
 TEXT = README.read_text(encoding="utf-8")
 

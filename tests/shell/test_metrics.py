@@ -13,7 +13,8 @@ import pytest
 
 from tests.core.safety_world import COMMAND_IDS, MS, Drive, active, data, in_mode, standby
 from tests.monitoring.program import STARTED_S, Program, Scrape, driven
-from vcu_gateway import metrics, simulator
+from vcu_gateway import exporter as metrics
+from vcu_gateway import simulator
 from vcu_gateway.api.errors import Code
 from vcu_gateway.bus.connection import BusSettings, Door
 from vcu_gateway.core.causes import Effect
@@ -591,7 +592,7 @@ def test_a_scrape_takes_less_than_10_ms_of_this_threads_cpu():
 
 def test_without_prometheus_client_the_error_says_what_to_install(monkeypatch):
     program = Program()
-    monkeypatch.delitem(sys.modules, "vcu_gateway.metrics.prometheus", raising=False)
+    monkeypatch.delitem(sys.modules, "vcu_gateway.exporter.prometheus", raising=False)
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     with pytest.raises(UnavailableError, match=r"pip install 'vcu-gateway\[metrics\]'"):
         program.exposition()
@@ -599,7 +600,7 @@ def test_without_prometheus_client_the_error_says_what_to_install(monkeypatch):
 
 def test_another_module_that_is_missing_is_not_taken_for_prometheus_client(monkeypatch):
     program = Program()
-    monkeypatch.setitem(sys.modules, "vcu_gateway.metrics.prometheus", None)
+    monkeypatch.setitem(sys.modules, "vcu_gateway.exporter.prometheus", None)
     with pytest.raises(ModuleNotFoundError):
         program.exposition()
 
@@ -607,8 +608,8 @@ def test_another_module_that_is_missing_is_not_taken_for_prometheus_client(monke
 def test_the_rest_of_the_program_does_not_import_prometheus_client():
     check = (
         "import sys; sys.modules['prometheus_client'] = None;"
-        "import vcu_gateway.metrics, vcu_gateway.daemon.loop;"
-        "print(len(vcu_gateway.metrics.FAMILIES))"
+        "import vcu_gateway.exporter, vcu_gateway.daemon.loop;"
+        "print(len(vcu_gateway.exporter.FAMILIES))"
     )
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
     assert done.stdout.strip() == str(len(metrics.FAMILIES)), done.stderr

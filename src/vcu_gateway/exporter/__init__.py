@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.errors import Problem, UnavailableError
-from vcu_gateway.metrics.families import FAMILIES
-from vcu_gateway.metrics.family import Facts, Family
+from vcu_gateway.exporter.families import FAMILIES
+from vcu_gateway.exporter.family import Facts, Family
 
 if TYPE_CHECKING:
-    from vcu_gateway.metrics.prometheus import Exposition
+    from vcu_gateway.exporter.prometheus import Exposition
 
 __all__ = ["CONTENT_TYPE", "FAMILIES", "Facts", "Family", "exposition"]
 
@@ -34,7 +34,7 @@ def exposition(
     Raises UnavailableError, with what to do, where prometheus_client is not installed.
     """
     try:
-        from vcu_gateway.metrics.prometheus import Exposition
+        from vcu_gateway.exporter.prometheus import Exposition
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "prometheus_client":
             raise

@@ -13,8 +13,8 @@ from prometheus_client.registry import Collector
 
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.daemon.loop import Daemon
-from vcu_gateway.metrics.families import FAMILIES
-from vcu_gateway.metrics.family import Facts, Family, Samples, look
+from vcu_gateway.exporter.families import FAMILIES
+from vcu_gateway.exporter.family import Facts, Family, Samples, look
 
 
 class Exposition:

@@ -1,7 +1,7 @@
 """What the bus carried: frames, messages and the link."""
 
 from vcu_gateway.core.link import LinkState
-from vcu_gateway.metrics.family import NS_PER_S, Instant, Samples, by, counter, gauge, one, states
+from vcu_gateway.exporter.family import NS_PER_S, Instant, Samples, by, counter, gauge, one, states
 
 _USUAL_UNSENT = ("closed", "late", "unread", "ENOBUFS")
 """Exposed before the first of them, so that the first one counts as an increase."""

@@ -4,7 +4,7 @@ from itertools import accumulate
 
 from vcu_gateway.api.errors import Code
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
-from vcu_gateway.metrics.family import (
+from vcu_gateway.exporter.family import (
     NS_PER_S,
     PREFIX,
     Family,

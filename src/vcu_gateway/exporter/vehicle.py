@@ -7,7 +7,7 @@ from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.why import Why
-from vcu_gateway.metrics.family import Family, Instant, Samples, by, gauge, one, states
+from vcu_gateway.exporter.family import Family, Instant, Samples, by, gauge, one, states
 
 _PCT = 100
 
