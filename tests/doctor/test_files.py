@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from vcu_gateway.doctor import configuration, protocol
 from vcu_gateway.doctor.configuration import Standing, judge, read
 from vcu_gateway.errors import Problem

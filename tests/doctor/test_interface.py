@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from vcu_gateway.bus.interface_info import (
     Controller,
     Description,
@@ -17,7 +17,7 @@ from vcu_gateway.bus.interface_info import (
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.doctor import interface
 from vcu_gateway.doctor.interface import Facts, judge
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.procfs import Unread
 
 QUIET_PAST = DeviceCounters(0, 0, 0, 0, 17, 0)
 CONTROLLER = Controller(100, Mode(0), ErrorCounters(0, 0), QUIET_PAST)

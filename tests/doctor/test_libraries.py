@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from tests.mf4 import PATIENCE_S, mf4_folder, with_asammdf
 from vcu_gateway.doctor import libraries
 from vcu_gateway.doctor.libraries import Cost, Facts, Stray
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.procfs import Unread
 
 __all__ = ["mf4_folder"]
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from vcu_gateway.doctor import buffers, clock, process
 from vcu_gateway.doctor.process import Running
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.procfs import Unread
 
 # Time.
 

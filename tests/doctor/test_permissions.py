@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.config import Api, Config, Protocol
 from vcu_gateway.doctor import permissions
 from vcu_gateway.doctor.permissions import Account, Facts, Place, judge
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.procfs import Unread
 
 DRIVER = Account("driver", 1000, frozenset({1000, 500}))
 GATEWAY = Account("vcu-gateway", 900, frozenset({900}))

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from vcu_gateway.doctor import service
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.procfs import Unread
 from vcu_gateway.doctor.service import Facts, judge, parsed, unit_of
 
 UNIT = "vcu-gateway.service"

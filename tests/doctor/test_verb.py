@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
-from vcu_gateway.doctor import examination, interface
-from vcu_gateway.doctor.finding import Finding, Kind
+from vcu_gateway.doctor import checks as examination
+from vcu_gateway.doctor import interface
+from vcu_gateway.doctor.check_result import Finding, Kind
 
 ROOT = Path(__file__).parents[2]
 SUBJECTS = [

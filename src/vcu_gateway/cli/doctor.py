@@ -10,8 +10,8 @@ from pathlib import Path
 import click
 
 from vcu_gateway.cli.options import config_option, resolve_config
-from vcu_gateway.doctor.examination import examine
-from vcu_gateway.doctor.finding import Finding, Kind
+from vcu_gateway.doctor.check_result import Finding, Kind
+from vcu_gateway.doctor.checks import examine
 from vcu_gateway.errors import ConfigError, Problem
 
 _COLOURS = {Kind.OK: "green", Kind.WARNING: "yellow", Kind.WRONG: "red", Kind.UNKNOWN: "cyan"}

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.doctor.finding import Finding, Subject
-from vcu_gateway.doctor.reading import Unread, number
+from vcu_gateway.doctor.check_result import Finding, Subject
+from vcu_gateway.doctor.procfs import Unread, number
 
 SAY = Subject("buffers")
 # The kernel's usual value. On a saturated bus of 1 Mbit/s half of it gathers between two readings.

@@ -7,8 +7,8 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.doctor.finding import Finding, Subject, Told
-from vcu_gateway.doctor.reading import Unread, number
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
+from vcu_gateway.doctor.procfs import Unread, number
 
 SAY = Subject("time")
 _UNSYNCHRONISED = 0x40  # STA_UNSYNC of linux/timex.h

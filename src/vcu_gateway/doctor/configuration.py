@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
-from vcu_gateway.doctor.finding import Finding, Subject
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.check_result import Finding, Subject
+from vcu_gateway.doctor.procfs import Unread
 from vcu_gateway.errors import ConfigError, Problem
 
 SAY = Subject("configuration")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from vcu_gateway.bus.interface_info import Controller, Description, DeviceCounters, Mode
 from vcu_gateway.core.link import LinkState
-from vcu_gateway.doctor.finding import Finding, Subject, Told
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
 
 SAY = Subject("interface")
 _RESTART_MS = 100

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from vcu_gateway.bus import netlink
 from vcu_gateway.bus.interface_info import Description, Traffic
 from vcu_gateway.doctor import controller
-from vcu_gateway.doctor.finding import Finding, Subject, Told
-from vcu_gateway.doctor.reading import Unread, names, refused, text
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
+from vcu_gateway.doctor.procfs import Unread, names, refused, text
 
 SAY = Subject("interface")
 _QUEUE_AT_MOST = 4

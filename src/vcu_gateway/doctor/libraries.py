@@ -10,8 +10,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.doctor.finding import Finding, Subject
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.check_result import Finding, Subject
+from vcu_gateway.doctor.procfs import Unread
 
 SAY = Subject("libraries")
 _PROGRAM = "vcu-gateway"

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from vcu_gateway.api.rights import Peer, Policy, Right
 from vcu_gateway.config import Config, group_number, user_number
-from vcu_gateway.doctor.finding import Finding, Subject, Told
-from vcu_gateway.doctor.reading import Unread, refused
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
+from vcu_gateway.doctor.procfs import Unread, refused
 
 SAY = Subject("permissions")
 _WORDS = {Right.READ: ("read", "stop"), Right.OPERATE: ("operate",), Right.SERVICE: ("service",)}

@@ -5,8 +5,8 @@ import platform
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.doctor.finding import Finding, Subject, Told
-from vcu_gateway.doctor.reading import Unread, fields, names, number, refused, text
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
+from vcu_gateway.doctor.procfs import Unread, fields, names, number, refused, text
 
 SAY = Subject("process")
 STATE_FOLDER = "/var/lib/vcu-gateway"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.doctor.finding import Finding, Subject
+from vcu_gateway.doctor.check_result import Finding, Subject
 from vcu_gateway.errors import GatewayError, Problem
 
 SAY = Subject("protocol")

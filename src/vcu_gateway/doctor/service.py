@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.doctor.finding import Finding, Subject, Told
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
+from vcu_gateway.doctor.procfs import Unread
 
 SAY = Subject("service")
 _BOOTED = "/run/systemd/system"

@@ -11,8 +11,8 @@ from typing import NamedTuple
 from vcu_gateway.core import j1939
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
-from vcu_gateway.doctor.finding import Finding, Subject, Told
-from vcu_gateway.doctor.reading import Unread, refused
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
+from vcu_gateway.doctor.procfs import Unread, refused
 
 SAY = Subject("bus")
 # Room for two frames of the slowest message, 500 ms apart.

@@ -9,16 +9,16 @@ from vcu_gateway.doctor import (
     buffers,
     clock,
     configuration,
-    gateway,
     interface,
     libraries,
-    listening,
     permissions,
     process,
     protocol,
     service,
 )
-from vcu_gateway.doctor.finding import Finding, Subject
+from vcu_gateway.doctor import bus_traffic as listening
+from vcu_gateway.doctor import running_gateway as gateway
+from vcu_gateway.doctor.check_result import Finding, Subject
 from vcu_gateway.errors import Problem
 
 _SHIPPED = "/usr/share/vcu-gateway/network"

@@ -8,8 +8,8 @@ from vcu_gateway import config as configuration
 from vcu_gateway.api import results as shapes
 from vcu_gateway.client import Client, ClientError
 from vcu_gateway.config import Config
-from vcu_gateway.doctor.finding import Finding, Subject, Told
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.check_result import Finding, Subject, Told
+from vcu_gateway.doctor.procfs import Unread
 
 SAY = Subject("gateway")
 _PATIENCE_S = 0.5

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
 from vcu_gateway.client import Client
-from vcu_gateway.doctor import gateway
-from vcu_gateway.doctor.gateway import Facts, judge
+from vcu_gateway.doctor import running_gateway as gateway
+from vcu_gateway.doctor.running_gateway import Facts, judge
 
 PATIENCE_S = 60
 

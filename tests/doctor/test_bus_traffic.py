@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
-from tests.doctor.told import complaints, only, well
+from tests.doctor.judged import complaints, only, well
 from vcu_gateway.core.settings import REQUIRED_MESSAGES
-from vcu_gateway.doctor.listening import Facts, Heard, judge, listen
-from vcu_gateway.doctor.reading import Unread
+from vcu_gateway.doctor.bus_traffic import Facts, Heard, judge, listen
+from vcu_gateway.doctor.procfs import Unread
 from vcu_gateway.protocol import dbc, packaged
 
 SPEC = dbc.load(packaged("vcu.dbc"))

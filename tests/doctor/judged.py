@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from vcu_gateway.doctor.finding import Finding, Kind
+from vcu_gateway.doctor.check_result import Finding, Kind
 
 
 def complaints(findings: Iterable[Finding]) -> dict[str, str]:
