@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SCRIPTED = f"{sys.executable} -m tests.watch.scripted"
+SCRIPTED = f"{sys.executable} -m tests.watch.scripted_view"
 VCU_GATEWAY = f"{sys.executable} -m vcu_gateway"
 WAIT_S = 60.0
 HISTORY_LINES = 100_000

@@ -9,11 +9,11 @@ import pytest
 from textual.color import Color
 from textual.pilot import Pilot
 
-from tests.watch import worlds
-from tests.watch.picture import draw
+from tests.watch import view_models as worlds
+from tests.watch.screenshot import draw
 from vcu_gateway.watch import app as app_module
 from vcu_gateway.watch.app import WatchApp
-from vcu_gateway.watch.lines import Lines
+from vcu_gateway.watch.lines_widget import Lines
 
 WAIT_S = 60.0
 BLACK = Color(0, 0, 0)

@@ -50,8 +50,8 @@ def command(duration_s: float | None, throttle_pct: float, battery_speedup: floa
     """
     with extra_needed():
         from vcu_gateway.watch import terminal
-        from vcu_gateway.watch.asking import GatewaySource
-        from vcu_gateway.watch.plain import plain
+        from vcu_gateway.watch.plain_text import plain
+        from vcu_gateway.watch.poller import GatewaySource
         from vcu_gateway.watch.run import watch
     real = vcan0_is_up()
     interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")

@@ -22,7 +22,7 @@ def command(socket_path: Path | None) -> None:
     """
     with extra_needed():
         from vcu_gateway.watch import terminal
-        from vcu_gateway.watch.asking import GatewaySource
+        from vcu_gateway.watch.poller import GatewaySource
         from vcu_gateway.watch.run import watch
     if not terminal.is_full():
         remedy = "`vcu-gateway status` tells the same once, as text or JSON"

@@ -14,11 +14,11 @@ from textual.filter import LineFilter
 from textual.widgets import Input, Static
 
 from vcu_gateway.watch import keys
-from vcu_gateway.watch.cells import cell, line
-from vcu_gateway.watch.lines import Lines
-from vcu_gateway.watch.page import upper_lines
-from vcu_gateway.watch.picture import Picture, RefusedError, Source
+from vcu_gateway.watch.formatting import cell, line
+from vcu_gateway.watch.layout import upper_lines
+from vcu_gateway.watch.lines_widget import Lines
 from vcu_gateway.watch.signals import signal_lines
+from vcu_gateway.watch.view_model import Picture, RefusedError, Source
 
 REFRESH_HZ = 5.0
 _TOLD_S = 6.0

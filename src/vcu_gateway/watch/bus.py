@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from rich.text import Text
 
 from vcu_gateway.api.results import FrameCounts, Health
-from vcu_gateway.watch.cells import ABSENT, cell, duration, line, milliseconds
+from vcu_gateway.watch.formatting import ABSENT, cell, duration, line, milliseconds
 
 PANEL_COLUMNS = 44
 """The least that the panel needs."""

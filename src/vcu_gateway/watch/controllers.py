@@ -6,7 +6,7 @@ from typing import NamedTuple
 from rich.text import Text
 
 from vcu_gateway.api.results import Command, ControllerName, Signal, State
-from vcu_gateway.watch.cells import ABSENT, cell, line, number
+from vcu_gateway.watch.formatting import ABSENT, cell, line, number
 from vcu_gateway.watch.quality import marked
 
 COLUMNS = 74

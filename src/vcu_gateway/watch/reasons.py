@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from rich.text import Text
 
 from vcu_gateway.api.results import Cause, Why
-from vcu_gateway.watch.cells import cell, duration, line, wrapped
+from vcu_gateway.watch.formatting import cell, duration, line, wrapped
 
 _LABEL_COLUMNS = 13
 _SINCE_COLUMNS = 13

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from vcu_gateway import streams
 from vcu_gateway.watch import terminal
 from vcu_gateway.watch.app import WatchApp
-from vcu_gateway.watch.picture import Source
+from vcu_gateway.watch.view_model import Source
 
 
 def watch(source: Source, title: str, over: Callable[[], bool] = lambda: False) -> None:

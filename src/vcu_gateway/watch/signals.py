@@ -3,7 +3,7 @@
 from rich.text import Text
 
 from vcu_gateway.api.results import Message, Signal, State
-from vcu_gateway.watch.cells import cell, duration, line, number
+from vcu_gateway.watch.formatting import cell, duration, line, number
 from vcu_gateway.watch.quality import WORD_STYLES, value_style
 
 COLUMNS = 59

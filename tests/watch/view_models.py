@@ -16,7 +16,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.daemon.loop import Latest
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.server import views as report
-from vcu_gateway.watch.picture import Picture, RefusedError, Trouble
+from vcu_gateway.watch.view_model import Picture, RefusedError, Trouble
 
 HEALTH: Health = {
     "pid": 812,

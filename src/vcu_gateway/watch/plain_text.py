@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from rich.text import Text
 
 from vcu_gateway.api.results import Message, Signal, State
-from vcu_gateway.watch import bus, controllers, heading, reasons
-from vcu_gateway.watch.cells import ABSENT, number, wrapped
-from vcu_gateway.watch.picture import Picture
+from vcu_gateway.watch import bus, controllers, reasons
+from vcu_gateway.watch import header as heading
+from vcu_gateway.watch.formatting import ABSENT, number, wrapped
 from vcu_gateway.watch.quality import NOT_GOOD_MARK
+from vcu_gateway.watch.view_model import Picture
 
 _COLUMNS = 120
 _MOST_LINES = 12

@@ -1,4 +1,4 @@
-"""Make the README's picture of the live view: python -m tests.watch.picture FILE [COLUMNS LINES].
+"""Make the README's picture of the live view: python -m tests.watch.screenshot FILE [COLUMNS LINES].
 
 The vehicle is the simulated one, in simulated time: the same picture comes out every time.
 """
@@ -8,7 +8,7 @@ import re
 import sys
 from pathlib import Path
 
-from tests.watch import worlds
+from tests.watch import view_models as worlds
 from vcu_gateway.watch.app import WatchApp
 
 FONTS = "Fira Code, DejaVu Sans Mono, Menlo, Consolas, monospace"

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.watch import worlds
-from vcu_gateway.watch import asking
-from vcu_gateway.watch.asking import GatewaySource
-from vcu_gateway.watch.picture import Picture, RefusedError
+from tests.watch import view_models as worlds
+from vcu_gateway.watch import poller as asking
+from vcu_gateway.watch.poller import GatewaySource
+from vcu_gateway.watch.view_model import Picture, RefusedError
 
 WAIT_S = 60.0
 

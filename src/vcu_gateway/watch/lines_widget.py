@@ -7,7 +7,7 @@ from textual.geometry import Size
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
-from vcu_gateway.watch.cells import line
+from vcu_gateway.watch.formatting import line
 
 
 class Lines(ScrollView):

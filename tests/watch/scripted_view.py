@@ -1,9 +1,9 @@
-"""The view on a source that is written by hand: python -m tests.watch.scripted [WORLD [moving]]."""
+"""The view on a source that is written by hand: python -m tests.watch.scripted_view [WORLD [moving]]."""
 
 import random
 import sys
 
-from tests.watch import worlds
+from tests.watch import view_models as worlds
 from vcu_gateway.watch.run import watch
 
 

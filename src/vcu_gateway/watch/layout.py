@@ -2,10 +2,11 @@
 
 from rich.text import Text
 
-from vcu_gateway.watch import bus, controllers, heading
-from vcu_gateway.watch.cells import cell, line
-from vcu_gateway.watch.picture import Picture
+from vcu_gateway.watch import bus, controllers
+from vcu_gateway.watch import header as heading
+from vcu_gateway.watch.formatting import cell, line
 from vcu_gateway.watch.reasons import next_lines, reason_lines
+from vcu_gateway.watch.view_model import Picture
 
 TALL_LINES = 32
 """From here on there is room for more than the needed."""

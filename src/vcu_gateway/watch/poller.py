@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from vcu_gateway.api.results import Health, State, Why
 from vcu_gateway.client import Client, ClientError
-from vcu_gateway.watch.picture import Picture, RefusedError, Trouble
+from vcu_gateway.watch.view_model import Picture, RefusedError, Trouble
 
 _STATE_EVERY_S = 0.2
 _REST_EVERY_S = 0.5

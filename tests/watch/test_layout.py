@@ -6,16 +6,16 @@ import re
 import pytest
 from rich.text import Text
 
-from tests.watch import worlds
+from tests.watch import view_models as worlds
 from vcu_gateway.watch.bus import panel_lines, short_lines
-from vcu_gateway.watch.cells import cell, duration, wrapped
 from vcu_gateway.watch.controllers import controller_lines
-from vcu_gateway.watch.heading import mode_lines, title_line
-from vcu_gateway.watch.page import upper_lines
-from vcu_gateway.watch.picture import Picture
-from vcu_gateway.watch.plain import plain
+from vcu_gateway.watch.formatting import cell, duration, wrapped
+from vcu_gateway.watch.header import mode_lines, title_line
+from vcu_gateway.watch.layout import upper_lines
+from vcu_gateway.watch.plain_text import plain
 from vcu_gateway.watch.reasons import reason_lines
 from vcu_gateway.watch.signals import signal_lines
+from vcu_gateway.watch.view_model import Picture
 
 WORLDS = [worlds.driving, worlds.starting, worlds.faulty, worlds.unreachable, Picture]
 SIZES = [(80, 24), (120, 40), (100, 30), (160, 50), (40, 10)]

@@ -2,8 +2,8 @@
 
 from rich.text import Text
 
-from vcu_gateway.watch.cells import cell, duration, line, wrapped
-from vcu_gateway.watch.picture import Picture
+from vcu_gateway.watch.formatting import cell, duration, line, wrapped
+from vcu_gateway.watch.view_model import Picture
 
 MODE_STYLES = {
     "starting": "yellow",
