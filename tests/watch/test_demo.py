@@ -14,7 +14,7 @@ import pytest
 
 from tests.watch.terminals import ROOT, VCU_GATEWAY, window
 from vcu_gateway.client import Client
-from vcu_gateway.demonstration.child import Child, Wanted
+from vcu_gateway.demo.process import Child, Wanted
 from vcu_gateway.errors import GatewayError
 
 WAIT_S = 60.0

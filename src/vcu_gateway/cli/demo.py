@@ -11,7 +11,7 @@ from types import FrameType
 import click
 
 from vcu_gateway.cli.watch import extra_needed
-from vcu_gateway.demonstration.child import Child, Wanted
+from vcu_gateway.demo.process import Child, Wanted
 
 _IFF_UP = 1
 _PLAIN_EVERY_S = 2.0

@@ -18,7 +18,7 @@ from vcu_gateway import simulator, wiring
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import Daemon
-from vcu_gateway.demonstration.child import Wanted
+from vcu_gateway.demo.process import Wanted
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play

@@ -12,7 +12,7 @@ from typing import IO, NamedTuple, Self
 
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 
-_PROGRAM = "vcu_gateway.demonstration.program"
+_PROGRAM = "vcu_gateway.demo.main"
 _PATIENCE_S = 10.0
 
 
