@@ -24,13 +24,13 @@ from click.testing import CliRunner
 
 from vcu_gateway import cli
 from vcu_gateway.cli import decode
-from vcu_gateway.cli.decode_summary import Tally
-from vcu_gateway.cli.decode_text import FORMATS, FrameWriter
 from vcu_gateway.core.codec import Codec, compile_message
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.recording import open_recording
+from vcu_gateway.recording.summary import Tally
+from vcu_gateway.recording.writers import FORMATS, FrameWriter
 
 PROTOCOL = dbc.load(packaged("vcu.dbc"))
 CODEC = Codec(PROTOCOL)

@@ -13,12 +13,12 @@ from typing import TextIO
 
 import click
 
-from vcu_gateway.cli.decode_summary import Summary
-from vcu_gateway.cli.decode_text import FORMATS, Format, FrameWriter
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.errors import DataError, GatewayError, Problem, UnavailableError
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.recording import Recorded, Recording, open_recording
+from vcu_gateway.recording.summary import Summary
+from vcu_gateway.recording.writers import FORMATS, Format, FrameWriter
 
 _HELP = """Decode the recording LOG to one JSON object a frame, or to CSV.
 

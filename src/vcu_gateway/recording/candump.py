@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.recording.complaints import Complaints, Verdict
 from vcu_gateway.recording.lines import Lines
+from vcu_gateway.recording.problems import Complaints, Verdict
 from vcu_gateway.recording.recorded import Recorded
 
 # Seconds, fraction, channel, identifier, payload, and the direction of `candump -x`.

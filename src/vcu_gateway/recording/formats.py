@@ -10,8 +10,8 @@ from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
 
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.recording.complaints import Complaints, Verdict
 from vcu_gateway.recording.lines import Lines
+from vcu_gateway.recording.problems import Complaints, Verdict
 from vcu_gateway.recording.recorded import Recorded
 
 Content = Lines | IO[bytes] | str

@@ -13,8 +13,8 @@ from typing import IO, cast
 
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
 from vcu_gateway.recording import candump
-from vcu_gateway.recording.complaints import Complaints
 from vcu_gateway.recording.lines import Lines
+from vcu_gateway.recording.problems import Complaints
 from vcu_gateway.recording.recorded import Recorded
 
 STANDARD_INPUT = "-"
