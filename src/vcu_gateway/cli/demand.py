@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.cli.asking import asking_options, connected
+from vcu_gateway.cli.api_options import asking_options, connected
 from vcu_gateway.client import Client, DemandOwner
 
 _SET_EVERY_S = 0.1

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.asking import asking_options, connected, show
+from vcu_gateway.cli.api_options import asking_options, connected, show
 
 
 @click.command("disarm")

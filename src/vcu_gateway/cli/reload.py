@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.cli.asking import asking_options, connected, show
+from vcu_gateway.cli.api_options import asking_options, connected, show
 
 
 @click.command("reload")

@@ -5,7 +5,7 @@ from typing import Literal
 
 import click
 
-from vcu_gateway.cli.asking import asking_options, connected, show
+from vcu_gateway.cli.api_options import asking_options, connected, show
 
 
 @click.command("reset")
