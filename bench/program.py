@@ -180,8 +180,8 @@ def naive() -> NoReturn:
 
 def receive_ours(config: str, seconds: float) -> dict[str, Any]:
     """Socket to store, without ticks."""
+    from vcu_gateway import app as wiring
     from vcu_gateway import config as configuration
-    from vcu_gateway import wiring
 
     parsed = configuration.parse(config, "bench")
     daemon = wiring.build(parsed, wiring.load_protocol(parsed))

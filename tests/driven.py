@@ -9,8 +9,9 @@ from pathlib import Path
 
 import can
 
+from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
-from vcu_gateway import simulator, wiring
+from vcu_gateway import simulator
 from vcu_gateway.client import Client
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Why

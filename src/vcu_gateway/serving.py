@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from vcu_gateway import __version__, wiring
+from vcu_gateway import __version__
+from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.api.rights import Policy

@@ -10,8 +10,8 @@ import pytest
 
 from tests.driven import wait_until
 from tests.shell.test_config import LEAVES, one_key
+from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
-from vcu_gateway import wiring
 from vcu_gateway.client import ConfigRefusedError
 from vcu_gateway.config import parse
 from vcu_gateway.core.settings import RESTART_ONLY, changed

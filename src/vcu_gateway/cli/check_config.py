@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
+from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
-from vcu_gateway import wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config import BenchDemand, Config
 from vcu_gateway.errors import ConfigError

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
+from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
-from vcu_gateway import wiring
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import log, safe_frames

@@ -13,8 +13,9 @@ import threading
 import time
 from pathlib import Path
 
+from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
-from vcu_gateway import simulator, wiring
+from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import Daemon

@@ -30,7 +30,7 @@ class Facts(NamedTuple):
 
 def read(config: Config) -> Facts:
     """Read it as the gateway does; cantools is imported only here."""
-    from vcu_gateway import wiring
+    from vcu_gateway import app as wiring
 
     facts = Facts(None if config.protocol.dbc is None else str(config.protocol.dbc))
     try:

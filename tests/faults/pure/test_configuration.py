@@ -107,7 +107,7 @@ def test_f60_a_wrong_configuration_is_refused_and_nothing_starts(what, tmp_path,
 
 def _loaded(path: Path) -> None:
     config = configuration.load(path)
-    from vcu_gateway import wiring
+    from vcu_gateway import app as wiring
 
     if problems := configuration.check_against(config, wiring.load_protocol(config)):
         raise ConfigError(*problems)
