@@ -72,16 +72,17 @@ test-core: setup
 test-exhaustive: setup
 	$(BIN)/pytest -q $(ORDINARY) $(EXHAUSTIVE)
 
-SERVING := tests/api tests/server tests/client tests/serving
+SERVING := tests/api tests/server tests/client tests/app
 test-serving: setup
 	$(BIN)/pytest -q -m 'not slow' $(SERVING)
 
+SHELL_TESTS := $(addprefix tests/,bus cli config daemon exporter recording)
 test-shell: setup
-	$(BIN)/pytest -q -m 'not slow' tests/shell
+	$(BIN)/pytest -q -m 'not slow' $(SHELL_TESTS)
 
 test-others: setup
 	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=,$(SERVING)) \
-		$(addprefix --ignore=tests/,core shell faults packaging) $(NO_BUS)
+		$(addprefix --ignore=tests/,core faults packaging) $(addprefix --ignore=,$(SHELL_TESTS)) $(NO_BUS)
 
 test-faults-pure: setup
 	$(BIN)/pytest -q -m 'not slow' tests/faults/pure

@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from tests.shell.test_bus_facts import answer, attribute
+from tests.bus.test_interface import answer, attribute
 from vcu_gateway.bus import netlink
 from vcu_gateway.bus.interface_info import (
     Controller,

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import pytest
 
+from tests.config.test_config import HEALTHY
 from tests.core.safety_world import ZERO_TORQUE
 from tests.driven import driven, wait_until
 from tests.faults.conftest import ROOT, Seen
 from tests.faults.machine import program
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
 from tests.faults.pure.test_process import commands, moving, next_commands
-from tests.shell.test_config import HEALTHY
 from vcu_gateway import config as configuration
 from vcu_gateway.errors import ConfigError
 from vcu_gateway.protocol import packaged

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
+from tests.config.test_config import LEAVES, one_key
 from tests.driven import wait_until
-from tests.shell.test_config import LEAVES, one_key
 from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
 from vcu_gateway.client import ConfigRefusedError

@@ -77,7 +77,7 @@ def on(processors: set[int]) -> Iterator[None]:
 
 @pytest.fixture
 def ticking(tmp_path: Path) -> Iterator[Ticking]:
-    command = [sys.executable, "-m", "tests.serving.ticking", str(tmp_path)]
+    command = [sys.executable, "-m", "tests.app.ticking", str(tmp_path)]
     first, *others = sorted(os.sched_getaffinity(0))
     with contextlib.ExitStack() as stack:
         with on({first}):
