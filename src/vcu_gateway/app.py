@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from vcu_gateway.bus.connection import BusSettings, Door
-from vcu_gateway.config import BenchDemand, Config
+from vcu_gateway.config import BenchDemandSection, Config
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.gateway import Gateway
@@ -97,7 +97,7 @@ def bus_settings(config: Config) -> BusSettings:
     )
 
 
-def _bench_demand(demand: BenchDemand) -> ControllerDemand:
+def _bench_demand(demand: BenchDemandSection) -> ControllerDemand:
     return ControllerDemand(
         throttle_pct=demand.throttle_pct,
         brake_pct=demand.brake_pct,

@@ -8,7 +8,7 @@ import click
 from vcu_gateway import app as wiring
 from vcu_gateway import config as configuration
 from vcu_gateway.cli.options import config_option, resolve_config
-from vcu_gateway.config import BenchDemand, Config
+from vcu_gateway.config import BenchDemandSection, Config
 from vcu_gateway.errors import ConfigError
 
 
@@ -45,7 +45,7 @@ def summary(config: Config) -> str:
     )
 
 
-def _in_capitals(demand: BenchDemand) -> str:
+def _in_capitals(demand: BenchDemandSection) -> str:
     direction = "reverse" if demand.motor_reverse else "forward"
     return (
         f"STATIC DEMAND, WHEELS OFF THE GROUND: throttle {demand.throttle_pct:g} %,"

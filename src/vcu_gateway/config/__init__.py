@@ -6,20 +6,26 @@ from vcu_gateway.config.effective import digest, effective, schema
 from vcu_gateway.config.load import load, parse
 from vcu_gateway.config.machine import Api, Bus, Freshness, Log, Protocol
 from vcu_gateway.config.model import Config
-from vcu_gateway.config.vehicle import Bench, BenchDemand, Demand, Limits, Safety
+from vcu_gateway.config.vehicle import (
+    BenchDemandSection,
+    BenchSection,
+    DemandSection,
+    LimitsSection,
+    SafetySection,
+)
 
 __all__ = [
     "Api",
-    "Bench",
-    "BenchDemand",
+    "BenchDemandSection",
+    "BenchSection",
     "Bus",
     "Config",
-    "Demand",
+    "DemandSection",
     "Freshness",
-    "Limits",
+    "LimitsSection",
     "Log",
     "Protocol",
-    "Safety",
+    "SafetySection",
     "check_accounts",
     "check_against",
     "digest",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from vcu_gateway.config.model import Config
 from vcu_gateway.errors import Problem
-from vcu_gateway.strict_yaml.problems import Finding, problems
+from vcu_gateway.strict_yaml.problems import FileProblem, problems
 
 _USERS = ("operator_users", "service_users", "socket_owner")
 _GROUPS = ("operator_groups", "service_groups", "socket_group")
@@ -33,7 +33,7 @@ def group_number(name: str) -> int:
 
 def _unknown(
     config: Config, keys: tuple[str, ...], number_of: Callable[[str], int], kind: str
-) -> Iterator[Finding]:
+) -> Iterator[FileProblem]:
     for key in keys:
         value = getattr(config.api, key)
         names = (value,) if isinstance(value, str) else value or ()
@@ -42,4 +42,4 @@ def _unknown(
                 number_of(name)
             except KeyError:
                 remedy = f"correct it, or create it: sudo add{kind} --system {name}"
-                yield Finding(("api", key), f"this machine has no {kind} {name}", remedy)
+                yield FileProblem(("api", key), f"this machine has no {kind} {name}", remedy)

@@ -8,7 +8,7 @@ from vcu_gateway.core.freshness import deadlines
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import Problem
-from vcu_gateway.strict_yaml.problems import Finding, problems
+from vcu_gateway.strict_yaml.problems import FileProblem, problems
 from vcu_gateway.strict_yaml.validation import did_you_mean
 
 _NS_PER_MS = 1_000_000
@@ -27,7 +27,7 @@ def check_against(config: Config, protocol: ProtocolSpec) -> list[Problem]:
     return problems(found, config.source.file, config.source.lines)
 
 
-def _aliases(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+def _aliases(config: Config, protocol: ProtocolSpec) -> Iterator[FileProblem]:
     names = [message.name for message in protocol.messages]
     taken = {j1939.match_key(message.can_id): message.name for message in protocol.messages}
     for identifier, name in config.protocol.aliases.items():
@@ -36,30 +36,30 @@ def _aliases(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
         if name not in names:
             is_default = "aliases" not in config.protocol.model_fields_set
             remedy = _SWITCH_OFF if is_default else _nearest(name, names)
-            yield Finding(path, _no_message(name), remedy)
+            yield FileProblem(path, _no_message(name), remedy)
         elif key in taken:
             what = f"stands for {taken[key]} already (the priority does not count)"
-            yield Finding(path, what, "remove it")
+            yield FileProblem(path, what, "remove it")
         taken.setdefault(key, name)
 
 
-def _freshness(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+def _freshness(config: Config, protocol: ProtocolSpec) -> Iterator[FileProblem]:
     messages = {message.name: message for message in protocol.messages}
     stale_after_ms = config.freshness.stale_after_ms
     late_after_ms = config.freshness.late_after_ms
     for key, ages_ms in (("stale_after_ms", stale_after_ms), ("late_after_ms", late_after_ms)):
         for name in ages_ms.keys() - messages.keys():
             path = ("freshness", key, name)
-            yield Finding(path, _no_message(name), _nearest(name, list(messages)))
+            yield FileProblem(path, _no_message(name), _nearest(name, list(messages)))
     for name in late_after_ms.keys() & messages.keys():
         stale_ns = deadlines(messages[name], {}, stale_after_ms).stale_after_ns
         if late_after_ms[name] * _NS_PER_MS > stale_ns:
             what = f"must be at most {stale_ns // _NS_PER_MS} ms, not {late_after_ms[name]}"
             remedy = f"{name} is stale by then"
-            yield Finding(("freshness", "late_after_ms", name), what, remedy)
+            yield FileProblem(("freshness", "late_after_ms", name), what, remedy)
 
 
-def _patience(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+def _patience(config: Config, protocol: ProtocolSpec) -> Iterator[FileProblem]:
     """A required message may be waited for at most twice as long as its period says."""
     for message in protocol.received_by(OWN_NODE):
         if message.name not in config.safety.required_messages:
@@ -73,15 +73,17 @@ def _patience(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
             if age_ms is not None and age_ms > most_ms:
                 what = f"must be at most {most_ms} ms, not {age_ms}"
                 remedy = f"{message.name} is required: at most twice its default"
-                yield Finding(("freshness", key, message.name), what, remedy)
+                yield FileProblem(("freshness", key, message.name), what, remedy)
 
 
-def _required(config: Config, protocol: ProtocolSpec) -> Iterator[Finding]:
+def _required(config: Config, protocol: ProtocolSpec) -> Iterator[FileProblem]:
     names = [message.name for message in protocol.received_by(OWN_NODE)]
     for index, name in enumerate(config.safety.required_messages):
         if name not in names:
             path = ("safety", "required_messages", index)
-            yield Finding(path, f'the gateway receives no message "{name}"', _nearest(name, names))
+            yield FileProblem(
+                path, f'the gateway receives no message "{name}"', _nearest(name, names)
+            )
 
 
 def _no_message(name: str) -> str:

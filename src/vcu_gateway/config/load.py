@@ -4,12 +4,12 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from vcu_gateway.config.model import Config, Source
+from vcu_gateway.config.model import Config, ConfigSource
 from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.strict_yaml import file_text as text
 from vcu_gateway.strict_yaml import parser as document
 from vcu_gateway.strict_yaml import validation as shape
-from vcu_gateway.strict_yaml.problems import Finding, problems
+from vcu_gateway.strict_yaml.problems import FileProblem, problems
 
 # The bench demand's own limits and what they must not exceed.
 _DEMAND_LIMITS = {
@@ -35,11 +35,11 @@ def parse(contents: str, where: str) -> Config:
         findings += _contradictions(config)
     if config is None or findings:
         raise ConfigError(*problems(findings, where, read.lines))
-    config.remember_source(Source(where, read.lines))
+    config.remember_source(ConfigSource(where, read.lines))
     return config
 
 
-def _config(read: document.Document) -> tuple[Config | None, list[Finding]]:
+def _config(read: document.YamlDocument) -> tuple[Config | None, list[FileProblem]]:
     findings = list(read.findings)
     if not read.is_yaml:
         return None, findings
@@ -67,19 +67,19 @@ def _resolved(config: Config, folder: Path) -> Config:
     return config.model_copy(update=update)
 
 
-def _contradictions(config: Config) -> Iterator[Finding]:
+def _contradictions(config: Config) -> Iterator[FileProblem]:
     """What each key allows and two of them, or the files on disk, do not."""
     ttl_ms, longest_ms = config.demand.ttl_default_ms, config.demand.ttl_max_ms
     if ttl_ms > longest_ms:
         what = f"must be at most {longest_ms} ms, not {ttl_ms}"
-        yield Finding(("demand", "ttl_default_ms"), what, "demand.ttl_max_ms says so")
+        yield FileProblem(("demand", "ttl_default_ms"), what, "demand.ttl_max_ms says so")
     dbc = config.protocol.dbc
     if dbc is not None and not os.path.isfile(dbc):
-        yield Finding(("protocol", "dbc"), f"no file can be found at {dbc}")
+        yield FileProblem(("protocol", "dbc"), f"no file can be found at {dbc}")
     demand = config.bench.demand
     for name, maximum in _DEMAND_LIMITS.items() if demand is not None else ():
         asked, largest = getattr(demand, name), getattr(config.limits, maximum)
         if asked > largest:
             what = f"must be at most {largest} {shape.unit(name)}, not {asked}"
             remedy = f"limits.{maximum} says so"
-            yield Finding(("bench", "demand", name), what, remedy)
+            yield FileProblem(("bench", "demand", name), what, remedy)

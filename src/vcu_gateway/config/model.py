@@ -11,12 +11,12 @@ from pydantic import PrivateAttr
 
 from vcu_gateway.config.machine import Api, Bus, Freshness, Log, Protocol
 from vcu_gateway.config.value_types import Section
-from vcu_gateway.config.vehicle import Bench, Demand, Limits, Safety
+from vcu_gateway.config.vehicle import BenchSection, DemandSection, LimitsSection, SafetySection
 from vcu_gateway.strict_yaml.lines import LineMap
 
 
 @dataclass(frozen=True)
-class Source:
+class ConfigSource:
     """The file that a configuration came from; two files that say the same are equal."""
 
     file: str = field(default="", compare=False)
@@ -29,20 +29,20 @@ class Config(Section):
     bus: Bus = Bus()
     protocol: Protocol = Protocol()
     freshness: Freshness = Freshness()
-    limits: Limits = Limits()
-    safety: Safety = Safety()
-    demand: Demand = Demand()
+    limits: LimitsSection = LimitsSection()
+    safety: SafetySection = SafetySection()
+    demand: DemandSection = DemandSection()
     api: Api = Api()
-    bench: Bench = Bench()
+    bench: BenchSection = BenchSection()
     log: Log = Log()
 
-    _source: Source = PrivateAttr(default_factory=Source)
+    _source: ConfigSource = PrivateAttr(default_factory=ConfigSource)
 
     @property
-    def source(self) -> Source:
+    def source(self) -> ConfigSource:
         """Where this configuration was read; an empty file name where it was not."""
         return self._source
 
-    def remember_source(self, source: Source) -> None:
+    def remember_source(self, source: ConfigSource) -> None:
         """Keep where this was read, for errors that show later."""
         self._source = source

@@ -16,7 +16,7 @@ from vcu_gateway.config.value_types import (
 from vcu_gateway.core.settings import REQUIRED_MESSAGES
 
 
-class Limits(Section):
+class LimitsSection(Section):
     """What a command never exceeds, whoever asks."""
 
     speed_limit_max_rpm: int = Field(
@@ -82,7 +82,7 @@ class Limits(Section):
     )
 
 
-class Safety(Section):
+class SafetySection(Section):
     """When the vehicle may move."""
 
     required_messages: tuple[MessageName, ...] = Field(
@@ -143,7 +143,7 @@ class Safety(Section):
         return names
 
 
-class Demand(Section):
+class DemandSection(Section):
     """Who may ask for torque, and for how long a demand counts."""
 
     ttl_max_ms: int = Field(
@@ -174,7 +174,7 @@ class Demand(Section):
     )
 
 
-class BenchDemand(Section):
+class BenchDemandSection(Section):
     """A demand that never ends, for both controllers, without a driver."""
 
     bench_use_only: Confirmation = Field(
@@ -204,10 +204,10 @@ class BenchDemand(Section):
     )
 
 
-class Bench(Section):
+class BenchSection(Section):
     """For a test bench only; a vehicle has no such section."""
 
-    demand: BenchDemand | None = Field(
+    demand: BenchDemandSection | None = Field(
         default=None, description="Static demand for both controllers; null is none."
     )
     auto_arm: bool = Field(

@@ -7,7 +7,13 @@ from collections.abc import Iterator
 from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import Problem
-from vcu_gateway.protocol.definition_model import ByteOrder, File, MessageRow, SignalRow, parse_bits
+from vcu_gateway.protocol.definition_model import (
+    ByteOrder,
+    DefinitionFile,
+    MessageRow,
+    SignalRow,
+    parse_bits,
+)
 from vcu_gateway.strict_yaml.lines import LineMap
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}")
@@ -25,7 +31,7 @@ class Builder:
         rows: the row of each message that was built, by the message's name.
     """
 
-    def __init__(self, file: File, where: str, lines: LineMap) -> None:
+    def __init__(self, file: DefinitionFile, where: str, lines: LineMap) -> None:
         self._file = file
         self._where = where
         self._lines = lines

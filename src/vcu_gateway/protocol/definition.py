@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
 from vcu_gateway.protocol.builder import Builder
-from vcu_gateway.protocol.definition_model import File, MessageRow, SignalRow
+from vcu_gateway.protocol.definition_model import DefinitionFile, MessageRow, SignalRow
 from vcu_gateway.strict_yaml.lines import LineMap, load_with_lines
 
 _PLAINER = {
@@ -80,7 +80,7 @@ def parse(text: str, where: str = "definition") -> Definition:
     except (yaml.YAMLError, ValueError) as error:
         raise DataError(_yaml_problem(error, where)) from error
     try:
-        file = File.model_validate(content)
+        file = DefinitionFile.model_validate(content)
     except ValidationError as error:
         raise DataError(*_shape_problems(error, where, lines)) from error
     builder = Builder(file, where, lines)
@@ -114,7 +114,7 @@ def _shape_problems(error: ValidationError, where: str, lines: LineMap) -> Itera
         yield Problem(f"{row}: {what}", lines.where(where, path))
 
 
-def _note(file: File, row: MessageRow) -> MessageNote:
+def _note(file: DefinitionFile, row: MessageRow) -> MessageNote:
     signals: dict[str, SignalRow] = {}
     for group in row.use:
         signals |= file.signal_groups[group]

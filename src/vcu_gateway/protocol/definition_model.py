@@ -74,7 +74,7 @@ class AliasRow(Row):
     comment: str = ""
 
 
-class File(Row):
+class DefinitionFile(Row):
     """The whole file; `errata` is number -> (title, decision)."""
 
     name: str

@@ -18,7 +18,7 @@ from vcu_gateway.strict_yaml import file_text as text
 from vcu_gateway.strict_yaml import parser as document
 from vcu_gateway.strict_yaml import validation as shape
 from vcu_gateway.strict_yaml.lines import Path as KeyPath
-from vcu_gateway.strict_yaml.problems import Finding, problems, shown
+from vcu_gateway.strict_yaml.problems import FileProblem, problems, shown
 
 _NS_PER_S = 1_000_000_000
 _EXAMPLE = "{at_s: 10, fault: silence, of: BMS}"
@@ -86,7 +86,7 @@ def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
     return Scenario(outline.start, tuple(steps))
 
 
-def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[Finding]]:
+def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[FileProblem]]:
     """One step, or what is wrong with it."""
     if wrong := list(_without_fault(value, at)):
         return None, wrong
@@ -94,14 +94,14 @@ def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None,
     return step, [finding._replace(path=(*at, *finding.path)) for finding in refused]
 
 
-def _without_fault(value: Any, at: KeyPath) -> Iterator[Finding]:
+def _without_fault(value: Any, at: KeyPath) -> Iterator[FileProblem]:
     """Why it cannot be told which fault is meant; nothing where it can."""
     names = ", ".join(FAULTS)
     if not isinstance(value, dict):
-        yield Finding(at, f"must be a step such as {_EXAMPLE}, not {shown(value)}")
+        yield FileProblem(at, f"must be a step such as {_EXAMPLE}, not {shown(value)}")
     elif "fault" not in value:
-        yield Finding(at, "has no fault", f"add `fault:` and one of {names}")
+        yield FileProblem(at, "has no fault", f"add `fault:` and one of {names}")
     elif not isinstance(value["fault"], str) or value["fault"] not in FAULTS:
         near = shape.did_you_mean(str(value["fault"]), FAULTS)
         what = f"must be one of {names}, not {shown(value['fault'])}"
-        yield Finding((*at, "fault"), what, near)
+        yield FileProblem((*at, "fault"), what, near)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from vcu_gateway.strict_yaml.lines import LineMap, Path
-from vcu_gateway.strict_yaml.problems import Finding, shown
+from vcu_gateway.strict_yaml.problems import FileProblem, shown
 
 _MAX_DEPTH = 8
 
@@ -36,16 +36,16 @@ _SYNTAX_REMEDIES = {
 }
 
 
-class Document(NamedTuple):
+class YamlDocument(NamedTuple):
     """What a text says; value is None where it says nothing, and where it is no YAML."""
 
     value: Any
     lines: LineMap
-    findings: tuple[Finding, ...]
+    findings: tuple[FileProblem, ...]
     is_yaml: bool
 
 
-def read(text: str) -> Document:
+def read(text: str) -> YamlDocument:
     """Read one document; what is wrong with it is in the findings, nothing is raised."""
     reader = _Reader(text)
     try:
@@ -53,7 +53,7 @@ def read(text: str) -> Document:
     except _NotReadableError as error:
         reader.findings.append(error.finding)
         value, is_yaml = None, False
-    return Document(value, reader.lines, tuple(reader.findings), is_yaml)
+    return YamlDocument(value, reader.lines, tuple(reader.findings), is_yaml)
 
 
 class _NotReadableError(Exception):
@@ -61,7 +61,7 @@ class _NotReadableError(Exception):
 
     def __init__(self, what: str, remedy: str = "", line: int | None = None) -> None:
         super().__init__(what)
-        self.finding = Finding((), what, remedy, line)
+        self.finding = FileProblem((), what, remedy, line)
 
 
 def _events(text: str) -> Iterator[Any]:
@@ -96,7 +96,7 @@ class _Reader:
     def __init__(self, text: str) -> None:
         self._events = _events(text)
         self.lines = LineMap()
-        self.findings: list[Finding] = []
+        self.findings: list[FileProblem] = []
 
     def document(self) -> Any:
         next(self._events)  # the stream begins
@@ -116,7 +116,7 @@ class _Reader:
             raise _NotReadableError(what, "write the value out", _line(event))
         if event.tag is not None:
             what = "tags such as !!str are not read here"
-            self.findings.append(Finding(path, what, "remove the tag", _line(event)))
+            self.findings.append(FileProblem(path, what, "remove the tag", _line(event)))
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, path)
         if len(path) >= _MAX_DEPTH:
@@ -128,7 +128,9 @@ class _Reader:
         text: str = event.value
         hidden = next((character for character in text if not character.isprintable()), None)
         if hidden is not None:
-            self.findings.append(Finding(path, f"holds {_code_point(hidden)}", "", _line(event)))
+            self.findings.append(
+                FileProblem(path, f"holds {_code_point(hidden)}", "", _line(event))
+            )
         return text if event.style else _plain(text)
 
     def _mapping(self, path: Path) -> dict[str | int, Any]:
@@ -146,14 +148,14 @@ class _Reader:
         line = _line(event)
         if isinstance(key, bool) or not isinstance(key, str | int):
             what = f"a key must be a word or a whole number, not {shown(key)}"
-            self.findings.append(Finding(path, what, "", line))
+            self.findings.append(FileProblem(path, what, "", line))
             return False
         if isinstance(key, str) and not key.isprintable():
             return False  # a finding already
         if key in content:
             at = (*path, key)
             what = f"stands twice, first in line {self.lines.line(at)}"
-            self.findings.append(Finding(at, what, "remove one of them", line))
+            self.findings.append(FileProblem(at, what, "remove one of them", line))
             return False
         return True
 

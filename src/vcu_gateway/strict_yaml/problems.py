@@ -12,7 +12,7 @@ _SHOWN_CHARACTERS = 40
 _ALIASES = ("protocol", "aliases")
 
 
-class Finding(NamedTuple):
+class FileProblem(NamedTuple):
     """One thing that is wrong with the key at `path`; `line` where the path's is not meant."""
 
     path: Path
@@ -21,7 +21,7 @@ class Finding(NamedTuple):
     line: int | None = None
 
 
-def problems(findings: Iterable[Finding], file: str, lines: LineMap) -> list[Problem]:
+def problems(findings: Iterable[FileProblem], file: str, lines: LineMap) -> list[Problem]:
     """The findings with file and line, in the order of the file."""
     placed = [(finding.line or lines.line(finding.path), finding) for finding in findings]
     placed.sort(key=lambda item: item[0] or 0)

@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 from vcu_gateway.config.value_types import REFUSED
 from vcu_gateway.strict_yaml.lines import Path
-from vcu_gateway.strict_yaml.problems import Finding, shown
+from vcu_gateway.strict_yaml.problems import FileProblem, shown
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -38,7 +38,7 @@ _STARTS_LIKE_NUMBER = re.compile(r"\s*[-+]?\.?[0-9]")
 
 def validated(
     model: type[_Model], value: Any, context: Mapping[str, Any] | None = None
-) -> tuple[_Model | None, list[Finding]]:
+) -> tuple[_Model | None, list[FileProblem]]:
     """The value as this model, or None and what it refuses.
 
     `context` is what the model's own validators are told.
@@ -49,13 +49,13 @@ def validated(
         return None, list(_findings(error, model))
 
 
-def _findings(error: ValidationError, root: type[BaseModel]) -> Iterator[Finding]:
+def _findings(error: ValidationError, root: type[BaseModel]) -> Iterator[FileProblem]:
     """A finding for each thing that pydantic refused; the rest of very many is counted."""
     refused = error.errors(include_url=False)
     for details in refused[:_MOST_FINDINGS]:
         yield _finding(details, root)
     if rest := refused[_MOST_FINDINGS:]:
-        yield Finding(rest[0]["loc"], f"from here on {len(rest)} more errors, not shown")
+        yield FileProblem(rest[0]["loc"], f"from here on {len(rest)} more errors, not shown")
 
 
 def unit(name: str) -> str:
@@ -64,18 +64,18 @@ def unit(name: str) -> str:
     return next(ends, "")
 
 
-def _finding(details: ErrorDetails, root: type[BaseModel]) -> Finding:
+def _finding(details: ErrorDetails, root: type[BaseModel]) -> FileProblem:
     path, kind = details["loc"], details["type"]
     if kind in ("extra_forbidden", "invalid_key"):
-        return Finding(path, "unknown key", _remedy_for_unknown(path, root))
+        return FileProblem(path, "unknown key", _remedy_for_unknown(path, root))
     field = _field(path, root)
     if kind == "missing":
-        return Finding(path, "is missing", _lower_first(field.description if field else None))
+        return FileProblem(path, "is missing", _lower_first(field.description if field else None))
     requirement = _requirement(details, field) if path else "must hold sections such as `bus:`"
     if path[-1:] == (_KEY,):
-        return Finding(path[:-1], f"the key {requirement}", _own_remedy(details))
+        return FileProblem(path[:-1], f"the key {requirement}", _own_remedy(details))
     what = f"{requirement}, not {shown(details['input'])}"
-    return Finding(path, what, _own_remedy(details) or _remedy(details, field))
+    return FileProblem(path, what, _own_remedy(details) or _remedy(details, field))
 
 
 def _field(path: Path, root: type[BaseModel]) -> FieldInfo | None:
