@@ -94,7 +94,7 @@ def stand_in_for_confirm() -> None:
 
 def ours(config: str) -> dict[str, Any]:
     """`vcu-gateway run` as it is, with a clock reading before and after what is measured."""
-    from vcu_gateway.bus.connection import Door
+    from vcu_gateway.bus.connection import BusConnection
     from vcu_gateway.cli import main as command_line
     from vcu_gateway.core.gateway import Gateway
     from vcu_gateway.core.schedule import Schedule
@@ -106,10 +106,10 @@ def ours(config: str) -> dict[str, Any]:
         "look_ns": [],
         "modes": {},
     }
-    read, tick, sent, due = Door.read_waiting, Gateway.tick, Gateway.sent, Schedule.due
+    read, tick, sent, due = BusConnection.read_waiting, Gateway.tick, Gateway.sent, Schedule.due
     started_ns = 0
 
-    def timed_read(self: Door, until_ns: int) -> bool:
+    def timed_read(self: BusConnection, until_ns: int) -> bool:
         begun_ns, frames = time.thread_time_ns(), self.counters.received
         done = read(self, until_ns)
         if self.counters.received == frames:
@@ -136,7 +136,7 @@ def ours(config: str) -> dict[str, Any]:
         return result
 
     for owner, name, method in (
-        (Door, "read_waiting", timed_read),
+        (BusConnection, "read_waiting", timed_read),
         (Gateway, "tick", timed_tick),
         (Gateway, "sent", timed_sent),
         (Schedule, "due", timed_due),

@@ -4,7 +4,7 @@ import dataclasses
 import time
 from pathlib import Path
 
-from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import BenchDemandSection, Config
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
@@ -45,7 +45,9 @@ def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = No
     codec = Codec(protocol)
     gateway = Gateway(codec, settings(config), time.monotonic_ns())
     intake = gateway.intake
-    door = Door(bus_settings(config), codec.identifiers(), intake.receive, intake.command_groups)
+    door = BusConnection(
+        bus_settings(config), codec.identifiers(), intake.receive, intake.command_groups
+    )
     return Daemon(gateway, door, reopen_ms=config.bus.reopen_ms, observer=observer)
 
 

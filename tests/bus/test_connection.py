@@ -9,7 +9,7 @@ from collections.abc import Callable
 import can
 import pytest
 
-from vcu_gateway.bus.connection import BusSettings, Door, kernel_filters
+from vcu_gateway.bus.connection import BusConnection, BusSettings, kernel_filters
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
@@ -59,7 +59,7 @@ def inbox():
 @pytest.fixture
 def door(channel, inbox):
     settings = BusSettings("virtual", channel)
-    door = Door(settings, [0x1808D0F4, 0x0008A7D0], inbox)
+    door = BusConnection(settings, [0x1808D0F4, 0x0008A7D0], inbox)
     door.open()
     door.admit()
     yield door
@@ -149,7 +149,7 @@ def test_a_bug_in_the_receiver_costs_its_frame_and_nothing_else(channel):
             raise error
         inbox(frame)
 
-    door = Door(BusSettings("virtual", channel), [0x1808D0F4], receive)
+    door = BusConnection(BusSettings("virtual", channel), [0x1808D0F4], receive)
     door.open()
     with can.Bus(interface="virtual", channel=channel) as other:
         for _ in range(2):
@@ -253,7 +253,7 @@ def test_sending_never_waits_for_a_door_that_is_being_closed(door):
 
 
 def test_an_interface_that_is_not_there_is_explained_with_what_to_do(inbox):
-    door = Door(BusSettings("socketcan", "nocan9"), [0x1808D0F4], inbox)
+    door = BusConnection(BusSettings("socketcan", "nocan9"), [0x1808D0F4], inbox)
     with pytest.raises(UnavailableError, match="cannot open socketcan nocan9") as caught:
         door.open()
     (problem,) = caught.value.problems

@@ -16,10 +16,10 @@ import pytest
 
 from vcu_gateway.bus import instance_lock as lock
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.connection import BusSettings, Door
-from vcu_gateway.bus.instance_lock import Claim
+from vcu_gateway.bus.connection import BusConnection, BusSettings
+from vcu_gateway.bus.instance_lock import InstanceLock
 from vcu_gateway.bus.interface import Interfaces
-from vcu_gateway.bus.netlink import Details, parsed
+from vcu_gateway.bus.netlink import InterfaceDetails, parsed
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
 
@@ -82,9 +82,9 @@ def controller(state: int, bit_rate: int) -> bytes:
 def test_a_controller_tells_its_state_bit_rate_echo_and_carrier(state, meaning):
     queue = attribute(6, b"pfifo_fast\0")
     told = answer(0x40000 | 0x10000 | 0x41, attribute(3, b"can0\0"), queue)
-    assert parsed(told) == Details(True, True, None, None, True)
+    assert parsed(told) == InterfaceDetails(True, True, None, None, True)
     told = answer(0x41, queue, controller(state, 250_000))
-    assert parsed(told) == Details(False, True, meaning, 250_000, False)
+    assert parsed(told) == InterfaceDetails(False, True, meaning, 250_000, False)
 
 
 def test_an_interface_without_a_queue_is_known():
@@ -108,7 +108,7 @@ def test_a_torn_answer_is_no_more_than_unknown(length):
 
 def test_an_error_instead_of_an_answer_is_unknown():
     refusal = struct.pack("=IHHIIi", 20, 2, 0, 1, 0, -19)
-    assert parsed(refusal) == Details()
+    assert parsed(refusal) == InterfaceDetails()
 
 
 def test_an_attribute_shorter_than_its_head_ends_the_reading():
@@ -117,7 +117,7 @@ def test_an_attribute_shorter_than_its_head_ends_the_reading():
 
 def test_asking_about_the_loopback_or_about_nothing_raises_nothing():
     assert netlink.details("lo").state is None
-    assert netlink.details("nocan9") == Details()
+    assert netlink.details("nocan9") == InterfaceDetails()
 
 
 # The lock.
@@ -129,24 +129,24 @@ def channel() -> str:
 
 
 def test_a_second_gateway_of_this_machine_is_refused_by_name_of_the_first(channel):
-    first = Claim(channel)
+    first = InstanceLock(channel)
     with pytest.raises(UnavailableError) as caught:
-        Claim(channel)
+        InstanceLock(channel)
     assert str(caught.value) == (
         f"another gateway, process {os.getpid()}, commands on {channel} already; a second one"
         " would fight it; stop that one first, or set bus.channel to another interface"
     )
     assert caught.value.exit_code == 69
-    Claim(f"{channel}x").release()
+    InstanceLock(f"{channel}x").release()
     first.release()
-    Claim(channel).release()
+    InstanceLock(channel).release()
 
 
 def test_a_hundred_refusals_do_not_wear_it_out(channel):
-    first = Claim(channel)
+    first = InstanceLock(channel)
     for _ in range(100):
         with pytest.raises(UnavailableError, match="another gateway"):
-            Claim(channel)
+            InstanceLock(channel)
     first.release()
 
 
@@ -157,10 +157,10 @@ def test_a_gateway_that_was_killed_leaves_no_lock_behind(channel):
     )
     child.stdout.readline()
     with pytest.raises(UnavailableError, match=f"process {child.pid},"):
-        Claim(channel)
+        InstanceLock(channel)
     child.kill()
     child.communicate()
-    Claim(channel).release()
+    InstanceLock(channel).release()
 
 
 @contextlib.contextmanager
@@ -198,7 +198,7 @@ ONLY_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be someb
 @ONLY_ROOT
 def test_a_name_that_another_user_holds_is_passed_by_and_says_who(channel):
     with holder(channel, "listens", NOBODY) as pid:
-        claim = Claim(channel)
+        claim = InstanceLock(channel)
         assert claim.passed_by == f"process {pid} of user {NOBODY}"
         claim.answer()
         claim.release()
@@ -211,32 +211,32 @@ def test_the_services_own_account_is_honoured(channel, monkeypatch):
         holder(channel, "listens", NOBODY) as pid,
         pytest.raises(UnavailableError, match=f"process {pid},"),
     ):
-        Claim(channel)
+        InstanceLock(channel)
 
 
 @pytest.mark.parametrize("kind", ["is bound", "is full"])
 def test_a_name_whose_holder_cannot_be_asked_is_passed_by(channel, kind):
     with holder(channel, kind):
-        assert "does not answer" in str(Claim(channel).passed_by)
+        assert "does not answer" in str(InstanceLock(channel).passed_by)
 
 
 def test_a_holder_that_ends_while_it_is_asked_leaves_the_name_to_us(channel):
     with holder(channel, "is bound") as pid:
         threading.Timer(0.03, os.kill, (pid, signal.SIGKILL)).start()
-        first = Claim(channel)
+        first = InstanceLock(channel)
     if first.passed_by is None:  # else the machine stalled
         with pytest.raises(UnavailableError):
-            Claim(channel)
+            InstanceLock(channel)
     first.release()
 
 
 def test_a_gateway_answers_however_many_ask(channel):
-    door = Door(BusSettings("socketcan", channel), (), lambda frame: None)
+    door = BusConnection(BusSettings("socketcan", channel), (), lambda frame: None)
     door.claim()
     for _ in range(5):
         for _ in range(100):
             with pytest.raises(UnavailableError, match="another gateway"):
-                Claim(channel)
+                InstanceLock(channel)
         door.answer_claims()
     assert door.lock_held_by is None
     door.release()
@@ -244,13 +244,13 @@ def test_a_gateway_answers_however_many_ask(channel):
 
 
 def test_only_a_network_interface_is_claimed_and_a_door_claims_once(channel):
-    door = Door(BusSettings("socketcan", channel), (), lambda frame: None)
+    door = BusConnection(BusSettings("socketcan", channel), (), lambda frame: None)
     door.claim()
     door.claim()
-    virtual = Door(BusSettings("virtual", channel), (), lambda frame: None)
+    virtual = BusConnection(BusSettings("virtual", channel), (), lambda frame: None)
     virtual.claim()
     virtual.release()
     with pytest.raises(UnavailableError):
-        Claim(channel)
+        InstanceLock(channel)
     door.release()
-    Claim(channel).release()
+    InstanceLock(channel).release()

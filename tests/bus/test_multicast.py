@@ -9,7 +9,7 @@ import can
 import pytest
 from can.interfaces.udp_multicast import utils
 
-from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.multicast import _REMEMBERED, EchoingMulticastBus
 from vcu_gateway.core.frame import Frame
@@ -44,8 +44,10 @@ def frames() -> list[Frame]:
 
 
 @pytest.fixture
-def door(group: str, frames: list[Frame]) -> Iterator[Door]:
-    door = Door(BusSettings("udp_multicast", group), [COMMAND.can_id, 0x1808D0F4], frames.append)
+def door(group: str, frames: list[Frame]) -> Iterator[BusConnection]:
+    door = BusConnection(
+        BusSettings("udp_multicast", group), [COMMAND.can_id, 0x1808D0F4], frames.append
+    )
     door.open()
     door.admit()
     yield door
@@ -53,7 +55,7 @@ def door(group: str, frames: list[Frame]) -> Iterator[Door]:
 
 
 @pytest.fixture
-def other(group: str, door: Door) -> Iterator[can.BusABC]:
+def other(group: str, door: BusConnection) -> Iterator[can.BusABC]:
     with can.Bus(interface="udp_multicast", channel=group) as bus:
         yield bus
 
@@ -84,7 +86,7 @@ def test_the_same_frame_of_another_node_is_no_echo(door, other, frames):
 
 def test_two_gateways_tell_their_frames_apart(door, group, frames):
     others: list[Frame] = []
-    second = Door(BusSettings("udp_multicast", group), [COMMAND.can_id], others.append)
+    second = BusConnection(BusSettings("udp_multicast", group), [COMMAND.can_id], others.append)
     second.open()
     second.admit()
     for _ in range(50):
@@ -139,6 +141,8 @@ def test_what_never_comes_back_is_forgotten_but_for_the_last(group):
 
 def test_without_msgpack_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setattr(utils, "msgpack", None)
-    door = Door(BusSettings("udp_multicast", "239.192.1.1"), [COMMAND.can_id], lambda frame: None)
+    door = BusConnection(
+        BusSettings("udp_multicast", "239.192.1.1"), [COMMAND.can_id], lambda frame: None
+    )
     with pytest.raises(UnavailableError, match=r"pip install 'vcu-gateway\[multicast\]'"):
         door.open()

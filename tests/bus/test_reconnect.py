@@ -6,8 +6,8 @@ import pytest
 
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.bus.interface import Interface
-from vcu_gateway.bus.netlink import Details
-from vcu_gateway.bus.reconnect import CarrierChanged, Keeper, Lost, Opened, Unavailable
+from vcu_gateway.bus.netlink import InterfaceDetails
+from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
 from vcu_gateway.errors import Problem, UnavailableError
 
 MS = 1_000_000
@@ -51,12 +51,12 @@ class Stage:
         self.door = FakeDoor()
         self.found: Interface | None = UP
         self.names = {3: "can0"}
-        self.keeper = Keeper(
+        self.keeper = Reconnector(
             self.door,
             200,
             look=lambda: self.found,
             name_of=self.names.get,
-            details=lambda channel: Details(),
+            details=lambda channel: InterfaceDetails(),
         )
 
     def look(self, times: int = 1) -> list[object]:
@@ -78,7 +78,7 @@ def stage() -> Stage:
 def steady(stage: Stage) -> Stage:
     """Open for longer than it takes to count as steady."""
     (opened,) = stage.look()
-    assert isinstance(opened, Opened)
+    assert isinstance(opened, LinkOpened)
     stage.look(60)
     return stage
 
@@ -112,7 +112,7 @@ def test_an_interface_that_cannot_be_used_is_told_of_once_and_waited_for(stage, 
     assert stage.door.lost == unavailable.why
     assert stage.door.openings == 0, "nothing is tried in vain"
     stage.found = UP
-    assert kinds(stage.look()) == [Opened]
+    assert kinds(stage.look()) == [LinkOpened]
 
 
 @pytest.mark.parametrize(
@@ -132,15 +132,15 @@ def test_an_interface_that_changes_under_us_is_lost_even_if_the_socket_is_silent
     steady.names.clear()
     steady.names.update(names)
     news = steady.look()
-    assert news[0] == Lost(steady.now_ns - 100 * MS, why)
+    assert news[0] == LinkLost(steady.now_ns - 100 * MS, why)
     assert steady.door.closings == 1
     is_there_again = found is not None and found.up
-    assert kinds(news[1:]) == [Opened if is_there_again else Unavailable]
+    assert kinds(news[1:]) == [LinkOpened if is_there_again else Unavailable]
 
 
 def test_an_interface_that_is_down_and_then_renamed_is_told_with_its_new_name(steady: Stage):
     steady.found = DOWN
-    assert kinds(steady.look()) == [Lost, Unavailable]
+    assert kinds(steady.look()) == [LinkLost, Unavailable]
     steady.found = None
     steady.names[3] = "can7"
     sentence = "can0 was renamed to can7; rename it back, or set bus.channel to can7"
@@ -154,20 +154,20 @@ def test_what_the_reader_told_is_the_reason_where_the_interface_looks_well(stead
     steady.door.lose("Failed to receive: Network is down")
     lost, opened = steady.look()
     assert lost.why == "Failed to receive: Network is down"
-    assert isinstance(opened, Opened), "at once: it was steady"
+    assert isinstance(opened, LinkOpened), "at once: it was steady"
 
 
 def test_a_link_that_comes_back_is_opened_at_the_next_look(steady: Stage):
     steady.found = None
     steady.look(300)
     steady.found = UP._replace(number=4)
-    assert kinds(steady.look()) == [Opened]
+    assert kinds(steady.look()) == [LinkOpened]
 
 
 def test_a_flickering_link_is_opened_with_growing_pauses_and_always_within_a_second(stage: Stage):
     opened_ns = []
     for _ in range(400):
-        opened_ns += [stage.now_ns for one in stage.look() if isinstance(one, Opened)]
+        opened_ns += [stage.now_ns for one in stage.look() if isinstance(one, LinkOpened)]
         stage.door.lose("flickers")
     pauses_ms = [(b - a) // MS for a, b in itertools.pairwise(opened_ns)]
     assert pauses_ms[:4] == [200, 400, 800, 800]
@@ -182,9 +182,9 @@ def test_after_a_steady_time_the_pauses_begin_anew(stage: Stage):
     stage.look(8)
     stage.look(50)
     stage.door.lose("once")
-    assert kinds(stage.look()) == [Lost, Opened]
+    assert kinds(stage.look()) == [LinkLost, LinkOpened]
     stage.door.lose("twice")
-    assert kinds(stage.look(3)) == [Lost, Opened], "after 200 ms, no longer after 800"
+    assert kinds(stage.look(3)) == [LinkLost, LinkOpened], "after 200 ms, no longer after 800"
 
 
 def test_an_opening_that_fails_is_told_once_for_each_reason_and_tried_again(stage: Stage):
@@ -194,7 +194,7 @@ def test_an_opening_that_fails_is_told_once_for_each_reason_and_tried_again(stag
     stage.door.refusal = "no memory"
     assert stage.look(30) == [Unavailable("no memory")]
     stage.door.refusal = None
-    assert kinds(stage.look(8)) == [Opened]
+    assert kinds(stage.look(8)) == [LinkOpened]
 
 
 def test_the_carrier_is_told_when_it_changes_and_never_as_there_before_it_was(steady: Stage):
@@ -207,8 +207,8 @@ def test_the_carrier_is_told_when_it_changes_and_never_as_there_before_it_was(st
 
 def test_the_carrier_at_the_opening_is_the_better_of_both_words(stage: Stage):
     stage.found = UP._replace(carrier=False)  # the flag follows up to a second later
-    stage.keeper._details = lambda channel: Details(carrier=True)
+    stage.keeper._details = lambda channel: InterfaceDetails(carrier=True)
     (opened,) = stage.look()
     assert opened.carrier
-    stage.keeper._details = lambda channel: Details()
-    assert not opened._replace(details=Details()).carrier
+    stage.keeper._details = lambda channel: InterfaceDetails()
+    assert not opened._replace(details=InterfaceDetails()).carrier

@@ -6,7 +6,7 @@ from tests.controller.conftest import GATEWAY, SETTING, VEHICLE, link, set_link
 from tests.vcan.conftest import Stand, ip
 from tests.vcan.test_doctor import examined, examined_until
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.interface_info import DeviceCounters, ErrorCounters, Mode
+from vcu_gateway.bus.interface_info import ControllerMode, DeviceCounters, ErrorCounters
 from vcu_gateway.core.link import LinkState
 
 
@@ -19,7 +19,7 @@ def test_what_the_kernel_is_asked_for_is_what_ip_says(bus):
     assert told.details.state is LinkState.UP
     assert told.details.bit_rate_bit_s == data["bittiming"]["bitrate"] == 250_000
     assert told.controller.restart_ms == data["restart_ms"] == 100
-    assert told.controller.modes == Mode(0)
+    assert told.controller.modes == ControllerMode(0)
     assert told.controller.errors == ErrorCounters(
         data["berr_counter"]["tx"], data["berr_counter"]["rx"]
     )

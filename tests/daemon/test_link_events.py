@@ -5,10 +5,10 @@ from collections import deque
 import pytest
 
 from tests.core.safety_world import Drive, active
-from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.interface import Interface
-from vcu_gateway.bus.netlink import Details
-from vcu_gateway.bus.reconnect import CarrierChanged, Lost, Opened, Unavailable
+from vcu_gateway.bus.netlink import InterfaceDetails
+from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Unavailable
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode
@@ -37,7 +37,7 @@ class World:
         settings = BusSettings(
             "socketcan", "can0", receive_buffer_bytes=1_000_000, bit_rate_bit_s=250_000
         )
-        self.door = Door(settings, (), self.drive.gateway.intake.receive)
+        self.door = BusConnection(settings, (), self.drive.gateway.intake.receive)
         self.admitted = 0
         self.door.admit = self.admit
         self.linking = Linking(self.drive.gateway, self.door, self.keeper, self.journal)
@@ -56,8 +56,8 @@ class World:
         data = bytes([0, bits, 0, 0, 0, 0, 0, 0])
         self.drive.gateway.intake.receive(Frame(can_id, data, self.drive.now_ns, error=True))
 
-    def opened(self, **changes: object) -> Opened:
-        whole = Opened(self.drive.now_ns, CAN0, Details(), 1_000_000)
+    def opened(self, **changes: object) -> LinkOpened:
+        whole = LinkOpened(self.drive.now_ns, CAN0, InterfaceDetails(), 1_000_000)
         return whole._replace(**changes)
 
     def told(self, name: str) -> list[object]:
@@ -72,7 +72,7 @@ def world() -> World:
 
 
 def test_a_loss_latches_even_if_the_link_is_back_before_the_next_tick(world: World):
-    world.keeper.news += [Lost(world.drive.now_ns, "can0 is down"), world.opened()]
+    world.keeper.news += [LinkLost(world.drive.now_ns, "can0 is down"), world.opened()]
     assert world.tick() is Mode.FAULT
     assert world.drive.gateway.link.state is LinkState.LOST
     assert world.admitted == 0, "nothing leaves in the tick that learns of the loss"
@@ -114,7 +114,7 @@ def test_a_missing_carrier_latches_as_bus_off(world: World):
 
 
 def test_the_controllers_state_at_the_opening_counts(world: World):
-    world.keeper.news.append(world.opened(details=Details(state=LinkState.PASSIVE)))
+    world.keeper.news.append(world.opened(details=InterfaceDetails(state=LinkState.PASSIVE)))
     world.tick(20)
     assert world.drive.mode is Mode.ACTIVE
     world.tick(2)
@@ -122,7 +122,7 @@ def test_the_controllers_state_at_the_opening_counts(world: World):
 
 
 def test_an_opening_without_a_carrier_is_bus_off(world: World):
-    world.keeper.news.append(world.opened(details=Details(carrier=False)))
+    world.keeper.news.append(world.opened(details=InterfaceDetails(carrier=False)))
     assert world.tick() is Mode.FAULT
 
 
@@ -193,7 +193,7 @@ def test_dropped_frames_are_told_at_most_every_ten_seconds(world: World):
             },
         ),
         (
-            {"details": Details(bit_rate_bit_s=500_000)},
+            {"details": InterfaceDetails(bit_rate_bit_s=500_000)},
             "bit_rate_differs",
             {
                 "wanted_bit_s": 250_000,
@@ -202,7 +202,7 @@ def test_dropped_frames_are_told_at_most_every_ten_seconds(world: World):
             },
         ),
         (
-            {"details": Details(driver_echoes=False, state=LinkState.UP)},
+            {"details": InterfaceDetails(driver_echoes=False, state=LinkState.UP)},
             "echo_unproven",
             {
                 "reason": (
@@ -229,13 +229,13 @@ def test_what_is_not_as_it_should_be_is_told_once_with_the_command_that_mends_it
         {"interface": CAN0._replace(tx_queue_frames=0)},
         {
             "interface": CAN0._replace(tx_queue_frames=1000),
-            "details": Details(queue_is_used=False),
+            "details": InterfaceDetails(queue_is_used=False),
         },
         {"receive_buffer_bytes": None},
         {"receive_buffer_bytes": 2_000_000},
-        {"details": Details(bit_rate_bit_s=250_000)},
-        {"details": Details(driver_echoes=True, state=LinkState.UP)},
-        {"details": Details(driver_echoes=False)},  # vcan: nothing can fail to leave
+        {"details": InterfaceDetails(bit_rate_bit_s=250_000)},
+        {"details": InterfaceDetails(driver_echoes=True, state=LinkState.UP)},
+        {"details": InterfaceDetails(driver_echoes=False)},  # vcan: nothing can fail to leave
     ],
 )
 def test_what_is_as_it_should_be_is_not_told(world: World, changes):

@@ -12,8 +12,8 @@ import can
 import pytest
 
 from vcu_gateway import simulator
-from vcu_gateway.bus.connection import BusSettings, Door
-from vcu_gateway.bus.instance_lock import Claim
+from vcu_gateway.bus.connection import BusConnection, BusSettings
+from vcu_gateway.bus.instance_lock import InstanceLock
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import LinkState
@@ -45,7 +45,7 @@ class Rig:
         self.channel = f"daemon-{uuid.uuid4()}"
         self.codec = codec
         self.gateway = Gateway(codec, settings, 0)
-        self.door = Door(
+        self.door = BusConnection(
             BusSettings("virtual", self.channel), codec.identifiers(), self.gateway.intake.receive
         )
         self.modes: list[Mode] = []
@@ -226,22 +226,22 @@ def test_a_keeper_that_dies_ends_the_loop(rig, monkeypatch):
 def test_a_missing_interface_is_waited_for_by_one_gateway_without_blocking_its_ticks(codec):
     gateway = Gateway(codec, Settings(), 0)
     settings = BusSettings("socketcan", f"no{uuid.uuid4().hex[:12]}")
-    door = Door(settings, codec.identifiers(), gateway.intake.receive)
+    door = BusConnection(settings, codec.identifiers(), gateway.intake.receive)
     daemon = Daemon(gateway, door, 50)
-    first = Claim(settings.channel)
+    first = InstanceLock(settings.channel)
     with pytest.raises(UnavailableError, match="another gateway"):
         daemon.run(duration_s=0.5)
     first.release()
     daemon.run(duration_s=0.5)
     assert daemon.schedule.ticks + daemon.schedule.skipped >= 10
     assert door.counters.sent == 0
-    Claim(settings.channel).release()
+    InstanceLock(settings.channel).release()
 
 
 def test_a_lock_in_strange_hands_is_told_and_the_gateway_runs(codec):
     gateway = Gateway(codec, Settings(), 0)
     settings = BusSettings("socketcan", f"no{uuid.uuid4().hex[:12]}")
-    door = Door(settings, codec.identifiers(), gateway.intake.receive)
+    door = BusConnection(settings, codec.identifiers(), gateway.intake.receive)
     daemon = Daemon(gateway, door, 50)
     with socket.socket(socket.AF_UNIX) as strange:
         strange.bind(b"\0vcu-gateway/" + settings.channel.encode())  # and never listens

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.core.safety_world import CODEC, Drive, active, standby
-from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon import safe_frames
@@ -31,7 +31,9 @@ class World:
 
     def __init__(self, folder, ear, drive: Drive, monkeypatch) -> None:
         self.drive, self.folder, self.ear = drive, folder, ear
-        door = Door(BusSettings("socketcan", "can0"), CODEC.identifiers(), lambda frame: None)
+        door = BusConnection(
+            BusSettings("socketcan", "can0"), CODEC.identifiers(), lambda frame: None
+        )
         door.lost = None
         self.daemon = Daemon(drive.gateway, door, 50)
         manager = ServiceManager(
@@ -175,7 +177,7 @@ def test_a_reader_that_wakes_again_is_alive_again():
 
 def test_a_dead_reader_ends_the_pings_and_then_the_process(world, monkeypatch):
     one = world(standby())
-    monkeypatch.setattr(Door, "reader_wakes", 7)
+    monkeypatch.setattr(BusConnection, "reader_wakes", 7)
     one.tick(20)
     before = one.told().count("WATCHDOG=1")
     assert 0 < before < 3

@@ -8,13 +8,13 @@ import pytest
 from tests.bus.test_interface import answer, attribute
 from vcu_gateway.bus import netlink
 from vcu_gateway.bus.interface_info import (
-    Controller,
-    Description,
-    Details,
+    CanController,
+    ControllerMode,
     DeviceCounters,
     ErrorCounters,
-    Mode,
-    Traffic,
+    InterfaceDetails,
+    InterfaceInfo,
+    InterfaceTraffic,
 )
 from vcu_gateway.bus.netlink import described
 from vcu_gateway.core.link import LinkState
@@ -38,20 +38,20 @@ def whole(*data: bytes) -> bytes:
 
 
 def test_a_controller_tells_everything():
-    assert described(whole(*DATA)) == Description(
-        details=Details(True, True, LinkState.PASSIVE, 250_000, True),
+    assert described(whole(*DATA)) == InterfaceInfo(
+        details=InterfaceDetails(True, True, LinkState.PASSIVE, 250_000, True),
         up=True,
         is_can=True,
         kind="can",
         discipline="pfifo_fast",
         tx_queue_frames=10,
-        controller=Controller(
+        controller=CanController(
             100,
-            Mode.LISTEN_ONLY | Mode.FD,
+            ControllerMode.LISTEN_ONLY | ControllerMode.FD,
             ErrorCounters(transmit=128, receive=3),
             DeviceCounters(1, 2, 3, 4, 5, 6),
         ),
-        traffic=Traffic(
+        traffic=InterfaceTraffic(
             received=100, sent=101, receive_dropped=106, send_dropped=107, overruns=111
         ),
     )
@@ -59,7 +59,7 @@ def test_a_controller_tells_everything():
 
 def test_what_a_driver_does_not_tell_is_unknown():
     controller = described(whole(*DATA[:2])).controller
-    assert controller == Controller(counters=DeviceCounters(1, 2, 3, 4, 5, 6))
+    assert controller == CanController(counters=DeviceCounters(1, 2, 3, 4, 5, 6))
 
 
 def test_an_interface_without_a_controller_has_none():
@@ -73,7 +73,7 @@ def test_an_interface_without_a_controller_has_none():
 def test_an_unknown_mode_bit_of_a_later_kernel_is_kept():
     told = described(whole(DATA[1], attribute(5, struct.pack("=2I", 0, 0x8002))))
     assert told.controller is not None
-    assert Mode.LISTEN_ONLY in (told.controller.modes or Mode(0))
+    assert ControllerMode.LISTEN_ONLY in (told.controller.modes or ControllerMode(0))
 
 
 @pytest.mark.parametrize("length", range(0, 420, 3))

@@ -6,13 +6,13 @@ import pytest
 
 from tests.doctor.judged import complaints, only, well
 from vcu_gateway.bus.interface_info import (
-    Controller,
-    Description,
-    Details,
+    CanController,
+    ControllerMode,
     DeviceCounters,
     ErrorCounters,
-    Mode,
-    Traffic,
+    InterfaceDetails,
+    InterfaceInfo,
+    InterfaceTraffic,
 )
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.doctor import interface
@@ -20,12 +20,19 @@ from vcu_gateway.doctor.interface import Facts, judge
 from vcu_gateway.doctor.procfs import Unread
 
 QUIET_PAST = DeviceCounters(0, 0, 0, 0, 17, 0)
-CONTROLLER = Controller(100, Mode(0), ErrorCounters(0, 0), QUIET_PAST)
-DETAILS = Details(True, True, LinkState.UP, 250_000, True)
-TRAFFIC = Traffic(9000, 800, 0, 0, 0)
-CAN0 = Description(DETAILS, True, True, "can", "pfifo_fast", 4, CONTROLLER, TRAFFIC)
-VCAN0 = Description(
-    Details(False, False, None, None, True), True, True, "vcan", "noqueue", 1000, None, TRAFFIC
+CONTROLLER = CanController(100, ControllerMode(0), ErrorCounters(0, 0), QUIET_PAST)
+DETAILS = InterfaceDetails(True, True, LinkState.UP, 250_000, True)
+TRAFFIC = InterfaceTraffic(9000, 800, 0, 0, 0)
+CAN0 = InterfaceInfo(DETAILS, True, True, "can", "pfifo_fast", 4, CONTROLLER, TRAFFIC)
+VCAN0 = InterfaceInfo(
+    InterfaceDetails(False, False, None, None, True),
+    True,
+    True,
+    "vcan",
+    "noqueue",
+    1000,
+    None,
+    TRAFFIC,
 )
 HEALTHY = Facts("can0", 250_000, None, CAN0)
 SHIPPED = (
@@ -34,19 +41,19 @@ SHIPPED = (
 )
 
 
-def of(it: Description, **facts: object) -> list:
+def of(it: InterfaceInfo, **facts: object) -> list:
     return list(judge(HEALTHY._replace(described=it, **facts)))
 
 
-def details(**changed: object) -> Description:
+def details(**changed: object) -> InterfaceInfo:
     return CAN0._replace(details=DETAILS._replace(**changed))
 
 
-def controller(**changed: object) -> Description:
+def controller(**changed: object) -> InterfaceInfo:
     return CAN0._replace(controller=CONTROLLER._replace(**changed))
 
 
-def past(**changed: int) -> Description:
+def past(**changed: int) -> InterfaceInfo:
     return controller(counters=QUIET_PAST._replace(**changed))
 
 
@@ -89,10 +96,15 @@ def test_a_virtual_interface_has_neither_bit_rate_nor_queue_and_that_is_well():
         (controller(restart_ms=0), "restart", "warning", "up type can restart-ms 100"),
         (controller(restart_ms=None), "restart", "unknown", ""),
         (controller(modes=None), "modes", "unknown", ""),
-        (controller(modes=Mode.LISTEN_ONLY), "listen_only", "wrong", "type can listen-only off"),
-        (controller(modes=Mode.LOOPBACK), "loopback", "warning", "type can loopback off"),
-        (controller(modes=Mode.ONE_SHOT), "one_shot", "warning", "type can one-shot off"),
-        (controller(modes=Mode.PRESUME_ACK), "presume_ack", "warning", "presume-ack off"),
+        (
+            controller(modes=ControllerMode.LISTEN_ONLY),
+            "listen_only",
+            "wrong",
+            "type can listen-only off",
+        ),
+        (controller(modes=ControllerMode.LOOPBACK), "loopback", "warning", "type can loopback off"),
+        (controller(modes=ControllerMode.ONE_SHOT), "one_shot", "warning", "type can one-shot off"),
+        (controller(modes=ControllerMode.PRESUME_ACK), "presume_ack", "warning", "presume-ack off"),
         (details(state=LinkState.WARNING), "state", "warning", "termination"),
         (details(state=LinkState.PASSIVE), "state", "wrong", "termination"),
         (details(state=LinkState.BUS_OFF, carrier=False), "state", "wrong", "termination"),
@@ -137,8 +149,8 @@ def test_each_fault_is_one_finding_with_the_command_that_mends_it(it, check, kin
         CAN0._replace(traffic=None),
         controller(errors=None),
         controller(counters=None),
-        controller(modes=Mode.FD),
-        controller(modes=Mode.ERROR_REPORTING),
+        controller(modes=ControllerMode.FD),
+        controller(modes=ControllerMode.ERROR_REPORTING),
         details(driver_echoes=None),
         details(carrier=None),
         past(arbitrations_lost=1000),
@@ -195,7 +207,10 @@ def test_an_interface_that_was_never_set_up_is_set_up_by_one_command():
 def test_where_networkd_runs_the_shipped_files_mend_bit_rate_and_restart():
     for it in (details(bit_rate_bit_s=500_000), controller(restart_ms=0)):
         assert only(of(it, shipped=SHIPPED)).remedy == SHIPPED
-    assert "listen-only off" in only(of(controller(modes=Mode.LISTEN_ONLY), shipped=SHIPPED)).remedy
+    assert (
+        "listen-only off"
+        in only(of(controller(modes=ControllerMode.LISTEN_ONLY), shipped=SHIPPED)).remedy
+    )
 
 
 @pytest.mark.parametrize(
@@ -250,8 +265,8 @@ def test_a_wrong_bit_rate_is_told_while_the_interface_is_down_too():
 
 
 def test_modes_that_do_no_harm_stand_in_the_line():
-    assert "CAN FD on" in well(of(controller(modes=Mode.FD)))
-    assert "bus errors reported" in well(of(controller(modes=Mode.ERROR_REPORTING)))
+    assert "CAN FD on" in well(of(controller(modes=ControllerMode.FD)))
+    assert "bus errors reported" in well(of(controller(modes=ControllerMode.ERROR_REPORTING)))
 
 
 def test_a_driver_without_error_counters_tells_its_state_alone():

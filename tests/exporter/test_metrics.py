@@ -16,7 +16,7 @@ from tests.monitoring.program import STARTED_S, Program, Scrape, driven
 from vcu_gateway import exporter as metrics
 from vcu_gateway import simulator
 from vcu_gateway.api.errors import Code
-from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
@@ -513,7 +513,9 @@ def test_counters_never_go_back_while_the_gateway_runs_on_other_threads(codec):
     late = {f"{node}_Status{n}": 10_000 for node in ("PCU1", "PCU2") for n in (1, 2)}
     settings = Settings(bench_demand=BENCH, auto_arm=True, stale_after_ms=late)  # it is a thread
     gateway = Gateway(codec, settings, time.monotonic_ns())
-    door = Door(BusSettings("virtual", channel), codec.identifiers(), gateway.intake.receive)
+    door = BusConnection(
+        BusSettings("virtual", channel), codec.identifiers(), gateway.intake.receive
+    )
     daemon, told = Daemon(gateway, door, 50), Program()
     exposition = metrics.exposition(daemon, lambda: told.api, told.facts)
     nodes = simulator.build(codec, time.monotonic_ns())

@@ -6,7 +6,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.core.safety_world import COMMAND_IDS, Drive, active
 from vcu_gateway import exporter as metrics
 from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame
@@ -62,7 +62,7 @@ class Program:
     def __init__(self, drive: Drive | None = None, interface: str = "virtual") -> None:
         self.drive = drive or Drive()
         settings = BusSettings(interface, "nowhere")
-        self.door = Door(settings, (), self.drive.gateway.intake.receive)
+        self.door = BusConnection(settings, (), self.drive.gateway.intake.receive)
         self.daemon = Daemon(self.drive.gateway, self.door, 50)
         self.api = ApiCounts(
             clients=0,

@@ -13,8 +13,8 @@ from typing import Any
 
 from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.diagnostics import unopened
-from vcu_gateway.bus.instance_lock import Claim
-from vcu_gateway.bus.receiver import Listener
+from vcu_gateway.bus.instance_lock import InstanceLock
+from vcu_gateway.bus.receiver import FrameListener
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.core import j1939
@@ -23,7 +23,7 @@ from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.python_can import can
 
-__all__ = ["BusCounters", "BusSettings", "Door", "kernel_filters"]
+__all__ = ["BusConnection", "BusCounters", "BusSettings", "kernel_filters"]
 
 # The reader wakes this often without frames, so that its life can be told from its counter.
 _NOTIFIER_TIMEOUT_S = 0.1
@@ -35,7 +35,7 @@ _GONE = {"ENETDOWN", "ENODEV", "ENXIO"}
 class _Opening:
     """One bus and its reader, from an opening to its close."""
 
-    def __init__(self, bus: can.BusABC, listener: Listener) -> None:
+    def __init__(self, bus: can.BusABC, listener: FrameListener) -> None:
         self.bus = bus
         self._listener = listener
         self._notifier = can.Notifier(bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
@@ -64,7 +64,7 @@ class _Opening:
         self.bus.shutdown()
 
 
-class Door:
+class BusConnection:
     """One bus, open or lost.
 
     Opening, closing and their waiting belong to one thread at a time; `read_waiting`, `send` and
@@ -89,7 +89,7 @@ class Door:
         self._admitted: can.BusABC | None = None
         self._sending = threading.Lock()
         self._grid: tuple[int, int] | None = None
-        self._claim: Claim | None = None
+        self._claim: InstanceLock | None = None
         self.counters = BusCounters()
         self.lost: str | None = "not opened yet"
         self.on_lost: Callable[[], None] = _nobody_asked
@@ -126,7 +126,7 @@ class Door:
         Raises UnavailableError where another gateway is.
         """
         if self._claim is None and self.settings.interface == "socketcan":
-            self._claim = Claim(self.settings.channel)
+            self._claim = InstanceLock(self.settings.channel)
 
     @property
     def lock_held_by(self) -> str | None:
@@ -180,13 +180,13 @@ class Door:
             receive_own_messages=True,
         )
 
-    def _listener(self, bus: can.BusABC) -> Listener:
+    def _listener(self, bus: can.BusABC) -> FrameListener:
         def lost(why: str) -> None:
             if self._opening is None or self._opening.bus is bus:
                 self.lose(why)  # the word of a reader that was closed does not count
 
         stamps_are_monotonic = self.settings.interface == "socketcan"
-        return Listener(self._receive, self.counters, lost, stamps_are_monotonic)
+        return FrameListener(self._receive, self.counters, lost, stamps_are_monotonic)
 
     def align(self, origin_ns: int, period_ns: int) -> None:
         """Read all that waits shortly before every point of this grid: the ticks."""

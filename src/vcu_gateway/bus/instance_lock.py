@@ -28,7 +28,7 @@ _PAUSE_S = 0.02
 _credentials = struct.Struct("3i")
 
 
-class Claim:
+class InstanceLock:
     """This process alone commands on an interface, until `release` or its end.
 
     Attributes:

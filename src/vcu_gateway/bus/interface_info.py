@@ -6,7 +6,7 @@ from typing import NamedTuple
 from vcu_gateway.core.link import LinkState
 
 
-class Details(NamedTuple):
+class InterfaceDetails(NamedTuple):
     """Of one CAN interface; None is not known.
 
     Attributes:
@@ -25,7 +25,7 @@ class Details(NamedTuple):
     carrier: bool | None = None
 
 
-class Mode(IntFlag):
+class ControllerMode(IntFlag):
     """What a controller is set to besides its bit rate."""
 
     LOOPBACK = 0x01
@@ -54,7 +54,7 @@ class DeviceCounters(NamedTuple):
     restarts: int
 
 
-class Controller(NamedTuple):
+class CanController(NamedTuple):
     """A CAN controller; None is what its driver does not tell.
 
     Attributes:
@@ -62,12 +62,12 @@ class Controller(NamedTuple):
     """
 
     restart_ms: int | None = None
-    modes: Mode | None = None
+    modes: ControllerMode | None = None
     errors: ErrorCounters | None = None
     counters: DeviceCounters | None = None
 
 
-class Traffic(NamedTuple):
+class InterfaceTraffic(NamedTuple):
     """Frames since the interface exists."""
 
     received: int
@@ -77,7 +77,7 @@ class Traffic(NamedTuple):
     overruns: int
 
 
-class Description(NamedTuple):
+class InterfaceInfo(NamedTuple):
     """All of an interface; None and empty are not known.
 
     Attributes:
@@ -86,11 +86,11 @@ class Description(NamedTuple):
         controller: None where there is none.
     """
 
-    details: Details
+    details: InterfaceDetails
     up: bool
     is_can: bool
     kind: str = ""
     discipline: str = ""
     tx_queue_frames: int | None = None
-    controller: Controller | None = None
-    traffic: Traffic | None = None
+    controller: CanController | None = None
+    traffic: InterfaceTraffic | None = None

@@ -2,14 +2,14 @@
 
 from collections.abc import Iterator
 
-from vcu_gateway.bus.reconnect import Opened
+from vcu_gateway.bus.reconnect import LinkOpened
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.events import Event, Severity
 
 _TX_QUEUE_AT_MOST = 4
 
 
-def cautions(opened: Opened, settings: BusSettings) -> Iterator[Event]:
+def cautions(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
     """What to tell of an interface that was opened, and the command that mends it."""
     yield from _queue(opened, settings.channel)
     yield from _buffer(opened, settings.receive_buffer_bytes)
@@ -17,7 +17,7 @@ def cautions(opened: Opened, settings: BusSettings) -> Iterator[Event]:
     yield from _echo(opened)
 
 
-def _queue(opened: Opened, channel: str) -> Iterator[Event]:
+def _queue(opened: LinkOpened, channel: str) -> Iterator[Event]:
     """Frames that wait there are stale when they leave."""
     frames, is_used = opened.interface.tx_queue_frames, opened.details.queue_is_used
     if frames > _TX_QUEUE_AT_MOST and is_used is not False:
@@ -25,14 +25,14 @@ def _queue(opened: Opened, channel: str) -> Iterator[Event]:
         yield _caution("tx_queue_long", command, frames=frames)
 
 
-def _buffer(opened: Opened, asked: int | None) -> Iterator[Event]:
+def _buffer(opened: LinkOpened, asked: int | None) -> Iterator[Event]:
     given = opened.receive_buffer_bytes
     if asked is not None and given is not None and given < asked:
         command = f"sysctl -w net.core.rmem_max={asked}"
         yield _caution("receive_buffer_small", command, asked_bytes=asked, given_bytes=given)
 
 
-def _bit_rate(opened: Opened, settings: BusSettings) -> Iterator[Event]:
+def _bit_rate(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
     found, wanted = opened.details.bit_rate_bit_s, settings.bit_rate_bit_s
     if None not in (found, wanted) and found != wanted:
         link = f"ip link set {settings.channel}"  # only one that is down takes a bit rate
@@ -40,7 +40,7 @@ def _bit_rate(opened: Opened, settings: BusSettings) -> Iterator[Event]:
         yield _caution("bit_rate_differs", command, wanted_bit_s=wanted, found_bit_s=found)
 
 
-def _echo(opened: Opened) -> Iterator[Event]:
+def _echo(opened: LinkOpened) -> Iterator[Event]:
     """A controller whose driver does not send our frames back: the kernel does, unasked."""
     if opened.details.state is not None and opened.details.driver_echoes is False:
         reason = "the driver confirms nothing: only the controllers' answers tell that frames left"

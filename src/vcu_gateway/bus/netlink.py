@@ -12,17 +12,17 @@ import struct
 from collections.abc import Iterator
 
 from vcu_gateway.bus.interface_info import (
-    Controller,
-    Description,
-    Details,
+    CanController,
+    ControllerMode,
     DeviceCounters,
     ErrorCounters,
-    Mode,
-    Traffic,
+    InterfaceDetails,
+    InterfaceInfo,
+    InterfaceTraffic,
 )
 from vcu_gateway.core.link import LinkState
 
-__all__ = ["Details", "describe", "described", "details", "parsed"]
+__all__ = ["InterfaceDetails", "describe", "described", "details", "parsed"]
 
 _NLMSG_ERROR, _RTM_NEWLINK, _RTM_GETLINK = 2, 16, 18
 _NLM_F_REQUEST = 1
@@ -56,15 +56,15 @@ _STATES: dict[int | None, LinkState] = {
 }
 
 
-def details(name: str) -> Details:
+def details(name: str) -> InterfaceDetails:
     """Ask the kernel; nothing is raised."""
     try:
         return parsed(_answer(_request(name)))
     except (OSError, struct.error):
-        return Details()
+        return InterfaceDetails()
 
 
-def describe(name: str) -> Description:
+def describe(name: str) -> InterfaceInfo:
     """Ask the kernel for everything; OSError where it does not tell, ENODEV where none is."""
     try:
         return described(_answer(_request(name, with_counters=True)))
@@ -91,17 +91,17 @@ def _packed(kind: int, value: bytes) -> bytes:
     return _attribute.pack(_attribute.size + len(value), kind) + value + bytes(-len(value) % 4)
 
 
-def parsed(answer: bytes) -> Details:
+def parsed(answer: bytes) -> InterfaceDetails:
     """The kernel's answer; struct.error where it is torn."""
     length, kind, _, _, _ = _header.unpack_from(answer)
     if kind != _RTM_NEWLINK:
-        return Details()
+        return InterfaceDetails()
     _, _, _, flags, _ = _link.unpack_from(answer, _header.size)
     found = dict(_attributes(answer[_header.size + _link.size : length]))
     queue = found.get(_IFLA_QDISC, b"").rstrip(b"\0")
     info = dict(_attributes(found.get(_IFLA_LINKINFO, b"")))
     controller = dict(_attributes(info.get(_IFLA_INFO_DATA, b"")))
-    return Details(
+    return InterfaceDetails(
         driver_echoes=bool(flags & _IFF_ECHO),
         queue_is_used=queue != b"noqueue" if queue else None,
         state=_STATES.get(_first(controller, _IFLA_CAN_STATE)),
@@ -110,7 +110,7 @@ def parsed(answer: bytes) -> Details:
     )
 
 
-def described(answer: bytes) -> Description:
+def described(answer: bytes) -> InterfaceInfo:
     """The kernel's answer; struct.error where it is torn, OSError where it refuses."""
     length, kind, _, _, _ = _header.unpack_from(answer)
     if kind == _NLMSG_ERROR:
@@ -119,7 +119,7 @@ def described(answer: bytes) -> Description:
     _, hardware, _, flags, _ = _link.unpack_from(answer, _header.size)
     found = dict(_attributes(answer[_header.size + _link.size : length]))
     info = dict(_attributes(found.get(_IFLA_LINKINFO, b"")))
-    return Description(
+    return InterfaceInfo(
         details=parsed(answer),
         up=bool(flags & _IFF_UP),
         is_can=hardware == _ARPHRD_CAN,
@@ -131,16 +131,16 @@ def described(answer: bytes) -> Description:
     )
 
 
-def _controller(info: dict[int, bytes]) -> Controller | None:
+def _controller(info: dict[int, bytes]) -> CanController | None:
     told = dict(_attributes(info[_IFLA_INFO_DATA]))
     if _IFLA_CAN_STATE not in told:
         return None
     modes = told.get(_IFLA_CAN_CTRLMODE)
     errors = _fields(_error_counters, told.get(_IFLA_CAN_BERR_COUNTER))
     counters = _fields(_device_counters, info.get(_IFLA_INFO_XSTATS))
-    return Controller(
+    return CanController(
         _first(told, _IFLA_CAN_RESTART_MS),
-        None if modes is None else Mode(_mode.unpack_from(modes)[0]),
+        None if modes is None else ControllerMode(_mode.unpack_from(modes)[0]),
         None if errors is None else ErrorCounters._make(errors),
         None if counters is None else DeviceCounters._make(counters),
     )
@@ -150,12 +150,12 @@ def _fields(layout: struct.Struct, value: bytes | None) -> tuple[int, ...] | Non
     return None if value is None else layout.unpack_from(value)
 
 
-def _traffic(found: dict[int, bytes]) -> Traffic | None:
+def _traffic(found: dict[int, bytes]) -> InterfaceTraffic | None:
     """Of struct rtnl_link_stats64, as far as it is looked at."""
     if _IFLA_STATS64 not in found:
         return None
     told = _statistics.unpack_from(found[_IFLA_STATS64])
-    return Traffic(told[0], told[1], told[6], told[7], told[11])
+    return InterfaceTraffic(told[0], told[1], told[6], told[7], told[11])
 
 
 def _word(attributes: dict[int, bytes], kind: int) -> str:

@@ -11,7 +11,7 @@ from vcu_gateway.python_can import can
 _NS_PER_S = 1_000_000_000
 
 
-class Listener:
+class FrameListener:
     """Hands frames on; it never raises."""
 
     def __init__(

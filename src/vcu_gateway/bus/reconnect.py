@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from vcu_gateway.bus import diagnostics as complaints
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.connection import Door
+from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface import Interface, Interfaces
-from vcu_gateway.bus.netlink import Details
+from vcu_gateway.bus.netlink import InterfaceDetails
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
 
@@ -27,7 +27,7 @@ _NS_PER_MS = 1_000_000
 _NO_INTERFACE = Interface(number=0, is_can=True, up=True, carrier=True, tx_queue_frames=0)
 
 
-class Opened(NamedTuple):
+class LinkOpened(NamedTuple):
     """The door was opened.
 
     Attributes:
@@ -37,7 +37,7 @@ class Opened(NamedTuple):
 
     at_ns: int
     interface: Interface
-    details: Details
+    details: InterfaceDetails
     receive_buffer_bytes: int | None
 
     @property
@@ -52,7 +52,7 @@ class Opened(NamedTuple):
         return self.interface.carrier if told is None else told
 
 
-class Lost(NamedTuple):
+class LinkLost(NamedTuple):
     """The interface in use cannot be used any more."""
 
     at_ns: int
@@ -76,10 +76,10 @@ class CarrierChanged(NamedTuple):
     present: bool
 
 
-News = Opened | Lost | Unavailable | CarrierChanged
+LinkChange = LinkOpened | LinkLost | Unavailable | CarrierChanged
 
 
-class Keeper:
+class Reconnector:
     """Opens the door when its interface is there, and again after every loss.
 
     Looks ten times a second, and at once when the reader tells of a loss. An interface that
@@ -93,11 +93,11 @@ class Keeper:
 
     def __init__(
         self,
-        door: Door,
+        door: BusConnection,
         pause_ms: int,
         look: Callable[[], Interface | None] | None = None,
         name_of: Callable[[int], str | None] | None = None,
-        details: Callable[[str], Details] = netlink.details,
+        details: Callable[[str], InterfaceDetails] = netlink.details,
     ) -> None:
         self._door = door
         self._interfaces = Interfaces()
@@ -113,7 +113,7 @@ class Keeper:
         self._wake = threading.Event()
         self._ended = False
         self._thread = threading.Thread(target=self._work, name="link keeper", daemon=True)
-        self.news: deque[News] = deque()
+        self.news: deque[LinkChange] = deque()
         self.tried = threading.Event()
         door.on_lost = self._wake.set
 
@@ -176,7 +176,7 @@ class Keeper:
         self._door.lose(why)
         self._door.lost = why
         self._opened = None
-        self.news.append(Lost(now_ns, why))
+        self.news.append(LinkLost(now_ns, why))
         if now_ns - self._opened_ns >= _STEADY_NS:
             self._pause_ns, self._next_ns = self._first_pause_ns, now_ns
         self._door.close()
@@ -199,11 +199,11 @@ class Keeper:
             return
         self._opened, self._last_number = found, found.number
         self._opened_ns, self._complaint = now_ns, None
-        details = Details()
+        details = InterfaceDetails()
         if self._door.settings.interface == "socketcan":
             details = self._details(self._door.settings.channel)
         buffer_bytes = self._door.receive_buffer_bytes
-        self.news.append(Opened(now_ns, found, details, buffer_bytes))
+        self.news.append(LinkOpened(now_ns, found, details, buffer_bytes))
 
     def _complain(self, why: str) -> None:
         self._door.lost = why

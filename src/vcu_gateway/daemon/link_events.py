@@ -1,8 +1,8 @@
 """The link as the ticking thread sees it: the keeper's news taken in, and told as events."""
 
-from vcu_gateway.bus.connection import Door
+from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface_warnings import cautions
-from vcu_gateway.bus.reconnect import CarrierChanged, Keeper, Lost, Opened, Unavailable
+from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, Link, LinkState
@@ -22,7 +22,9 @@ class Linking:
     frames leave on it from the tick on that knows of it.
     """
 
-    def __init__(self, gateway: Gateway, door: Door, keeper: Keeper, journal: Journal) -> None:
+    def __init__(
+        self, gateway: Gateway, door: BusConnection, keeper: Reconnector, journal: Journal
+    ) -> None:
         self._gateway = gateway
         self._door = door
         self._keeper = keeper
@@ -47,9 +49,9 @@ class Linking:
         if not self._keeper.news:
             return
         match self._keeper.news.popleft():
-            case Opened() as opened:
+            case LinkOpened() as opened:
                 self._take_opening(opened, now_ns)
-            case Lost(at_ns, why):
+            case LinkLost(at_ns, why):
                 self._gateway.link_lost(at_ns)
                 self._journal.tell(Event("link_lost", Severity.ERROR, {"reason": why}))
             case Unavailable(why):
@@ -57,7 +59,7 @@ class Linking:
             case CarrierChanged(at_ns, present):
                 self._gateway.intake.book.note_carrier(Carrier(present, at_ns))
 
-    def _take_opening(self, opened: Opened, now_ns: int) -> None:
+    def _take_opening(self, opened: LinkOpened, now_ns: int) -> None:
         self._gateway.link_opened(now_ns)
         link = Link(opened.state, opened.at_ns)
         carrier = Carrier(opened.carrier, opened.at_ns)

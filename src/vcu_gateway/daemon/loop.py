@@ -8,8 +8,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NamedTuple
 
-from vcu_gateway.bus.connection import Door
-from vcu_gateway.bus.reconnect import Keeper
+from vcu_gateway.bus.connection import BusConnection
+from vcu_gateway.bus.reconnect import Reconnector
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
@@ -53,7 +53,7 @@ class Daemon:
     def __init__(
         self,
         gateway: Gateway,
-        door: Door,
+        door: BusConnection,
         reopen_ms: int,
         observer: Observer | None = None,
     ) -> None:
@@ -66,7 +66,7 @@ class Daemon:
         self.silent_ticks = 0
         self.inbox = Inbox()
         self.journal = Journal()
-        self.keeper = Keeper(door, reopen_ms)
+        self.keeper = Reconnector(door, reopen_ms)
         self._linking = Linking(gateway, door, self.keeper, self.journal)
         self.latest: Latest | None = None
         self._on_hangup: Callable[[], None] | None = None

@@ -1,6 +1,6 @@
 """Whether the receiving thread lives, seen from the ticking thread."""
 
-from vcu_gateway.bus.connection import Door
+from vcu_gateway.bus.connection import BusConnection
 
 # The reader wakes at least every 120 ms, which is seen at every third tick. Ticks are counted
 # and not time: a process that stood still has a reader that stood still too.
@@ -15,7 +15,7 @@ class ReaderWatch:
         alive: False while it is in doubt.
     """
 
-    def __init__(self, door: Door) -> None:
+    def __init__(self, door: BusConnection) -> None:
         self._door = door
         self._wakes: int | None = None
         self._still_ticks = 0

@@ -3,7 +3,12 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.bus.interface_info import Controller, Description, DeviceCounters, Mode
+from vcu_gateway.bus.interface_info import (
+    CanController,
+    ControllerMode,
+    DeviceCounters,
+    InterfaceInfo,
+)
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.doctor.check_result import Finding, Subject, Told
 
@@ -38,7 +43,7 @@ class Setting(NamedTuple):
         return f"type can bitrate {self.bit_rate_bit_s}{restart}"
 
 
-def checks(setting: Setting, it: Description) -> Iterator[Told | None]:
+def checks(setting: Setting, it: InterfaceInfo) -> Iterator[Told | None]:
     """What to say of an interface's controller, but for the bit rate; nothing without one."""
     controller = it.controller
     if controller is None:
@@ -56,7 +61,7 @@ def checks(setting: Setting, it: Description) -> Iterator[Told | None]:
         yield SAY.warning("echo", what, "use an adapter whose driver echoes, where there is one")
 
 
-def bit_rate(setting: Setting, it: Description) -> Told | None:
+def bit_rate(setting: Setting, it: InterfaceInfo) -> Told | None:
     """The bit rate that the controller is set to."""
     found, wanted = it.details.bit_rate_bit_s, setting.bit_rate_bit_s
     if found == wanted:
@@ -78,7 +83,7 @@ def _kilo(bit_s: int) -> str:
     return f"{bit_s / 1000:g}"
 
 
-def _restart(setting: Setting, controller: Controller) -> Told:
+def _restart(setting: Setting, controller: CanController) -> Told:
     restart_ms = controller.restart_ms
     if restart_ms is None:
         return SAY.unknown("restart", f"{setting.channel}: the driver does not tell restart-ms")
@@ -92,30 +97,30 @@ def _restart(setting: Setting, controller: Controller) -> Told:
     return SAY.warning("restart", what, command)
 
 
-def _modes(setting: Setting, modes: Mode | None) -> Iterator[Told]:
+def _modes(setting: Setting, modes: ControllerMode | None) -> Iterator[Told]:
     name = setting.channel
     if modes is None:
         yield SAY.unknown("modes", f"{name}: the driver does not tell its modes")
         return
-    if Mode.LISTEN_ONLY in modes:
+    if ControllerMode.LISTEN_ONLY in modes:
         what = f"{name} only listens: nothing can be sent"
         yield SAY.wrong("listen_only", what, f"{setting.again} type can listen-only off")
-    if Mode.LOOPBACK in modes:
+    if ControllerMode.LOOPBACK in modes:
         what = f"{name} is in loopback mode: it hears itself, others may not"
         yield SAY.warning("loopback", what, f"{setting.again} type can loopback off")
-    if Mode.ONE_SHOT in modes:
+    if ControllerMode.ONE_SHOT in modes:
         what = f"{name} is in one-shot mode: a command that loses arbitration is lost"
         yield SAY.warning("one_shot", what, f"{setting.again} type can one-shot off")
-    if Mode.PRESUME_ACK in modes:
+    if ControllerMode.PRESUME_ACK in modes:
         what = f"{name} counts as sent what nobody acknowledged"
         yield SAY.warning("presume_ack", what, f"{setting.again} type can presume-ack off")
-    if Mode.FD in modes:
+    if ControllerMode.FD in modes:
         yield "CAN FD on (the protocol does not use it)"
-    if Mode.ERROR_REPORTING in modes:
+    if ControllerMode.ERROR_REPORTING in modes:
         yield "bus errors reported (a flood where nobody answers)"
 
 
-def _state(setting: Setting, it: Description, controller: Controller) -> Told | None:
+def _state(setting: Setting, it: InterfaceInfo, controller: CanController) -> Told | None:
     name, state = setting.channel, it.details.state
     if not it.up:
         return None
@@ -133,7 +138,7 @@ def _state(setting: Setting, it: Description, controller: Controller) -> Told | 
     return None
 
 
-def _then(setting: Setting, controller: Controller) -> str:
+def _then(setting: Setting, controller: CanController) -> str:
     """What ends bus-off, where nothing does by itself."""
     if controller.restart_ms:
         return ""
@@ -142,12 +147,12 @@ def _then(setting: Setting, controller: Controller) -> str:
     return f"; then sudo ip link set {setting.channel} type can restart"
 
 
-def _counted(controller: Controller) -> str:
+def _counted(controller: CanController) -> str:
     errors = controller.errors
     return "" if errors is None else f" (errors: tx {errors.transmit}, rx {errors.receive})"
 
 
-def _errors(controller: Controller) -> Told | None:
+def _errors(controller: CanController) -> Told | None:
     errors = controller.errors
     return None if errors is None else f"errors tx {errors.transmit} rx {errors.receive}"
 

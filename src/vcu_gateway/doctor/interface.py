@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.interface_info import Description, Traffic
+from vcu_gateway.bus.interface_info import InterfaceInfo, InterfaceTraffic
 from vcu_gateway.doctor import controller
 from vcu_gateway.doctor.check_result import Finding, Subject, Told
 from vcu_gateway.doctor.procfs import Unread, names, refused, text
@@ -35,7 +35,7 @@ class Facts(NamedTuple):
     channel: str
     bit_rate_bit_s: int
     kernel: int | None = None
-    described: Description | Unread | None = None
+    described: InterfaceInfo | Unread | None = None
     others: tuple[str, ...] = ()
     shipped: str = ""
     is_serial: bool = False
@@ -112,7 +112,7 @@ def _either(others: tuple[str, ...]) -> str:
     return " or ".join(others) or "a CAN interface"
 
 
-def _checks(facts: Facts, it: Description) -> Iterator[Told | None]:
+def _checks(facts: Facts, it: InterfaceInfo) -> Iterator[Told | None]:
     has_one = it.controller is not None
     setting = controller.Setting(
         facts.channel, facts.bit_rate_bit_s, facts.shipped, facts.is_serial
@@ -126,7 +126,7 @@ def _checks(facts: Facts, it: Description) -> Iterator[Told | None]:
     yield _overruns(facts.channel, it.traffic)
 
 
-def _up(setting: controller.Setting, it: Description) -> Told:
+def _up(setting: controller.Setting, it: InterfaceInfo) -> Told:
     name = setting.channel
     command = f"sudo ip link set {name} up"
     if not it.up and it.controller is not None and it.details.bit_rate_bit_s is None:
@@ -139,7 +139,7 @@ def _up(setting: controller.Setting, it: Description) -> Told:
     return "up"
 
 
-def _queue(name: str, it: Description) -> Told | None:
+def _queue(name: str, it: InterfaceInfo) -> Told | None:
     frames = it.tx_queue_frames
     if frames is None or it.discipline == "noqueue":
         return None
@@ -150,14 +150,14 @@ def _queue(name: str, it: Description) -> Told | None:
     return SAY.warning("queue", what, command)
 
 
-def _discipline(name: str, it: Description) -> Told | None:
+def _discipline(name: str, it: InterfaceInfo) -> Told | None:
     if not it.up or not it.discipline or it.discipline in _IN_ORDER:
         return None
     what = f"{name}: the queueing discipline {it.discipline} may delay or drop commands"
     return SAY.warning("discipline", what, f"sudo tc qdisc replace dev {name} root pfifo_fast")
 
 
-def _dropped(name: str, traffic: Traffic | None) -> Told | None:
+def _dropped(name: str, traffic: InterfaceTraffic | None) -> Told | None:
     if traffic is None or not (traffic.send_dropped or traffic.receive_dropped):
         return None
     what = (
@@ -167,7 +167,7 @@ def _dropped(name: str, traffic: Traffic | None) -> Told | None:
     return SAY.warning("dropped", what, f"watch whether it grows: ip -s link show {name}")
 
 
-def _overruns(name: str, traffic: Traffic | None) -> Told | None:
+def _overruns(name: str, traffic: InterfaceTraffic | None) -> Told | None:
     if traffic is None or not traffic.overruns:
         return None
     what = f"{name}: the controller had no room for {traffic.overruns} received frames"

@@ -14,7 +14,7 @@ from tests.faults import metronome
 from tests.faults.conftest import Seen
 from tests.faults.driving import MS, BusStand, Driving
 from tests.vcan.conftest import wait_until
-from vcu_gateway.bus.connection import BusSettings, Door
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.transmit import OutFrame
 
 # A busy machine has what is measured taken once more.
@@ -163,7 +163,9 @@ class Sent(NamedTuple):
     def through(cls, how: str, disturb: Disturb) -> "Sent":
         disturb("pfifo_fast")  # empty again
         disturb(how)
-        door = Door(BusSettings("socketcan", "vcan0"), [COMMAND.can_id], lambda frame: None)
+        door = BusConnection(
+            BusSettings("socketcan", "vcan0"), [COMMAND.can_id], lambda frame: None
+        )
         door.open()
         door.admit()
         took_us = []
