@@ -14,7 +14,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.client import Client
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.why import Why
+from vcu_gateway.core.why import Explanation
 from vcu_gateway.daemon.restarts import Start
 from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
@@ -88,7 +88,7 @@ class Driven:
         self.until(lambda: self.latest_why.blocks == (), "the causes of the start to go")
 
     @property
-    def latest_why(self) -> Why:
+    def latest_why(self) -> Explanation:
         latest = self.daemon.latest
         assert latest is not None
         return latest.why

@@ -7,12 +7,12 @@ from typing import Any
 
 from vcu_gateway.core import freshness
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.demand import CONTROLLERS, Answer, ControllerDemand, Demand
+from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.link import Link, LinkState
-from vcu_gateway.core.rule_inputs import World
+from vcu_gateway.core.link import LinkState, LinkStatus
+from vcu_gateway.core.rule_inputs import RuleInputs
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
 from vcu_gateway.core.supervisor import FaultClass, Mode
@@ -65,7 +65,7 @@ def world(
     life_frames: int = 1,
     settings: Settings | None = None,
     **facts: Any,
-) -> World:
+) -> RuleInputs:
     """A World in which all is fresh and healthy but what is named here.
 
     codes: by 'Message.Signal'; ages_ns: of the latest frame; never: messages that never came;
@@ -85,8 +85,8 @@ def world(
             raws = raws_of(name, codes or {}) | ({} if life is None else {"LifeSignal": life})
             store.put(name, CODEC.by_name[name].decode(data(name, raws)), NOW_NS - age_ns)
     late_after_ns = {name: one.late_after_ns for name, one in deadlines.items()}
-    facts.setdefault("link", Link(LinkState.UP, 0))
-    return World(store.snapshot(NOW_NS), settings, late_after_ns, **facts)
+    facts.setdefault("link", LinkStatus(LinkState.UP, 0))
+    return RuleInputs(store.snapshot(NOW_NS), settings, late_after_ns, **facts)
 
 
 class Drive:
@@ -192,16 +192,16 @@ class Drive:
             self.tick()
         raise AssertionError(f"no {mode.value} within {within_ms} ms: {self.sentence}")
 
-    def offer(self, asked: ControllerDemand, **changes: Any) -> Answer:
+    def offer(self, asked: ControllerDemand, **changes: Any) -> RequestResult:
         """One demand of the driver for both controllers."""
         self._sequence += 1
         demand = Demand("driver", self._sequence, self.ttl_ms, dict.fromkeys(CONTROLLERS, asked))
         return self.gateway.requests.offer(replace(demand, **changes), self.now_ns)
 
-    def arm(self) -> Answer:
+    def arm(self) -> RequestResult:
         return self.gateway.requests.arm(self.now_ns)
 
-    def reset(self, level: FaultClass = FaultClass.SERVICE) -> Answer:
+    def reset(self, level: FaultClass = FaultClass.SERVICE) -> RequestResult:
         return self.gateway.requests.reset(level, self.now_ns)
 
     def twin(self) -> "Drive":

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.commands import Command, Commander, message_name, moved, strictest_mode
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
-from vcu_gateway.core.pedals import Hold
+from vcu_gateway.core.pedals import ThrottleHold
 from vcu_gateway.core.settings import Settings
 
 MS = 1_000_000
@@ -220,7 +220,7 @@ def test_throttle_and_brake_together_give_no_throttle_to_either(
     drive.step("active", asked)
     throttles = {command.throttle_pct for command in drive.commander.last.values()}
     assert (throttles == {0.0}) is overridden
-    assert (Hold.OVERRIDE in drive.commander.pedals.latched) is overridden
+    assert (ThrottleHold.OVERRIDE in drive.commander.pedals.latched) is overridden
 
 
 def test_the_override_leaves_the_brake(drive):
@@ -236,7 +236,7 @@ def test_the_override_ends_below_five_percent_brake_released_or_not(
     drive.active(throttle_pct=30, brake_pct=6)
     assert drive.active(throttle_pct=30, brake_pct=0).throttle_pct == 0, "the brake ends nothing"
     drive.active(throttle_pct=throttle_pct, brake_pct=brake_pct)
-    assert (Hold.OVERRIDE in drive.commander.pedals.latched) is not released
+    assert (ThrottleHold.OVERRIDE in drive.commander.pedals.latched) is not released
     assert drive.active(throttle_pct=20).throttle_pct == pytest.approx(
         min(throttle_pct, 5) + 5 if released else 0
     )
@@ -246,7 +246,7 @@ def test_the_override_ends_only_when_both_throttles_are_released(drive):
     drive.active(throttle_pct=30, brake_pct=6)
     asked = {"PCU1": ControllerDemand(throttle_pct=0), "PCU2": ControllerDemand(throttle_pct=5)}
     drive.step("active", asked)
-    assert drive.commander.pedals.latched == {Hold.OVERRIDE}
+    assert drive.commander.pedals.latched == {ThrottleHold.OVERRIDE}
 
 
 def test_standby_notes_the_override_too(drive):

@@ -14,10 +14,10 @@ from vcu_gateway.core.demand import (
     RANGES,
     ControllerDemand,
     Demand,
-    DemandDesk,
+    DemandArbiter,
+    DemandTerms,
     PowerMode,
     Refusal,
-    Terms,
     fault_of,
     refused,
 )
@@ -35,11 +35,11 @@ def demand(source="driver", sequence=1, ttl_ms=200, controllers=None, **asked):
 
 @pytest.fixture
 def desk():
-    return DemandDesk(None)
+    return DemandArbiter(None)
 
 
 def offer(desk, *args, now_ns=0, priorities=PRIORITIES, **kwargs):
-    return desk.offer(demand(*args, **kwargs), Terms(TTL_MAX_MS, priorities), now_ns)
+    return desk.offer(demand(*args, **kwargs), DemandTerms(TTL_MAX_MS, priorities), now_ns)
 
 
 # Values.
@@ -85,7 +85,7 @@ def test_the_range_ends_exactly_at_its_limits(desk, name, low, high):
     )
 )
 def test_only_finite_values_inside_their_ranges_are_taken(asked):
-    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, asked)), Terms())
+    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, asked)), DemandTerms())
     inside = all(low <= getattr(asked, name) <= high for name, (low, high) in RANGES.items())
     assert answer.granted is inside
     assert (answer.refusal is None) is inside
@@ -120,17 +120,17 @@ def test_any_other_time_to_live_is_refused(desk, ttl_ms):
 
 
 def test_unless_configured_otherwise_a_demand_counts_for_a_second_at_most():
-    assert fault_of(demand(ttl_ms=1000), Terms()) == GRANTED
-    assert fault_of(demand(ttl_ms=1001), Terms()).refusal is Refusal.TTL_OUT_OF_RANGE
+    assert fault_of(demand(ttl_ms=1000), DemandTerms()) == GRANTED
+    assert fault_of(demand(ttl_ms=1001), DemandTerms()).refusal is Refusal.TTL_OUT_OF_RANGE
 
 
 def test_a_demand_that_never_ends_is_taken_from_the_configuration_only(desk):
     for wrong in (demand(ttl_ms=None), demand(source=BENCH_SOURCE)):
-        answer = desk.offer(wrong, Terms(TTL_MAX_MS, PRIORITIES), 0)
+        answer = desk.offer(wrong, DemandTerms(TTL_MAX_MS, PRIORITIES), 0)
         sentence = "bench is the configured bench demand"
         assert answer == (False, Refusal.NAME_RESERVED, sentence)
     assert desk.current is None
-    assert fault_of(demand(ttl_ms=None), Terms()) == GRANTED
+    assert fault_of(demand(ttl_ms=None), DemandTerms()) == GRANTED
 
 
 def test_a_refusal_is_never_granted():
@@ -253,7 +253,7 @@ def test_a_new_demand_counts_from_its_own_arrival(desk):
 
 def made(desk, made_ns: int, now_ns: int, sequence: int = 1, ttl_ms: int = 200):
     demand = Demand("driver", sequence, ttl_ms, dict.fromkeys(CONTROLLERS, IDLE), made_ns)
-    return desk.offer(demand, Terms(), now_ns)
+    return desk.offer(demand, DemandTerms(), now_ns)
 
 
 def test_the_time_to_live_counts_from_when_the_demand_was_made(desk):
@@ -293,7 +293,7 @@ def two_ways(**first):
 
 def test_a_demand_without_a_second_track_is_taken_unless_it_is_required(desk):
     track = ControllerDemand(throttle_track2_pct=0.0)
-    terms = Terms(second_track_required=True)
+    terms = DemandTerms(second_track_required=True)
     for missing in CONTROLLERS:
         controllers = dict.fromkeys(CONTROLLERS, track) | {missing: IDLE}
         answer = desk.offer(demand(controllers=controllers), terms, 0)
@@ -308,7 +308,7 @@ def test_two_directions_are_refused_unless_they_are_configured(desk):
     answer = offer(desk, controllers=two_ways())
     sentence = "both controllers must have the same direction"
     assert answer == (False, Refusal.DIRECTIONS_DIFFER, sentence)
-    independent = Terms(independent_directions=True)
+    independent = DemandTerms(independent_directions=True)
     assert desk.offer(demand(controllers=two_ways()), independent, 0) == GRANTED
     assert offer(desk, sequence=2, controllers=two_ways(motor_reverse=True)) == GRANTED
 
@@ -359,7 +359,7 @@ def test_no_more_than_64_sources_can_ask(desk):
 
 def test_the_bench_demand_counts_for_ever_and_has_no_age():
     bench = ControllerDemand(throttle_pct=12)
-    desk = DemandDesk(bench)
+    desk = DemandArbiter(bench)
     assert desk.fresh(-(10**15))
     assert desk.fresh(10**18)
     assert desk.age_ns(10**18) is None
@@ -368,7 +368,7 @@ def test_the_bench_demand_counts_for_ever_and_has_no_age():
 
 
 def test_the_bench_demand_is_taken_over_once_somebody_asked():
-    for desk in (DemandDesk(None), DemandDesk(ControllerDemand())):
+    for desk in (DemandArbiter(None), DemandArbiter(ControllerDemand())):
         assert desk.taken is False
         assert offer(desk, source="driver", priorities={"driver": 5}).granted
         assert desk.taken is True
@@ -377,7 +377,7 @@ def test_the_bench_demand_is_taken_over_once_somebody_asked():
 
 
 def test_the_bench_demand_gives_way_to_a_higher_priority_only():
-    desk = DemandDesk(IDLE)
+    desk = DemandArbiter(IDLE)
     assert offer(desk, "unlisted").refusal is Refusal.OTHER_OWNER
     assert offer(desk, "driver") == GRANTED
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.core.safety_world import MS, Drive, active, in_mode, standby
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
-from vcu_gateway.core.pedals import Hold
+from vcu_gateway.core.pedals import ThrottleHold
 from vcu_gateway.core.supervisor import Mode
 
 NOT_ENDING = [mode for mode in Mode if mode is not Mode.STOPPING]
@@ -113,7 +113,7 @@ def test_brake_over_throttle_latches_in_every_mode(mode):
     drive.offer(PUSHED)
     drive.asked = PUSHED
     drive.tick()
-    assert drive.gateway._commander.pedals.latched == {Hold.OVERRIDE}
+    assert drive.gateway._commander.pedals.latched == {ThrottleHold.OVERRIDE}
 
 
 def test_another_direction_asked_for_a_moment_takes_the_throttle_away_for_a_tick():

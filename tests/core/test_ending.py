@@ -2,12 +2,12 @@
 
 import pytest
 
-from vcu_gateway.core.ending import Ending
+from vcu_gateway.core.ending import Shutdown
 
 
 def ticked(unsent: list[bool], talking: bool = True) -> list[bool]:
     """Whether it is over after each tick of STOPPING; True: a frame of it was not sent."""
-    ending, over = Ending(), []
+    ending, over = Shutdown(), []
     for failed in unsent:
         ending.note_tick(stopping=True)
         if failed:
@@ -26,7 +26,7 @@ def test_a_tick_that_did_not_leave_does_not_count():
 
 
 def test_two_unsent_frames_are_one_tick_that_did_not_leave():
-    ending = Ending()
+    ending = Shutdown()
     ending.note_tick(stopping=True)
     ending.note_unsent()
     ending.note_unsent()
@@ -45,7 +45,7 @@ def test_while_it_may_not_talk_there_is_nothing_to_wait_for():
 
 @pytest.mark.parametrize("talking", [True, False])
 def test_outside_stopping_nothing_is_over_and_nothing_counts(talking):
-    ending = Ending()
+    ending = Shutdown()
     assert not ending.over(talking)
     for _ in range(20):
         ending.note_tick(stopping=False)

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.core.safety_world import CODEC, MS, PROTOCOL, data
-from vcu_gateway.core.lifecycle import Listening, Qualification
+from vcu_gateway.core.lifecycle import ListenBeforeTalk, Qualification
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
 
@@ -12,21 +12,21 @@ from vcu_gateway.core.state import Store
     ("after_ns", "over"), [(0, False), (1000 * MS - 1, False), (1000 * MS, True)]
 )
 def test_listening_is_over_after_its_time(after_ns, over):
-    listening = Listening(7, 1000)
+    listening = ListenBeforeTalk(7, 1000)
     assert not listening.over
     assert listening.update(7 + after_ns) is over
     assert listening.over is over
 
 
 def test_another_sender_makes_the_listening_begin_again():
-    listening = Listening(0, 1000)
+    listening = ListenBeforeTalk(0, 1000)
     listening.again(999 * MS)
     assert not listening.update(1999 * MS - 1)
     assert listening.update(1999 * MS)
 
 
 def test_once_over_listening_is_over_until_the_next_start():
-    listening = Listening(0, 1000)
+    listening = ListenBeforeTalk(0, 1000)
     listening.update(1000 * MS)
     listening.again(1001 * MS)
     assert listening.update(1001 * MS)

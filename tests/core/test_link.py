@@ -7,14 +7,14 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.link import (
     ERROR_CLASSES,
     Carrier,
-    Link,
-    LinkBook,
+    LinkMonitor,
     LinkState,
+    LinkStatus,
     PassiveTime,
     after_error_frame,
     with_carrier,
 )
-from vcu_gateway.core.receive import Intake
+from vcu_gateway.core.receive import Receiver
 
 CONTROLLER, BUS_OFF, RESTARTED, LOST_ARBITRATION = 0x004, 0x040, 0x100, 0x002
 UP, WARNING, PASSIVE, OFF = LinkState.UP, LinkState.WARNING, LinkState.PASSIVE, LinkState.BUS_OFF
@@ -42,7 +42,7 @@ def controller_byte(bits: int) -> bytes:
     ],
 )
 def test_the_controllers_word_moves_the_state(before, bits, after):
-    link = after_error_frame(Link(before, 3), CONTROLLER, controller_byte(bits), 9)
+    link = after_error_frame(LinkStatus(before, 3), CONTROLLER, controller_byte(bits), 9)
     assert link.state is (after or before)
     assert link.since_ns == (3 if link.state is before else 9)
 
@@ -50,18 +50,22 @@ def test_the_controllers_word_moves_the_state(before, bits, after):
 @pytest.mark.parametrize("before", [UP, WARNING, PASSIVE])
 def test_bus_off_is_believed_whatever_else_the_frame_says(before):
     for can_id in (BUS_OFF, BUS_OFF | CONTROLLER, BUS_OFF | RESTARTED):
-        assert after_error_frame(Link(before, 3), can_id, controller_byte(0x40), 9) == Link(OFF, 9)
+        assert after_error_frame(
+            LinkStatus(before, 3), can_id, controller_byte(0x40), 9
+        ) == LinkStatus(OFF, 9)
 
 
 @pytest.mark.parametrize("bits", [0x04, 0x08, 0x10, 0x20, 0x3C, 0x01, 0x00])
 def test_counters_do_not_end_bus_off(bits):
-    off = Link(OFF, 3)
+    off = LinkStatus(OFF, 3)
     assert after_error_frame(off, CONTROLLER, controller_byte(bits), 9) == off
 
 
 def test_a_restart_or_the_word_active_ends_bus_off():
-    assert after_error_frame(Link(OFF, 3), RESTARTED, bytes(8), 9) == Link(UP, 9)
-    assert after_error_frame(Link(OFF, 3), CONTROLLER, controller_byte(0x40), 9) == Link(UP, 9)
+    assert after_error_frame(LinkStatus(OFF, 3), RESTARTED, bytes(8), 9) == LinkStatus(UP, 9)
+    assert after_error_frame(
+        LinkStatus(OFF, 3), CONTROLLER, controller_byte(0x40), 9
+    ) == LinkStatus(UP, 9)
 
 
 @pytest.mark.parametrize(
@@ -74,15 +78,15 @@ def test_a_restart_or_the_word_active_ends_bus_off():
     ],
 )
 def test_an_error_frame_that_says_nothing_of_the_state_changes_nothing(can_id, data):
-    link = Link(PASSIVE, 3)
+    link = LinkStatus(PASSIVE, 3)
     assert after_error_frame(link, can_id, data, 9) is link
 
 
 def test_the_time_in_a_state_counts_from_its_beginning():
-    link = Link(UP, 0)
+    link = LinkStatus(UP, 0)
     for at_ns in (10, 20, 30):
         link = after_error_frame(link, CONTROLLER, controller_byte(0x10), at_ns)
-    assert link == Link(PASSIVE, 10)
+    assert link == LinkStatus(PASSIVE, 10)
 
 
 def test_only_the_classes_that_can_move_the_link_are_asked_of_the_kernel():
@@ -90,7 +94,7 @@ def test_only_the_classes_that_can_move_the_link_are_asked_of_the_kernel():
     for bit in range(29):
         classes = 1 << bit
         moved = any(
-            after_error_frame(Link(before, 3), classes, controller_byte(bits), 9).state
+            after_error_frame(LinkStatus(before, 3), classes, controller_byte(bits), 9).state
             is not before
             for before in (UP, OFF)
             for bits in (0, 0x10, 0x40)
@@ -103,89 +107,91 @@ def test_only_the_classes_that_can_move_the_link_are_asked_of_the_kernel():
 
 @pytest.mark.parametrize("told", [UP, WARNING, PASSIVE])
 def test_without_a_carrier_the_bus_is_off_whatever_error_frames_told(told):
-    assert with_carrier(Link(told, 3), Carrier(False, 7)) == Link(OFF, 7)
-    assert with_carrier(Link(told, 3), Carrier(True, 7)) == Link(told, 3)
-    assert with_carrier(Link(told, 3), None) == Link(told, 3)
+    assert with_carrier(LinkStatus(told, 3), Carrier(False, 7)) == LinkStatus(OFF, 7)
+    assert with_carrier(LinkStatus(told, 3), Carrier(True, 7)) == LinkStatus(told, 3)
+    assert with_carrier(LinkStatus(told, 3), None) == LinkStatus(told, 3)
 
 
 def test_a_bus_off_that_error_frames_told_keeps_its_beginning_without_a_carrier():
-    assert with_carrier(Link(OFF, 3), Carrier(False, 7)) == Link(OFF, 3)
-    assert with_carrier(Link(OFF, 3), None) == Link(OFF, 3)
+    assert with_carrier(LinkStatus(OFF, 3), Carrier(False, 7)) == LinkStatus(OFF, 3)
+    assert with_carrier(LinkStatus(OFF, 3), None) == LinkStatus(OFF, 3)
 
 
 def test_a_carrier_that_came_back_after_it_ends_a_bus_off():
-    assert with_carrier(Link(OFF, 7), Carrier(True, 8)) == Link(UP, 8)
-    assert with_carrier(Link(OFF, 7), Carrier(True, 7)) == Link(OFF, 7)
-    assert with_carrier(Link(OFF, 7), Carrier(True, 3)) == Link(OFF, 7), "older than the bus-off"
+    assert with_carrier(LinkStatus(OFF, 7), Carrier(True, 8)) == LinkStatus(UP, 8)
+    assert with_carrier(LinkStatus(OFF, 7), Carrier(True, 7)) == LinkStatus(OFF, 7)
+    assert with_carrier(LinkStatus(OFF, 7), Carrier(True, 3)) == LinkStatus(OFF, 7), (
+        "older than the bus-off"
+    )
 
 
 # The book of both.
 
 
 @pytest.fixture
-def book() -> LinkBook:
-    return LinkBook(100)
+def book() -> LinkMonitor:
+    return LinkMonitor(100)
 
 
 def test_a_fresh_book_says_up(book):
     book.begin_tick()
-    assert book.link == Link(UP, 100)
+    assert book.link == LinkStatus(UP, 100)
 
 
 def test_error_frames_and_carrier_are_held_together(book):
     book.take_error_frame(CONTROLLER, controller_byte(0x04), 110)
-    assert book.link == Link(WARNING, 110)
+    assert book.link == LinkStatus(WARNING, 110)
     book.note_carrier(Carrier(False, 120))
-    assert book.link == Link(OFF, 120)
+    assert book.link == LinkStatus(OFF, 120)
     book.note_carrier(Carrier(True, 130))
-    assert book.link == Link(WARNING, 110)
+    assert book.link == LinkStatus(WARNING, 110)
 
 
 def test_an_opening_ends_what_was_said_before_it_and_nothing_after_it(book):
     book.take_error_frame(BUS_OFF, bytes(8), 110)
     book.note_carrier(Carrier(False, 120))
-    book.begin(Link(UP, 200))
-    assert book.link == Link(UP, 200)
+    book.begin(LinkStatus(UP, 200))
+    assert book.link == LinkStatus(UP, 200)
     book.take_error_frame(CONTROLLER, controller_byte(0x10), 210)
-    assert book.link == Link(PASSIVE, 210), "the bus-off before it is over"
-    book.begin(Link(UP, 205))
-    assert book.link == Link(PASSIVE, 210), "told after the opening that is taken in only now"
-    book.begin(Link(WARNING, 210))
-    assert book.link == Link(PASSIVE, 210)
+    assert book.link == LinkStatus(PASSIVE, 210), "the bus-off before it is over"
+    book.begin(LinkStatus(UP, 205))
+    assert book.link == LinkStatus(PASSIVE, 210), "told after the opening that is taken in only now"
+    book.begin(LinkStatus(WARNING, 210))
+    assert book.link == LinkStatus(PASSIVE, 210)
 
 
 def test_an_opening_can_begin_in_a_bad_state(book):
-    book.begin(Link(PASSIVE, 200), Carrier(True, 200))
-    assert book.link == Link(PASSIVE, 200)
-    book.begin(Link(UP, 300), Carrier(False, 300))
-    assert book.link == Link(OFF, 300)
+    book.begin(LinkStatus(PASSIVE, 200), Carrier(True, 200))
+    assert book.link == LinkStatus(PASSIVE, 200)
+    book.begin(LinkStatus(UP, 300), Carrier(False, 300))
+    assert book.link == LinkStatus(OFF, 300)
 
 
 def test_a_state_that_is_told_again_after_an_opening_counts_from_then(book):
     book.take_error_frame(CONTROLLER, controller_byte(0x10), 110)
-    book.begin(Link(UP, 200))
+    book.begin(LinkStatus(UP, 200))
     book.take_error_frame(CONTROLLER, controller_byte(0x10), 250)
-    assert book.link == Link(PASSIVE, 250)
+    assert book.link == LinkStatus(PASSIVE, 250)
 
 
 def test_a_bus_off_that_came_and_went_between_two_ticks_counts_in_one_of_them(book):
     book.begin_tick()
     book.take_error_frame(BUS_OFF, bytes(8), 110)
     book.take_error_frame(RESTARTED, bytes(8), 120)
-    assert book.link == Link(UP, 120)
+    assert book.link == LinkStatus(UP, 120)
     book.begin_tick()
-    assert book.link == Link(OFF, 110)
+    assert book.link == LinkStatus(OFF, 110)
     book.begin_tick()
-    assert book.link == Link(UP, 120)
+    assert book.link == LinkStatus(UP, 120)
 
 
 def test_a_bus_off_that_a_tick_has_seen_is_over_with_the_restart(book):
     book.take_error_frame(BUS_OFF, bytes(8), 110)
     book.begin_tick()
-    assert book.link == Link(OFF, 110)
+    assert book.link == LinkStatus(OFF, 110)
     book.take_error_frame(RESTARTED, bytes(8), 120)
     book.begin_tick()
-    assert book.link == Link(UP, 120)
+    assert book.link == LinkStatus(UP, 120)
 
 
 def test_bus_off_told_twice_is_one_bus_off(book):
@@ -194,7 +200,7 @@ def test_bus_off_told_twice_is_one_bus_off(book):
     book.take_error_frame(BUS_OFF, bytes(8), 115)
     book.take_error_frame(RESTARTED, bytes(8), 120)
     book.begin_tick()
-    assert book.link == Link(UP, 120)
+    assert book.link == LinkStatus(UP, 120)
 
 
 def test_the_last_of_several_bus_offs_between_two_ticks_is_told(book):
@@ -202,7 +208,7 @@ def test_the_last_of_several_bus_offs_between_two_ticks_is_told(book):
         book.take_error_frame(BUS_OFF, bytes(8), at_ns)
         book.take_error_frame(RESTARTED, bytes(8), at_ns + 10)
     book.begin_tick()
-    assert book.link == Link(OFF, 130)
+    assert book.link == LinkStatus(OFF, 130)
 
 
 def test_a_new_bus_off_is_told_before_one_that_was_missed(book):
@@ -210,17 +216,17 @@ def test_a_new_bus_off_is_told_before_one_that_was_missed(book):
     book.take_error_frame(RESTARTED, bytes(8), 120)
     book.begin_tick()
     book.take_error_frame(BUS_OFF, bytes(8), 130)
-    assert book.link == Link(OFF, 130)
+    assert book.link == LinkStatus(OFF, 130)
 
 
 def test_the_intake_enters_error_frames_and_nothing_else(codec: Codec):
-    intake = Intake(codec, {}, 0)
+    intake = Receiver(codec, {}, 0)
     intake.receive(Frame(BUS_OFF, bytes(8), 9, extended=False))
-    assert intake.link == Link(UP, 0)
+    assert intake.link == LinkStatus(UP, 0)
     intake.receive(Frame(BUS_OFF, bytes(8), 10, error=True))
-    assert intake.link == Link(OFF, 10)
-    intake.link = Link(UP, 20)
-    assert intake.link == Link(UP, 20)
+    assert intake.link == LinkStatus(OFF, 10)
+    intake.link = LinkStatus(UP, 20)
+    assert intake.link == LinkStatus(UP, 20)
 
 
 # Error-passive, in all.
@@ -252,7 +258,7 @@ def test_an_end_of_the_passive_state_stamped_before_its_beginning_gathers_nothin
 
 
 def test_an_interface_opened_in_the_passive_state_gathers_from_then(book):
-    book.begin(Link(PASSIVE, 500))
+    book.begin(LinkStatus(PASSIVE, 500))
     assert book.passive_ns(700) == 200
     book.take_error_frame(CONTROLLER, controller_byte(0x40), 800)
     assert book.passive_ns(900) == 300

@@ -6,7 +6,7 @@ import pytest
 
 from tests.core.safety_world import CODEC, data
 from vcu_gateway.core import motor_speeds as speeds
-from vcu_gateway.core.plausibility import NOTHING_ODD, Observed
+from vcu_gateway.core.plausibility import NO_DEVIATION, Observed
 from vcu_gateway.core.state import Store
 
 STATUS2 = ("PCU1_Status2", "PCU2_Status2")
@@ -26,7 +26,7 @@ def put(store: Store, *first_rpm: int, second_rpm: int = 40) -> None:
 
 def test_the_lowest_and_the_highest_since_the_tick_before_are_told(store):
     put(store, 30, 10, 20)
-    assert speeds.of(store.take(0), NOTHING_ODD) == ((10, 40), (30, 40))
+    assert speeds.of(store.take(0), NO_DEVIATION) == ((10, 40), (30, 40))
 
 
 def test_a_speed_that_jumped_is_not_known_and_the_other_is(store):
@@ -37,7 +37,7 @@ def test_a_speed_that_jumped_is_not_known_and_the_other_is(store):
 
 def test_a_stale_speed_is_not_known(store):
     put(store, 30)
-    assert speeds.of(store.take(1001), NOTHING_ODD) == speeds.UNKNOWN
+    assert speeds.of(store.take(1001), NO_DEVIATION) == speeds.UNKNOWN
 
 
 @pytest.mark.parametrize(

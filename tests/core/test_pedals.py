@@ -3,7 +3,7 @@
 import pytest
 
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand
-from vcu_gateway.core.pedals import Hold, Pedals
+from vcu_gateway.core.pedals import Pedals, ThrottleHold
 
 MS = 1_000_000
 NOW_NS = 5_000 * MS
@@ -69,7 +69,7 @@ def test_brake_over_throttle_begins_beyond_25_and_5_pct(
 ):
     asked = one_of(controller, throttle_pct=throttle_pct, brake_pct=brake_pct)
     driver.asks(asked)
-    assert (Hold.OVERRIDE in driver.pedals.latched) is held
+    assert (ThrottleHold.OVERRIDE in driver.pedals.latched) is held
     assert driver.held(asked) is held
 
 
@@ -98,7 +98,7 @@ def test_a_latch_that_was_released_and_set_between_two_ticks_stays(driver):
 def test_a_demand_that_nobody_granted_before_the_tick_is_judged_in_it(driver):
     """The bench demand is never granted, it counts from the start."""
     assert driver.held(both(40, 10))
-    assert driver.pedals.latched == {Hold.OVERRIDE}
+    assert driver.pedals.latched == {ThrottleHold.OVERRIDE}
 
 
 def test_a_latch_outlasts_the_demand(driver):

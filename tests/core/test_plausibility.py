@@ -4,8 +4,8 @@ import pytest
 
 from tests.core.safety_world import CODEC, MS, PROTOCOL, data
 from vcu_gateway.core import plausibility
-from vcu_gateway.core.plausibility import NOTHING_ODD, Plausibility
-from vcu_gateway.core.sending import Sent
+from vcu_gateway.core.plausibility import NO_DEVIATION, Plausibility
+from vcu_gateway.core.sending import SentValues
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
 
@@ -22,7 +22,7 @@ class Watch:
         self.store = Store(received, {message.name: 2**62 for message in received})
         self.plausibility = Plausibility()
         self.settings = Settings(**settings)
-        self.history: dict[str, list[Sent]] = {}
+        self.history: dict[str, list[SentValues]] = {}
 
     def put(self, message: str, at_ms: float, **raws: int) -> "Watch":
         decoded = CODEC.by_name[message].decode(data(message, raws))
@@ -36,7 +36,7 @@ class Watch:
     def sent(self, *commands: tuple[float, float], reverse: bool = False) -> None:
         """Commands to PCU1 at these ms, of this throttle."""
         kept = self.history.setdefault("PCU1", [])
-        kept += [Sent(START_NS + int(at_ms * MS), pct, reverse) for at_ms, pct in commands]
+        kept += [SentValues(START_NS + int(at_ms * MS), pct, reverse) for at_ms, pct in commands]
 
 
 def steady(until_ms: float, throttle_pct: float) -> list[tuple[float, float]]:
@@ -89,7 +89,7 @@ def test_the_highest_echo_between_two_ticks_counts_though_an_obedient_one_follow
     for at_ms, raw in ((0, 50), (1, 100), (2, 60), (3, 0)):
         watch.put("PCU1_Status1", at_ms, Throttle=raw)
     assert watch.tick().echo_above["PCU1"].echoed_pct == pytest.approx(39.0)
-    assert watch.tick() is NOTHING_ODD
+    assert watch.tick() is NO_DEVIATION
 
 
 # Less throttle than commanded.

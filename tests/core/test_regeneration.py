@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from vcu_gateway.core.regeneration import Regeneration
+from vcu_gateway.core.regeneration import RegenerationInterlock
 
 
 def possible(*speeds_rpm, min_rpm=100.0):
-    regeneration = Regeneration()
+    regeneration = RegenerationInterlock()
     return [regeneration.possible(speeds, min_rpm) for speeds in speeds_rpm]
 
 

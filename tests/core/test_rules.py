@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from tests.core.safety_world import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, world
-from vcu_gateway.core.link import Link, LinkState
-from vcu_gateway.core.plausibility import Excess, Observed
+from vcu_gateway.core.link import LinkState, LinkStatus
+from vcu_gateway.core.plausibility import Observed, ThrottleExcess
 from vcu_gateway.core.rules import RULES, findings
 from vcu_gateway.core.settings import Settings
 
@@ -247,7 +247,7 @@ RANGE_ROWS = [
 ]  # fmt: skip
 
 
-EXCESS = Observed(echo_above={"PCU2": Excess(39.39, 34.0)})
+EXCESS = Observed(echo_above={"PCU2": ThrottleExcess(39.39, 34.0)})
 ECHO_ROWS = [
     row("throttle_echo", HEALTHY),
     row("throttle_echo", BEYOND, "PCU2_Status1.Throttle STOP", observed=EXCESS),
@@ -318,8 +318,8 @@ SENDING_ROWS = [
 ]  # fmt: skip
 
 
-def link(state: LinkState, for_ns: int) -> dict[str, Link]:
-    return {"link": Link(state, NOW_NS - for_ns)}
+def link(state: LinkState, for_ns: int) -> dict[str, LinkStatus]:
+    return {"link": LinkStatus(state, NOW_NS - for_ns)}
 
 
 LINK_ROWS = [
@@ -418,7 +418,7 @@ def test_only_another_sender_and_the_gate_latch_from_every_mode_without_a_cut():
         ({"never": ["IMU_Attitude"]}, "IMU_Attitude never received"),
         ({"ages_ns": {"IMU_Attitude": 101 * MS}}, "IMU_Attitude 101 ms"),
         ({"codes": {"BMS_Status.SOC": 101}}, "BMS_Status.SOC raw 101"),
-        ({"observed": Observed(echo_above={"PCU1": Excess(39.0, 0.0)})},
+        ({"observed": Observed(echo_above={"PCU1": ThrottleExcess(39.0, 0.0)})},
          "PCU1_Status1.Throttle 39.0 %, commanded 0.0 %"),
         ({"observed": Observed(echo_below={"PCU1": 2})},
          "PCU1_Status1.Throttle does not obey, in 2 frames"),

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.core.sending import Sending, Sent
+from vcu_gateway.core.sending import SentHistory, SentValues
 
 BOTH = ("PCU1", "PCU2")
 
@@ -11,7 +11,7 @@ class Ticks:
     """One tick after the other; each says which echoes had come back before it."""
 
     def __init__(self) -> None:
-        self.sending = Sending(BOTH)
+        self.sending = SentHistory(BOTH)
         self.confirmed = dict.fromkeys(BOTH, 0)
 
     def tick(self, *echoes: str, emits: bool = True) -> int:
@@ -58,21 +58,21 @@ def test_silence_of_our_own_does_not_excuse_what_was_missed_before():
 
 
 def test_the_history_holds_each_controllers_throttles_oldest_first():
-    sending = Sending(BOTH)
-    sending.note_sent("PCU1", Sent(1, 10.0))
-    sending.note_sent("PCU2", Sent(2, 20.0, reverse=True))
-    sending.note_sent("PCU1", Sent(3, 30.0))
+    sending = SentHistory(BOTH)
+    sending.note_sent("PCU1", SentValues(1, 10.0))
+    sending.note_sent("PCU2", SentValues(2, 20.0, reverse=True))
+    sending.note_sent("PCU1", SentValues(3, 30.0))
     assert {name: list(sent) for name, sent in sending.history.items()} == {
-        "PCU1": [Sent(1, 10.0), Sent(3, 30.0)],
-        "PCU2": [Sent(2, 20.0, reverse=True)],
+        "PCU1": [SentValues(1, 10.0), SentValues(3, 30.0)],
+        "PCU2": [SentValues(2, 20.0, reverse=True)],
     }
 
 
 def test_the_history_reaches_over_the_echo_window_and_is_bounded():
     """1.1 s before a Status1 of up to 1.6 s: 54 frames of 50 ms."""
-    sending = Sending(BOTH)
+    sending = SentHistory(BOTH)
     for number in range(1000):
-        sending.note_sent("PCU1", Sent(number * 50_000_000, 1.0))
+        sending.note_sent("PCU1", SentValues(number * 50_000_000, 1.0))
     kept = sending.history["PCU1"]
     assert kept[-1].at_ns - kept[0].at_ns >= 2_700_000_000
     assert len(kept) <= 100

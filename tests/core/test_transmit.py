@@ -7,7 +7,7 @@ import pytest
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import PowerMode
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.transmit import OutFrame, Output
+from vcu_gateway.core.transmit import OutFrame, Transmitter
 
 MS = 1_000_000
 PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0
@@ -17,7 +17,7 @@ STANDING = (0.0, 0.0)
 
 @pytest.fixture
 def output(codec):
-    return Output(codec, Settings())
+    return Transmitter(codec, Settings())
 
 
 def decided(first=None, second=None, **both):
@@ -55,7 +55,7 @@ def test_each_controller_gets_its_own_command(output):
 
 @pytest.mark.parametrize("priority", range(8))
 def test_the_transmit_priority_is_configuration_and_the_gate_knows_it(codec, priority):
-    output = Output(codec, Settings(transmit_priority=priority))
+    output = Transmitter(codec, Settings(transmit_priority=priority))
     frames = output.encoded(decided())
     assert [frame.can_id for frame in frames] == [
         PCU1_ID | priority << 26,
@@ -124,7 +124,7 @@ def test_what_was_sent_is_booked_as_the_wire_carried_it(output):
 )
 def test_new_limits_count_from_the_next_frame_on(codec, change, command, rule):
     settings = Settings(regen_min_rpm=30.0)
-    output = Output(codec, settings)
+    output = Transmitter(codec, settings)
     for frame in output.encoded(decided()):
         output.note_sent(frame, 0)
     frames = output.encoded(decided(power_mode=PowerMode.ECO, **command))
@@ -135,7 +135,7 @@ def test_new_limits_count_from_the_next_frame_on(codec, change, command, rule):
 
 
 def test_the_period_of_the_gate_is_the_configured_one(codec):
-    output = Output(codec, Settings(period_ns=20 * MS))
+    output = Transmitter(codec, Settings(period_ns=20 * MS))
     for frame in output.encoded(decided()):
         output.note_sent(frame, 0)
     frames = output.encoded(decided(power_mode=PowerMode.ECO, throttle_pct=4.0))
@@ -144,7 +144,7 @@ def test_the_period_of_the_gate_is_the_configured_one(codec):
 
 def test_the_gate_knows_how_a_power_limit_comes_down_and_whether_directions_may_differ(codec):
     settings = Settings(power_slew_w_per_s=1000.0, independent_directions=True)
-    output = Output(codec, settings)
+    output = Transmitter(codec, settings)
     assert output.gate.limits.power_slew_w_per_s == 1000.0
     assert output.gate.limits.independent_directions is True
 

@@ -14,11 +14,11 @@ from tests.core.safety_world import (
     in_mode,
     standby,
 )
-from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, Finding, Held
+from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, Finding, HeldCause
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand
 from vcu_gateway.core.rules import BATTERY_EFFECTS, CONTROLLER_EFFECTS
-from vcu_gateway.core.supervisor import FaultClass, Latch, Mode
-from vcu_gateway.core.why import LONGEST_CHARACTERS, Why, next_step
+from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode
+from vcu_gateway.core.why import LONGEST_CHARACTERS, Explanation, next_step
 
 
 def test_while_listening():
@@ -135,13 +135,13 @@ def test_every_mode_has_a_next_step(mode, refusal, step):
     ("refusal", "step"), [("", "service reset"), ("no", "first: no; then service reset")]
 )
 def test_a_cut_names_the_level_of_its_reset(refusal, step):
-    latch = Latch(FaultClass.SERVICE, "cut", 0)
+    latch = LatchedFault(FaultClass.SERVICE, "cut", 0)
     assert next_step(Mode.FAULT, latch, refusal) == step
 
 
-def why(now_ns: int, detail: str = "1101 ms", effect: Effect = Effect.POWER_LIMIT) -> Why:
-    limits = (Held(Finding("late", "BMS_Status", effect, detail), 0, now_ns),)
-    return Why(
+def why(now_ns: int, detail: str = "1101 ms", effect: Effect = Effect.POWER_LIMIT) -> Explanation:
+    limits = (HeldCause(Finding("late", "BMS_Status", effect, detail), 0, now_ns),)
+    return Explanation(
         now_ns, now_ns, Mode.ACTIVE, None, (), limits, (), (), "driver", 50 * MS, 200, True, "drive"
     )
 
@@ -231,13 +231,14 @@ def told(**parts: object) -> str:
         "demand_fresh": False,
         "next_step": "wait",
     }
-    return Why(**bare | parts).sentence()
+    return Explanation(**bare | parts).sentence()
 
 
 def held(*subjects: str, effect: Effect = Effect.STOP, detail: str = "old", seen_ms: int = 1_000):
     """A cause of each subject, since the beginning."""
     return tuple(
-        Held(Finding("stale", subject, effect, detail), 0, seen_ms * MS) for subject in subjects
+        HeldCause(Finding("stale", subject, effect, detail), 0, seen_ms * MS)
+        for subject in subjects
     )
 
 
@@ -310,7 +311,7 @@ def test_groups_beyond_the_third_are_counted_by_their_causes():
     assert told(blocks=tuple(blocks)).endswith("C c: stop (for 1.0 s) and 2 more; no demand; wait")
 
 
-LATCH = Latch(FaultClass.SERVICE, "hot", 0)
+LATCH = LatchedFault(FaultClass.SERVICE, "hot", 0)
 BLOCKS = held(*"ABCDE")
 LIMITS = held(*"ABCDE", effect=Effect.POWER_LIMIT)
 ALARMS = held(*"ABCDE", effect=Effect.ALARM)
@@ -396,14 +397,14 @@ def any_causes(effects: frozenset[Effect]):
         Finding, WORDS, WORDS, st.sampled_from(sorted(effects, key=str)), WORDS | st.just("")
     )
     times_ns = st.integers(0, 2**50)
-    return st.lists(st.builds(Held, findings, times_ns, times_ns), max_size=40).map(tuple)
+    return st.lists(st.builds(HeldCause, findings, times_ns, times_ns), max_size=40).map(tuple)
 
 
 @given(
     st.builds(
-        Why,
+        Explanation,
         mode=st.sampled_from(Mode),
-        latch=st.none() | st.builds(Latch, st.sampled_from(FaultClass), WORDS, st.just(0)),
+        latch=st.none() | st.builds(LatchedFault, st.sampled_from(FaultClass), WORDS, st.just(0)),
         blocks=any_causes(BLOCKING),
         limits=any_causes(LIMITING),
         alarms=any_causes(frozenset({Effect.ALARM})),

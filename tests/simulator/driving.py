@@ -10,7 +10,7 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.core.why import Why
+from vcu_gateway.core.why import Explanation
 from vcu_gateway.simulator.nodes import OutFrame
 from vcu_gateway.simulator.scenario import Scenario
 
@@ -25,7 +25,7 @@ class Ticked(NamedTuple):
     at_s: float
     mode: Mode
     frames: tuple[bytes, ...]
-    why: Why
+    why: Explanation
 
 
 class Drive(NamedTuple):

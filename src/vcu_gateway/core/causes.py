@@ -57,7 +57,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class HeldCause:
     """A finding that counts, since when, and when it was last seen.
 
     Attributes:
@@ -78,10 +78,10 @@ class Causes:
     """Every cause that counts: seen now, or absent for less than the holding time."""
 
     def __init__(self) -> None:
-        self._held: dict[tuple[str, str, Effect], Held] = {}
+        self._held: dict[tuple[str, str, Effect], HeldCause] = {}
 
     @property
-    def held(self) -> tuple[Held, ...]:
+    def held(self) -> tuple[HeldCause, ...]:
         """All that counts, in the order of its appearance."""
         return tuple(self._held.values())
 
@@ -105,11 +105,11 @@ class Causes:
         """Take in one thing that was found, also between two ticks; an event where it began."""
         before = self._held.get(finding.key)
         if before is None:
-            self._held[finding.key] = Held(finding, now_ns, now_ns)
+            self._held[finding.key] = HeldCause(finding, now_ns, now_ns)
             return [_event("cause_began", finding)]
         # A lower code of the same signal does not end what stays until restart.
         stays = before.finding.until_restart or finding.until_restart
-        self._held[finding.key] = Held(
+        self._held[finding.key] = HeldCause(
             replace(finding, until_restart=stays), before.since_ns, now_ns
         )
         return []
@@ -120,7 +120,7 @@ class Causes:
             return _NO_EFFECTS
         return frozenset(held.finding.effect for held in self._held.values())
 
-    def having(self, effects: frozenset[Effect]) -> tuple[Held, ...]:
+    def having(self, effects: frozenset[Effect]) -> tuple[HeldCause, ...]:
         """What counts with one of these effects."""
         return tuple(held for held in self._held.values() if held.finding.effect in effects)
 

@@ -91,7 +91,7 @@ class Refusal(Enum):
     NOT_ALLOWED_NOW = "not_allowed_now"
 
 
-class Answer(NamedTuple):
+class RequestResult(NamedTuple):
     """The answer to a request: granted, or why not, as a code and a sentence."""
 
     granted: bool
@@ -99,16 +99,16 @@ class Answer(NamedTuple):
     sentence: str = ""
 
 
-GRANTED = Answer(granted=True)
+GRANTED = RequestResult(granted=True)
 
 
-def refused(refusal: Refusal, sentence: str) -> Answer:
+def refused(refusal: Refusal, sentence: str) -> RequestResult:
     """An answer that says no."""
-    return Answer(False, refusal, sentence)
+    return RequestResult(False, refusal, sentence)
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class DemandTerms:
     """Configuration of the arbiter: what a demand has to be, and who comes first.
 
     Attributes:
@@ -123,7 +123,7 @@ class Terms:
     second_track_required: bool = False
 
 
-def fault_of(demand: Demand, terms: Terms) -> Answer:
+def fault_of(demand: Demand, terms: DemandTerms) -> RequestResult:
     """Whether the values can be meant at all; the encoder never meets one that cannot."""
     for controller in CONTROLLERS:
         if controller not in demand.controllers:
@@ -146,7 +146,7 @@ def directions_differ(asked: Mapping[str, ControllerDemand]) -> bool:
     return len({one.motor_reverse for one in asked.values()}) > 1
 
 
-def _fault_of_values(controller: str, asked: ControllerDemand, terms: Terms) -> Answer:
+def _fault_of_values(controller: str, asked: ControllerDemand, terms: DemandTerms) -> RequestResult:
     if terms.second_track_required and asked.throttle_track2_pct is None:
         sentence = f"{controller} throttle_track2_pct is missing; the configuration requires it"
         return refused(Refusal.SECOND_TRACK_MISSING, sentence)
@@ -171,7 +171,7 @@ def _as_float(value: float) -> float:
         return math.inf
 
 
-def _fault_of_time(ttl_ms: int, made_ns: int, now_ns: int) -> Answer:
+def _fault_of_time(ttl_ms: int, made_ns: int, now_ns: int) -> RequestResult:
     """Whether a demand made then still counts now: it may have waited in buffers."""
     age_ns = now_ns - made_ns
     if age_ns < 0:
@@ -183,7 +183,7 @@ def _fault_of_time(ttl_ms: int, made_ns: int, now_ns: int) -> Answer:
     return GRANTED
 
 
-class DemandDesk:
+class DemandArbiter:
     """Takes demands in and knows the one that counts.
 
     A source owns the desk while its demand is fresh; meanwhile only a source of higher
@@ -200,7 +200,7 @@ class DemandDesk:
             both = dict.fromkeys(CONTROLLERS, bench_demand)
             self._current = Demand(BENCH_SOURCE, 0, None, both)
 
-    def offer(self, demand: Demand, terms: Terms, now_ns: int) -> Answer:
+    def offer(self, demand: Demand, terms: DemandTerms, now_ns: int) -> RequestResult:
         """Take a demand, or say why not; a refused one changes nothing."""
         if demand.source == BENCH_SOURCE or demand.ttl_ms is None:
             return refused(Refusal.NAME_RESERVED, f"{BENCH_SOURCE} is the configured bench demand")
@@ -217,7 +217,7 @@ class DemandDesk:
             self._sequences[demand.source] = demand.sequence
         return answer
 
-    def _fault_of_sequence(self, demand: Demand) -> Answer:
+    def _fault_of_sequence(self, demand: Demand) -> RequestResult:
         last = self._sequences.get(demand.source)
         if last is None:
             if len(self._sequences) < MOST_SOURCES:
@@ -228,7 +228,7 @@ class DemandDesk:
             return GRANTED
         return refused(Refusal.OLD_SEQUENCE, f"sequence {demand.sequence} is not above {last}")
 
-    def _right_of(self, source: str, priorities: Mapping[str, int], now_ns: int) -> Answer:
+    def _right_of(self, source: str, priorities: Mapping[str, int], now_ns: int) -> RequestResult:
         owner = self._current
         if owner is None or owner.source == source or not self.fresh(now_ns):
             return GRANTED
@@ -236,7 +236,7 @@ class DemandDesk:
             return GRANTED
         return refused(Refusal.OTHER_OWNER, f"{owner.source} owns the demand")
 
-    def end(self, source: str) -> Answer:
+    def end(self, source: str) -> RequestResult:
         """The demand of its owner counts no more; refused for any other source."""
         if self._current is None or self._current.source != source:
             return refused(Refusal.OTHER_OWNER, f"{source} does not own the demand")

@@ -4,7 +4,7 @@ _TICKS = 3
 _TICKS_AT_MOST = 10
 
 
-class Ending:
+class Shutdown:
     """Counts the ticks of STOPPING."""
 
     def __init__(self) -> None:

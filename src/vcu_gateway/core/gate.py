@@ -59,7 +59,7 @@ class GateLimits:
         return self.speed_slew_rpm_per_s * self.period_ns / _NS_PER_S
 
 
-class Passed(NamedTuple):
+class GateResult(NamedTuple):
     """What may be sent, and why it is not what was given; None where it is."""
 
     can_id: int
@@ -94,7 +94,7 @@ class Gate:
         armed: bool,
         speeds_rpm: tuple[float | None, ...],
         now_ns: int,
-    ) -> Passed:
+    ) -> GateResult:
         """Pass the frame of a slot, or replace it.
 
         `speeds_rpm` holds the last known speed of each motor, None where it is not known.
@@ -103,10 +103,10 @@ class Gate:
         sent = self._sent.get(slot)
         why = self._fault(can_id == own_id, data, armed, speeds_rpm, sent, now_ns)
         if why is None:
-            return Passed(own_id, bytes(data), None)
+            return GateResult(own_id, bytes(data), None)
         self.blocked[why] = self.blocked.get(why, 0) + 1
         reverse = _reverse_of(sent.data if sent else data)
-        return Passed(own_id, self.zero_torque(reverse, sent), why)
+        return GateResult(own_id, self.zero_torque(reverse, sent), why)
 
     def zero_torque(self, reverse: bool, sent: _Sent | None = None) -> bytes:
         """SAFETY.md's ZERO_TORQUE in bytes, as it may follow the frame that was sent."""

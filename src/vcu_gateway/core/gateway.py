@@ -12,20 +12,20 @@ from vcu_gateway.core import motor_speeds as speeds
 from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
-from vcu_gateway.core.ending import Ending
+from vcu_gateway.core.ending import Shutdown
 from vcu_gateway.core.events import Event
-from vcu_gateway.core.lifecycle import Listening, Qualification
-from vcu_gateway.core.link import Link, LinkState, PassiveTime
-from vcu_gateway.core.operator_requests import LISTENING, Parts, Requests
+from vcu_gateway.core.lifecycle import ListenBeforeTalk, Qualification
+from vcu_gateway.core.link import LinkState, LinkStatus, PassiveTime
+from vcu_gateway.core.operator_requests import LISTENING, OperatorRequests, Parts
 from vcu_gateway.core.plausibility import Plausibility
-from vcu_gateway.core.receive import OWN_NODE, Intake
-from vcu_gateway.core.regeneration import Regeneration
-from vcu_gateway.core.rule_inputs import World
+from vcu_gateway.core.receive import OWN_NODE, Receiver
+from vcu_gateway.core.regeneration import RegenerationInterlock
+from vcu_gateway.core.rule_inputs import RuleInputs
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
-from vcu_gateway.core.transmit import OutFrame, Output
-from vcu_gateway.core.why import Why
+from vcu_gateway.core.transmit import OutFrame, Transmitter
+from vcu_gateway.core.why import Explanation
 
 _NS_PER_MS = 1_000_000
 
@@ -57,24 +57,24 @@ class Gateway:
         }
         self._late_after_ns = {name: d.late_after_ns for name, d in deadlines.items()}
         stale_after_ns = {name: d.stale_after_ns for name, d in deadlines.items()}
-        self.intake = Intake(codec, stale_after_ns, now_ns)
-        self.output = Output(codec, settings)
+        self.intake = Receiver(codec, stale_after_ns, now_ns)
+        self.output = Transmitter(codec, settings)
         self.causes = Causes()
         self.supervisor = Supervisor(now_ns)
         self._commander = Commander(settings)
-        self._regeneration = Regeneration()
+        self._regeneration = RegenerationInterlock()
         self._speeds = speeds.UNKNOWN
-        self._listening = Listening(now_ns, settings.listen_before_talk_ms)
+        self._listening = ListenBeforeTalk(now_ns, settings.listen_before_talk_ms)
         self._qualification = Qualification()
         self._plausibility = Plausibility()
         self._passive = PassiveTime()
-        self._lost: Link | None = None
+        self._lost: LinkStatus | None = None
         self._foreign_before = 0
         self._blocked_by_gate: str | None = None
         self._auto_arm_left = settings.auto_arm and settings.bench_demand is not None
         self._last_tick_ns: int | None = None
         self._was_active = False
-        self._ending = Ending()
+        self._ending = Shutdown()
         self._events: list[Event] = []
         self._snapshot = self.intake.store.snapshot(now_ns)
         parts = Parts(
@@ -87,7 +87,7 @@ class Gateway:
             judge_lateness=self.judge_lateness,
             tell=self._events.append,
         )
-        self.requests = Requests(settings, parts)
+        self.requests = OperatorRequests(settings, parts)
 
     @property
     def settings(self) -> Settings:
@@ -99,12 +99,12 @@ class Gateway:
     def link_lost(self, now_ns: int) -> None:
         """The interface is down or gone."""
         if self._lost is None:
-            self._lost = Link(LinkState.LOST, now_ns)
+            self._lost = LinkStatus(LinkState.LOST, now_ns)
 
     def link_opened(self, now_ns: int) -> None:
         """The interface was opened, again or for the first time; nothing is received yet."""
         self._lost = None
-        self.intake.link = Link(LinkState.UP, now_ns)
+        self.intake.link = LinkStatus(LinkState.UP, now_ns)
         self._passive = PassiveTime()
         self._listening.again(now_ns)
         snapshot = self.intake.store.snapshot(now_ns)
@@ -127,7 +127,7 @@ class Gateway:
             self._apply(Stimulus.CUT, self._snapshot.now_ns, cut_reason)
 
     @property
-    def link(self) -> Link:
+    def link(self) -> LinkStatus:
         """What is known of the bus."""
         return self._lost or self.intake.link
 
@@ -188,14 +188,14 @@ class Gateway:
         self._was_active = self.supervisor.mode is Mode.ACTIVE
         return self._result(snapshot, frames)
 
-    def _world(self, snapshot: Snapshot) -> World:
+    def _world(self, snapshot: Snapshot) -> RuleInputs:
         settings, now_ns = self.settings, snapshot.now_ns
         requests = self.requests
         emergency_stop, requests.emergency_stop_asked = requests.emergency_stop_asked, False
         blocked, self._blocked_by_gate = self._blocked_by_gate, None
         foreign, before = self.intake.foreign_count, self._foreign_before
         self._foreign_before = foreign
-        return World(
+        return RuleInputs(
             snapshot=snapshot,
             settings=settings,
             late_after_ns=self._late_after_ns,
@@ -280,7 +280,7 @@ class Gateway:
             events=events,
         )
 
-    def why(self, now_ns: int) -> Why:
+    def why(self, now_ns: int) -> Explanation:
         """Mode, what blocks, what limits, the demand and what to do next."""
         mode, refusal = self.supervisor.mode, ""
         if mode is Mode.STANDBY:
@@ -288,7 +288,7 @@ class Gateway:
         elif mode is Mode.FAULT:
             refusal = self.requests.against_resetting(FaultClass.SERVICE, now_ns)
         judged_ns = self._snapshot.now_ns
-        facts = why.Facts(judged_ns, self.supervisor, self.causes, self.requests.desk)
+        facts = why.ExplanationInputs(judged_ns, self.supervisor, self.causes, self.requests.desk)
         return why.explained(facts, tuple(self._waits(now_ns)), refusal, now_ns)
 
     def _waits(self, now_ns: int) -> list[str]:

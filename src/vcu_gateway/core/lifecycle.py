@@ -9,7 +9,7 @@ from vcu_gateway.core.why import WAITING_FOR
 _NS_PER_MS = 1_000_000
 
 
-class Listening:
+class ListenBeforeTalk:
     """Listen before talk: silent for a while, and as long as another sender is heard.
 
     Once over it is over until the next start.

@@ -30,18 +30,20 @@ class LinkState(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class LinkStatus:
     """State of the link and since when it is in it."""
 
     state: LinkState
     since_ns: int
 
-    def moved(self, state: LinkState, at_ns: int) -> "Link":
+    def moved(self, state: LinkState, at_ns: int) -> "LinkStatus":
         """The same link in this state; `since_ns` stays where the state does."""
-        return self if state is self.state else Link(state, at_ns)
+        return self if state is self.state else LinkStatus(state, at_ns)
 
 
-def after_error_frame(link: Link, can_id: int, data: bytes | bytearray, at_ns: int) -> Link:
+def after_error_frame(
+    link: LinkStatus, can_id: int, data: bytes | bytearray, at_ns: int
+) -> LinkStatus:
     """The link after an error frame; `can_id` carries the error classes.
 
     Bus-off ends with a restart or with the controller's word that it is active again.
@@ -55,7 +57,7 @@ def after_error_frame(link: Link, can_id: int, data: bytes | bytearray, at_ns: i
     return link
 
 
-def _after_controller_byte(link: Link, bits: int, at_ns: int) -> Link:
+def _after_controller_byte(link: LinkStatus, bits: int, at_ns: int) -> LinkStatus:
     state = link.state
     if bits & _PASSIVE_BITS:
         state = LinkState.PASSIVE
@@ -73,7 +75,7 @@ class Carrier(NamedTuple):
     since_ns: int
 
 
-def with_carrier(link: Link, carrier: Carrier | None) -> Link:
+def with_carrier(link: LinkStatus, carrier: Carrier | None) -> LinkStatus:
     """The link that error frames told, held against the carrier; None is not known.
 
     Without a carrier the bus is off, whether an error frame was seen or not. A carrier that
@@ -83,16 +85,16 @@ def with_carrier(link: Link, carrier: Carrier | None) -> Link:
         return link
     off = link.state is LinkState.BUS_OFF
     if not carrier.present:
-        return link if off else Link(LinkState.BUS_OFF, carrier.since_ns)
+        return link if off else LinkStatus(LinkState.BUS_OFF, carrier.since_ns)
     if off and carrier.since_ns > link.since_ns:
-        return Link(LinkState.UP, carrier.since_ns)
+        return LinkStatus(LinkState.UP, carrier.since_ns)
     return link
 
 
 class _Told(NamedTuple):
     """What error frames told, and for how long they had told of error-passive before."""
 
-    link: Link
+    link: LinkStatus
     passive_ns: int
 
 
@@ -111,7 +113,7 @@ class PassiveTime:
         return gathered_ns - gathered[0][1]
 
 
-class LinkBook:
+class LinkMonitor:
     """What is known of the link since it was opened.
 
     Error frames are entered by the receiving thread, everything else by the ticking thread; each
@@ -119,12 +121,12 @@ class LinkBook:
     """
 
     def __init__(self, now_ns: int) -> None:
-        self._opened = Link(LinkState.UP, now_ns)
+        self._opened = LinkStatus(LinkState.UP, now_ns)
         self._told = _Told(self._opened, 0)
-        self._last_off: Link | None = None
+        self._last_off: LinkStatus | None = None
         self._carrier: Carrier | None = None
-        self._last_off_seen: Link | None = None
-        self._missed: Link | None = None
+        self._last_off_seen: LinkStatus | None = None
+        self._missed: LinkStatus | None = None
 
     def take_error_frame(self, can_id: int, data: bytes | bytearray, at_ns: int) -> None:
         """On the receiving thread."""
@@ -137,7 +139,7 @@ class LinkBook:
             passive_ns += max(0, told.since_ns - before.since_ns)
         self._told = _Told(told, passive_ns)
 
-    def begin(self, opened: Link, carrier: Carrier | None = None) -> None:
+    def begin(self, opened: LinkStatus, carrier: Carrier | None = None) -> None:
         """The interface was opened then, in this state; what was said before is over."""
         self._opened, self._carrier = opened, carrier
 
@@ -152,7 +154,7 @@ class LinkBook:
         self._last_off_seen = last
 
     @property
-    def link(self) -> Link:
+    def link(self) -> LinkStatus:
         """The worst that is known; any thread may ask."""
         link = with_carrier(self._latest(), self._carrier)
         return link if link.state is LinkState.BUS_OFF else self._missed or link
@@ -165,10 +167,10 @@ class LinkBook:
             return told.passive_ns
         return told.passive_ns + max(0, now_ns - link.since_ns)
 
-    def _latest(self) -> Link:
+    def _latest(self) -> LinkStatus:
         return self._after_opening(self._told.link)
 
-    def _after_opening(self, told: Link) -> Link:
+    def _after_opening(self, told: LinkStatus) -> LinkStatus:
         """What error frames told, where they told it after the opening."""
         opened = self._opened
         return told if told.since_ns >= opened.since_ns else opened

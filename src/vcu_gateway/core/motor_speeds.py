@@ -9,7 +9,7 @@ from vcu_gateway.core.state import Snapshot
 SpeedsRpm = tuple[float | None, ...]
 
 
-class Speeds(NamedTuple):
+class MotorSpeeds(NamedTuple):
     """Lowest and highest speed of each motor in the frames since the tick before.
 
     None where one of them is out of range or follows a step that no motor makes, or the last
@@ -22,10 +22,10 @@ class Speeds(NamedTuple):
 
 _MESSAGES = {name: f"{name}_Status2" for name in CONTROLLERS}
 
-UNKNOWN = Speeds(*[(None,) * len(CONTROLLERS)] * 2)
+UNKNOWN = MotorSpeeds(*[(None,) * len(CONTROLLERS)] * 2)
 
 
-def of(snapshot: Snapshot, observed: Observed) -> Speeds:
+def of(snapshot: Snapshot, observed: Observed) -> MotorSpeeds:
     """The speeds of both motors at a tick."""
     lowest: list[float | None] = []
     highest: list[float | None] = []
@@ -34,7 +34,7 @@ def of(snapshot: Snapshot, observed: Observed) -> Speeds:
         values = () if doubted else snapshot.good_values(message, "MotorSpeed")
         lowest.append(min(values) if values else None)
         highest.append(max(values) if values else None)
-    return Speeds(tuple(lowest), tuple(highest))
+    return MotorSpeeds(tuple(lowest), tuple(highest))
 
 
 def all_below(speeds_rpm: SpeedsRpm, limit_rpm: float) -> bool:

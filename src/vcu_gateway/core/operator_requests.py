@@ -13,19 +13,19 @@ from vcu_gateway.core.commands import Commander
 from vcu_gateway.core.demand import (
     BENCH_SOURCE,
     GRANTED,
-    Answer,
     Demand,
-    DemandDesk,
+    DemandArbiter,
+    DemandTerms,
     Refusal,
-    Terms,
+    RequestResult,
     refused,
 )
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.lifecycle import Listening
+from vcu_gateway.core.lifecycle import ListenBeforeTalk
 from vcu_gateway.core.permission import Asked, Pedal
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
-from vcu_gateway.core.transmit import Output
+from vcu_gateway.core.transmit import Transmitter
 
 # With this many unexpected starts in one drive nobody knows what the next minute brings.
 _RESTARTS_AT_MOST = 2
@@ -43,14 +43,14 @@ class Parts:
     supervisor: Supervisor
     causes: Causes
     commander: Commander
-    listening: Listening
-    output: Output
+    listening: ListenBeforeTalk
+    output: Transmitter
     apply: Apply
     judge_lateness: Callable[[int], None]
     tell: Callable[[Event], None]
 
 
-class Requests:
+class OperatorRequests:
     """Grants or refuses, on the ticking thread, with a sentence.
 
     Attributes:
@@ -62,13 +62,13 @@ class Requests:
 
     def __init__(self, settings: Settings, parts: Parts) -> None:
         self.settings = settings
-        self.desk = DemandDesk(settings.bench_demand)
+        self.desk = DemandArbiter(settings.bench_demand)
         self.emergency_stop_asked = False
         self.terminating = False
         self.restarts = 0
         self._parts = parts
 
-    def offer(self, demand: Demand, now_ns: int) -> Answer:
+    def offer(self, demand: Demand, now_ns: int) -> RequestResult:
         """Take a demand of a source, or say why not."""
         self._parts.judge_lateness(now_ns)
         before = self.desk.current
@@ -91,7 +91,7 @@ class Requests:
         made_ns = now_ns if demand.made_ns is None else demand.made_ns
         pedals.judge(demand.controllers, made_ns, now_ns)
 
-    def end_demand(self, source: str, now_ns: int) -> Answer:
+    def end_demand(self, source: str, now_ns: int) -> RequestResult:
         """The owner's demand counts no more, and the drive ends; refused for any other source."""
         self._parts.judge_lateness(now_ns)
         answer = self.desk.end(source)
@@ -99,7 +99,7 @@ class Requests:
             self._parts.apply(Stimulus.DEMAND_EXPIRED, now_ns, f"{source} ended its demand")
         return answer
 
-    def arm(self, now_ns: int) -> Answer:
+    def arm(self, now_ns: int) -> RequestResult:
         """Ask for ACTIVE; granted in STANDBY where nothing speaks against it."""
         self._parts.judge_lateness(now_ns)
         if why_not := self.against_arming(now_ns):
@@ -107,13 +107,13 @@ class Requests:
         self._parts.apply(Stimulus.ARM, now_ns, "armed on request")
         return GRANTED
 
-    def disarm(self, now_ns: int) -> Answer:
+    def disarm(self, now_ns: int) -> RequestResult:
         """Leave ACTIVE for STANDBY; always granted."""
         self._parts.judge_lateness(now_ns)
         self._parts.apply(Stimulus.DISARM, now_ns, "disarmed on request")
         return GRANTED
 
-    def emergency_stop(self) -> Answer:
+    def emergency_stop(self) -> RequestResult:
         """Cut the power in the next tick; always granted."""
         self.emergency_stop_asked = True
         return GRANTED
@@ -122,14 +122,14 @@ class Requests:
         """End: safe frames, then `Gateway.finished`."""
         self.terminating = True
 
-    def reset(self, level: FaultClass, now_ns: int) -> Answer:
+    def reset(self, level: FaultClass, now_ns: int) -> RequestResult:
         """Leave FAULT for STANDBY; refused while anything speaks against it."""
         if why_not := self.against_resetting(level, now_ns):
             return self._refuse("reset", why_not)
         self._parts.apply(Stimulus.RESET, now_ns, f"reset at {level.value} level")
         return GRANTED
 
-    def reload(self, settings: Settings) -> Answer:
+    def reload(self, settings: Settings) -> RequestResult:
         """Take new settings whole or not at all; while ACTIVE only stricter limits."""
         if names := [name for name in changed(self.settings, settings) if name in RESTART_ONLY]:
             return self._refuse("reload", f"these need a restart: {', '.join(names)}")
@@ -141,7 +141,7 @@ class Requests:
         self._parts.output.reload(settings)
         return GRANTED
 
-    def _refuse(self, request: str, sentence: str) -> Answer:
+    def _refuse(self, request: str, sentence: str) -> RequestResult:
         fields = {"request": request, "sentence": sentence}
         self._parts.tell(Event("request_refused", Severity.WARNING, fields))
         return refused(Refusal.NOT_ALLOWED_NOW, sentence)
@@ -187,8 +187,8 @@ class Requests:
         }
 
 
-def _terms(settings: Settings) -> Terms:
-    return Terms(
+def _terms(settings: Settings) -> DemandTerms:
+    return DemandTerms(
         ttl_max_ms=settings.ttl_max_ms,
         priorities=settings.priorities,
         independent_directions=settings.independent_directions,

@@ -19,7 +19,7 @@ _TRACKS_DIFFER_MAX_NS = 100_000_000
 Asked = Mapping[str, ControllerDemand]
 
 
-class Hold(Enum):
+class ThrottleHold(Enum):
     """Why the throttle of both controllers stays 0 until the pedal is released."""
 
     OVERRIDE = "brake over throttle"
@@ -56,8 +56,8 @@ class Pedals:
     """
 
     def __init__(self) -> None:
-        self.latched: set[Hold] = set()
-        self._this_interval: set[Hold] = set()
+        self.latched: set[ThrottleHold] = set()
+        self._this_interval: set[ThrottleHold] = set()
         self._directions: set[tuple[str, bool]] = set()
         self._differ_since_ns: int | None = None
         self._zero_since_ns: int | None = None
@@ -77,7 +77,7 @@ class Pedals:
 
     def taken_over(self) -> None:
         """Another source's demand is next, in the middle of a drive."""
-        self._latch(Hold.TAKEN_OVER)
+        self._latch(ThrottleHold.TAKEN_OVER)
 
     def zero_for_ns(self, now_ns: int) -> int | None:
         """How long nothing but a throttle of 0 was asked for; None where it is not asked for."""
@@ -115,21 +115,21 @@ class Pedals:
     def _judge_tracks(self, said: _Said, made_ns: int, now_ns: int) -> None:
         since_ns = self._differ_since_ns
         if since_ns is not None and now_ns - since_ns > _TRACKS_DIFFER_MAX_NS:
-            self._latch(Hold.TRACKS)  # also where this demand ends the difference
+            self._latch(ThrottleHold.TRACKS)  # also where this demand ends the difference
         if not said.differs:
             self._differ_since_ns = None
         elif since_ns is None:
             self._differ_since_ns = made_ns
         if said.released and said.track2_released:
-            self.latched.discard(Hold.TRACKS)
+            self.latched.discard(ThrottleHold.TRACKS)
 
     def _judge_override(self, said: _Said) -> None:
         if said.overrides:
-            self._latch(Hold.OVERRIDE)
+            self._latch(ThrottleHold.OVERRIDE)
         elif said.released:
-            self.latched -= {Hold.OVERRIDE, Hold.TAKEN_OVER}
+            self.latched -= {ThrottleHold.OVERRIDE, ThrottleHold.TAKEN_OVER}
 
-    def _latch(self, hold: Hold) -> None:
+    def _latch(self, hold: ThrottleHold) -> None:
         self.latched.add(hold)
         self._this_interval.add(hold)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from vcu_gateway.core.demand import CONTROLLERS
-from vcu_gateway.core.sending import Sent
+from vcu_gateway.core.sending import SentValues
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Latest, Snapshot
 
@@ -28,10 +28,10 @@ _STEP_WITHIN_NS = 100 * _NS_PER_MS
 _ABOVE_MAX_PCT = 5.0
 _PLAUSIBLE_FRAMES = 3
 
-History = Mapping[str, Sequence[Sent]]
+History = Mapping[str, Sequence[SentValues]]
 
 
-class Excess(NamedTuple):
+class ThrottleExcess(NamedTuple):
     """A throttle that was echoed, and the highest that was commanded before, in percent."""
 
     echoed_pct: float
@@ -53,7 +53,7 @@ class Observed:
             where they do not.
     """
 
-    echo_above: Mapping[str, Excess] = field(default_factory=dict)
+    echo_above: Mapping[str, ThrottleExcess] = field(default_factory=dict)
     echo_below: Mapping[str, int] = field(default_factory=dict)
     echoes_below: frozenset[str] = frozenset()
     echo_direction: Mapping[str, int] = field(default_factory=dict)
@@ -62,13 +62,13 @@ class Observed:
     wheels_apart_ns: int | None = None
 
 
-NOTHING_ODD = Observed()
+NO_DEVIATION = Observed()
 
 
 class _Odd(NamedTuple):
     """What is odd of a controller's echo; nothing, 0 and 0 where it obeys."""
 
-    above: Excess | None = None
+    above: ThrottleExcess | None = None
     below: int = 0
     direction: int = 0
 
@@ -96,7 +96,10 @@ class _Echo:
         self._latest_ns = -math.inf
 
     def worst(
-        self, echoed: Sequence[tuple[int, float, float]], sent: Sequence[Sent], below_max_pct: float
+        self,
+        echoed: Sequence[tuple[int, float, float]],
+        sent: Sequence[SentValues],
+        below_max_pct: float,
     ) -> _Odd:
         """Take frames: arrival, throttle, direction; the worst of each."""
         worst = _Odd()
@@ -117,13 +120,13 @@ class _Echo:
         return worst
 
 
-def _commanded(sent: Sequence[Sent], at_ns: int, window_ns: int) -> Iterator[Sent]:
+def _commanded(sent: Sequence[SentValues], at_ns: int, window_ns: int) -> Iterator[SentValues]:
     """What was sent within this time before, the latest first: it decides almost always."""
     from_ns = at_ns - window_ns
     return (one for one in reversed(sent) if from_ns <= one.at_ns <= at_ns)
 
 
-def _excess(sent: Sequence[Sent], at_ns: int, echoed_pct: float) -> Excess | None:
+def _excess(sent: Sequence[SentValues], at_ns: int, echoed_pct: float) -> ThrottleExcess | None:
     """More throttle than any commanded in the second before."""
     if echoed_pct <= _ABOVE_MAX_PCT:
         return None
@@ -132,10 +135,12 @@ def _excess(sent: Sequence[Sent], at_ns: int, echoed_pct: float) -> Excess | Non
         if echoed_pct <= one.throttle_pct + _ABOVE_MAX_PCT:
             return None
         highest_pct = max(highest_pct, one.throttle_pct)
-    return Excess(echoed_pct, highest_pct)
+    return ThrottleExcess(echoed_pct, highest_pct)
 
 
-def _too_low(sent: Sequence[Sent], at_ns: int, echoed_pct: float, below_max_pct: float) -> bool:
+def _too_low(
+    sent: Sequence[SentValues], at_ns: int, echoed_pct: float, below_max_pct: float
+) -> bool:
     """Less throttle than the lowest commanded in the whole second before."""
     window = at_ns, _THROTTLE_WINDOW_NS
     for one in _commanded(sent, *window):
@@ -145,7 +150,7 @@ def _too_low(sent: Sequence[Sent], at_ns: int, echoed_pct: float, below_max_pct:
     return _any_commanded(sent, *window) and sent[0].at_ns <= at_ns - _THROTTLE_WINDOW_NS
 
 
-def _not_commanded(sent: Sequence[Sent], at_ns: int, echoed: float) -> bool:
+def _not_commanded(sent: Sequence[SentValues], at_ns: int, echoed: float) -> bool:
     """A direction that no command of the time before had, where there was one."""
     window = at_ns, _DIRECTION_WINDOW_NS
     for one in _commanded(sent, *window):
@@ -154,7 +159,7 @@ def _not_commanded(sent: Sequence[Sent], at_ns: int, echoed: float) -> bool:
     return _any_commanded(sent, *window)
 
 
-def _any_commanded(sent: Sequence[Sent], at_ns: int, window_ns: int) -> bool:
+def _any_commanded(sent: Sequence[SentValues], at_ns: int, window_ns: int) -> bool:
     return next(_commanded(sent, at_ns, window_ns), None) is not None
 
 
@@ -225,7 +230,7 @@ class Plausibility:
         speed_steps = self._speed_steps(snapshot, settings.motor_speed_step_max_rpm)
         wheel_steps, apart_ns = self._wheel_steps(snapshot, settings)
         if not (odd or speed_steps or wheel_steps or apart_ns is not None):
-            return NOTHING_ODD
+            return NO_DEVIATION
         return Observed(
             {name: one.above for name, one in odd.items() if one.above},
             {name: one.below for name, one in odd.items() if one.below},

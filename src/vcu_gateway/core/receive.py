@@ -2,7 +2,7 @@
 
 Frames come from the receiving thread, and right before a tick from the ticking thread: never from
 both at once. Any thread may read; what the ticking thread knows of the link stands apart
-(`LinkBook`).
+(`LinkMonitor`).
 """
 
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.link import Link, LinkBook
+from vcu_gateway.core.link import LinkMonitor, LinkStatus
 from vcu_gateway.core.state import Store
 
 OWN_NODE = "VCU"
 
 
-class Intake:
+class Receiver:
     """Frames in; messages, echoes, foreign commands, errors and rejects apart.
 
     Attributes:
@@ -44,15 +44,15 @@ class Intake:
         self.confirmed = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_commands = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_id: int | None = None
-        self.book = LinkBook(now_ns)
+        self.book = LinkMonitor(now_ns)
 
     @property
-    def link(self) -> Link:
+    def link(self) -> LinkStatus:
         """What error frames and carrier say of the bus."""
         return self.book.link
 
     @link.setter
-    def link(self, opened: Link) -> None:
+    def link(self, opened: LinkStatus) -> None:
         """The interface was opened: what was said before no longer counts."""
         self.book.begin(opened)
 

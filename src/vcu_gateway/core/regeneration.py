@@ -5,7 +5,7 @@ from vcu_gateway.core.motor_speeds import SpeedsRpm, all_at_least
 _RETURN_RPM = 50.0
 
 
-class Regeneration:
+class RegenerationInterlock:
     """Whether the motors turn fast enough to recover energy; with hysteresis."""
 
     def __init__(self) -> None:

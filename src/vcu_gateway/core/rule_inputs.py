@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from vcu_gateway.core.link import Link
-from vcu_gateway.core.plausibility import NOTHING_ODD, History, Observed
+from vcu_gateway.core.link import LinkStatus
+from vcu_gateway.core.plausibility import NO_DEVIATION, History, Observed
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
 
 NOTHING_SENT: History = {}
 
 
-class World(NamedTuple):
+class RuleInputs(NamedTuple):
     """One instant.
 
     Attributes:
@@ -29,9 +29,9 @@ class World(NamedTuple):
     snapshot: Snapshot
     settings: Settings
     late_after_ns: Mapping[str, int]
-    link: Link
+    link: LinkStatus
     history: History = NOTHING_SENT
-    observed: Observed = NOTHING_ODD
+    observed: Observed = NO_DEVIATION
     passive_ns: int = 0
     tick_late_ns: int = 0
     period_ns: int = 50_000_000

@@ -11,7 +11,7 @@ from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.plausibility import WHEELS_MESSAGE
-from vcu_gateway.core.rule_inputs import World
+from vcu_gateway.core.rule_inputs import RuleInputs
 
 _ALARM, _STOP, _CUT = (Effect.ALARM,), (Effect.STOP,), (Effect.CUT,)
 _LIMITS = (Effect.REGEN_LIMIT, Effect.POWER_LIMIT)
@@ -62,21 +62,21 @@ _EFFECTS = {
 }
 _CODED = {message: tuple(effects) for message, effects in _EFFECTS.items()}
 
-Rule = Callable[[World], Iterator[Finding]]
+Rule = Callable[[RuleInputs], Iterator[Finding]]
 
 
-def battery_codes(world: World) -> Iterator[Finding]:
+def battery_codes(world: RuleInputs) -> Iterator[Finding]:
     """Fault levels of the battery; the last known level counts until another is known."""
     yield from _coded(world, _STATUS)
 
 
-def controller_codes(world: World) -> Iterator[Finding]:
+def controller_codes(world: RuleInputs) -> Iterator[Finding]:
     """Protection levels of either controller, for both: one driven wheel turns the vehicle."""
     for controller in CONTROLLERS:
         yield from _coded(world, f"{controller}_Status1")
 
 
-def _coded(world: World, message: str) -> Iterator[Finding]:
+def _coded(world: RuleInputs, message: str) -> Iterator[Finding]:
     for codes in world.snapshot.codes(message, _CODED[message]):
         for signal, raw, effect in _effects_of(message, codes):
             name = world.snapshot.code_name(message, signal, raw)
@@ -97,7 +97,7 @@ def _effects_of(message: str, codes: tuple[int, ...]) -> tuple[tuple[str, int, E
     return tuple((name, raw, effect) for (name, by), raw in coded for effect in by[raw])
 
 
-def battery_late(world: World) -> Iterator[Finding]:
+def battery_late(world: RuleInputs) -> Iterator[Finding]:
     """The battery's word is overdue: less of everything until it speaks or is stale."""
     age_ns = world.snapshot.age_ns(_STATUS)
     if age_ns is None or age_ns <= world.late_after_ns[_STATUS]:
@@ -106,7 +106,7 @@ def battery_late(world: World) -> Iterator[Finding]:
         yield Finding("late", _STATUS, effect, _milliseconds(age_ns))
 
 
-def battery_life(world: World) -> Iterator[Finding]:
+def battery_life(world: RuleInputs) -> Iterator[Finding]:
     """The life signal stands still: frames arrive, but nobody may be alive behind them."""
     repeats = max([frame.life_repeats for frame in world.snapshot.judged(_STATUS)], default=0)
     if repeats < _LIFE_LIMIT_REPEATS:
@@ -118,7 +118,7 @@ def battery_life(world: World) -> Iterator[Finding]:
         yield Finding("life_signal", f"{_STATUS}.LifeSignal", Effect.STOP, detail)
 
 
-def stale(world: World) -> Iterator[Finding]:
+def stale(world: RuleInputs) -> Iterator[Finding]:
     """A message that is too old, or never came."""
     for message in world.snapshot.stale_messages():
         age_ns = world.snapshot.age_ns(message)
@@ -127,7 +127,7 @@ def stale(world: World) -> Iterator[Finding]:
             yield Finding("stale", message, effect, detail)
 
 
-def _effects_of_silence(world: World, message: str) -> tuple[Effect, ...]:
+def _effects_of_silence(world: RuleInputs, message: str) -> tuple[Effect, ...]:
     kind = message.partition("_")[2]
     found: tuple[Effect, ...] = _ALARM
     if message == _STATUS or kind == "Status2":
@@ -139,14 +139,14 @@ def _effects_of_silence(world: World, message: str) -> tuple[Effect, ...]:
     return found
 
 
-def out_of_range(world: World) -> Iterator[Finding]:
+def out_of_range(world: RuleInputs) -> Iterator[Finding]:
     """A signal of a required message cannot be what it says."""
     for message in world.settings.required:
         for signal, raw in world.snapshot.marked(message):
             yield Finding("out_of_range", f"{message}.{signal}", Effect.ALARM, f"raw {raw}")
 
 
-def throttle_echo(world: World) -> Iterator[Finding]:
+def throttle_echo(world: RuleInputs) -> Iterator[Finding]:
     """A controller obeys a throttle that it was not told."""
     for controller, excess in world.observed.echo_above.items():
         message = f"{controller}_Status1"
@@ -155,7 +155,7 @@ def throttle_echo(world: World) -> Iterator[Finding]:
             yield Finding("throttle_echo", f"{message}.Throttle", Effect.STOP, detail)
 
 
-def echo_below(world: World) -> Iterator[Finding]:
+def echo_below(world: RuleInputs) -> Iterator[Finding]:
     """A controller does less than it was told; where both do, nothing turns the vehicle."""
     runs = _runs(world, world.observed.echo_below)
     for controller, run in runs.items():
@@ -168,7 +168,7 @@ def echo_below(world: World) -> Iterator[Finding]:
             yield Finding("echo_below", f"{controller}_Status1.Throttle", effect, detail)
 
 
-def echo_direction(world: World) -> Iterator[Finding]:
+def echo_direction(world: RuleInputs) -> Iterator[Finding]:
     """A controller turns the other way round."""
     for controller, run in _runs(world, world.observed.echo_direction).items():
         if run >= _ECHO_FRAMES:
@@ -177,20 +177,20 @@ def echo_direction(world: World) -> Iterator[Finding]:
             yield Finding("echo_direction", subject, Effect.STOP, detail)
 
 
-def _runs(world: World, runs: Mapping[str, int]) -> Mapping[str, int]:
+def _runs(world: RuleInputs, runs: Mapping[str, int]) -> Mapping[str, int]:
     """Frames in a row, of each controller whose word is not stale."""
     stale = world.snapshot.stale
     return {name: run for name, run in runs.items() if not stale(f"{name}_Status1")}
 
 
-def speed_steps(world: World) -> Iterator[Finding]:
+def speed_steps(world: RuleInputs) -> Iterator[Finding]:
     """A motor's speed changed as no motor does: it is not believed for a while."""
     for controller, step_rpm in world.observed.speed_steps_rpm.items():
         subject = f"{controller}_Status2.MotorSpeed"
         yield Finding("speed_step", subject, Effect.ALARM, f"changed by {step_rpm:.0f} rpm")
 
 
-def wheel_speeds(world: World) -> Iterator[Finding]:
+def wheel_speeds(world: RuleInputs) -> Iterator[Finding]:
     """A wheel's speed changed as no wheel's does, or both wheels disagree for long."""
     for wheel, step_kmh in world.observed.wheel_steps_kmh.items():
         subject, detail = f"{WHEELS_MESSAGE}.{wheel}", f"changed by {step_kmh:.1f} km/h"
@@ -203,14 +203,14 @@ def wheel_speeds(world: World) -> Iterator[Finding]:
         yield Finding("wheel_speed_difference", WHEELS_MESSAGE, Effect.ALARM, detail)
 
 
-def unconfirmed(world: World) -> Iterator[Finding]:
+def unconfirmed(world: RuleInputs) -> Iterator[Finding]:
     """Our frames do not leave: what we decide does not reach the motors."""
     if world.unconfirmed_ticks >= _UNCONFIRMED_MAX_TICKS:
         detail = f"for {world.unconfirmed_ticks} ticks"
         yield Finding("unconfirmed", "own frames", Effect.STOP, detail)
 
 
-def link_down(world: World) -> Iterator[Finding]:
+def link_down(world: RuleInputs) -> Iterator[Finding]:
     """The bus does not carry frames, or hardly."""
     state = world.link.state
     if state in (LinkState.BUS_OFF, LinkState.LOST):
@@ -220,7 +220,7 @@ def link_down(world: World) -> Iterator[Finding]:
         yield Finding("link", "link", Effect.STOP, detail)
 
 
-def foreign_sender(world: World) -> Iterator[Finding]:
+def foreign_sender(world: RuleInputs) -> Iterator[Finding]:
     """Somebody else commands the motors."""
     if world.foreign_sender is not None:
         # The identifier is no part of the cause's key: there are thousands of them.
@@ -228,7 +228,7 @@ def foreign_sender(world: World) -> Iterator[Finding]:
         yield Finding("foreign_sender", "command", Effect.STOP, detail, latches=True)
 
 
-def tick_late(world: World) -> Iterator[Finding]:
+def tick_late(world: RuleInputs) -> Iterator[Finding]:
     """The gateway itself was away."""
     yield from late(world.tick_late_ns, world.period_ns)
 
@@ -239,13 +239,13 @@ def late(late_ns: int, period_ns: int) -> Iterator[Finding]:
         yield Finding("tick_late", "tick", Effect.STOP, _milliseconds(late_ns))
 
 
-def emergency_stop(world: World) -> Iterator[Finding]:
+def emergency_stop(world: RuleInputs) -> Iterator[Finding]:
     """Somebody pressed it."""
     if world.emergency_stop:
         yield Finding("emergency_stop", "emergency stop", Effect.CUT, "requested")
 
 
-def gate_blocked(world: World) -> Iterator[Finding]:
+def gate_blocked(world: RuleInputs) -> Iterator[Finding]:
     """The gate stopped a frame that the rest of the core wanted to send: a bug."""
     if world.blocked_by_gate is not None:
         yield blocked(world.blocked_by_gate)
@@ -281,7 +281,7 @@ RULES: tuple[Rule, ...] = (
 )
 
 
-def findings(world: World) -> tuple[Finding, ...]:
+def findings(world: RuleInputs) -> tuple[Finding, ...]:
     """Everything that every rule finds."""
     found: list[Finding] = []
     for rule in RULES:

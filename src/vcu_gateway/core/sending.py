@@ -9,7 +9,7 @@ _HISTORY_FRAMES = 80
 
 
 @dataclass(frozen=True, slots=True)
-class Sent:
+class SentValues:
     """Throttle and direction of one command frame that was sent."""
 
     at_ns: int
@@ -17,18 +17,18 @@ class Sent:
     reverse: bool = False
 
 
-class Sending:
+class SentHistory:
     """Book of the frames that left, one page a controller."""
 
     def __init__(self, controllers: tuple[str, ...]) -> None:
-        self._history: dict[str, deque[Sent]] = {
+        self._history: dict[str, deque[SentValues]] = {
             name: deque(maxlen=_HISTORY_FRAMES) for name in controllers
         }
         self._confirmed_before = dict.fromkeys(controllers, 0)
         self._missed = dict.fromkeys(controllers, 0)
         self._emitted = False
 
-    def note_sent(self, controller: str, sent: Sent) -> None:
+    def note_sent(self, controller: str, sent: SentValues) -> None:
         """A frame was handed to the bus."""
         self._history[controller].append(sent)
 
@@ -57,6 +57,6 @@ class Sending:
         return max(self._missed.values())
 
     @property
-    def history(self) -> Mapping[str, Sequence[Sent]]:
+    def history(self) -> Mapping[str, Sequence[SentValues]]:
         """What the last frames sent said, oldest first, by controller; it goes on."""
         return self._history

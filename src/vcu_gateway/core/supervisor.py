@@ -68,7 +68,7 @@ def following(mode: Mode, stimulus: Stimulus) -> Mode:
 
 
 @dataclass(frozen=True, slots=True)
-class Latch:
+class LatchedFault:
     """A latched fault: who may reset it, and what latched it, as a person reads it."""
 
     fault_class: FaultClass
@@ -87,7 +87,7 @@ class Supervisor:
     def __init__(self, now_ns: int) -> None:
         self.mode = Mode.STARTING
         self.since_ns = now_ns
-        self.latch: Latch | None = None
+        self.latch: LatchedFault | None = None
 
     def apply(self, stimulus: Stimulus, now_ns: int, reason: str = "") -> list[Event]:
         """Go where the table says; an event where that changes the mode or the latch."""
@@ -112,7 +112,7 @@ class Supervisor:
         raised = wanted is FaultClass.SERVICE
         if self.latch is not None and (self.latch.fault_class is wanted or not raised):
             return []
-        self.latch = Latch(wanted, reason, now_ns)
+        self.latch = LatchedFault(wanted, reason, now_ns)
         fields = {"fault_class": wanted.value, "reason": reason}
         return [Event("fault_latched", Severity.CRITICAL, fields)]
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from vcu_gateway.core.commands import Commander
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
-from vcu_gateway.core.pedals import Hold
+from vcu_gateway.core.pedals import ThrottleHold
 from vcu_gateway.core.settings import Settings
 
 
@@ -17,7 +17,7 @@ def waits(
     """Why the throttle is 0 although it is asked for; `asked` is None without a fresh demand."""
     found = []
     if latched := commander.pedals.latched:
-        reasons = ", ".join(hold.value for hold in Hold if hold in latched)
+        reasons = ", ".join(hold.value for hold in ThrottleHold if hold in latched)
         found.append(f"throttle 0 until released below 5 %: {reasons}")
     if asked is None:
         return found

@@ -8,7 +8,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.gate import Gate, GateLimits
-from vcu_gateway.core.sending import Sending, Sent
+from vcu_gateway.core.sending import SentHistory, SentValues
 from vcu_gateway.core.settings import Settings
 
 
@@ -20,7 +20,7 @@ class OutFrame(NamedTuple):
     data: bytes
 
 
-class Output:
+class Transmitter:
     """Both controllers' frames.
 
     Attributes:
@@ -39,7 +39,7 @@ class Output:
         direction = self._codecs[CONTROLLERS[0]].spec.signal("MotorReverse").start_bit
         self._direction_byte, self._reverse = direction // 8, 1 << direction % 8
         self.gate = Gate(self._limits(settings))
-        self.sending = Sending(CONTROLLERS)
+        self.sending = SentHistory(CONTROLLERS)
 
     def _limits(self, settings: Settings) -> GateLimits:
         return GateLimits(
@@ -92,4 +92,4 @@ class Output:
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
         reverse = frame.data[self._direction_byte] & self._reverse != 0
         self.gate.sent(CONTROLLERS.index(frame.controller), frame.data, now_ns)
-        self.sending.note_sent(frame.controller, Sent(now_ns, throttle_pct, reverse))
+        self.sending.note_sent(frame.controller, SentValues(now_ns, throttle_pct, reverse))

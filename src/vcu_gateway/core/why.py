@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Held
-from vcu_gateway.core.demand import DemandDesk
-from vcu_gateway.core.supervisor import FaultClass, Latch, Mode, Supervisor
+from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, HeldCause
+from vcu_gateway.core.demand import DemandArbiter
+from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Supervisor
 
 LONGEST_CHARACTERS = 200
 """Of a sentence."""
@@ -23,7 +23,7 @@ _SHORTENED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Why:
+class Explanation:
     """One instant, explained.
 
     Attributes:
@@ -39,10 +39,10 @@ class Why:
     now_ns: int
     judged_ns: int
     mode: Mode
-    latch: Latch | None
-    blocks: tuple[Held, ...]
-    limits: tuple[Held, ...]
-    alarms: tuple[Held, ...]
+    latch: LatchedFault | None
+    blocks: tuple[HeldCause, ...]
+    limits: tuple[HeldCause, ...]
+    alarms: tuple[HeldCause, ...]
     waits: tuple[str, ...]
     demand_source: str | None
     demand_age_ns: int | None
@@ -87,7 +87,7 @@ class Why:
             "next_step": [self.next_step],
         }
 
-    def _causes(self, what: str, held: tuple[Held, ...]) -> list[str]:
+    def _causes(self, what: str, held: tuple[HeldCause, ...]) -> list[str]:
         """Causes but those of messages that are waited for anyhow."""
         waited = {_message(wait) for wait in self.waits}
         told = [one for one in held if one.finding.subject not in waited]
@@ -96,7 +96,7 @@ class Why:
         count = f"{what} {len(told)} cause" + ("s" if len(told) > 1 else "")
         return [*(self._told(what, told, most) for most in _NAMED), count, ""]
 
-    def _told(self, what: str, held: list[Held], most: int) -> str:
+    def _told(self, what: str, held: list[HeldCause], most: int) -> str:
         """Causes of which the same is to be said in one group, the most severe group first."""
         groups: dict[str, list[str]] = {}
         for one in sorted(held, key=self._rank):
@@ -105,10 +105,10 @@ class Why:
         left = sum(len(subjects) for subjects in list(groups.values())[most:])
         return f"{what} {', '.join(told[:most])}" + (f" and {left} more" if left else "")
 
-    def _rank(self, held: Held) -> tuple[bool, bool]:
+    def _rank(self, held: HeldCause) -> tuple[bool, bool]:
         return held.finding.effect is not Effect.CUT, not held.stands(self.judged_ns)
 
-    def _said(self, held: Held) -> str:
+    def _said(self, held: HeldCause) -> str:
         since = f"for {(self.now_ns - held.since_ns) / 1e9:.1f} s"
         gone = "" if held.stands(self.judged_ns) else ", gone and held"
         return f"{str(held.finding).removeprefix(held.finding.subject)} ({since}{gone})"
@@ -155,24 +155,26 @@ def _waiting(waits: tuple[str, ...], most: int) -> str:
     return "; ".join([*others, f"{WAITING_FOR}{_listed(messages, most)}"])
 
 
-def _first(what: str, held: tuple[Held, ...]) -> str:
+def _first(what: str, held: tuple[HeldCause, ...]) -> str:
     more = f" and {len(held) - 1} more" if len(held) > 1 else ""
     return f"{what} {held[0].finding}{more}" if held else ""
 
 
-class Facts(NamedTuple):
+class ExplanationInputs(NamedTuple):
     """Where the answer comes from; `judged_ns` is the tick that last judged the causes."""
 
     judged_ns: int
     supervisor: Supervisor
     causes: Causes
-    desk: DemandDesk
+    desk: DemandArbiter
 
 
-def explained(facts: Facts, waits: tuple[str, ...], refusal: str, now_ns: int) -> Why:
+def explained(
+    facts: ExplanationInputs, waits: tuple[str, ...], refusal: str, now_ns: int
+) -> Explanation:
     """The answer now; `refusal` is why arming or resetting would be refused, or empty."""
     mode, latch, demand = facts.supervisor.mode, facts.supervisor.latch, facts.desk.current
-    return Why(
+    return Explanation(
         now_ns=now_ns,
         judged_ns=facts.judged_ns,
         mode=mode,
@@ -189,7 +191,7 @@ def explained(facts: Facts, waits: tuple[str, ...], refusal: str, now_ns: int) -
     )
 
 
-def next_step(mode: Mode, latch: Latch | None, refusal: str) -> str:
+def next_step(mode: Mode, latch: LatchedFault | None, refusal: str) -> str:
     """What to do now; `refusal` is why arming or resetting would be refused, or empty."""
     if mode is Mode.FAULT:
         level = "service " if latch and latch.fault_class is FaultClass.SERVICE else ""

@@ -5,7 +5,7 @@ from vcu_gateway.bus.interface_warnings import cautions
 from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.core.link import Carrier, Link, LinkState
+from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.daemon.event_log import Journal
 
 _DROPS_TOLD_EVERY_NS = 10_000_000_000
@@ -61,7 +61,7 @@ class Linking:
 
     def _take_opening(self, opened: LinkOpened, now_ns: int) -> None:
         self._gateway.link_opened(now_ns)
-        link = Link(opened.state, opened.at_ns)
+        link = LinkStatus(opened.state, opened.at_ns)
         carrier = Carrier(opened.carrier, opened.at_ns)
         self._gateway.intake.book.begin(link, carrier)
         self._door.admit()

@@ -14,7 +14,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.core.why import Why
+from vcu_gateway.core.why import Explanation
 from vcu_gateway.daemon.event_log import Journal
 from vcu_gateway.daemon.link_events import Linking
 from vcu_gateway.daemon.log import log
@@ -36,7 +36,7 @@ class Latest(NamedTuple):
     """The last tick, and the answer of `why` since: replaced whole by the ticking thread."""
 
     result: TickResult
-    why: Why
+    why: Explanation
 
 
 class Daemon:

@@ -6,7 +6,7 @@ from pathlib import Path
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.core.why import Why
+from vcu_gateway.core.why import Explanation
 from vcu_gateway.daemon.loop import Daemon
 from vcu_gateway.daemon.restarts import Start, Starts
 from vcu_gateway.daemon.safe_frames import SafeFrames
@@ -93,5 +93,5 @@ class Service:
             self._starts.end()
 
 
-def _status(why: Why, lost: str | None) -> str:
+def _status(why: Explanation, lost: str | None) -> str:
     return why.headline() if lost is None else f"{why.mode.value}; {lost}"

@@ -2,27 +2,27 @@
 
 from collections.abc import Callable, Mapping
 
-from vcu_gateway.core.causes import Effect, Held
+from vcu_gateway.core.causes import Effect, HeldCause
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.core.why import Why
+from vcu_gateway.core.why import Explanation
 from vcu_gateway.exporter.family import Family, Instant, Samples, by, gauge, one, states
 
 _PCT = 100
 
 
-def _ticked(read: Callable[[Instant, Why], Samples]) -> Callable[[Instant], Samples]:
+def _ticked(read: Callable[[Instant, Explanation], Samples]) -> Callable[[Instant], Samples]:
     """What the last tick knew; nothing before the first."""
     return lambda at: {} if at.latest is None else read(at, at.latest.why)
 
 
-def _held(why: Why) -> tuple[Held, ...]:
+def _held(why: Explanation) -> tuple[HeldCause, ...]:
     """Everything that counted."""
     return why.blocks + why.limits + why.alarms
 
 
-def _causes(at: Instant, why: Why) -> Samples:
+def _causes(at: Instant, why: Explanation) -> Samples:
     found = [(held.finding, at.since_s(held.since_ns)) for held in _held(why)]
     return {
         (finding.cause, finding.subject, finding.effect.value): since_s
@@ -30,7 +30,7 @@ def _causes(at: Instant, why: Why) -> Samples:
     }
 
 
-def _demand_age(at: Instant, why: Why) -> Samples:
+def _demand_age(at: Instant, why: Explanation) -> Samples:
     age_ns = why.demand_age_ns
     return one(None if age_ns is None else at.since_s(why.now_ns - age_ns))
 

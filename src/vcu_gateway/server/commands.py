@@ -9,11 +9,11 @@ from vcu_gateway.api import results as shapes
 from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.core.demand import (
     CONTROLLERS,
-    Answer,
     ControllerDemand,
     Demand,
     PowerMode,
     Refusal,
+    RequestResult,
 )
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
@@ -89,14 +89,14 @@ class Asking:
         level = FaultClass(params.level)
         return self._told("reset", caller, self._requests.reset(level, time.monotonic_ns()))
 
-    def _told(self, what: str, caller: Caller, answer: Answer) -> shapes.Granted:
+    def _told(self, what: str, caller: Caller, answer: RequestResult) -> shapes.Granted:
         """As `_granted`, with who asked in the journal."""
         peer = {"uid": caller.peer.uid, "pid": caller.peer.pid}
         fields = {"request": what, "granted": answer.granted, **peer}
         self._program.daemon.journal.tell(Event("api_request", Severity.INFO, fields))
         return self._granted(answer)
 
-    def _granted(self, answer: Answer) -> shapes.Granted:
+    def _granted(self, answer: RequestResult) -> shapes.Granted:
         self._program.daemon.explain_anew()
         if answer.refusal is not None:
             raise _refused(answer.refusal, answer.sentence)

@@ -5,7 +5,7 @@ from typing import Any, cast, get_args
 
 from vcu_gateway.api import results as shapes
 from vcu_gateway.core import why as explanation
-from vcu_gateway.core.causes import Held
+from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.supervisor import Mode
@@ -78,7 +78,7 @@ def commands(result: TickResult) -> dict[shapes.ControllerName, shapes.Command]:
     return told
 
 
-def why(answer: explanation.Why) -> shapes.Why:
+def why(answer: explanation.Explanation) -> shapes.Why:
     """The answer of `why` as data; ages are those at its own instant."""
     now_ns, latch = answer.now_ns, answer.latch
     return {
@@ -107,7 +107,7 @@ def why(answer: explanation.Why) -> shapes.Why:
     }
 
 
-def _cause(held: Held, answer: explanation.Why) -> shapes.Cause:
+def _cause(held: HeldCause, answer: explanation.Explanation) -> shapes.Cause:
     finding = held.finding
     return {
         "cause": finding.cause,
