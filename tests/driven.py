@@ -15,7 +15,7 @@ from vcu_gateway import simulator
 from vcu_gateway.client import Client
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Explanation
-from vcu_gateway.daemon.restarts import Start
+from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
 
@@ -42,7 +42,7 @@ class Driven:
         loaded = configuration.load(self.file)
         protocol = wiring.load_protocol(loaded)
         self.daemon = wiring.build(loaded, protocol)
-        self.serving = Serving(loaded, protocol, self.daemon, lambda: 0, Start(3, 1))
+        self.serving = Serving(loaded, protocol, self.daemon, lambda: 0, CountedStart(3, 1))
         self.daemon.observe_with(self.serving.observe)
         self.nodes = simulator.build(Codec(protocol), time.monotonic_ns())
         self.ear = can.Bus(interface="virtual", channel=channel)

@@ -11,7 +11,7 @@ from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon.loop import Daemon, Observer
+from vcu_gateway.daemon.loop import Observer, TickLoop
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.protocol import compatibility as agreement
 from vcu_gateway.protocol import dbc, packaged
@@ -40,7 +40,7 @@ def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
         raise DataError(*[Problem(what, where, remedy) for what in found[:_MOST_DIFFERENCES]])
 
 
-def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = None) -> Daemon:
+def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = None) -> TickLoop:
     """Gateway, bus door and tick loop of this configuration; the bus is not opened yet."""
     codec = Codec(protocol)
     gateway = Gateway(codec, settings(config), time.monotonic_ns())
@@ -48,7 +48,7 @@ def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = No
     door = BusConnection(
         bus_settings(config), codec.identifiers(), intake.receive, intake.command_groups
     )
-    return Daemon(gateway, door, reopen_ms=config.bus.reopen_ms, observer=observer)
+    return TickLoop(gateway, door, reopen_ms=config.bus.reopen_ms, observer=observer)
 
 
 def settings(config: Config) -> Settings:

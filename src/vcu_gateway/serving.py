@@ -17,9 +17,9 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon.loop import Daemon
-from vcu_gateway.daemon.reload import InEffect, Reloader
-from vcu_gateway.daemon.restarts import Start
+from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
+from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.server import health
 from vcu_gateway.server.context import Program
@@ -44,13 +44,13 @@ class Serving:
         self,
         config: Config,
         protocol: ProtocolSpec,
-        daemon: Daemon,
+        daemon: TickLoop,
         log_lines_dropped: Callable[[], int],
-        start: Start | None = None,
+        start: CountedStart | None = None,
     ) -> None:
         self._daemon = daemon
         self._config = config
-        in_effect = InEffect(config)
+        in_effect = EffectiveConfig(config)
         self.reloader = Reloader(in_effect, protocol, daemon, wiring.settings)
         facts = health.Facts(
             protocol_digest=digest_of(config),
@@ -103,7 +103,9 @@ class Serving:
     def _tell(self, name: str, reason: str) -> None:
         self._daemon.journal.tell(Event(name, Severity.ERROR, {"reason": reason}))
 
-    def _metrics(self, in_effect: InEffect, facts: health.Facts) -> Callable[[], bytes] | None:
+    def _metrics(
+        self, in_effect: EffectiveConfig, facts: health.Facts
+    ) -> Callable[[], bytes] | None:
         from vcu_gateway import exporter as metrics
 
         told = metrics.Facts(

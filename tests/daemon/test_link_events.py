@@ -12,8 +12,8 @@ from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Unav
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.daemon.event_log import Journal
-from vcu_gateway.daemon.link_events import Linking
+from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon.link_events import LinkEvents
 
 MS = 1_000_000
 BUS_OFF, RESTARTED, CONTROLLER = 0x040, 0x100, 0x004
@@ -33,14 +33,14 @@ class World:
 
     def __init__(self) -> None:
         self.drive: Drive = active()
-        self.keeper, self.journal = FakeKeeper(), Journal()
+        self.keeper, self.journal = FakeKeeper(), EventLog()
         settings = BusSettings(
             "socketcan", "can0", receive_buffer_bytes=1_000_000, bit_rate_bit_s=250_000
         )
         self.door = BusConnection(settings, (), self.drive.gateway.intake.receive)
         self.admitted = 0
         self.door.admit = self.admit
-        self.linking = Linking(self.drive.gateway, self.door, self.keeper, self.journal)
+        self.linking = LinkEvents(self.drive.gateway, self.door, self.keeper, self.journal)
 
     def admit(self) -> None:
         self.admitted += 1

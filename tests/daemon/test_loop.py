@@ -19,7 +19,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
 
@@ -52,7 +52,7 @@ class Rig:
         self.skipped = 0
         self._frames: list[can.Message] = []
         self._wanted: Callable[[], object] | None = None
-        self.daemon = Daemon(self.gateway, self.door, 50, self._observe)
+        self.daemon = TickLoop(self.gateway, self.door, 50, self._observe)
         self.ear = can.Bus(interface="virtual", channel=self.channel)
 
     def _observe(self, tick, result) -> None:
@@ -227,7 +227,7 @@ def test_a_missing_interface_is_waited_for_by_one_gateway_without_blocking_its_t
     gateway = Gateway(codec, Settings(), 0)
     settings = BusSettings("socketcan", f"no{uuid.uuid4().hex[:12]}")
     door = BusConnection(settings, codec.identifiers(), gateway.intake.receive)
-    daemon = Daemon(gateway, door, 50)
+    daemon = TickLoop(gateway, door, 50)
     first = InstanceLock(settings.channel)
     with pytest.raises(UnavailableError, match="another gateway"):
         daemon.run(duration_s=0.5)
@@ -242,7 +242,7 @@ def test_a_lock_in_strange_hands_is_told_and_the_gateway_runs(codec):
     gateway = Gateway(codec, Settings(), 0)
     settings = BusSettings("socketcan", f"no{uuid.uuid4().hex[:12]}")
     door = BusConnection(settings, codec.identifiers(), gateway.intake.receive)
-    daemon = Daemon(gateway, door, 50)
+    daemon = TickLoop(gateway, door, 50)
     with socket.socket(socket.AF_UNIX) as strange:
         strange.bind(b"\0vcu-gateway/" + settings.channel.encode())  # and never listens
         daemon.run(duration_s=0.3)

@@ -17,10 +17,10 @@ from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.daemon import boot_files, restart_state
-from vcu_gateway.daemon.event_log import Journal
+from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.restart_state import (
     NOTHING,
-    Kept,
+    KeptState,
     RestartState,
     file_name,
     folder_for,
@@ -52,7 +52,7 @@ class Process:
     ) -> None:
         self.gateway = Gateway(CODEC, Settings(), self.now_ns)
         self.gateway.link_opened(self.now_ns)
-        self.journal = Journal()
+        self.journal = EventLog()
         self.state = RestartState(folder, settings, self.gateway, self.journal, others)
         self.state.begin()
 
@@ -261,7 +261,7 @@ def test_a_well_formed_file_is_read_as_written(tmp_path):
     path = tmp_path / "state"
     text = '{"cut": "hot", "reverse": {"PCU1": true, "PCU2": false}}'
     path.write_text(f"{boot_files.boot_id()}\n{text}\n")
-    assert read(path) == Kept("hot", {"PCU1": True, "PCU2": False})
+    assert read(path) == KeptState("hot", {"PCU1": True, "PCU2": False})
     assert read(tmp_path / "none") == NOTHING
 
 

@@ -6,11 +6,11 @@ import sys
 import pytest
 
 from vcu_gateway.daemon import boot_files
-from vcu_gateway.daemon.restarts import Start, Starts
+from vcu_gateway.daemon.restarts import CountedStart, RestartCounter
 
 
-def started(folder, *, end: bool = False) -> Start | None:
-    one = Starts(folder)
+def started(folder, *, end: bool = False) -> CountedStart | None:
+    one = RestartCounter(folder)
     now = one.begin()
     if end:
         one.end()
@@ -18,18 +18,18 @@ def started(folder, *, end: bool = False) -> Start | None:
 
 
 def test_the_first_start_is_expected(tmp_path):
-    assert started(tmp_path) == Start(1, 0)
+    assert started(tmp_path) == CountedStart(1, 0)
 
 
 def test_a_start_that_no_end_came_before_is_unexpected(tmp_path):
-    assert [started(tmp_path) for _ in range(4)] == [Start(n, n - 1) for n in (1, 2, 3, 4)]
+    assert [started(tmp_path) for _ in range(4)] == [CountedStart(n, n - 1) for n in (1, 2, 3, 4)]
 
 
 def test_an_orderly_end_begins_a_new_drive(tmp_path):
     started(tmp_path)
     started(tmp_path, end=True)
-    assert started(tmp_path) == Start(3, 0)
-    assert started(tmp_path) == Start(4, 1)
+    assert started(tmp_path) == CountedStart(3, 0)
+    assert started(tmp_path) == CountedStart(4, 1)
 
 
 def test_a_new_boot_begins_anew(tmp_path, monkeypatch):
@@ -37,20 +37,20 @@ def test_a_new_boot_begins_anew(tmp_path, monkeypatch):
     boot = tmp_path / "boot_id"
     boot.write_text("another\n")
     monkeypatch.setattr(boot_files, "_BOOT_ID", boot)
-    assert started(tmp_path) == Start(1, 0)
+    assert started(tmp_path) == CountedStart(1, 0)
 
 
 def test_where_the_number_of_the_boot_is_hidden_starts_are_counted_all_the_same(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(boot_files, "_BOOT_ID", tmp_path / "hidden")
-    assert [started(tmp_path) for _ in range(2)] == [Start(1, 0), Start(2, 1)]
+    assert [started(tmp_path) for _ in range(2)] == [CountedStart(1, 0), CountedStart(2, 1)]
 
 
 @pytest.mark.parametrize("contents", [b"", b"nonsense", b"a b c d", b"\xff\xfe", b"x y", b"1 2 3"])
 def test_a_file_that_says_nothing_is_begun_anew(tmp_path, contents):
     (tmp_path / "starts").write_bytes(contents)
-    assert started(tmp_path) == Start(1, 0)
+    assert started(tmp_path) == CountedStart(1, 0)
 
 
 def test_where_nothing_can_be_kept_nothing_is_claimed(tmp_path):
@@ -74,4 +74,4 @@ def test_a_start_that_cannot_be_written_down_still_knows_of_those_before(tmp_pat
     for _ in range(4):
         started(tmp_path)
     (tmp_path / "starts.new").mkdir()
-    assert started(tmp_path) == Start(5, 4)
+    assert started(tmp_path) == CountedStart(5, 4)

@@ -15,11 +15,11 @@ from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon import safe_frames
-from vcu_gateway.daemon.loop import Daemon, Latest
-from vcu_gateway.daemon.restarts import Start
-from vcu_gateway.daemon.service import Service
-from vcu_gateway.daemon.systemd import ServiceManager
-from vcu_gateway.daemon.watchdog import ReaderWatch
+from vcu_gateway.daemon.loop import LastTick, TickLoop
+from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.daemon.service import ServiceReporter
+from vcu_gateway.daemon.systemd import SystemdNotifier
+from vcu_gateway.daemon.watchdog import ReceiverWatchdog
 
 TICK = Tick(0, 0, 0, 0)
 S = 1_000_000_000
@@ -35,11 +35,11 @@ class World:
             BusSettings("socketcan", "can0"), CODEC.identifiers(), lambda frame: None
         )
         door.lost = None
-        self.daemon = Daemon(drive.gateway, door, 50)
-        manager = ServiceManager(
+        self.daemon = TickLoop(drive.gateway, door, 50)
+        manager = SystemdNotifier(
             {"NOTIFY_SOCKET": ear.getsockname(), "WATCHDOG_USEC": "2000000"}, 100
         )
-        self.service = Service(manager, folder, self.daemon)
+        self.service = ServiceReporter(manager, folder, self.daemon)
         self._told: list[str] = []
         monkeypatch.setattr(
             "vcu_gateway.daemon.service.time.monotonic_ns", lambda: self.drive.now_ns
@@ -48,7 +48,7 @@ class World:
     def tick(self, times: int = 1) -> None:
         for _ in range(times):
             result = self.drive.tick()
-            self.daemon.latest = Latest(result, self.drive.gateway.why(self.drive.now_ns))
+            self.daemon.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
             self.service.observe(TICK, result)
             self._listen()
 
@@ -138,7 +138,7 @@ class FakeDoor(SimpleNamespace):
 
 def test_a_reader_that_wakes_at_every_third_tick_lives():
     door = FakeDoor()
-    watch = ReaderWatch(door)
+    watch = ReceiverWatchdog(door)
     for tick in range(100):
         door.reader_wakes = tick // 3
         watch.observe()
@@ -147,7 +147,7 @@ def test_a_reader_that_wakes_at_every_third_tick_lives():
 
 def test_a_reader_that_does_not_wake_for_ten_ticks_is_in_doubt_and_for_twenty_dead():
     door = FakeDoor()
-    watch = ReaderWatch(door)
+    watch = ReceiverWatchdog(door)
     alive = []
     for _ in range(20):
         watch.observe()
@@ -159,7 +159,7 @@ def test_a_reader_that_does_not_wake_for_ten_ticks_is_in_doubt_and_for_twenty_de
 
 def test_without_an_open_bus_nobody_is_expected_to_wake():
     door = FakeDoor(reader_wakes=None)
-    watch = ReaderWatch(door)
+    watch = ReceiverWatchdog(door)
     for _ in range(100):
         watch.observe()
     assert watch.alive
@@ -167,7 +167,7 @@ def test_without_an_open_bus_nobody_is_expected_to_wake():
 
 def test_a_reader_that_wakes_again_is_alive_again():
     door = FakeDoor()
-    watch = ReaderWatch(door)
+    watch = ReceiverWatchdog(door)
     for _ in range(15):
         watch.observe()
     door.reader_wakes = 1
@@ -258,21 +258,21 @@ def test_an_orderly_end_leaves_no_safe_frames_and_begins_a_new_drive(world):
     one.service.end()
     assert one.safe_frames == ""
     one.service.begin()
-    assert one.service.start == Start(2, 0)
+    assert one.service.start == CountedStart(2, 0)
 
 
 def test_a_third_unexpected_restart_ends_arming_and_is_told(world):
     for times in range(4):
         one = world(standby())
         one.service.begin()
-        assert one.service.start == Start(times + 1, times)
+        assert one.service.start == CountedStart(times + 1, times)
         assert one.drive.arm().granted is (times < 3)
     assert [entry.event.fields for entry in one.daemon.journal.latest(1)] == [{"in_this_drive": 3}]
 
 
 def test_without_a_folder_nothing_is_counted_and_nothing_left(world):
     one = world(standby())
-    one.service = Service(ServiceManager({}, 100), None, one.daemon)
+    one.service = ServiceReporter(SystemdNotifier({}, 100), None, one.daemon)
     one.service.begin()
     one.tick(3)
     one.service.end()

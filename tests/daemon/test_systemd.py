@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from vcu_gateway.daemon.systemd import ServiceManager
+from vcu_gateway.daemon.systemd import SystemdNotifier
 
 
 @pytest.fixture
@@ -15,19 +15,19 @@ def ear(tmp_path):
         yield ear
 
 
-def manager_of(ear: socket.socket, **more: str) -> ServiceManager:
+def manager_of(ear: socket.socket, **more: str) -> SystemdNotifier:
     address = ear.getsockname()
     if isinstance(address, bytes):
         address = "@" + address[1:].decode()
-    return ServiceManager({"NOTIFY_SOCKET": address, **more}, 100)
+    return SystemdNotifier({"NOTIFY_SOCKET": address, **more}, 100)
 
 
 @pytest.mark.parametrize(
     ("tell", "line"),
     [
-        (ServiceManager.ready, b"READY=1"),
-        (ServiceManager.alive, b"WATCHDOG=1"),
-        (ServiceManager.stopping, b"STOPPING=1"),
+        (SystemdNotifier.ready, b"READY=1"),
+        (SystemdNotifier.alive, b"WATCHDOG=1"),
+        (SystemdNotifier.stopping, b"STOPPING=1"),
         (lambda manager: manager.status("standby; arm"), b"STATUS=standby; arm"),
     ],
 )
@@ -65,7 +65,7 @@ def test_a_manager_that_is_gone_is_no_trouble(ear):
 
 @pytest.mark.parametrize("address", ["", "/nowhere/notify", "x" * 200, "a\0b", "vsock:2:1234"])
 def test_without_a_manager_everything_is_silent(address):
-    manager = ServiceManager({"NOTIFY_SOCKET": address}, 100)
+    manager = SystemdNotifier({"NOTIFY_SOCKET": address}, 100)
     manager.ready()
     manager.status("nobody hears this")
     assert manager.watchdog_ns is None
@@ -90,5 +90,5 @@ def test_the_watchdog_is_the_one_set_for_this_process(ear, environment, watchdog
 
 def test_this_process_is_asked_by_its_own_environment(ear, monkeypatch):
     monkeypatch.setenv("NOTIFY_SOCKET", ear.getsockname())
-    ServiceManager.of_this_process().ready()
+    SystemdNotifier.of_this_process().ready()
     assert ear.recv(1000) == b"READY=1"

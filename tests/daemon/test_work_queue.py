@@ -7,11 +7,11 @@ import time
 
 import pytest
 
-from vcu_gateway.daemon.work_queue import Inbox
+from vcu_gateway.daemon.work_queue import WorkQueue
 
 
 def test_work_is_done_in_the_order_of_posting():
-    inbox, done = Inbox(), []
+    inbox, done = WorkQueue(), []
     for number in range(5):
         inbox.post(lambda number=number: done.append(number))
     inbox.do_waiting()
@@ -19,7 +19,7 @@ def test_work_is_done_in_the_order_of_posting():
 
 
 def test_before_a_tick_only_so_much_is_done():
-    inbox, done = Inbox(), []
+    inbox, done = WorkQueue(), []
     for number in range(40):
         inbox.post(lambda number=number: done.append(number))
     inbox.do_waiting()
@@ -29,14 +29,14 @@ def test_before_a_tick_only_so_much_is_done():
 
 
 def test_work_that_work_posts_waits_for_the_next_time():
-    inbox, done = Inbox(), []
+    inbox, done = WorkQueue(), []
     inbox.post(lambda: inbox.post(lambda: done.append(1)))
     inbox.do_waiting()
     assert done == []
 
 
 def test_it_is_full_where_256_wait():
-    inbox = Inbox()
+    inbox = WorkQueue()
     for _ in range(255):
         inbox.post(lambda: None)
     assert not inbox.full
@@ -45,7 +45,7 @@ def test_it_is_full_where_256_wait():
 
 
 def test_work_that_comes_in_meanwhile_is_done_at_once():
-    inbox, done = Inbox(), threading.Event()
+    inbox, done = WorkQueue(), threading.Event()
     threading.Timer(0.02, inbox.post, [done.set]).start()
     end_ns = time.monotonic_ns() + 60_000_000_000
     inbox.post(lambda: None)
@@ -55,7 +55,7 @@ def test_work_that_comes_in_meanwhile_is_done_at_once():
 
 
 def test_without_time_left_nothing_is_waited_for():
-    inbox, done = Inbox(), []
+    inbox, done = WorkQueue(), []
     inbox.post(lambda: done.append(1))
     inbox.do_until(time.monotonic_ns() - 1)
     assert done == []
@@ -68,14 +68,14 @@ def test_a_signal_whose_handler_ends_after_the_time_does_not_keep_it():
     late = threading.Timer(0.1, os.kill, [os.getpid(), signal.SIGUSR1])
     try:
         late.start()
-        Inbox().do_until(time.monotonic_ns() + 200_000_000)
+        WorkQueue().do_until(time.monotonic_ns() + 200_000_000)
     finally:
         late.join()
         signal.signal(signal.SIGUSR1, before)
 
 
 def test_a_signal_may_post_while_it_is_waited_for():
-    inbox, done = Inbox(), []
+    inbox, done = WorkQueue(), []
     handler = lambda *_: inbox.post(lambda: done.append(1))  # noqa: E731
     before = signal.signal(signal.SIGUSR1, handler)
     try:

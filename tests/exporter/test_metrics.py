@@ -27,7 +27,7 @@ from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Quality
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
 
@@ -516,7 +516,7 @@ def test_counters_never_go_back_while_the_gateway_runs_on_other_threads(codec):
     door = BusConnection(
         BusSettings("virtual", channel), codec.identifiers(), gateway.intake.receive
     )
-    daemon, told = Daemon(gateway, door, 50), Program()
+    daemon, told = TickLoop(gateway, door, 50), Program()
     exposition = metrics.exposition(daemon, lambda: told.api, told.facts)
     nodes = simulator.build(codec, time.monotonic_ns())
     vehicle_bus, stop = open_bus("virtual", channel, nodes.command_ids), threading.Event()

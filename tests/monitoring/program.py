@@ -10,7 +10,7 @@ from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.daemon.loop import Daemon, Latest
+from vcu_gateway.daemon.loop import LastTick, TickLoop
 
 Labels = frozenset[tuple[str, str]]
 STARTED_S = 1_700_000_000.0
@@ -63,7 +63,7 @@ class Program:
         self.drive = drive or Drive()
         settings = BusSettings(interface, "nowhere")
         self.door = BusConnection(settings, (), self.drive.gateway.intake.receive)
-        self.daemon = Daemon(self.drive.gateway, self.door, 50)
+        self.daemon = TickLoop(self.drive.gateway, self.door, 50)
         self.api = ApiCounts(
             clients=0,
             accepted=0,
@@ -93,7 +93,7 @@ class Program:
         schedule.due(schedule.next_deadline_ns + late_ns)
         self.daemon.silent_ticks += not result.frames
         self.door.counters.sent += len(result.frames)
-        self.daemon.latest = Latest(result, self.drive.gateway.why(self.drive.now_ns))
+        self.daemon.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
 
     def run(self, duration_ms: int) -> "Program":
         """Tick for so long."""

@@ -13,7 +13,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.daemon.loop import Latest
+from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.server import views as report
 from vcu_gateway.watch.view_model import Picture, RefusedError, Trouble
@@ -96,7 +96,7 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> Picture:
                 nodes.receive(sent.can_id, sent.data, now_ns)
             tick_ns += gateway.settings.period_ns
     why = gateway.why(result.snapshot.now_ns)
-    state = report.state(result.snapshot, Latest(result, why))
+    state = report.state(result.snapshot, LastTick(result, why))
     return Picture(state, report.why(why), HEALTH)
 
 

@@ -13,10 +13,10 @@ from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import log, safe_frames
 from vcu_gateway.daemon import realtime as memory
-from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
-from vcu_gateway.daemon.service import Service
-from vcu_gateway.daemon.systemd import ServiceManager
+from vcu_gateway.daemon.service import ServiceReporter
+from vcu_gateway.daemon.systemd import SystemdNotifier
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
 from vcu_gateway.server import health
 from vcu_gateway.server import views as report
@@ -62,7 +62,7 @@ def command(
     next start in this boot; without it in /run/vcu-gateway, $XDG_RUNTIME_DIR/vcu-gateway or
     /tmp/vcu-gateway-UID, the first that can be written; a CUT is looked for in all of them.
     """
-    manager = ServiceManager.of_this_process()
+    manager = SystemdNotifier.of_this_process()
     try:
         _run(manager, config_path, duration_s, state_path, lock_memory)
     except GatewayError as error:
@@ -71,7 +71,7 @@ def command(
 
 
 def _run(
-    manager: ServiceManager,
+    manager: SystemdNotifier,
     config_path: Path | None,
     duration_s: float | None,
     state_path: Path | None,
@@ -104,7 +104,7 @@ def _run(
         other_folders(daemon.door.settings, folder),
     )
     restart_state.begin()
-    service = Service(manager, runtime, daemon)
+    service = ServiceReporter(manager, runtime, daemon)
     service.begin()
     serving = Serving(config, protocol, daemon, lambda: writer.dropped, service.start)
     daemon.handle_signals(on_hangup=serving.reloader.on_hangup)
@@ -122,7 +122,7 @@ def _run(
         _write_state(state_path, daemon)
 
 
-def _lock_memory(daemon: Daemon) -> None:
+def _lock_memory(daemon: TickLoop) -> None:
     try:
         memory.lock()
     except UnavailableError as error:
@@ -136,7 +136,7 @@ def _runtime_folder() -> Path | None:
     return Path(first) if first else None
 
 
-def _write_state(path: Path, daemon: Daemon) -> None:
+def _write_state(path: Path, daemon: TickLoop) -> None:
     try:
         path.write_text(json.dumps(_last_state(daemon), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
@@ -144,7 +144,7 @@ def _write_state(path: Path, daemon: Daemon) -> None:
         raise UnavailableError(Problem(what, str(path))) from error
 
 
-def _last_state(daemon: Daemon) -> dict[str, object]:
+def _last_state(daemon: TickLoop) -> dict[str, object]:
     snapshot = daemon.gateway.intake.store.snapshot(time.monotonic_ns())
     return {
         "messages": report.messages(snapshot),

@@ -13,7 +13,7 @@ _ENTRIES = 200
 
 
 @dataclass(slots=True)
-class Entry:
+class LoggedEvent:
     """One event with its fields, however often it happened; times are monotonic."""
 
     event: Event
@@ -27,7 +27,7 @@ class Entry:
         return datetime.fromtimestamp(self.last_wall_s, UTC).isoformat(timespec="milliseconds")
 
 
-class Journal:
+class EventLog:
     """The latest events; an event that happens again with the same fields is counted.
 
     Belongs to the ticking thread.
@@ -37,7 +37,7 @@ class Journal:
     """
 
     def __init__(self) -> None:
-        self._entries: OrderedDict[tuple[str, str], Entry] = OrderedDict()
+        self._entries: OrderedDict[tuple[str, str], LoggedEvent] = OrderedDict()
         self.forgotten = 0
 
     def tell(self, event: Event) -> None:
@@ -47,7 +47,7 @@ class Journal:
         now_ns, wall_s = time.monotonic_ns(), time.time()
         entry = self._entries.get(key)
         if entry is None:
-            self._entries[key] = Entry(event, 1, now_ns, now_ns, wall_s)
+            self._entries[key] = LoggedEvent(event, 1, now_ns, now_ns, wall_s)
             self._make_room()
             return
         entry.count += 1
@@ -59,6 +59,6 @@ class Journal:
             self._entries.popitem(last=False)
             self.forgotten += 1
 
-    def latest(self, limit: int) -> Iterable[Entry]:
+    def latest(self, limit: int) -> Iterable[LoggedEvent]:
         """The latest so many, the latest last."""
         return list(self._entries.values())[-limit:]

@@ -6,7 +6,7 @@ from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reco
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
-from vcu_gateway.daemon.event_log import Journal
+from vcu_gateway.daemon.event_log import EventLog
 
 _DROPS_TOLD_EVERY_NS = 10_000_000_000
 _CHANGES_AT_ONCE = 10
@@ -15,7 +15,7 @@ _CHANGE_EVERY_NS = 2_000_000_000
 _SEVERITIES = {LinkState.UP: Severity.INFO, LinkState.WARNING: Severity.WARNING}
 
 
-class Linking:
+class LinkEvents:
     """Takes one piece of news before each tick, so that a tick sees every loss.
 
     A link that was lost and is back between two ticks has been lost for one of them, and
@@ -23,7 +23,7 @@ class Linking:
     """
 
     def __init__(
-        self, gateway: Gateway, door: BusConnection, keeper: Reconnector, journal: Journal
+        self, gateway: Gateway, door: BusConnection, keeper: Reconnector, journal: EventLog
     ) -> None:
         self._gateway = gateway
         self._door = door

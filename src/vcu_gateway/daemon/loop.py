@@ -15,11 +15,11 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Explanation
-from vcu_gateway.daemon.event_log import Journal
-from vcu_gateway.daemon.link_events import Linking
+from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon.link_events import LinkEvents
 from vcu_gateway.daemon.log import log
 from vcu_gateway.daemon.processor_time import ProcessorTime
-from vcu_gateway.daemon.work_queue import Inbox
+from vcu_gateway.daemon.work_queue import WorkQueue
 
 _SWITCH_INTERVAL_S = 0.0005
 # No work for others is begun so shortly before a tick; sleeping to it is the most punctual.
@@ -32,14 +32,14 @@ _NS_PER_MS = 1_000_000
 Observer = Callable[[Tick, TickResult], None]
 
 
-class Latest(NamedTuple):
+class LastTick(NamedTuple):
     """The last tick, and the answer of `why` since: replaced whole by the ticking thread."""
 
     result: TickResult
     why: Explanation
 
 
-class Daemon:
+class TickLoop:
     """Gateway and bus, ticked on the calling thread until `stop` or the end of `run`.
 
     Attributes:
@@ -64,11 +64,11 @@ class Daemon:
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
-        self.inbox = Inbox()
-        self.journal = Journal()
+        self.inbox = WorkQueue()
+        self.journal = EventLog()
         self.keeper = Reconnector(door, reopen_ms)
-        self._linking = Linking(gateway, door, self.keeper, self.journal)
-        self.latest: Latest | None = None
+        self._linking = LinkEvents(gateway, door, self.keeper, self.journal)
+        self.latest: LastTick | None = None
         self._on_hangup: Callable[[], None] | None = None
         self._told_why: tuple[object, ...] = ()
 
@@ -183,7 +183,7 @@ class Daemon:
         for event in result.events:
             self.journal.tell(event)
         why = self.gateway.why(result.snapshot.now_ns)
-        self.latest = Latest(result, why)
+        self.latest = LastTick(result, why)
         if why.signature() != self._told_why:
             self._told_why = why.signature()
             log.info("why", sentence=why.sentence())

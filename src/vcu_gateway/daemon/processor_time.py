@@ -9,7 +9,7 @@ _SCHEDSTAT = "/proc/thread-self/schedstat"
 _BYTES = 128
 
 
-class Spent(NamedTuple):
+class ProcessorUsage(NamedTuple):
     """Since the look before.
 
     Attributes:
@@ -32,14 +32,14 @@ class ProcessorTime:
         self._processor_ns = time.process_time_ns()
         self._waited_ns = self._waited()
 
-    def since_last(self) -> Spent:
+    def since_last(self) -> ProcessorUsage:
         """What was spent since the last call, or since the beginning."""
         processor_ns, waited_ns = time.process_time_ns(), self._waited()
         spent_ns, before_ns = processor_ns - self._processor_ns, self._waited_ns
         self._processor_ns, self._waited_ns = processor_ns, waited_ns
         if waited_ns is None or before_ns is None:
-            return Spent(spent_ns, None)
-        return Spent(spent_ns, waited_ns - before_ns)
+            return ProcessorUsage(spent_ns, None)
+        return ProcessorUsage(spent_ns, waited_ns - before_ns)
 
     def _waited(self) -> int | None:
         """The second number: time on the run queue."""

@@ -11,7 +11,7 @@ from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import ConfigError
 
 LIVE = (
@@ -24,7 +24,7 @@ LIVE = (
 """Keys that a running gateway takes; every other one needs a restart."""
 
 
-class Outcome(NamedTuple):
+class ReloadOutcome(NamedTuple):
     """What came of a reload: names of what changed, or why nothing did, a sentence each."""
 
     taken: bool
@@ -32,11 +32,11 @@ class Outcome(NamedTuple):
     problems: tuple[str, ...] = ()
 
 
-Done = Callable[[Outcome], None]
+Done = Callable[[ReloadOutcome], None]
 
 
 @dataclass(slots=True)
-class InEffect:
+class EffectiveConfig:
     """The configuration in effect; replaced whole, on the ticking thread."""
 
     config: Config
@@ -50,9 +50,9 @@ class Reloader:
 
     def __init__(
         self,
-        in_effect: InEffect,
+        in_effect: EffectiveConfig,
         protocol: ProtocolSpec,
-        daemon: Daemon,
+        daemon: TickLoop,
         settings: Callable[[Config], Settings],
     ) -> None:
         self._in_effect = in_effect
@@ -64,13 +64,13 @@ class Reloader:
     def begin(self, done: Done) -> None:
         """Start; `done` is called once, on the ticking thread, or here where one runs already."""
         if not self._busy.acquire(blocking=False):
-            done(Outcome(False, problems=("a reload is under way already",)))
+            done(ReloadOutcome(False, problems=("a reload is under way already",)))
             return
         try:
             threading.Thread(target=self._read, args=(done,), name="reload", daemon=True).start()
         except RuntimeError as error:  # no memory or no more threads: no reason to stop a vehicle
             self._busy.release()
-            done(self._told(Outcome(False, problems=(f"a reload cannot be begun: {error}",))))
+            done(self._told(ReloadOutcome(False, problems=(f"a reload cannot be begun: {error}",))))
 
     def on_hangup(self) -> None:
         """SIGHUP: as `begin`, for nobody who waits; the journal has the outcome."""
@@ -88,20 +88,22 @@ class Reloader:
             return None, tuple(map(str, error.problems))
         return new, tuple(map(str, configuration.check_against(new, self._protocol)))
 
-    def _take(self, new: Config | None, problems: tuple[str, ...]) -> Outcome:
+    def _take(self, new: Config | None, problems: tuple[str, ...]) -> ReloadOutcome:
         """On the ticking thread: the checks that depend on what is in effect, and the change."""
         if new is None or problems:
-            return Outcome(False, problems=problems)
+            return ReloadOutcome(False, problems=problems)
         names = changed(self._in_effect.config, new)
         if restart := tuple(name for name in names if not is_live(name)):
-            return Outcome(False, problems=tuple(f"{name} needs a restart" for name in restart))
+            return ReloadOutcome(
+                False, problems=tuple(f"{name} needs a restart" for name in restart)
+            )
         answer = self._daemon.gateway.requests.reload(self._settings(new))
         if not answer.granted:
-            return Outcome(False, problems=(answer.sentence,))
+            return ReloadOutcome(False, problems=(answer.sentence,))
         self._in_effect.config = new
-        return Outcome(True, changed=names)
+        return ReloadOutcome(True, changed=names)
 
-    def _told(self, outcome: Outcome) -> Outcome:
+    def _told(self, outcome: ReloadOutcome) -> ReloadOutcome:
         if outcome.taken:
             digest = configuration.digest(self._in_effect.config)
             fields: Mapping[str, object] = {"changed": list(outcome.changed), "digest": digest}

@@ -19,7 +19,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.boot_files import HIDDEN, boot_id, write_whole
-from vcu_gateway.daemon.event_log import Journal
+from vcu_gateway.daemon.event_log import EventLog
 
 _BEFORE = "before this start: "
 _NAMESPACE = Path("/proc/self/ns/net")
@@ -28,7 +28,7 @@ _TEMPORARY = Path("/tmp")  # noqa: S108 - the folder in it is looked at before i
 _NOT_MINE = 0o077
 
 
-class Kept(NamedTuple):
+class KeptState(NamedTuple):
     """What one process leaves to the next.
 
     Attributes:
@@ -40,7 +40,7 @@ class Kept(NamedTuple):
     reverse: Mapping[str, bool]
 
 
-NOTHING = Kept(None, {})
+NOTHING = KeptState(None, {})
 
 
 class RestartState:
@@ -58,7 +58,7 @@ class RestartState:
         folder: Path | None,
         settings: BusSettings,
         gateway: Gateway,
-        journal: Journal,
+        journal: EventLog,
         others: Sequence[Path] = (),
     ) -> None:
         self._settings = settings
@@ -104,7 +104,7 @@ class RestartState:
         reverse = self._now.reverse
         if result.frames:
             reverse = {name: one.motor_reverse for name, one in result.commands.items()}
-        self._now = Kept(latched, reverse)
+        self._now = KeptState(latched, reverse)
         if self._now != self._written:
             self._write(self.path, self._now)
 
@@ -121,7 +121,7 @@ class RestartState:
             return None
         return supervisor.latch.reason.removeprefix(_BEFORE)
 
-    def _write(self, path: Path, state: Kept) -> None:
+    def _write(self, path: Path, state: KeptState) -> None:
         """Write it; where that cannot be it is told once, and the next tick tries again."""
         text = json.dumps({"cut": state.cut, "reverse": dict(state.reverse)})
         try:
@@ -144,7 +144,7 @@ def file_name(channel: str) -> str:
     return f"restart-{quote(channel, safe='')}-{namespace}"
 
 
-def read(path: Path) -> Kept:
+def read(path: Path) -> KeptState:
     """What the last process of this boot left; nothing where there is no file of this boot.
 
     What is there and cannot be understood counts as a latched CUT: nobody knows that it is none.
@@ -154,13 +154,13 @@ def read(path: Path) -> Kept:
     except FileNotFoundError:
         return NOTHING
     except (OSError, ValueError) as error:
-        return Kept(f"{path} cannot be read: {error}", {})
+        return KeptState(f"{path} cannot be read: {error}", {})
     if lines and _is_of_another_boot(lines[0]):
         return NOTHING
     try:
         return _understood(json.loads(lines[1]))
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return Kept(f"{path} is not understood", {})
+        return KeptState(f"{path} is not understood", {})
 
 
 def _is_of_another_boot(told: str) -> bool:
@@ -169,13 +169,13 @@ def _is_of_another_boot(told: str) -> bool:
     return HIDDEN not in (told, mine) and len(told) == len(mine) and told != mine
 
 
-def _understood(told: Any) -> Kept:
+def _understood(told: Any) -> KeptState:
     cut, reverse = told["cut"], told["reverse"]
     if not (cut is None or isinstance(cut, str)):
         raise TypeError("the reason is a text")
     if not all(isinstance(one, bool) and name in CONTROLLERS for name, one in reverse.items()):
         raise ValueError("a direction for each controller")
-    return Kept(cut, reverse)
+    return KeptState(cut, reverse)
 
 
 def folder_for(settings: BusSettings, runtime: Path | None) -> Path | None:

@@ -10,7 +10,7 @@ _NAME = "starts"
 _RUNNING, _ENDED = "running", "ended"
 
 
-class Start(NamedTuple):
+class CountedStart(NamedTuple):
     """One start of the gateway.
 
     Attributes:
@@ -23,17 +23,17 @@ class Start(NamedTuple):
     unexpected: int
 
 
-class Starts:
+class RestartCounter:
     """The account of one gateway, in a file of its runtime folder."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / _NAME
-        self._now: Start | None = None
+        self._now: CountedStart | None = None
 
-    def begin(self) -> Start | None:
+    def begin(self) -> CountedStart | None:
         """Count this start; None where nothing can be kept and nothing is known of any before."""
         before, ended = self._known()
-        now = Start(before.number + 1, 0 if ended else before.unexpected + 1)
+        now = CountedStart(before.number + 1, 0 if ended else before.unexpected + 1)
         self._now = now if self._write(now, _RUNNING) else None
         return now if self._now or before.number else None
 
@@ -42,14 +42,14 @@ class Starts:
         if self._now is not None:
             self._write(self._now, _ENDED)
 
-    def _known(self) -> tuple[Start, bool]:
+    def _known(self) -> tuple[CountedStart, bool]:
         with contextlib.suppress(OSError, ValueError):
             boot, number, unexpected, state = self._path.read_text(encoding="ascii").split()
             if boot == boot_id():
-                return Start(int(number), int(unexpected)), state == _ENDED
-        return Start(0, 0), True
+                return CountedStart(int(number), int(unexpected)), state == _ENDED
+        return CountedStart(0, 0), True
 
-    def _write(self, start: Start, state: str) -> bool:
+    def _write(self, start: CountedStart, state: str) -> bool:
         text = f"{boot_id()} {start.number} {start.unexpected} {state}\n"
         try:
             write_whole(self._path, text)

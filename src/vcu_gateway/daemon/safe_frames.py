@@ -7,7 +7,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.boot_files import write_whole
-from vcu_gateway.daemon.event_log import Journal
+from vcu_gateway.daemon.event_log import EventLog
 
 NAME = "safe-frames"
 
@@ -25,7 +25,7 @@ class SafeFrames:
     there from the first frames that were sent to the orderly end.
     """
 
-    def __init__(self, folder: Path, channel: str, gateway: Gateway, journal: Journal) -> None:
+    def __init__(self, folder: Path, channel: str, gateway: Gateway, journal: EventLog) -> None:
         self._folder = folder
         self._path = folder / NAME
         self._channel = channel

@@ -7,17 +7,17 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.why import Explanation
-from vcu_gateway.daemon.loop import Daemon
-from vcu_gateway.daemon.restarts import Start, Starts
+from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.daemon.restarts import CountedStart, RestartCounter
 from vcu_gateway.daemon.safe_frames import SafeFrames
-from vcu_gateway.daemon.systemd import ServiceManager
-from vcu_gateway.daemon.watchdog import ReaderWatch
+from vcu_gateway.daemon.systemd import SystemdNotifier
+from vcu_gateway.daemon.watchdog import ReceiverWatchdog
 
 _PINGS_IN_LIMIT = 4
 _STATUS_EVERY_NS = 1_000_000_000
 
 
-class Service:
+class ServiceReporter:
     """Tells from the ticking thread, after each tick; it never waits.
 
     `folder` is kept from one start to the next (systemd's RuntimeDirectory); None: nothing is.
@@ -26,11 +26,11 @@ class Service:
         start: this start; None where starts are not counted.
     """
 
-    def __init__(self, manager: ServiceManager, folder: Path | None, daemon: Daemon) -> None:
+    def __init__(self, manager: SystemdNotifier, folder: Path | None, daemon: TickLoop) -> None:
         self._manager = manager
         self._daemon = daemon
-        self._reader = ReaderWatch(daemon.door)
-        self._starts = None if folder is None else Starts(folder)
+        self._reader = ReceiverWatchdog(daemon.door)
+        self._starts = None if folder is None else RestartCounter(folder)
         self._safe_frames = None
         if folder is not None:
             channel, gateway = daemon.door.settings.channel, daemon.gateway
@@ -38,7 +38,7 @@ class Service:
         self._ready = self._stopping = False
         self._ping_ns = self._status_ns = 0
         self._told: object = None
-        self.start: Start | None = None
+        self.start: CountedStart | None = None
 
     def begin(self) -> None:
         """Count this start; where too many came unexpected, nothing can be armed."""

@@ -9,7 +9,7 @@ _NS_PER_US = 1_000
 _STATUS_CHARACTERS = 500
 
 
-class ServiceManager:
+class SystemdNotifier:
     """The service manager that started this process; everything is silent where there is none.
 
     Telling never waits and never raises: nothing that ticks may depend on who listens.
@@ -24,7 +24,7 @@ class ServiceManager:
         self.watchdog_ns = _watchdog_ns(environment, own_pid)
 
     @classmethod
-    def of_this_process(cls) -> "ServiceManager":
+    def of_this_process(cls) -> "SystemdNotifier":
         """As the environment says."""
         return cls(os.environ, os.getpid())
 

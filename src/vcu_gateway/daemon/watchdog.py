@@ -8,7 +8,7 @@ _TICKS_IN_DOUBT = 10
 _TICKS_TO_DEATH = 20
 
 
-class ReaderWatch:
+class ReceiverWatchdog:
     """Looks after each tick whether the reader has woken since.
 
     Attributes:

@@ -16,7 +16,7 @@ _AT_ONCE = 32
 _NS_PER_S = 1_000_000_000
 
 
-class Inbox:
+class WorkQueue:
     """A queue of work, safe to fill from any thread and from signal handlers."""
 
     def __init__(self) -> None:

@@ -18,7 +18,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
-from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.demo.process import Wanted
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.serving import Serving
@@ -90,7 +90,7 @@ def _vehicle(wanted: Wanted, codec: Codec, stop: threading.Event) -> threading.T
     return threading.Thread(target=run_vehicle, name="vehicle")
 
 
-def _end_with_stdin(daemon: Daemon) -> None:
+def _end_with_stdin(daemon: TickLoop) -> None:
     """Whoever started this may die without a word; stdin ends in any case."""
     sys.stdin.read()
     daemon.stop("the view has ended")
@@ -101,7 +101,7 @@ def _say(line: str) -> None:
     sys.stdout.flush()
 
 
-def _summary(daemon: Daemon) -> str:
+def _summary(daemon: TickLoop) -> str:
     schedule, counters = daemon.schedule, daemon.door.counters
     return (
         f"{schedule.ticks} ticks, {schedule.skipped} skipped, "

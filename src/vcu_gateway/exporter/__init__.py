@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.exporter.families import FAMILIES
 from vcu_gateway.exporter.family import Facts, Family
@@ -24,7 +24,7 @@ CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 
 def exposition(
-    daemon: Daemon,
+    daemon: TickLoop,
     api_counts: Callable[[], ApiCounts],
     facts: Facts,
     clock: Callable[[], int] = time.monotonic_ns,

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.state import Snapshot
-from vcu_gateway.daemon.loop import Daemon, Latest
+from vcu_gateway.daemon.loop import LastTick, TickLoop
 
 PREFIX = "vcu_gateway_"
 NS_PER_S = 1_000_000_000
@@ -50,8 +50,8 @@ class Instant(NamedTuple):
     """
 
     now_ns: int
-    daemon: Daemon
-    latest: Latest | None
+    daemon: TickLoop
+    latest: LastTick | None
     snapshot: Snapshot
     api: ApiCounts
     facts: Facts
@@ -66,7 +66,7 @@ class Instant(NamedTuple):
         return max(0, self.now_ns - then_ns) / NS_PER_S
 
 
-def look(daemon: Daemon, api: ApiCounts, facts: Facts, now_ns: int) -> Instant:
+def look(daemon: TickLoop, api: ApiCounts, facts: Facts, now_ns: int) -> Instant:
     """The instant that is now."""
     snapshot = daemon.gateway.intake.store.snapshot(now_ns)
     return Instant(now_ns, daemon, daemon.latest, snapshot, api, facts)

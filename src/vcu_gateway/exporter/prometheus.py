@@ -12,7 +12,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.daemon.loop import Daemon
+from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.exporter.families import FAMILIES
 from vcu_gateway.exporter.family import Facts, Family, Samples, look
 
@@ -22,7 +22,7 @@ class Exposition:
 
     def __init__(
         self,
-        daemon: Daemon,
+        daemon: TickLoop,
         api_counts: Callable[[], ApiCounts],
         facts: Facts,
         clock: Callable[[], int],
@@ -41,7 +41,7 @@ class _State(Collector):
 
     def __init__(
         self,
-        daemon: Daemon,
+        daemon: TickLoop,
         api_counts: Callable[[], ApiCounts],
         facts: Facts,
         clock: Callable[[], int],

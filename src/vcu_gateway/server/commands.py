@@ -18,7 +18,7 @@ from vcu_gateway.core.demand import (
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.daemon.event_log import Entry
+from vcu_gateway.daemon.event_log import LoggedEvent
 from vcu_gateway.server import views as report
 from vcu_gateway.server.context import Program
 from vcu_gateway.server.service import Caller
@@ -162,7 +162,7 @@ def _refused(refusal: Refusal, sentence: str) -> Failure:
     return Failure(Code.REFUSED, sentence, refusal=refusal.value)
 
 
-def _entry(entry: Entry, now_ns: int) -> shapes.EventEntry:
+def _entry(entry: LoggedEvent, now_ns: int) -> shapes.EventEntry:
     severity = cast(Any, entry.event.severity.name.lower())
     return {
         "name": entry.event.name,

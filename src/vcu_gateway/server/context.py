@@ -6,8 +6,8 @@ from typing import NamedTuple
 from vcu_gateway.api import results as shapes
 from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.bus.connection import BusSettings
-from vcu_gateway.daemon.loop import Daemon, Latest
-from vcu_gateway.daemon.reload import InEffect, Reloader
+from vcu_gateway.daemon.loop import LastTick, TickLoop
+from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
 from vcu_gateway.server.health import Facts
 
 
@@ -19,16 +19,16 @@ class Program(NamedTuple):
         api_counts: the API's own figures.
     """
 
-    daemon: Daemon
+    daemon: TickLoop
     bus: BusSettings
-    in_effect: InEffect
+    in_effect: EffectiveConfig
     reloader: Reloader
     facts: Facts
     protocol: shapes.Protocol
     metrics: Callable[[], bytes] | None
     api_counts: Callable[[], shapes.ApiCounts]
 
-    def latest(self) -> Latest:
+    def latest(self) -> LastTick:
         """The last tick; Failure before the first."""
         latest = self.daemon.latest
         if latest is None:

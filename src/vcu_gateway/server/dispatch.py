@@ -12,7 +12,7 @@ from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
 from vcu_gateway.api.errors import Code, Failure
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.daemon.reload import Outcome
+from vcu_gateway.daemon.reload import ReloadOutcome
 from vcu_gateway.server import queries as reading
 from vcu_gateway.server.commands import Asking
 from vcu_gateway.server.context import Program
@@ -77,7 +77,7 @@ class Answers:
         self._program.latest()
         self._program.reloader.begin(lambda outcome: reply(self._reloaded(outcome)))
 
-    def _reloaded(self, outcome: Outcome) -> Reply:
+    def _reloaded(self, outcome: ReloadOutcome) -> Reply:
         if not outcome.taken:
             sentence = f"the configuration stays as it was: {outcome.problems[0]}"
             return Failure(Code.CONFIG_REFUSED, sentence, problems=outcome.problems)

@@ -15,8 +15,8 @@ from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.schedule import Schedule, percentile_ns
-from vcu_gateway.daemon.loop import Daemon
-from vcu_gateway.daemon.restarts import Start
+from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.server import views as report
 
 _NS_PER_MS = 1_000_000
@@ -40,7 +40,7 @@ class Facts:
     """
 
     protocol_digest: str
-    start: Start | None
+    start: CountedStart | None
     log_lines_dropped: Callable[[], int]
     started_ns: int = field(default_factory=time.monotonic_ns)
 
@@ -60,7 +60,7 @@ def started(config: Config) -> Event:
 
 
 def health(
-    daemon: Daemon, bus: BusSettings, config: Config, facts: Facts, api: shapes.ApiCounts
+    daemon: TickLoop, bus: BusSettings, config: Config, facts: Facts, api: shapes.ApiCounts
 ) -> shapes.Health:
     """Everything at this instant; read from any thread."""
     now_ns = time.monotonic_ns()
@@ -81,7 +81,7 @@ def health(
     }
 
 
-def _link(daemon: Daemon, bus: BusSettings, now_ns: int) -> shapes.Link:
+def _link(daemon: TickLoop, bus: BusSettings, now_ns: int) -> shapes.Link:
     link = daemon.gateway.link
     return {
         "interface": bus.interface,
@@ -112,7 +112,7 @@ def _ticks(schedule: Schedule, silent: int) -> shapes.Ticks:
     }
 
 
-def _frames(daemon: Daemon) -> shapes.FrameCounts:
+def _frames(daemon: TickLoop) -> shapes.FrameCounts:
     door = daemon.door
     return cast(
         shapes.FrameCounts,

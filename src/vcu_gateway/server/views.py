@@ -9,13 +9,13 @@ from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.daemon.loop import Latest
+from vcu_gateway.daemon.loop import LastTick
 
 _NS_PER_MS = 1_000_000
 _CONTROLLERS: tuple[shapes.ControllerName, ...] = get_args(shapes.ControllerName)
 
 
-def state(snapshot: Snapshot, latest: Latest, names: Iterable[str] | None = None) -> shapes.State:
+def state(snapshot: Snapshot, latest: LastTick, names: Iterable[str] | None = None) -> shapes.State:
     """What is known at the snapshot's instant, and what was commanded in the last tick.
 
     `names` are the messages to tell, None all; KeyError for one that the store does not keep.
