@@ -22,12 +22,12 @@ from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
 from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.server import health
-from vcu_gateway.server.context import Program
+from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.definition import definition
-from vcu_gateway.server.dispatch import Answers
+from vcu_gateway.server.dispatch import Dispatcher
 from vcu_gateway.server.server import Server
 from vcu_gateway.server.sockets import ServerSettings
-from vcu_gateway.server.tick_gaps import Gaps
+from vcu_gateway.server.tick_gaps import TickGaps
 
 _NS_PER_S = 1_000_000_000
 _DIGEST_CHARACTERS = 16
@@ -52,12 +52,12 @@ class Serving:
         self._config = config
         in_effect = EffectiveConfig(config)
         self.reloader = Reloader(in_effect, protocol, daemon, wiring.settings)
-        facts = health.Facts(
+        facts = health.RunFacts(
             protocol_digest=digest_of(config),
             start=start,
             log_lines_dropped=log_lines_dropped,
         )
-        self._program = Program(
+        self._program = ServerContext(
             daemon=daemon,
             bus=wiring.bus_settings(config),
             in_effect=in_effect,
@@ -67,8 +67,8 @@ class Serving:
             metrics=self._metrics(in_effect, facts),
             api_counts=self._api_counts,
         )
-        gaps = Gaps(lambda: daemon.schedule.next_deadline_ns, daemon.schedule.period_ns)
-        self._server = Server(server_settings(config), Answers(self._program), gaps)
+        gaps = TickGaps(lambda: daemon.schedule.next_deadline_ns, daemon.schedule.period_ns)
+        self._server = Server(server_settings(config), Dispatcher(self._program), gaps)
         self._told_failure = False
 
     def open(self) -> None:
@@ -104,7 +104,7 @@ class Serving:
         self._daemon.journal.tell(Event(name, Severity.ERROR, {"reason": reason}))
 
     def _metrics(
-        self, in_effect: EffectiveConfig, facts: health.Facts
+        self, in_effect: EffectiveConfig, facts: health.RunFacts
     ) -> Callable[[], bytes] | None:
         from vcu_gateway import exporter as metrics
 

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tests.client.vehicle import Vehicle
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import METHODS
 
 PATIENCE_S = 30.0
@@ -37,7 +37,7 @@ class Faults:
         metrics: the whole HTTP page.
     """
 
-    refuse: dict[str, Failure] = dataclasses.field(default_factory=dict)
+    refuse: dict[str, RequestError] = dataclasses.field(default_factory=dict)
     silent: set[str] = dataclasses.field(default_factory=set)
     hang_up: dict[str, int] = dataclasses.field(default_factory=dict)
     say: dict[str, bytes] = dataclasses.field(default_factory=dict)
@@ -134,7 +134,7 @@ class Standin:
             except OSError:
                 return
             if self.faults.full:
-                failure = Failure(Code.TOO_MANY_CLIENTS, "16 clients are the most")
+                failure = RequestError(ErrorCode.TOO_MANY_CLIENTS, "16 clients are the most")
                 connection.sendall(_line({"id": None, "error": failure.as_json()}))
                 connection.close()
                 continue
@@ -193,8 +193,8 @@ class Standin:
                 return {"result": {"subscription": 1, "rate_hz": checked["rate_hz"]}}
             return {"result": vehicle.answer(method, checked, number)}
         except ValidationError as error:
-            return {"error": Failure(Code.INVALID_PARAMS, str(error)).as_json()}
-        except Failure as failure:
+            return {"error": RequestError(ErrorCode.INVALID_PARAMS, str(error)).as_json()}
+        except RequestError as failure:
             return {"error": failure.as_json()}
 
     def _reply(self, connection: socket.socket, method: str, answer: dict[str, Any]) -> None:

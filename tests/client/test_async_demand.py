@@ -8,7 +8,7 @@ import pytest
 
 from tests.client.fake_gateway import PATIENCE_S
 from tests.client.scripted_gateway import Scripted
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.client import (
     ApiError,
     ApiTimeoutError,
@@ -249,7 +249,7 @@ def test_a_refusal_is_readable_and_raised_by_the_next_set(gateway):
 
 
 def test_a_demand_that_is_refused_from_the_start_is_not_entered(gateway, standin):
-    failure = Failure(Code.REFUSED, "cruise owns the demand", "other_owner")
+    failure = RequestError(ErrorCode.REFUSED, "cruise owns the demand", "other_owner")
     standin.faults.refuse["demand.set"] = failure
 
     async def drive():

@@ -11,7 +11,7 @@ import pytest
 from tests.client.fake_gateway import METRICS, PATIENCE_S, page
 from tests.client.scripted_gateway import Scripted
 from tests.client.vehicle import MESSAGES
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.client import (
     ApiError,
     ApiTimeoutError,
@@ -106,14 +106,14 @@ def test_leaving_the_client_ends_its_connection(kind, standin):
 @pytest.mark.parametrize(
     ("code", "error"),
     [
-        (Code.REFUSED, RefusedError),
-        (Code.NO_RIGHT, NoRightError),
-        (Code.CONFIG_REFUSED, ConfigRefusedError),
-        (Code.NOT_READY, ApiError),
+        (ErrorCode.REFUSED, RefusedError),
+        (ErrorCode.NO_RIGHT, NoRightError),
+        (ErrorCode.CONFIG_REFUSED, ConfigRefusedError),
+        (ErrorCode.NOT_READY, ApiError),
     ],
 )
 def test_an_error_is_raised_and_the_connection_goes_on(client, standin, code, error):
-    standin.faults.refuse["config.reload"] = Failure(code, "no", problems=("line 3",))
+    standin.faults.refuse["config.reload"] = RequestError(code, "no", problems=("line 3",))
     with pytest.raises(error) as raised:
         client.reload()
     assert raised.value.problems == ("line 3",)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.client import (
     ApiError,
     ConfigRefusedError,
@@ -20,7 +20,7 @@ RESULT = b'{"jsonrpc":"2.0","id":7,"result":{"mode":"standby"}}\n'
 UPDATE = b'{"jsonrpc":"2.0","method":"state.update","params":{"lost":0}}\n'
 
 
-def answer_with(failure: Failure, request_id: int | None = 7) -> wire.Answer:
+def answer_with(failure: RequestError, request_id: int | None = 7) -> wire.Answer:
     line = json.dumps({"jsonrpc": "2.0", "id": request_id, "error": failure.as_json()})
     (answer,) = wire.Inbox().feed(line.encode() + b"\n")
     assert isinstance(answer, wire.Answer)
@@ -114,16 +114,16 @@ def test_a_line_without_an_end_is_garbled_before_it_fills_the_memory():
 @pytest.mark.parametrize(
     ("code", "kind"),
     [
-        (Code.REFUSED, RefusedError),
-        (Code.NO_RIGHT, NoRightError),
-        (Code.CONFIG_REFUSED, ConfigRefusedError),
-        (Code.INVALID_PARAMS, ApiError),
-        (Code.NOT_READY, ApiError),
+        (ErrorCode.REFUSED, RefusedError),
+        (ErrorCode.NO_RIGHT, NoRightError),
+        (ErrorCode.CONFIG_REFUSED, ConfigRefusedError),
+        (ErrorCode.INVALID_PARAMS, ApiError),
+        (ErrorCode.NOT_READY, ApiError),
     ],
 )
 def test_each_error_of_the_contract_is_raised_as_its_kind(code, kind):
     with pytest.raises(ApiError) as raised:
-        answer_with(Failure(code, "the sentence")).value()
+        answer_with(RequestError(code, "the sentence")).value()
     assert type(raised.value) is kind
     assert raised.value.code == code.value
     assert raised.value.word == code.name.lower()
@@ -131,13 +131,13 @@ def test_each_error_of_the_contract_is_raised_as_its_kind(code, kind):
 
 
 def test_a_refusal_carries_its_machine_word():
-    error = answer_with(Failure(Code.REFUSED, "no", refusal="other_owner")).error
+    error = answer_with(RequestError(ErrorCode.REFUSED, "no", refusal="other_owner")).error
     assert error is not None
     assert error.refusal == "other_owner"
 
 
 def test_a_refused_configuration_carries_every_problem():
-    error = answer_with(Failure(Code.CONFIG_REFUSED, "no", problems=("one", "two"))).error
+    error = answer_with(RequestError(ErrorCode.CONFIG_REFUSED, "no", problems=("one", "two"))).error
     assert error is not None
     assert error.problems == ("one", "two")
 
@@ -172,5 +172,7 @@ def test_the_value_of_an_answer_is_its_result():
 
 
 def test_an_error_without_an_id_ends_whatever_waits():
-    assert answer_with(Failure(Code.TOO_MANY_CLIENTS, "full"), request_id=None).concerns(8)
+    assert answer_with(RequestError(ErrorCode.TOO_MANY_CLIENTS, "full"), request_id=None).concerns(
+        8
+    )
     assert not wire.Answer(None, {}, None).concerns(8)

@@ -12,7 +12,7 @@ import pytest
 
 from tests.client.fake_gateway import PATIENCE_S
 from tests.client.scripted_gateway import Scripted
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.client import (
     ApiError,
     ApiTimeoutError,
@@ -27,7 +27,7 @@ from vcu_gateway.client import sync_demand as blocking_owner
 TTL_MS = 60
 LONG_TTL_MS = 3000
 S = 1_000_000_000
-OTHER_OWNER = Failure(Code.REFUSED, "cruise owns the demand", "other_owner")
+OTHER_OWNER = RequestError(ErrorCode.REFUSED, "cruise owns the demand", "other_owner")
 
 
 @pytest.fixture
@@ -90,8 +90,8 @@ def test_entering_without_a_gateway_is_unreachable(tmp_path):
     ("failure", "error"),
     [
         (OTHER_OWNER, RefusedError),
-        (Failure(Code.NO_RIGHT, "user 7 may not"), NoRightError),
-        (Failure(Code.INVALID_PARAMS, "source is too long"), ApiError),
+        (RequestError(ErrorCode.NO_RIGHT, "user 7 may not"), NoRightError),
+        (RequestError(ErrorCode.INVALID_PARAMS, "source is too long"), ApiError),
     ],
 )
 def test_a_demand_that_is_refused_from_the_start_is_not_entered(client, standin, failure, error):

@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 
 CONTROLLERS = ("PCU1", "PCU2")
 RANGES = {"throttle_pct": 100.0, "brake_pct": 100.0}
@@ -24,8 +24,8 @@ MESSAGES: Mapping[str, Any] = {
 }
 
 
-def refused(refusal: str, sentence: str) -> Failure:
-    return Failure(Code.REFUSED, sentence, refusal)
+def refused(refusal: str, sentence: str) -> RequestError:
+    return RequestError(ErrorCode.REFUSED, sentence, refusal)
 
 
 class Vehicle:
@@ -51,7 +51,7 @@ class Vehicle:
         with self._lock:
             self._expire()
             if self.not_ready:
-                raise Failure(Code.NOT_READY, "the gateway is starting; try again")
+                raise RequestError(ErrorCode.NOT_READY, "the gateway is starting; try again")
             return getattr(self, "_" + method.replace(".", "_"))(params, connection)
 
     def state(self, messages: list[str] | None) -> dict[str, Any]:
@@ -132,7 +132,7 @@ class Vehicle:
         names = params["messages"] if params["messages"] is not None else list(MESSAGES)
         for name in names:
             if name not in MESSAGES:
-                raise Failure(Code.INVALID_PARAMS, f"there is no message {name}")
+                raise RequestError(ErrorCode.INVALID_PARAMS, f"there is no message {name}")
         return {
             "monotonic_ns": time.monotonic_ns(),
             "mode": self.mode,

@@ -15,7 +15,7 @@ from tests.core.safety_world import COMMAND_IDS, MS, Drive, active, data, in_mod
 from tests.monitoring.program import STARTED_S, Program, Scrape, driven
 from vcu_gateway import exporter as metrics
 from vcu_gateway import simulator
-from vcu_gateway.api.errors import Code
+from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Reason
@@ -471,7 +471,7 @@ def test_the_apis_own_figures_are_passed_on():
     assert scrape.value("api_connections_total") == 10
     assert scrape.value("api_connections_turned_away_total") == 2
     assert scrape.value("api_requests_total") == 500
-    errors = dict.fromkeys((code.name.lower() for code in Code), 0) | {"method_not_found": 4}
+    errors = dict.fromkeys((code.name.lower() for code in ErrorCode), 0) | {"method_not_found": 4}
     assert scrape.by("api_errors_total", "code") == errors
     assert scrape.by("api_connections_closed_total", "reason") == {"slow": 1}
     assert scrape.value("api_lost_updates_total") == 7

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.server.server import Server, ServerSettings
 from vcu_gateway.server.session import Limits
-from vcu_gateway.server.tick_gaps import Gaps, Room
+from vcu_gateway.server.tick_gaps import GapShare, TickGaps
 
 PATIENCE_S = 30.0
 MS = 1_000_000
@@ -52,7 +52,7 @@ class FakeService:
         self.held: list = []
         self.filler = ""
         self.metrics_made = 0
-        self.metrics_failure: Failure | None = None
+        self.metrics_failure: RequestError | None = None
         self.bug: Exception | None = None
         self.bug_at_end: Exception | None = None
         self.demand_of: set[int] = set()
@@ -78,7 +78,7 @@ class FakeService:
     def state(self, messages):
         for name in messages or ():
             if name not in KNOWN:
-                raise Failure(Code.INVALID_PARAMS, f"there is no message {name!r}")
+                raise RequestError(ErrorCode.INVALID_PARAMS, f"there is no message {name!r}")
         stamp_ns = time.monotonic_ns()
         return {"monotonic_ns": stamp_ns, "filler": self.filler, "messages": messages}
 
@@ -183,7 +183,7 @@ class Api:
     def make(self, limits=Limits(), policy=EVERYONE, gaps=None, **settings) -> Server:  # noqa: B008
         """A server that is not open yet."""
         settings = ServerSettings(self.path, policy, **{"mode": 0o666, **settings})
-        gaps = gaps or Gaps(lambda: 0, 50 * MS, Room(share=1.0))
+        gaps = gaps or TickGaps(lambda: 0, 50 * MS, GapShare(share=1.0))
         self.server = Server(settings, self.service, gaps, limits)
         return self.server
 

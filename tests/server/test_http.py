@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from tests.server.conftest import MS, PATIENCE_S, eventually
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.server.http import is_http, judge
 from vcu_gateway.server.session import Limits
-from vcu_gateway.server.tick_gaps import Gaps, Room
+from vcu_gateway.server.tick_gaps import GapShare, TickGaps
 
 GET = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
@@ -109,11 +109,11 @@ def test_json_rpc_is_no_http():
 def test_http_is_only_understood_at_the_beginning_of_a_connection(client):
     assert client.ask("why")
     client.send(b"GET /metrics HTTP/1.1\n")
-    assert client.line()["error"]["code"] == Code.PARSE_ERROR.value
+    assert client.line()["error"]["code"] == ErrorCode.PARSE_ERROR.value
 
 
 def test_without_metrics_the_answer_says_what_is_missing(api, client):
-    api.service.metrics_failure = Failure(Code.NOT_READY, "install the extra")
+    api.service.metrics_failure = RequestError(ErrorCode.NOT_READY, "install the extra")
     status, _, body = answer_to(client, GET)
     assert (status, body) == (503, b"install the extra\n")
 
@@ -142,7 +142,7 @@ def test_the_metrics_are_made_where_10_ms_are_left(idle_api):
         return (now_ns[0] // (50 * MS) + 1) * 50 * MS
 
     idle_api.start(
-        gaps=Gaps(next_deadline_ns, 50 * MS, Room(), lambda: now_ns[0], lambda: 0, sleep)
+        gaps=TickGaps(next_deadline_ns, 50 * MS, GapShare(), lambda: now_ns[0], lambda: 0, sleep)
     )
     assert idle_api.connect().ask("why")
     assert slept == []

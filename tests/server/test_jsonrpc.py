@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import DemandParams, Nothing, StateParams, Values
 from vcu_gateway.server import jsonrpc as wire
-from vcu_gateway.server.lines import MAX_LINE_BYTES, Lines
+from vcu_gateway.server.lines import MAX_LINE_BYTES, LineBuffer
 
 WORST_MS = 30.0  # on a busy machine; about 1 on a quiet one
 
@@ -21,9 +21,9 @@ def line_with(**changes) -> bytes:
     return json.dumps({k: v for k, v in message.items() if v is not ...}).encode()
 
 
-def refused(line: bytes) -> wire.Refused:
+def refused(line: bytes) -> wire.RefusedRequest:
     answer = wire.parse(line)
-    assert isinstance(answer, wire.Refused), answer
+    assert isinstance(answer, wire.RefusedRequest), answer
     return answer
 
 
@@ -56,7 +56,7 @@ def test_an_id_is_a_short_string_or_an_integer_of_64_bits(good):
 @pytest.mark.parametrize("bad", [None, 1.0, 1.5, True, [], {}, "a" * 65])
 def test_any_other_id_is_refused_and_not_sent_back(bad):
     answer = refused(line_with(id=bad))
-    assert answer.failure.code is Code.INVALID_REQUEST
+    assert answer.failure.code is ErrorCode.INVALID_REQUEST
     assert "id must be" in answer.failure.sentence
     assert (answer.id, answer.is_answered) == (None, True)
 
@@ -107,19 +107,19 @@ ABOUT_JSON = {
 @pytest.mark.parametrize(("line", "sentence"), ABOUT_JSON.items())
 def test_what_is_no_strict_json_is_refused_with_a_null_id(line, sentence):
     answer = refused(line)
-    assert answer.failure.code is Code.PARSE_ERROR
+    assert answer.failure.code is ErrorCode.PARSE_ERROR
     assert sentence in answer.failure.sentence
     assert (answer.id, answer.is_answered) == (None, True)
 
 
 def test_nesting_of_16_is_read():
     line = b'{"jsonrpc":"2.0","id":1,"method":"arm","params":' + b"[" * 15 + b"]" * 15 + b"}"
-    assert refused(line).failure.code is Code.INVALID_PARAMS
+    assert refused(line).failure.code is ErrorCode.INVALID_PARAMS
 
 
 def test_512_values_are_read():
-    assert refused(b"[" + b"1," * 511 + b"1]").failure.code is Code.INVALID_REQUEST
-    assert refused(b"[[1],[" + b"1," * 508 + b"1]]").failure.code is Code.INVALID_REQUEST
+    assert refused(b"[" + b"1," * 511 + b"1]").failure.code is ErrorCode.INVALID_REQUEST
+    assert refused(b"[[1],[" + b"1," * 508 + b"1]]").failure.code is ErrorCode.INVALID_REQUEST
 
 
 def test_the_first_three_things_that_are_wrong_are_named_and_the_others_counted():
@@ -153,7 +153,7 @@ ABOUT_THE_REQUEST = {
 @pytest.mark.parametrize(("line", "sentence"), ABOUT_THE_REQUEST.items())
 def test_json_that_is_no_request_is_refused(line, sentence):
     answer = refused(line)
-    assert answer.failure.code is Code.INVALID_REQUEST
+    assert answer.failure.code is ErrorCode.INVALID_REQUEST
     assert sentence in answer.failure.sentence
     assert answer.is_answered
     assert answer.id == (7 if b'"id"' in line and line.startswith(b"{") else None)
@@ -170,7 +170,7 @@ def test_json_that_is_no_request_is_refused(line, sentence):
     ],
 )
 def test_an_unknown_method_is_answered_with_the_nearest(method, sentence):
-    assert code_and_sentence(line_with(method=method)) == (Code.METHOD_NOT_FOUND, sentence)
+    assert code_and_sentence(line_with(method=method)) == (ErrorCode.METHOD_NOT_FOUND, sentence)
 
 
 DEMAND = {"source": "pedal", "sequence": 1, "values": {}}
@@ -213,7 +213,7 @@ ABOUT_PARAMS = [
 @pytest.mark.parametrize(("method", "params", "sentence"), ABOUT_PARAMS)
 def test_parameters_that_do_not_fit_are_named(method, params, sentence):
     code, told = code_and_sentence(line_with(method=method, params=params))
-    assert code is Code.INVALID_PARAMS
+    assert code is ErrorCode.INVALID_PARAMS
     assert sentence in told
 
 
@@ -377,7 +377,7 @@ def test_an_answer_is_one_ascii_line_without_spaces():
 
 
 def test_an_error_carries_its_code_word_and_sentence():
-    failure = Failure(Code.REFUSED, "not now", "not_allowed_now")
+    failure = RequestError(ErrorCode.REFUSED, "not now", "not_allowed_now")
     assert json.loads(wire.error_line(None, failure)) == {
         "jsonrpc": "2.0",
         "id": None,
@@ -409,7 +409,7 @@ def test_a_notification_has_no_id():
 def test_lines_come_out_as_they_went_in_however_they_were_cut():
     data = b"one\n\ntwo three\r\nfour"
     for size in range(1, len(data) + 1):
-        lines, out = Lines(), []
+        lines, out = LineBuffer(), []
         for start in range(0, len(data), size):
             lines.feed(data[start : start + size])
             while lines.has_line:
@@ -424,7 +424,7 @@ def test_lines_come_out_as_they_went_in_however_they_were_cut():
 
 
 def test_a_line_of_exactly_64_kib_passes_and_one_byte_more_does_not():
-    lines = Lines()
+    lines = LineBuffer()
     lines.feed(b"a" * MAX_LINE_BYTES)
     assert not lines.is_too_long
     lines.feed(b"\n")
@@ -440,7 +440,7 @@ def test_a_line_of_exactly_64_kib_passes_and_one_byte_more_does_not():
 
 
 def test_no_line_of_more_than_64_kib_can_be_taken():
-    lines = Lines()
+    lines = LineBuffer()
     lines.feed(b"a" * (MAX_LINE_BYTES + 1))
     assert lines.is_too_long
     lines.feed(b"\n")
@@ -449,7 +449,7 @@ def test_no_line_of_more_than_64_kib_can_be_taken():
 
 
 def test_a_line_fed_byte_by_byte_is_searched_once():
-    lines = Lines()
+    lines = LineBuffer()
     begin_ns = time.thread_time_ns()
     for _ in range(MAX_LINE_BYTES):
         lines.feed(b"a")

@@ -6,18 +6,18 @@ import threading
 
 import pytest
 
-from vcu_gateway.server.reply_queue import Letter, Mailbox
+from vcu_gateway.server.reply_queue import QueuedReply, ReplyQueue
 
 
 @pytest.fixture
 def mailbox():
-    return Mailbox()
+    return ReplyQueue()
 
 
 def test_letters_come_out_in_their_order(mailbox):
     mailbox.put(1, 2, {})
     mailbox.put(1, 3, {"a": 1})
-    assert list(mailbox.take()) == [Letter(1, 2, {}), Letter(1, 3, {"a": 1})]
+    assert list(mailbox.take()) == [QueuedReply(1, 2, {}), QueuedReply(1, 3, {"a": 1})]
     assert list(mailbox.take()) == []
 
 
@@ -48,7 +48,7 @@ def test_a_shut_mailbox_keeps_nothing(mailbox):
 
 
 def test_its_descriptor_is_closed_with_the_last_who_could_ring():
-    mailbox = Mailbox()
+    mailbox = ReplyQueue()
     put, fd = mailbox.put, mailbox.fd
     del mailbox
     put(1, 1, {})

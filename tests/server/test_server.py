@@ -22,15 +22,15 @@ from tests.server.conftest import (
     a_stranger,
     eventually,
 )
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import DemandParams, Nothing
 from vcu_gateway.api.rights import Right
-from vcu_gateway.server.acceptor import Guests, Reception
+from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts
 from vcu_gateway.server.counters import Counters
-from vcu_gateway.server.rate_limit import Pace
+from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.session import GAVE_WAY, Limits
-from vcu_gateway.server.subscriptions import Subscription
-from vcu_gateway.server.tick_gaps import Gaps
+from vcu_gateway.server.subscriptions import SubscriptionState
+from vcu_gateway.server.tick_gaps import TickGaps
 
 SHORT = Limits(patience_ns=300 * MS)
 # Where a test has to be done with something before it is over, also on a busy machine.
@@ -79,9 +79,9 @@ def test_an_answer_may_come_later_and_from_another_thread(api, client):
 def test_a_failure_is_answered_as_an_error_and_counted(api, client):
     client.request("arm", 5)
     eventually(lambda: api.service.held)
-    api.service.release(Failure(Code.REFUSED, "a fault is latched", "not_allowed_now"))
+    api.service.release(RequestError(ErrorCode.REFUSED, "a fault is latched", "not_allowed_now"))
     assert client.line()["error"]["message"] == "a fault is latched"
-    assert client.ask("stat.get")["code"] == Code.METHOD_NOT_FOUND.value
+    assert client.ask("stat.get")["code"] == ErrorCode.METHOD_NOT_FOUND.value
     assert api.counts()["errors"] == {"refused": 1, "method_not_found": 1}
     assert api.counts()["requests"] == 2
 
@@ -117,7 +117,7 @@ def test_a_notification_that_fails_is_neither_answered_nor_counted(api, client):
     client.notify("state.unsubscribe", subscription=1)
     client.notify("arm")
     eventually(lambda: api.service.held)
-    api.service.release(Failure(Code.REFUSED, "not now", "not_allowed_now"))
+    api.service.release(RequestError(ErrorCode.REFUSED, "not now", "not_allowed_now"))
     assert client.ask("why", 3)
     assert api.counts()["errors"] == {}
     assert api.counts()["requests"] == 5
@@ -145,7 +145,7 @@ def test_lines_may_arrive_in_any_pieces(client):
 )
 def test_nonsense_is_answered_and_the_connection_goes_on(api, client, line):
     client.send(line)
-    assert client.line()["error"]["code"] == Code.PARSE_ERROR.value
+    assert client.line()["error"]["code"] == ErrorCode.PARSE_ERROR.value
     assert client.ask("why")
     assert api.counts()["errors"] == {"parse_error": 1}
     assert not api.service.told("closed")
@@ -217,7 +217,7 @@ def test_a_stop_wrong_in_form_is_done_and_the_answer_says_what_was_wrong(
 def test_a_stop_wrong_in_form_that_cannot_be_done_is_not_told_as_done(api, client):
     client.send(b'{"method":"estop"}\n')
     eventually(lambda: api.service.held)
-    api.service.release(Failure(Code.NOT_READY, "the gateway is ending"))
+    api.service.release(RequestError(ErrorCode.NOT_READY, "the gateway is ending"))
     assert client.line()["error"]["message"].endswith("; not done: the gateway is ending")
 
 
@@ -229,7 +229,7 @@ def test_who_may_only_read_is_told_which_right_is_missing(idle_api):
     for request in ("arm", "demand.set"):
         params = DEMAND if request == "demand.set" else {}
         error = reader.ask(request, **params)
-        assert error["code"] == Code.NO_RIGHT.value
+        assert error["code"] == ErrorCode.NO_RIGHT.value
         assert f"{request} needs the right 'operate', which user" in error["message"]
     assert "right 'service'" in reader.ask("config.reload")["message"]
     assert "reset at service level needs" in reader.ask("reset", level="service")["message"]
@@ -603,7 +603,7 @@ def test_whoever_makes_demands_is_served_between_all_the_others(idle_api):
 
 @pytest.mark.parametrize(("late_ns", "at_once"), [(0, 3), (9 * MS, 3), (100 * MS, 3)])
 def test_a_pace_is_a_burst_and_then_one_after_the_other(late_ns, at_once):
-    pace, now_ns = Pace(100, 3, 1000), 1000 + late_ns
+    pace, now_ns = TokenBucket(100, 3, 1000), 1000 + late_ns
     taken = 0
     while pace.ready_ns <= now_ns:
         pace.take(now_ns)
@@ -679,7 +679,7 @@ def test_where_every_place_has_a_demand_the_next_is_told_why_not(idle_api):
     api.service.demand_of = {number_of(api, client) for client in clients}
     extra = api.connect()
     error = extra.line()["error"]
-    assert error["code"] == Code.TOO_MANY_CLIENTS.value
+    assert error["code"] == ErrorCode.TOO_MANY_CLIENTS.value
     assert "2 clients at most" in error["message"]
     assert "a demand keeps its place" in error["message"]
     assert extra.line() is None
@@ -747,12 +747,12 @@ def test_four_places_are_kept_from_those_who_only_read(idle_api):
 @pytest.mark.parametrize(
     ("policy", "guests", "is_in"),
     [
-        (NO_ONE, Guests(11, 11, 0), True),
-        (NO_ONE, Guests(12, 12, 0), False),
-        (NO_ONE, Guests(15, 11, 0), True),
-        (NO_ONE, Guests(16, 11, 0), False),
-        (EVERYONE, Guests(15, 12, 0), True),
-        (EVERYONE, Guests(16, 12, 0), False),
+        (NO_ONE, ConnectionCounts(11, 11, 0), True),
+        (NO_ONE, ConnectionCounts(12, 12, 0), False),
+        (NO_ONE, ConnectionCounts(15, 11, 0), True),
+        (NO_ONE, ConnectionCounts(16, 11, 0), False),
+        (EVERYONE, ConnectionCounts(15, 12, 0), True),
+        (EVERYONE, ConnectionCounts(16, 12, 0), False),
     ],
 )
 def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, guests, is_in):
@@ -763,7 +763,7 @@ def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, guests, i
         listener.listen()
         with a_stranger() if policy is NO_ONE else open(os.devnull):
             client.connect(path)
-        reception = Reception(listener, False, policy, Limits(), Counters(), 0)
+        reception = Acceptor(listener, False, policy, Limits(), Counters(), 0)
         connection = reception.accept(guests, lambda *_: False, 0)
         assert (connection is not None) is is_in
         if connection is not None:
@@ -846,7 +846,7 @@ def test_a_subscription_is_answered_and_updates_follow(client):
 
 
 def test_updates_keep_to_their_grid():
-    subscription = Subscription(1, None, rate_hz=50, now_ns=7)
+    subscription = SubscriptionState(1, None, rate_hz=50, now_ns=7)
     assert subscription.due_ns == 7
     assert subscription.pass_by(7) == 1
     assert subscription.pass_by(7 + 20 * MS + 19 * MS) == 1
@@ -937,7 +937,7 @@ def test_the_api_works_in_the_gaps_between_the_ticks(idle_api):
         """Of a ticking thread that takes each tick at once."""
         return origin_ns + ((time.monotonic_ns() - origin_ns) // period_ns + 1) * period_ns
 
-    idle_api.start(gaps=Gaps(next_deadline_ns, period_ns))
+    idle_api.start(gaps=TickGaps(next_deadline_ns, period_ns))
     client = idle_api.connect()
     client.ask("state.subscribe", rate_hz=20)
     origin_ns = client.line()["params"]["state"]["monotonic_ns"]
@@ -988,7 +988,7 @@ def test_closing_waits_for_a_short_while_only(idle_api):
     begin_ns = time.monotonic_ns()
     idle_api.server.close()
     assert time.monotonic_ns() - begin_ns < 2000 * MS
-    assert client.line()["error"]["code"] == Code.NOT_READY.value
+    assert client.line()["error"]["code"] == ErrorCode.NOT_READY.value
     assert client.line() is None
     idle_api.service.release()  # late, and nobody is hurt
 

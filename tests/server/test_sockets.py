@@ -11,7 +11,7 @@ import pytest
 from tests.server.conftest import a_stranger
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.server.sockets import ServerSettings, UnixDoor
+from vcu_gateway.server.sockets import ServerSettings, UnixListener
 
 POLICY = Policy(own_uid=os.geteuid())
 
@@ -25,7 +25,7 @@ def path(folder):
 
 def refusal(path, **settings) -> str:
     with pytest.raises(UnavailableError) as caught:
-        UnixDoor(ServerSettings(path, POLICY, **settings))
+        UnixListener(ServerSettings(path, POLICY, **settings))
     (problem,) = caught.value.problems
     assert problem.remedy, problem
     return str(problem)
@@ -40,7 +40,7 @@ def listener_at(path) -> socket.socket:
 def test_owner_and_group_may_open_the_socket_and_nobody_else(path):
     old = os.umask(0o077)
     try:
-        door = UnixDoor(ServerSettings(path, POLICY))
+        door = UnixListener(ServerSettings(path, POLICY))
     finally:
         os.umask(old)
     assert stat.S_IMODE(path.stat().st_mode) == 0o660
@@ -48,7 +48,7 @@ def test_owner_and_group_may_open_the_socket_and_nobody_else(path):
 
 
 def test_the_mode_is_the_configured_one(path):
-    door = UnixDoor(ServerSettings(path, POLICY, mode=0o600))
+    door = UnixListener(ServerSettings(path, POLICY, mode=0o600))
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     door.close()
 
@@ -58,14 +58,14 @@ def test_the_mode_is_the_configured_one(path):
     ("owner", "group"), [(12345, 23456), (pwd.getpwuid(1).pw_name, grp.getgrgid(1).gr_name)]
 )
 def test_owner_and_group_are_names_or_numbers(path, owner, group):
-    door = UnixDoor(ServerSettings(path, POLICY, owner, group))
+    door = UnixListener(ServerSettings(path, POLICY, owner, group))
     numbers = (12345, 23456) if owner == 12345 else (1, 1)
     assert (path.stat().st_uid, path.stat().st_gid) == numbers
     door.close()
 
 
 def test_owner_and_group_are_left_where_none_is_named(path):
-    door = UnixDoor(ServerSettings(path, POLICY))
+    door = UnixListener(ServerSettings(path, POLICY))
     assert (path.stat().st_uid, path.stat().st_gid) == (os.geteuid(), os.getegid())
     door.close()
 
@@ -80,7 +80,7 @@ def test_a_path_that_is_too_long_is_told_with_its_length(folder):
     path = folder / ("s" * (108 - len(os.fspath(folder)) - 1))
     assert "108 bytes" in refusal(path)
     fits = path.with_name(path.name[1:])
-    UnixDoor(ServerSettings(fits, POLICY)).close()
+    UnixListener(ServerSettings(fits, POLICY)).close()
 
 
 def test_a_missing_folder_is_told(folder):
@@ -109,7 +109,7 @@ def test_a_folder_that_cannot_be_written_is_told(folder):
 def test_a_socket_that_an_earlier_run_left_behind_is_replaced(path):
     listener_at(path).close()
     assert path.is_socket()
-    door = UnixDoor(ServerSettings(path, POLICY))
+    door = UnixListener(ServerSettings(path, POLICY))
     with socket.socket(socket.AF_UNIX) as client:
         client.connect(os.fspath(path))
     door.close()
@@ -172,7 +172,7 @@ def test_a_refusal_leaves_no_descriptor_behind(path):
 def test_without_privileges_the_socket_stays_its_makers(path, folder):
     folder.chmod(0o777)
     with a_stranger():
-        door = UnixDoor(ServerSettings(path, POLICY))
+        door = UnixListener(ServerSettings(path, POLICY))
         assert path.stat().st_uid == os.geteuid()
         assert "CAP_CHOWN" in refusal(path.with_name("other"), owner=0 if os.geteuid() else 1)
         door.close()
@@ -180,16 +180,16 @@ def test_without_privileges_the_socket_stays_its_makers(path, folder):
 
 
 def test_closing_removes_the_socket(path):
-    door = UnixDoor(ServerSettings(path, POLICY))
+    door = UnixListener(ServerSettings(path, POLICY))
     door.close()
     assert not path.exists()
     door.close()
 
 
 def test_closing_leaves_the_socket_of_a_successor_alone(path):
-    door = UnixDoor(ServerSettings(path, POLICY))
+    door = UnixListener(ServerSettings(path, POLICY))
     path.unlink()
-    successor = UnixDoor(ServerSettings(path, POLICY))
+    successor = UnixListener(ServerSettings(path, POLICY))
     door.close()
     assert path.is_socket()
     successor.close()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.server.tick_gaps import DEFAULT_ROOM, Gaps
+from vcu_gateway.server.tick_gaps import DEFAULT_SHARE, TickGaps
 
 MS = 1_000_000
 PERIOD = 50 * MS
@@ -25,10 +25,10 @@ class Machine:
         self.ticks = ticks
         self.ticks_ns: list[int] = []
         self.sleeps = 0
-        self.gaps = Gaps(
+        self.gaps = TickGaps(
             lambda: self.deadline_ns,
             PERIOD,
-            DEFAULT_ROOM,
+            DEFAULT_SHARE,
             lambda: self.now_ns,
             lambda: self.worked_ns,
             self.sleep,

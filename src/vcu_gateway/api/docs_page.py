@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from vcu_gateway.api.errors import Code
+from vcu_gateway.api.errors import ErrorCode
 
 BEGIN, END = "<!-- generated: scripts/api-page -->\n", "<!-- end of what is generated -->\n"
 
@@ -12,17 +12,17 @@ _RIGHTS = {
     "operate": "operators",
     "service": "service",
 }
-_ERRORS: Mapping[Code, str] = {
-    Code.PARSE_ERROR: "The line is not JSON, or not what is accepted of it.",
-    Code.INVALID_REQUEST: "JSON, but no request.",
-    Code.METHOD_NOT_FOUND: "There is no such method; the nearest is named.",
-    Code.INVALID_PARAMS: "The parameters are not the method's.",
-    Code.INTERNAL_ERROR: "A bug in the gateway.",
-    Code.NO_RIGHT: "The peer's user may not do this.",
-    Code.REFUSED: "Not now, or not this: `data.refusal` is a word for programs.",
-    Code.TOO_MANY_CLIENTS: "Every place has a fresh demand; the connection is closed.",
-    Code.NOT_READY: "The gateway is starting, ending or busy; try again.",
-    Code.CONFIG_REFUSED: "Nothing was changed; `data.problems` has a sentence for each reason.",
+_ERRORS: Mapping[ErrorCode, str] = {
+    ErrorCode.PARSE_ERROR: "The line is not JSON, or not what is accepted of it.",
+    ErrorCode.INVALID_REQUEST: "JSON, but no request.",
+    ErrorCode.METHOD_NOT_FOUND: "There is no such method; the nearest is named.",
+    ErrorCode.INVALID_PARAMS: "The parameters are not the method's.",
+    ErrorCode.INTERNAL_ERROR: "A bug in the gateway.",
+    ErrorCode.NO_RIGHT: "The peer's user may not do this.",
+    ErrorCode.REFUSED: "Not now, or not this: `data.refusal` is a word for programs.",
+    ErrorCode.TOO_MANY_CLIENTS: "Every place has a fresh demand; the connection is closed.",
+    ErrorCode.NOT_READY: "The gateway is starting, ending or busy; try again.",
+    ErrorCode.CONFIG_REFUSED: "Nothing was changed; `data.problems` has a sentence for each reason.",
 }
 
 
@@ -40,7 +40,7 @@ def page(document: Mapping[str, Any]) -> str:
         lines += [f"\n### Notification `{notification['name']}`\n"]
         lines += [f"\n{notification['summary']} Parameters: {_type(notification['schema'])}.\n"]
     lines += ["\n## Errors\n", "\n| code | word | meaning |\n| --- | --- | --- |\n"]
-    lines += [f"| {code.value} | `{code.name.lower()}` | {_ERRORS[code]} |\n" for code in Code]
+    lines += [f"| {code.value} | `{code.name.lower()}` | {_ERRORS[code]} |\n" for code in ErrorCode]
     lines += ["\n## Shapes\n"]
     for name, schema in shapes.items():
         lines += _shape(name, schema)

@@ -3,7 +3,7 @@
 from enum import Enum
 
 
-class Code(Enum):
+class ErrorCode(Enum):
     """JSON-RPC's own codes, and ours from -32000 on; the value's name is the stable word."""
 
     PARSE_ERROR = -32700
@@ -21,7 +21,7 @@ class Code(Enum):
     """The new configuration is not taken; `data.problems` has a line for each reason."""
 
 
-class Failure(Exception):  # noqa: N818
+class RequestError(Exception):  # noqa: N818
     """A request that is answered with an error.
 
     Attributes:
@@ -30,7 +30,7 @@ class Failure(Exception):  # noqa: N818
     """
 
     def __init__(
-        self, code: Code, sentence: str, refusal: str = "", problems: tuple[str, ...] = ()
+        self, code: ErrorCode, sentence: str, refusal: str = "", problems: tuple[str, ...] = ()
     ) -> None:
         super().__init__(sentence)
         self.code = code

@@ -7,7 +7,7 @@ from pydantic import TypeAdapter
 from vcu_gateway import __version__
 from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
-from vcu_gateway.api.errors import Code
+from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.api.methods import METHODS, Method
 
 NOTIFICATION = "state.update"
@@ -76,7 +76,7 @@ def _method(name: str, method: Method, schemas: dict[str, Any]) -> dict[str, Any
             for key, field in model.model_fields.items()
         ],
         "result": {"name": method.result.__name__, "schema": schemas[name]},
-        "errors": [{"code": code.value, "message": code.name.lower()} for code in Code],
+        "errors": [{"code": code.value, "message": code.name.lower()} for code in ErrorCode],
         "x-right": method.right.value,
         **({"x-right-service-level": "service"} if model is methods.ResetParams else {}),
     }

@@ -5,7 +5,7 @@ import socket
 from collections.abc import Mapping
 from pathlib import Path
 
-from vcu_gateway.api.errors import Code
+from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.client import jsonrpc as wire
 from vcu_gateway.client.connect import connect
 from vcu_gateway.client.demand import Body
@@ -145,7 +145,7 @@ class DemandLink:
         if answer.error is None:
             self._next_pause_ns = _FIRST_RETRY_NS
             self.keeping.granted(answer.result)
-        elif answer.error.code != Code.NOT_READY.value:
+        elif answer.error.code != ErrorCode.NOT_READY.value:
             self.keeping.refused(answer.error)
 
     def _lose(self, now_ns: int) -> None:

@@ -1,6 +1,6 @@
 """What can go wrong between this program and the gateway, each as an exception."""
 
-from vcu_gateway.api.errors import Code
+from vcu_gateway.api.errors import ErrorCode
 
 
 class ClientError(Exception):
@@ -71,9 +71,9 @@ class ConfigRefusedError(ApiError):
 
 
 _KINDS: dict[int, type[ApiError]] = {
-    Code.REFUSED.value: RefusedError,
-    Code.NO_RIGHT.value: NoRightError,
-    Code.CONFIG_REFUSED.value: ConfigRefusedError,
+    ErrorCode.REFUSED.value: RefusedError,
+    ErrorCode.NO_RIGHT.value: NoRightError,
+    ErrorCode.CONFIG_REFUSED.value: ConfigRefusedError,
 }
 
 
@@ -95,4 +95,4 @@ def api_error(error: object) -> ApiError:
 
 def _word_of(code: int) -> str:
     """The word of a code that the contract names; a later gateway may have more."""
-    return next((one.name.lower() for one in Code if one.value == code), "unknown")
+    return next((one.name.lower() for one in ErrorCode if one.value == code), "unknown")

@@ -2,7 +2,7 @@
 
 from itertools import accumulate
 
-from vcu_gateway.api.errors import Code
+from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
 from vcu_gateway.exporter.family import (
     NS_PER_S,
@@ -27,7 +27,7 @@ def _lateness(at: Instant) -> Samples:
 
 def _errors(at: Instant) -> Samples:
     """Every code from the start on, so that the first error counts as an increase."""
-    return by(dict.fromkeys((code.name.lower() for code in Code), 0) | at.api["errors"])
+    return by(dict.fromkeys((code.name.lower() for code in ErrorCode), 0) | at.api["errors"])
 
 
 def _config(at: Instant) -> Samples:

@@ -7,20 +7,20 @@ import socket
 from collections.abc import Callable
 from typing import NamedTuple
 
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.rights import Policy, Right
 from vcu_gateway.server import jsonrpc as wire
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.peer import peer_of
-from vcu_gateway.server.rate_limit import Pace
+from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
-from vcu_gateway.server.session import Connection, Limits
+from vcu_gateway.server.session import Limits, Session
 
 _NOTHING_LEFT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _GIVEN_UP = (errno.ECONNABORTED, errno.EPROTO, errno.EINTR)
 
 
-class Guests(NamedTuple):
+class ConnectionCounts(NamedTuple):
     """Who is in now: `readers` may only read."""
 
     clients: int
@@ -28,14 +28,14 @@ class Guests(NamedTuple):
     metrics_clients: int
 
 
-MakeRoom = Callable[[Caller, bool], bool]
+EvictOne = Callable[[Caller, bool], bool]
 """Called where no place is left for this caller; True where one was made.
 
 The second argument is True where only the place of one who may only read will do.
 """
 
 
-class Reception:
+class Acceptor:
     """One listening socket.
 
     Attributes:
@@ -59,7 +59,7 @@ class Reception:
         self._policy = policy
         self._limits = limits
         self._counters = counters
-        self._pace = Pace(limits.accepts_per_s, limits.clients, now_ns)
+        self._pace = TokenBucket(limits.accepts_per_s, limits.clients, now_ns)
         self._pause_until_ns = now_ns
 
     @property
@@ -67,7 +67,7 @@ class Reception:
         """From when on it accepts; until then, who connects waits in the backlog."""
         return max(self._pause_until_ns, self._pace.ready_ns)
 
-    def accept(self, guests: Guests, make_room: MakeRoom, now_ns: int) -> Connection | None:
+    def accept(self, guests: ConnectionCounts, make_room: EvictOne, now_ns: int) -> Session | None:
         """The next connection; None where none waits, or it was turned away."""
         try:
             sock, _ = self.sock.accept()
@@ -87,13 +87,15 @@ class Reception:
             self._turn_away(sock)
             return None
         self._counters.accepted += 1
-        return Connection(sock, caller, self._limits, now_ns)
+        return Session(sock, caller, self._limits, now_ns)
 
     def _caller(self, sock: socket.socket) -> Caller:
         peer = peer_of(sock)
         return Caller(next(self._numbers), peer, self._policy.rights_of(peer))
 
-    def _has_place(self, caller: Caller | None, guests: Guests, make_room: MakeRoom) -> bool:
+    def _has_place(
+        self, caller: Caller | None, guests: ConnectionCounts, make_room: EvictOne
+    ) -> bool:
         """True where a place is left, or was made."""
         limits = self._limits
         if caller is None:
@@ -110,7 +112,7 @@ class Reception:
                 f" {self._limits.kept_places} places kept for those who may operate,"
                 " and a demand keeps its place"
             )
-            line = wire.error_line(None, Failure(Code.TOO_MANY_CLIENTS, what))
+            line = wire.error_line(None, RequestError(ErrorCode.TOO_MANY_CLIENTS, what))
             with contextlib.suppress(OSError):  # it may have left already
                 sock.send(line, socket.MSG_NOSIGNAL)
         sock.close()

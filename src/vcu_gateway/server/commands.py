@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.core.demand import (
     CONTROLLERS,
     ControllerDemand,
@@ -20,17 +20,17 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.daemon.event_log import LoggedEvent
 from vcu_gateway.server import views as report
-from vcu_gateway.server.context import Program
+from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.sources import Sources
 
 _NS_PER_MS = 1_000_000
 
 
-class Asking:
+class CommandHandlers:
     """Carries requests out; belongs to the ticking thread."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: ServerContext) -> None:
         self._program = program
         self._requests = program.daemon.gateway.requests
         self._sources = Sources()
@@ -110,17 +110,17 @@ class Asking:
         return {"events": entries, "forgotten": journal.forgotten}
 
 
-_ASKING: Mapping[str, Callable[[Asking, Any, Caller], Any]] = {
-    "demand.set": Asking.set_demand,
-    "demand.release": Asking.release,
-    "arm": Asking.arm,
-    "disarm": Asking.disarm,
-    "reset": Asking.reset,
-    "estop": Asking.estop,
-    "events": Asking.events,
+_ASKING: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
+    "demand.set": CommandHandlers.set_demand,
+    "demand.release": CommandHandlers.release,
+    "arm": CommandHandlers.arm,
+    "disarm": CommandHandlers.disarm,
+    "reset": CommandHandlers.reset,
+    "estop": CommandHandlers.estop,
+    "events": CommandHandlers.events,
 }
 
-ASKING = frozenset(_ASKING)
+COMMANDS = frozenset(_ASKING)
 """The methods of this kind."""
 
 
@@ -128,7 +128,7 @@ def demand_of(params: methods.DemandParams, settings: Settings) -> Demand:
     """The demand that is meant; Failure where it says both `values` and `controllers`, or none."""
     if (params.values is None) is (params.controllers is None):
         sentence = "give either values, for both controllers, or controllers, one for each"
-        raise Failure(Code.INVALID_PARAMS, sentence)
+        raise RequestError(ErrorCode.INVALID_PARAMS, sentence)
     if params.values is not None:
         both = _controller_demand(params.values, settings)
         controllers = dict.fromkeys(CONTROLLERS, both)
@@ -158,8 +158,8 @@ def _controller_demand(values: methods.Values, settings: Settings) -> Controller
     )
 
 
-def _refused(refusal: Refusal, sentence: str) -> Failure:
-    return Failure(Code.REFUSED, sentence, refusal=refusal.value)
+def _refused(refusal: Refusal, sentence: str) -> RequestError:
+    return RequestError(ErrorCode.REFUSED, sentence, refusal=refusal.value)
 
 
 def _entry(entry: LoggedEvent, now_ns: int) -> shapes.EventEntry:

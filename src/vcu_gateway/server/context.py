@@ -4,14 +4,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
-from vcu_gateway.server.health import Facts
+from vcu_gateway.server.health import RunFacts
 
 
-class Program(NamedTuple):
+class ServerContext(NamedTuple):
     """Its parts.
 
     Attributes:
@@ -23,7 +23,7 @@ class Program(NamedTuple):
     bus: BusSettings
     in_effect: EffectiveConfig
     reloader: Reloader
-    facts: Facts
+    facts: RunFacts
     protocol: shapes.Protocol
     metrics: Callable[[], bytes] | None
     api_counts: Callable[[], shapes.ApiCounts]
@@ -32,5 +32,5 @@ class Program(NamedTuple):
         """The last tick; Failure before the first."""
         latest = self.daemon.latest
         if latest is None:
-            raise Failure(Code.NOT_READY, "the gateway has not ticked yet; try again")
+            raise RequestError(ErrorCode.NOT_READY, "the gateway has not ticked yet; try again")
         return latest

@@ -10,27 +10,27 @@ from collections.abc import Callable, Mapping
 from vcu_gateway import config as configuration
 from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon.reload import ReloadOutcome
 from vcu_gateway.server import queries as reading
-from vcu_gateway.server.commands import Asking
-from vcu_gateway.server.context import Program
-from vcu_gateway.server.restraint import Restraint
+from vcu_gateway.server.commands import CommandHandlers
+from vcu_gateway.server.context import ServerContext
+from vcu_gateway.server.restraint import LogRateLimit
 from vcu_gateway.server.service import Caller, Reply
 from vcu_gateway.server.stop_requests import STOPS
 
 RELOAD = "config.reload"
 
 
-class Answers:
+class Dispatcher:
     """Implements `service.Service`."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: ServerContext) -> None:
         self._program = program
         self._inbox = program.daemon.inbox
-        self._asking = Asking(program)
-        self._restraint = Restraint()
+        self._asking = CommandHandlers(program)
+        self._restraint = LogRateLimit()
 
     def begin(
         self,
@@ -41,13 +41,13 @@ class Answers:
     ) -> None:
         """Answer one permitted request through `reply`: at once, or from the ticking thread."""
         try:
-            if method in reading.READING:
-                reply(reading.READING[method](self._program, params))
+            if method in reading.QUERIES:
+                reply(reading.QUERIES[method](self._program, params))
             elif method == RELOAD:
                 self._reload(reply)
             else:
                 self._ask(method, params, caller, reply)
-        except Failure as failure:
+        except RequestError as failure:
             reply(failure)
 
     def _ask(
@@ -63,7 +63,7 @@ class Answers:
         def carry_out() -> None:
             try:
                 reply(self._asking.carry_out(method, params, caller))
-            except Failure as failure:
+            except RequestError as failure:
                 reply(failure)
 
         self._inbox.post(carry_out)
@@ -71,7 +71,9 @@ class Answers:
     def _check_ready(self) -> None:
         self._program.latest()
         if self._inbox.full:
-            raise Failure(Code.NOT_READY, "too many requests wait for the next tick; try again")
+            raise RequestError(
+                ErrorCode.NOT_READY, "too many requests wait for the next tick; try again"
+            )
 
     def _reload(self, reply: Callable[[Reply], None]) -> None:
         self._program.latest()
@@ -80,7 +82,7 @@ class Answers:
     def _reloaded(self, outcome: ReloadOutcome) -> Reply:
         if not outcome.taken:
             sentence = f"the configuration stays as it was: {outcome.problems[0]}"
-            return Failure(Code.CONFIG_REFUSED, sentence, problems=outcome.problems)
+            return RequestError(ErrorCode.CONFIG_REFUSED, sentence, problems=outcome.problems)
         digest = configuration.digest(self._program.in_effect.config)
         return {"changed": list(outcome.changed), "digest": digest}
 
@@ -92,7 +94,7 @@ class Answers:
         """The metrics' text; Failure where they are not installed."""
         if self._program.metrics is None:
             sentence = "metrics need an extra: pip install 'vcu-gateway[metrics]'"
-            raise Failure(Code.NOT_READY, sentence)
+            raise RequestError(ErrorCode.NOT_READY, sentence)
         return self._program.metrics()
 
     def owns_demand(self, caller: Caller) -> bool:

@@ -4,23 +4,23 @@ import contextlib
 import select
 import time
 
-from vcu_gateway.api.errors import Code, Failure
-from vcu_gateway.server.acceptor import Guests, Reception, may_only_read
+from vcu_gateway.api.errors import ErrorCode, RequestError
+from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts, may_only_read
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.http import is_http
-from vcu_gateway.server.reply_queue import Mailbox
-from vcu_gateway.server.request_handler import Desk
+from vcu_gateway.server.reply_queue import ReplyQueue
+from vcu_gateway.server.request_handler import RequestHandler
 from vcu_gateway.server.scraping import Scraping
-from vcu_gateway.server.service import Caller, Service
-from vcu_gateway.server.session import GAVE_WAY, Connection, Limits
-from vcu_gateway.server.tick_gaps import Gaps
+from vcu_gateway.server.service import Caller, RequestService
+from vcu_gateway.server.session import GAVE_WAY, Limits, Session
+from vcu_gateway.server.tick_gaps import TickGaps
 
 _UPDATES_PER_ROUND = 4
 _NS_PER_S = 1_000_000_000
 _LOOK_S = 0.005
 
 
-class Rounds:
+class EventLoop:
     """Connections and listening sockets on the API's thread.
 
     A round is: what the sockets tell, replies, one request of each connection, a few updates,
@@ -29,11 +29,11 @@ class Rounds:
 
     def __init__(
         self,
-        service: Service,
-        gaps: Gaps,
+        service: RequestService,
+        gaps: TickGaps,
         limits: Limits,
-        receptions: list[Reception],
-        mailbox: Mailbox,
+        receptions: list[Acceptor],
+        mailbox: ReplyQueue,
         counters: Counters,
     ) -> None:
         self._service = service
@@ -42,9 +42,9 @@ class Rounds:
         self._receptions = receptions
         self._mailbox = mailbox
         self._counters = counters
-        self._desk = Desk(service, counters, mailbox.put)
+        self._desk = RequestHandler(service, counters, mailbox.put)
         self._scraping = Scraping(service, gaps)
-        self._connections: dict[int, Connection] = {}
+        self._connections: dict[int, Session] = {}
         self._watched: dict[int, int] = {}
         self._epoll = select.epoll()
         self._watch(mailbox.fd, select.EPOLLIN)
@@ -76,7 +76,7 @@ class Rounds:
             for connection in self._connections.values():
                 if connection.has_output:
                     connection.flush(self._now_ns())
-        ending = Failure(Code.NOT_READY, "the gateway is ending")
+        ending = RequestError(ErrorCode.NOT_READY, "the gateway is ending")
         for connection in self._connections.values():
             for number in list(connection.unanswered):
                 self._desk.answer(connection, number, ending, self._now_ns())
@@ -97,7 +97,7 @@ class Rounds:
             return None
         return max(0.0, (self._wake_ns - time.monotonic_ns()) / _NS_PER_S)
 
-    def _on_event(self, connection: Connection, event: int) -> None:
+    def _on_event(self, connection: Session, event: int) -> None:
         now_ns = self._now_ns()
         if event & (select.EPOLLHUP | select.EPOLLERR):
             connection.lose()
@@ -109,17 +109,17 @@ class Rounds:
         if event & select.EPOLLIN:
             self._receive(connection, now_ns)
 
-    def _accept(self, reception: Reception) -> None:
+    def _accept(self, reception: Acceptor) -> None:
         connection = reception.accept(self._guests(), self._make_room, self._now_ns())
         if connection is not None:
             self._connections[connection.sock.fileno()] = connection
             self._counters.clients += connection.caller is not None
 
-    def _guests(self) -> Guests:
+    def _guests(self) -> ConnectionCounts:
         callers = [connection.caller for connection in self._connections.values()]
         clients = [caller for caller in callers if caller is not None]
         readers = sum(may_only_read(caller) for caller in clients)
-        return Guests(len(clients), readers, len(callers) - len(clients))
+        return ConnectionCounts(len(clients), readers, len(callers) - len(clients))
 
     def _make_room(self, newcomer: Caller, must_be_readers: bool) -> bool:
         """The longest idle connection without a fresh demand gives way; False without one.
@@ -137,7 +137,7 @@ class Rounds:
                 return True
         return False
 
-    def _give_way(self, connection: Connection) -> None:
+    def _give_way(self, connection: Session) -> None:
         """What it asked for before counts: it may be an emergency stop."""
         self._receive(connection, self._now_ns())
         while connection.has_request and time.monotonic_ns() >= connection.pace.ready_ns:
@@ -153,7 +153,7 @@ class Rounds:
                 if caller is not None and caller.connection == letter.connection:
                     self._desk.answer(connection, letter.number, letter.reply, self._now_ns())
 
-    def _serve(self, connection: Connection) -> None:
+    def _serve(self, connection: Session) -> None:
         """One request of this connection, where it may have one now."""
         if connection.has_request:
             self._handle_line(connection, self._now_ns())
@@ -166,13 +166,13 @@ class Rounds:
             self._receive(connection, self._now_ns())
             self._serve(connection)
 
-    def _receive(self, connection: Connection, now_ns: int) -> None:
+    def _receive(self, connection: Session, now_ns: int) -> None:
         if connection.wants_bytes:
             connection.receive(now_ns)
             self._tell_if_gone(connection)
             self._role(connection).check_extent(connection, now_ns)
 
-    def _handle_line(self, connection: Connection, now_ns: int) -> None:
+    def _handle_line(self, connection: Session, now_ns: int) -> None:
         if now_ns < connection.pace.ready_ns:
             connection.waited = True
             return
@@ -188,7 +188,7 @@ class Rounds:
         role.check_extent(connection, now_ns)
         self._deliver()
 
-    def _role(self, connection: Connection) -> Desk | Scraping:
+    def _role(self, connection: Session) -> RequestHandler | Scraping:
         return self._desk if connection.head is None else self._scraping
 
     def _send_updates(self) -> None:
@@ -212,7 +212,7 @@ class Rounds:
             wakes.append(None if is_open else reception.ready_ns)
         self._wake_ns = min((wake for wake in wakes if wake is not None), default=None)
 
-    def _look_at(self, connection: Connection, now_ns: int) -> int | None:
+    def _look_at(self, connection: Session, now_ns: int) -> int | None:
         """When to look again."""
         self._tell_if_gone(connection)
         reason = connection.verdict(now_ns)
@@ -233,14 +233,14 @@ class Rounds:
             self._epoll.unregister(fd)
         self._watched[fd] = events
 
-    def _tell_if_gone(self, connection: Connection) -> None:
+    def _tell_if_gone(self, connection: Session) -> None:
         """The demand of a connection ends as soon as its peer has."""
         if connection.peer_ended and not connection.is_told:
             connection.is_told = True
             if connection.caller is not None:
                 self._service.gone(connection.caller)
 
-    def _end(self, connection: Connection, reason: str) -> None:
+    def _end(self, connection: Session, reason: str) -> None:
         self._watch(connection.sock.fileno(), 0)
         del self._watched[connection.sock.fileno()]
         del self._connections[connection.sock.fileno()]

@@ -31,7 +31,7 @@ _VERSIONS: shapes.Versions = {
 
 
 @dataclass(slots=True)
-class Facts:
+class RunFacts:
     """What is known of this run from its start on.
 
     Attributes:
@@ -60,7 +60,7 @@ def started(config: Config) -> Event:
 
 
 def health(
-    daemon: TickLoop, bus: BusSettings, config: Config, facts: Facts, api: shapes.ApiCounts
+    daemon: TickLoop, bus: BusSettings, config: Config, facts: RunFacts, api: shapes.ApiCounts
 ) -> shapes.Health:
     """Everything at this instant; read from any thread."""
     now_ns = time.monotonic_ns()

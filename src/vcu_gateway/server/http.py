@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from vcu_gateway.api.errors import Failure
+from vcu_gateway.api.errors import RequestError
 
 MAX_HEAD_BYTES = 8_192
 
@@ -68,7 +68,7 @@ def response(answer: Answer, metrics: Callable[[], bytes]) -> bytes:
     if answer.wants_metrics:
         try:
             kind, body = _METRICS, metrics()
-        except Failure as failure:
+        except RequestError as failure:
             answer = answer._replace(status=503)
             body = f"{failure.sentence}\n".encode()
     head = [

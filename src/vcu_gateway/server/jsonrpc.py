@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import METHODS, Params, Values
 from vcu_gateway.server.stop_requests import stop_named
 
@@ -41,14 +41,14 @@ class Request(NamedTuple):
     id: RequestId | None
 
 
-class Refused(NamedTuple):
+class RefusedRequest(NamedTuple):
     """Why a line is no request; `is_answered` is False where it was a notification.
 
     Attributes:
         stop: the method of `STOPS` that it names, and that is done all the same.
     """
 
-    failure: Failure
+    failure: RequestError
     id: RequestId | None
     is_answered: bool
     stop: str | None = None
@@ -58,32 +58,32 @@ class _UnreadableError(ValueError):
     """The line is no JSON, or more of it than a request needs."""
 
 
-def parse(line: bytes) -> Request | Refused:
+def parse(line: bytes) -> Request | RefusedRequest:
     """The request in this line, or what is wrong with it."""
     parsed = _parse(line)
-    if isinstance(parsed, Refused) and (stop := stop_named(line)) is not None:
+    if isinstance(parsed, RefusedRequest) and (stop := stop_named(line)) is not None:
         return parsed._replace(stop=stop, is_answered=True)
     return parsed
 
 
-def _parse(line: bytes) -> Request | Refused:
+def _parse(line: bytes) -> Request | RefusedRequest:
     try:
         message = _read(line)
     except _UnreadableError as error:
-        return Refused(_failure(Code.PARSE_ERROR, str(error)), None, True)
+        return RefusedRequest(_failure(ErrorCode.PARSE_ERROR, str(error)), None, True)
     if not isinstance(message, dict):
         what = "a batch; send one request a line" if isinstance(message, list) else "no object"
-        return Refused(_failure(Code.INVALID_REQUEST, f"this is {what}"), None, True)
+        return RefusedRequest(_failure(ErrorCode.INVALID_REQUEST, f"this is {what}"), None, True)
     request_id = message.get("id")
     if not _is_id(request_id) and "id" in message:
         wrong_id = f"id must be a string of up to {MAX_ID_CHARACTERS} characters or an integer"
-        return Refused(_failure(Code.INVALID_REQUEST, wrong_id), None, True)
+        return RefusedRequest(_failure(ErrorCode.INVALID_REQUEST, wrong_id), None, True)
     try:
         return _request(message, request_id)
-    except Failure as failure:
-        is_answered = "id" in message or failure.code is Code.INVALID_REQUEST
+    except RequestError as failure:
+        is_answered = "id" in message or failure.code is ErrorCode.INVALID_REQUEST
         # Without its traceback, or it would keep itself alive through the frames of the caller.
-        return Refused(failure.with_traceback(None), request_id, is_answered)
+        return RefusedRequest(failure.with_traceback(None), request_id, is_answered)
 
 
 def result_line(request_id: RequestId, result: Mapping[str, Any]) -> bytes:
@@ -91,7 +91,7 @@ def result_line(request_id: RequestId, result: Mapping[str, Any]) -> bytes:
     return _line({"jsonrpc": "2.0", "id": request_id, "result": result})
 
 
-def error_line(request_id: RequestId | None, failure: Failure) -> bytes:
+def error_line(request_id: RequestId | None, failure: RequestError) -> bytes:
     """The answer to a request that failed; the id is null where it could not be read."""
     return _line({"jsonrpc": "2.0", "id": request_id, "error": failure.as_json()})
 
@@ -197,26 +197,26 @@ def _request(message: dict[str, Any], request_id: RequestId | None) -> Request:
     for name in message:
         if name not in _MEMBERS:
             what = f"there is no member {_quoted(name)} in a request{nearest(name, _MEMBERS)}"
-            raise _failure(Code.INVALID_REQUEST, what)
+            raise _failure(ErrorCode.INVALID_REQUEST, what)
     if message.get("jsonrpc") != "2.0":
-        raise _failure(Code.INVALID_REQUEST, 'jsonrpc must be "2.0"')
+        raise _failure(ErrorCode.INVALID_REQUEST, 'jsonrpc must be "2.0"')
     method = message.get("method")
     if not isinstance(method, str):
-        raise _failure(Code.INVALID_REQUEST, "method must be a string")
+        raise _failure(ErrorCode.INVALID_REQUEST, "method must be a string")
     if method not in METHODS:
         what = f"there is no method {_quoted(method)}{nearest(method, METHODS)}"
-        raise _failure(Code.METHOD_NOT_FOUND, what)
+        raise _failure(ErrorCode.METHOD_NOT_FOUND, what)
     return Request(method, _params(METHODS[method].params, message.get("params", {})), request_id)
 
 
 def _params(model: type[Params], values: object) -> Params:
     if not isinstance(values, dict):
-        raise _failure(Code.INVALID_PARAMS, "params must be an object: parameters go by name")
+        raise _failure(ErrorCode.INVALID_PARAMS, "params must be an object: parameters go by name")
     try:
         return model.model_validate(values)
     except ValidationError as error:
         complaints = _complaints(model, error)
-    raise _failure(Code.INVALID_PARAMS, complaints)
+    raise _failure(ErrorCode.INVALID_PARAMS, complaints)
 
 
 def _complaints(model: type[Params], error: ValidationError) -> str:
@@ -252,5 +252,5 @@ def _quoted(text: str) -> str:
     return json.dumps(text)
 
 
-def _failure(code: Code, sentence: str) -> Failure:
-    return Failure(code, sentence[:MAX_SENTENCE_CHARACTERS])
+def _failure(code: ErrorCode, sentence: str) -> RequestError:
+    return RequestError(code, sentence[:MAX_SENTENCE_CHARACTERS])

@@ -4,7 +4,7 @@ MAX_LINE_BYTES = 65_536
 """The longest line, without its newline."""
 
 
-class Lines:
+class LineBuffer:
     """What was received and not yet taken; it holds one chunk more than a line at most."""
 
     def __init__(self, max_line_bytes: int = MAX_LINE_BYTES) -> None:

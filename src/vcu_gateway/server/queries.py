@@ -7,13 +7,13 @@ from typing import Any
 from vcu_gateway import config as configuration
 from vcu_gateway.api import methods
 from vcu_gateway.api import results as shapes
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.server import health
 from vcu_gateway.server import views as report
-from vcu_gateway.server.context import Program
+from vcu_gateway.server.context import ServerContext
 
 
-def state(program: Program, messages: list[str] | None) -> shapes.State:
+def state(program: ServerContext, messages: list[str] | None) -> shapes.State:
     """What is known now; Failure for a message that the gateway does not receive."""
     latest = program.latest()
     snapshot = program.daemon.gateway.intake.store.snapshot(time.monotonic_ns())
@@ -21,24 +21,24 @@ def state(program: Program, messages: list[str] | None) -> shapes.State:
     for name in messages or ():
         if name not in known:
             sentence = f"the gateway receives no message {name[:64]}; it knows {', '.join(known)}"
-            raise Failure(Code.INVALID_PARAMS, sentence)
+            raise RequestError(ErrorCode.INVALID_PARAMS, sentence)
     return report.state(snapshot, latest, messages)
 
 
-def _state(program: Program, params: methods.StateParams) -> shapes.State:
+def _state(program: ServerContext, params: methods.StateParams) -> shapes.State:
     return state(program, params.messages)
 
 
-def _why(program: Program, _: methods.Nothing) -> shapes.Why:
+def _why(program: ServerContext, _: methods.Nothing) -> shapes.Why:
     return report.why(program.latest().why)
 
 
-def _health(program: Program, _: methods.Nothing) -> shapes.Health:
+def _health(program: ServerContext, _: methods.Nothing) -> shapes.Health:
     config = program.in_effect.config
     return health.health(program.daemon, program.bus, config, program.facts, program.api_counts())
 
 
-def _config(program: Program, _: methods.Nothing) -> shapes.ConfigInEffect:
+def _config(program: ServerContext, _: methods.Nothing) -> shapes.ConfigInEffect:
     config = program.in_effect.config
     return {
         "file": config.source.file,
@@ -47,11 +47,11 @@ def _config(program: Program, _: methods.Nothing) -> shapes.ConfigInEffect:
     }
 
 
-def _protocol(program: Program, _: methods.Nothing) -> shapes.Protocol:
+def _protocol(program: ServerContext, _: methods.Nothing) -> shapes.Protocol:
     return program.protocol
 
 
-READING: Mapping[str, Callable[[Program, Any], Any]] = {
+QUERIES: Mapping[str, Callable[[ServerContext, Any], Any]] = {
     "state.get": _state,
     "why": _why,
     "health": _health,

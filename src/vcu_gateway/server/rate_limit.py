@@ -3,7 +3,7 @@
 _NS_PER_S = 1_000_000_000
 
 
-class Pace:
+class TokenBucket:
     """A token bucket in integers: `take` only from `ready_ns` on."""
 
     def __init__(self, rate_per_s: int, burst: int, now_ns: int) -> None:

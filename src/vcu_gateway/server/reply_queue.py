@@ -9,7 +9,7 @@ from typing import NamedTuple
 from vcu_gateway.server.service import Reply
 
 
-class Letter(NamedTuple):
+class QueuedReply(NamedTuple):
     """A reply to the request `number` of the connection `connection`."""
 
     connection: int
@@ -17,14 +17,14 @@ class Letter(NamedTuple):
     reply: Reply
 
 
-class Mailbox:
+class ReplyQueue:
     """A queue and a descriptor that becomes readable; putting costs one system call at most.
 
     The ticking thread puts replies in, so there is no lock that it could wait for.
     """
 
     def __init__(self) -> None:
-        self._letters: deque[Letter] = deque()
+        self._letters: deque[QueuedReply] = deque()
         self._is_rung = False
         self._is_shut = False
         self.fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -34,7 +34,7 @@ class Mailbox:
     def put(self, connection: int, number: int, reply: Reply) -> None:
         """Hand over a reply; from any thread, at any time."""
         if not self._is_shut:
-            self._letters.append(Letter(connection, number, reply))
+            self._letters.append(QueuedReply(connection, number, reply))
             self.ring()
 
     def ring(self) -> None:
@@ -48,7 +48,7 @@ class Mailbox:
         os.eventfd_read(self.fd)
         self._is_rung = False
 
-    def take(self) -> Iterator[Letter]:
+    def take(self) -> Iterator[QueuedReply]:
         """Everything that waits; only the API's thread takes."""
         while self._letters:
             yield self._letters.popleft()

@@ -4,7 +4,7 @@ import functools
 import itertools
 from collections.abc import Callable
 
-from vcu_gateway.api.errors import Code, Failure
+from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import (
     Nothing,
     Params,
@@ -18,9 +18,9 @@ from vcu_gateway.core.demand import Refusal
 from vcu_gateway.server import jsonrpc as wire
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.lines import MAX_LINE_BYTES
-from vcu_gateway.server.service import Caller, Reply, Service
-from vcu_gateway.server.session import LINE_TOO_LONG, Addressee, Connection
-from vcu_gateway.server.subscriptions import Subscription
+from vcu_gateway.server.service import Caller, Reply, RequestService
+from vcu_gateway.server.session import LINE_TOO_LONG, ReplyTo, Session
+from vcu_gateway.server.subscriptions import SubscriptionState
 
 MAX_SUBSCRIPTIONS = 4
 """Of one connection."""
@@ -29,47 +29,49 @@ LateReply = Callable[[int, int, Reply], None]
 """Called with the connection's number, our number of the request, and the reply."""
 
 
-class Desk:
+class RequestHandler:
     """What is done with a request; the socket it came from is the connection's affair."""
 
-    def __init__(self, service: Service, counters: Counters, reply: LateReply) -> None:
+    def __init__(self, service: RequestService, counters: Counters, reply: LateReply) -> None:
         self._service = service
         self._counters = counters
         self._reply = reply
         self._numbers = itertools.count(1)
 
-    def check_extent(self, connection: Connection, now_ns: int) -> None:
+    def check_extent(self, connection: Session, now_ns: int) -> None:
         """Refuse a line that is longer than a line may be, before it has ended."""
         if connection.lines.is_too_long and not connection.is_ending:
-            failure = Failure(Code.PARSE_ERROR, f"a line has at most {MAX_LINE_BYTES} bytes")
+            failure = RequestError(
+                ErrorCode.PARSE_ERROR, f"a line has at most {MAX_LINE_BYTES} bytes"
+            )
             self._send(connection, None, failure, now_ns)
             connection.end_after_output(LINE_TOO_LONG)
 
-    def handle(self, connection: Connection, line: bytes, now_ns: int) -> None:
+    def handle(self, connection: Session, line: bytes, now_ns: int) -> None:
         """Do what this line asks."""
         self._counters.requests += 1
         request = wire.parse(line)
-        if isinstance(request, wire.Refused):
+        if isinstance(request, wire.RefusedRequest):
             self._refuse(connection, request, now_ns)
             return
         try:
             result = self._result(connection, request, now_ns)
-        except Failure as failure:
+        except RequestError as failure:
             # Without its traceback, or it would keep itself alive through this frame.
             result = failure.with_traceback(None)
         if result is not None and request.id is not None:
             self._send(connection, request.id, result, now_ns)
 
-    def _refuse(self, connection: Connection, refused: wire.Refused, now_ns: int) -> None:
+    def _refuse(self, connection: Session, refused: wire.RefusedRequest, now_ns: int) -> None:
         """Say what is wrong; a stop is done all the same, and the answer waits for that."""
         if refused.stop is not None:
             self._counters.stopped_anyway += 1
-            addressee = Addressee(refused.id, refused.failure)
+            addressee = ReplyTo(refused.id, refused.failure)
             self._begin(connection, refused.stop, Nothing(), addressee)
         elif refused.is_answered:
             self._send(connection, refused.id, refused.failure, now_ns)
 
-    def answer(self, connection: Connection, number: int, reply: Reply, now_ns: int) -> None:
+    def answer(self, connection: Session, number: int, reply: Reply, now_ns: int) -> None:
         """Send the service's reply to the request of this number; the first one counts."""
         addressee = connection.answered(number, now_ns)
         if addressee is None:
@@ -78,7 +80,7 @@ class Desk:
             reply = _with_what_became(addressee.wrong, reply)
         self._send(connection, addressee.id, reply, now_ns)
 
-    def update(self, connection: Connection, subscription: Subscription, now_ns: int) -> None:
+    def update(self, connection: Session, subscription: SubscriptionState, now_ns: int) -> None:
         """Send what is due, or count what a slow reader misses."""
         points = subscription.pass_by(now_ns)
         if connection.has_output:
@@ -91,15 +93,15 @@ class Desk:
         connection.send(wire.notification_line("state.update", update), now_ns)
 
     def _send(
-        self, connection: Connection, request_id: wire.RequestId | None, reply: Reply, now_ns: int
+        self, connection: Session, request_id: wire.RequestId | None, reply: Reply, now_ns: int
     ) -> None:
-        if isinstance(reply, Failure):
+        if isinstance(reply, RequestError):
             self._counters.count_error(reply.code.name.lower())
             connection.send(wire.error_line(request_id, reply), now_ns)
         elif request_id is not None:
             connection.send(wire.result_line(request_id, reply), now_ns)
 
-    def _result(self, connection: Connection, request: wire.Request, now_ns: int) -> Reply | None:
+    def _result(self, connection: Session, request: wire.Request, now_ns: int) -> Reply | None:
         """The result; None where the service will reply. Failure is raised."""
         self._check_right(_caller(connection), request)
         if isinstance(request.params, SubscribeParams):
@@ -108,13 +110,13 @@ class Desk:
             return _unsubscribe(connection, request.params)
         if request.method == "demand.set" and connection.peer_ended:
             what = "this connection has ended, and a demand ends with its connection"
-            raise Failure(Code.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
-        addressee = None if request.id is None else Addressee(request.id)
+            raise RequestError(ErrorCode.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
+        addressee = None if request.id is None else ReplyTo(request.id)
         self._begin(connection, request.method, request.params, addressee)
         return None
 
     def _begin(
-        self, connection: Connection, method: str, params: Params, addressee: Addressee | None
+        self, connection: Session, method: str, params: Params, addressee: ReplyTo | None
     ) -> None:
         caller, number = _caller(connection), next(self._numbers)
         connection.drives = connection.drives or method == "demand.set"
@@ -134,36 +136,36 @@ class Desk:
             f" {caller.peer.uid} and its groups do not have"
         )
         self._service.refused(request.method, caller, sentence)
-        raise Failure(Code.NO_RIGHT, sentence)
+        raise RequestError(ErrorCode.NO_RIGHT, sentence)
 
-    def _subscribe(
-        self, connection: Connection, params: SubscribeParams, now_ns: int
-    ) -> Subscribed:
+    def _subscribe(self, connection: Session, params: SubscribeParams, now_ns: int) -> Subscribed:
         if len(connection.subscriptions) >= MAX_SUBSCRIPTIONS:
             what = f"{MAX_SUBSCRIPTIONS} subscriptions are the most; end one with state.unsubscribe"
-            raise Failure(Code.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
+            raise RequestError(ErrorCode.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
         self._service.state(params.messages)  # Failure where a name is wrong
         number = next(self._numbers)
-        subscription = Subscription(number, params.messages, params.rate_hz, now_ns)
+        subscription = SubscriptionState(number, params.messages, params.rate_hz, now_ns)
         connection.subscriptions[number] = subscription
         return Subscribed(subscription=number, rate_hz=params.rate_hz)
 
 
-def _caller(connection: Connection) -> Caller:
+def _caller(connection: Session) -> Caller:
     if connection.caller is None:
         raise AssertionError("the metrics port speaks no JSON")
     return connection.caller
 
 
-def _with_what_became(wrong: Failure, reply: Reply) -> Failure:
+def _with_what_became(wrong: RequestError, reply: Reply) -> RequestError:
     """What was wrong with a request to stop, and that the vehicle was stopped all the same."""
-    became = f"not done: {reply.sentence}" if isinstance(reply, Failure) else "done all the same"
-    return Failure(wrong.code, f"{wrong.sentence}; {became}")
+    became = (
+        f"not done: {reply.sentence}" if isinstance(reply, RequestError) else "done all the same"
+    )
+    return RequestError(wrong.code, f"{wrong.sentence}; {became}")
 
 
-def _unsubscribe(connection: Connection, params: UnsubscribeParams) -> Subscribed:
+def _unsubscribe(connection: Session, params: UnsubscribeParams) -> Subscribed:
     subscription = connection.subscriptions.pop(params.subscription, None)
     if subscription is None:
         what = f"this connection has no subscription {params.subscription}"
-        raise Failure(Code.INVALID_PARAMS, what)
+        raise RequestError(ErrorCode.INVALID_PARAMS, what)
     return Subscribed(subscription=subscription.number, rate_hz=subscription.rate_hz)

@@ -6,7 +6,7 @@ _EVERY_NS = 1_000_000_000
 _KINDS = 100
 
 
-class Restraint:
+class LogRateLimit:
     """Lets one of a kind through in a second, and counts the others."""
 
     def __init__(self) -> None:

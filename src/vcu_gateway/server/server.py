@@ -14,14 +14,14 @@ import time
 
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.server.acceptor import Reception
+from vcu_gateway.server.acceptor import Acceptor
 from vcu_gateway.server.counters import Counters
-from vcu_gateway.server.event_loop import Rounds
-from vcu_gateway.server.reply_queue import Mailbox
-from vcu_gateway.server.service import Service
+from vcu_gateway.server.event_loop import EventLoop
+from vcu_gateway.server.reply_queue import ReplyQueue
+from vcu_gateway.server.service import RequestService
 from vcu_gateway.server.session import DEFAULT_LIMITS, Limits
-from vcu_gateway.server.sockets import ServerSettings, UnixDoor, listen_on_loopback
-from vcu_gateway.server.tick_gaps import Gaps
+from vcu_gateway.server.sockets import ServerSettings, UnixListener, listen_on_loopback
+from vcu_gateway.server.tick_gaps import TickGaps
 
 __all__ = ["Limits", "Server", "ServerSettings"]
 
@@ -38,8 +38,8 @@ class Server:
     def __init__(
         self,
         settings: ServerSettings,
-        service: Service,
-        gaps: Gaps,
+        service: RequestService,
+        gaps: TickGaps,
         limits: Limits = DEFAULT_LIMITS,
     ) -> None:
         self._settings = settings
@@ -47,8 +47,8 @@ class Server:
         self._gaps = gaps
         self._limits = limits
         self._counters = Counters()
-        self._mailbox = Mailbox()
-        self._door: UnixDoor | None = None
+        self._mailbox = ReplyQueue()
+        self._door: UnixListener | None = None
         self._metrics_sock: socket.socket | None = None
         self._thread: threading.Thread | None = None
         self._is_closing = False
@@ -80,7 +80,7 @@ class Server:
         A port for metrics that cannot be had is no reason to go without the rest: see
         `metrics_unavailable`.
         """
-        self._door = UnixDoor(self._settings)
+        self._door = UnixListener(self._settings)
         if self._settings.metrics_port is not None:
             try:
                 self._metrics_sock = listen_on_loopback(self._settings.metrics_port)
@@ -114,8 +114,8 @@ class Server:
             self._mailbox.shut()
             self._close_doors()
 
-    def _rounds(self) -> Rounds:
-        return Rounds(
+    def _rounds(self) -> EventLoop:
+        return EventLoop(
             self._service,
             self._gaps,
             self._limits,
@@ -124,16 +124,16 @@ class Server:
             self._counters,
         )
 
-    def _receptions(self) -> list[Reception]:
+    def _receptions(self) -> list[Acceptor]:
         now_ns = time.monotonic_ns()
         policy, limits, counters = self._settings.policy, self._limits, self._counters
         receptions = []
         if self._door is not None:
             sock = self._door.sock
-            receptions.append(Reception(sock, False, policy, limits, counters, now_ns))
+            receptions.append(Acceptor(sock, False, policy, limits, counters, now_ns))
         if self._metrics_sock is not None:
             sock = self._metrics_sock
-            receptions.append(Reception(sock, True, policy, limits, counters, now_ns))
+            receptions.append(Acceptor(sock, True, policy, limits, counters, now_ns))
         return receptions
 
     def _close_doors(self) -> None:

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
 
-from vcu_gateway.api.errors import Failure
+from vcu_gateway.api.errors import RequestError
 from vcu_gateway.api.methods import Params
 from vcu_gateway.api.results import State
 from vcu_gateway.api.rights import Peer, Right
 
-Reply = Mapping[str, Any] | Failure
+Reply = Mapping[str, Any] | RequestError
 """A result, or why there is none."""
 
 
@@ -24,7 +24,7 @@ class Caller(NamedTuple):
     rights: frozenset[Right]
 
 
-class Service(Protocol):
+class RequestService(Protocol):
     """Answers requests; every method is called on the API's thread and returns at once."""
 
     def begin(

@@ -4,12 +4,12 @@ import select
 import socket
 from typing import NamedTuple
 
-from vcu_gateway.api.errors import Failure
+from vcu_gateway.api.errors import RequestError
 from vcu_gateway.server.jsonrpc import RequestId
-from vcu_gateway.server.lines import Lines
-from vcu_gateway.server.rate_limit import Pace
+from vcu_gateway.server.lines import LineBuffer
+from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
-from vcu_gateway.server.subscriptions import Subscription
+from vcu_gateway.server.subscriptions import SubscriptionState
 
 _CHUNK_BYTES = 16_384
 _NS_PER_S = 1_000_000_000
@@ -21,7 +21,7 @@ OUTPUT_STUCK = "reader stands still"
 GAVE_WAY = "gave way to a new connection"
 
 
-class Addressee(NamedTuple):
+class ReplyTo(NamedTuple):
     """To whom an answer goes.
 
     Attributes:
@@ -30,7 +30,7 @@ class Addressee(NamedTuple):
     """
 
     id: RequestId | None
-    wrong: Failure | None = None
+    wrong: RequestError | None = None
 
 
 class Limits(NamedTuple):
@@ -62,7 +62,7 @@ class Limits(NamedTuple):
 DEFAULT_LIMITS = Limits()
 
 
-class Connection:
+class Session:
     """A non-blocking stream socket with its buffers; it decides nothing about requests.
 
     Attributes:
@@ -83,10 +83,10 @@ class Connection:
     ) -> None:
         self.sock = sock
         self.caller = caller
-        self.lines = Lines()
-        self.pace = Pace(limits.rate_per_s, limits.burst, now_ns)
-        self.unanswered: dict[int, Addressee | None] = {}
-        self.subscriptions: dict[int, Subscription] = {}
+        self.lines = LineBuffer()
+        self.pace = TokenBucket(limits.rate_per_s, limits.burst, now_ns)
+        self.unanswered: dict[int, ReplyTo | None] = {}
+        self.subscriptions: dict[int, SubscriptionState] = {}
         self.head: list[bytes] | None = [] if caller is None else None
         self.peer_ended = self.peer_is_gone = self.is_told = False
         self.waited = self.drives = False
@@ -110,7 +110,7 @@ class Connection:
         return self._end_reason is not None
 
     @property
-    def live_subscriptions(self) -> list[Subscription]:
+    def live_subscriptions(self) -> list[SubscriptionState]:
         """Those that go on: none of a connection that ends."""
         return [] if self.is_ending or self.peer_ended else [*self.subscriptions.values()]
 
@@ -172,7 +172,7 @@ class Connection:
         if self.head is None:
             self._began_ns = now_ns
 
-    def answered(self, number: int, now_ns: int) -> Addressee | None:
+    def answered(self, number: int, now_ns: int) -> ReplyTo | None:
         """Forget this request; None for a notification or one that is forgotten."""
         if len(self.unanswered) == self._limits.unanswered:
             self._begin(now_ns)  # nothing was read meanwhile

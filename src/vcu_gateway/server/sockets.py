@@ -41,7 +41,7 @@ class ServerSettings(NamedTuple):
     metrics_port: int | None = None
 
 
-class UnixDoor:
+class UnixListener:
     """The listening Unix socket, and its name in the file system."""
 
     def __init__(self, settings: ServerSettings) -> None:

@@ -3,7 +3,7 @@
 _NS_PER_S = 1_000_000_000
 
 
-class Subscription:
+class SubscriptionState:
     """Updates on the grid origin_ns + n * period; the first at once.
 
     Attributes:

@@ -13,7 +13,7 @@ UNIT_NS = 1_000_000
 """What one unit of work costs, unless its caller knows better."""
 
 
-class Room(NamedTuple):
+class GapShare(NamedTuple):
     """How a period is divided.
 
     Attributes:
@@ -29,17 +29,17 @@ class Room(NamedTuple):
     look_ns: int = 1_000_000
 
 
-DEFAULT_ROOM = Room()
+DEFAULT_SHARE = GapShare()
 
 
-class Gaps:
+class TickGaps:
     """The times between ticks, for one thread; see `wait`."""
 
     def __init__(
         self,
         next_deadline_ns: Callable[[], int],
         period_ns: int,
-        room: Room = DEFAULT_ROOM,
+        room: GapShare = DEFAULT_SHARE,
         now_ns: Callable[[], int] = time.monotonic_ns,
         worked_ns: Callable[[], int] = time.thread_time_ns,
         sleep: Callable[[float], None] = time.sleep,
