@@ -5,7 +5,7 @@ import pytest
 from vcu_gateway.api.methods import DemandParams
 from vcu_gateway.client import RefusedError
 from vcu_gateway.client.demand import body_of
-from vcu_gateway.client.keeping import Keeping
+from vcu_gateway.client.keeping import DeadMan
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -23,7 +23,7 @@ def refusal(word: str = "other_owner") -> RefusedError:
 
 @pytest.fixture
 def keeping():
-    return Keeping("driver", TTL_MS, hold_s=0.5)
+    return DeadMan("driver", TTL_MS, hold_s=0.5)
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_every_set_begins_the_hold_anew(driving):
 
 
 def test_without_a_hold_the_values_go_on_for_as_long_as_the_process():
-    keeping = Keeping("bench", TTL_MS, hold_s=None)
+    keeping = DeadMan("bench", TTL_MS, hold_s=None)
     keeping.ask(DRIVING, START_NS)
     assert keeping.repeat(START_NS + 3600 * S)["values"] == {"throttle_pct": 20.0}
     assert keeping.due_ns == START_NS + 3600 * S + PAUSE_NS
@@ -111,7 +111,7 @@ def test_sequences_rise_even_while_the_clock_stands_or_falls_back(keeping):
 
 
 def test_a_later_process_begins_above_the_numbers_of_an_earlier_one(driving):
-    later = Keeping("driver", TTL_MS, hold_s=0.5)
+    later = DeadMan("driver", TTL_MS, hold_s=0.5)
     last = driving.repeat(START_NS + PAUSE_NS)["sequence"]
     assert later.repeat(START_NS + PAUSE_NS + MS)["sequence"] > last
 
@@ -176,14 +176,14 @@ def test_refusals_in_a_row_are_repeated_ever_more_slowly_up_to_a_second(driving)
 
 
 def test_a_time_to_live_longer_than_seconds_is_repeated_every_third_of_it_nevertheless():
-    keeping = Keeping("driver", 6000, hold_s=None)
+    keeping = DeadMan("driver", 6000, hold_s=None)
     keeping.refused(refusal())
     keeping.repeat(START_NS)
     assert keeping.due_ns == START_NS + 2 * S
 
 
 def test_a_time_to_live_of_nothing_does_not_spin():
-    keeping = Keeping("driver", 0, hold_s=None)
+    keeping = DeadMan("driver", 0, hold_s=None)
     keeping.repeat(START_NS)
     assert keeping.due_ns > START_NS
 

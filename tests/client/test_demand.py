@@ -88,4 +88,6 @@ def test_no_motion_is_asked_of_both_controllers_where_one_was_forgotten():
 def test_the_values_are_those_of_the_contract():
     model: type[BaseModel] = methods.Values
     assert set(asked.Values.__annotations__) == set(model.model_fields)
-    assert set(asked.Asked.__annotations__) - set(model.model_fields) == set(asked.CONTROLLERS)
+    assert set(asked.DemandRequest.__annotations__) - set(model.model_fields) == set(
+        asked.CONTROLLERS
+    )

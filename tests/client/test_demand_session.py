@@ -9,8 +9,8 @@ from tests.client.fake_gateway import PATIENCE_S
 from tests.client.vehicle import refused
 from vcu_gateway.client import UnreachableError
 from vcu_gateway.client.demand import body_of
-from vcu_gateway.client.demand_session import DemandLink
-from vcu_gateway.client.keeping import Keeping
+from vcu_gateway.client.demand_session import DemandSession
+from vcu_gateway.client.keeping import DeadMan
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -22,7 +22,7 @@ DRIVING = body_of({"throttle_pct": 20})
 
 @pytest.fixture
 def link(gateway):
-    link = DemandLink(gateway, Keeping("driver", 300, hold_s=None), timeout_s=2.0)
+    link = DemandSession(gateway, DeadMan("driver", 300, hold_s=None), timeout_s=2.0)
     yield link
     link.close()
 
@@ -214,7 +214,7 @@ def test_a_gateway_that_ends_with_the_demand_unread_is_a_break(tmp_path):
     with socket.socket(socket.AF_UNIX) as rude:
         rude.bind(str(tmp_path / "rude.sock"))
         rude.listen()
-        link = DemandLink(tmp_path / "rude.sock", Keeping("driver", 300, None), timeout_s=2.0)
+        link = DemandSession(tmp_path / "rude.sock", DeadMan("driver", 300, None), timeout_s=2.0)
         link.open(START_NS)
         rude.accept()[0].close()
         link.step(START_NS)
@@ -242,7 +242,7 @@ def test_a_gateway_that_reads_nothing_does_not_block_and_is_left(tmp_path):
     with socket.socket(socket.AF_UNIX) as deaf:
         deaf.bind(str(tmp_path / "deaf.sock"))
         deaf.listen()
-        link = DemandLink(tmp_path / "deaf.sock", Keeping("driver", 300, None), timeout_s=2.0)
+        link = DemandSession(tmp_path / "deaf.sock", DeadMan("driver", 300, None), timeout_s=2.0)
         link.open(START_NS)
         sent = 0
         while link.connected:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from vcu_gateway.client.blocking_subscription import Subscription
 from vcu_gateway.client.connect import default_socket_path
-from vcu_gateway.client.demand import Asked, Values
+from vcu_gateway.client.demand import DemandRequest, Values
 from vcu_gateway.client.errors import (
     ApiError,
     ApiTimeoutError,
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 __all__ = [
     "ApiError",
     "ApiTimeoutError",
-    "Asked",
     "AsyncClient",
     "AsyncDemandOwner",
     "AsyncSubscription",
@@ -56,6 +55,7 @@ __all__ = [
     "ClientError",
     "ConfigRefusedError",
     "DemandOwner",
+    "DemandRequest",
     "DisconnectedError",
     "GarbledError",
     "NoRightError",

@@ -22,7 +22,7 @@ class AsyncConnection:
 
     def __init__(self, path: Path) -> None:
         self._socket = connect(path)
-        self._inbox = wire.Inbox()
+        self._inbox = wire.MessageDecoder()
         self._arrived: deque[wire.Incoming] = deque()
         self._ended = False
         self._reading = False
@@ -82,11 +82,11 @@ async def ask(connection: AsyncConnection, request_id: int, call: Call[ResultT])
 
 async def _answer(
     connection: AsyncConnection, request_id: int, call: Call[ResultT]
-) -> wire.Answer | None:
+) -> wire.Response | None:
     """None where the connection ended instead."""
     try:
         while (incoming := await connection.receive()) is not None:
-            if isinstance(incoming, wire.Answer) and incoming.concerns(request_id):
+            if isinstance(incoming, wire.Response) and incoming.concerns(request_id):
                 return incoming
     except GarbledError as error:
         raise GarbledError(f"{error}{call.doubt}") from error

@@ -8,10 +8,10 @@ from types import TracebackType
 from typing import Self, Unpack
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.demand import Asked, body_of
-from vcu_gateway.client.demand_session import DemandLink
+from vcu_gateway.client.demand import DemandRequest, body_of
+from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
-from vcu_gateway.client.keeping import RELEASED_S, Keeping
+from vcu_gateway.client.keeping import RELEASED_S, DeadMan
 
 _FAREWELL_S = 0.2
 _NS_PER_S = 1_000_000_000
@@ -29,12 +29,12 @@ class AsyncDemandOwner:
         self, path: Path, source: str, ttl_ms: int, hold_s: float | None, timeout_s: float
     ) -> None:
         self._timeout_s = timeout_s
-        self._keeping = Keeping(source, ttl_ms, hold_s)
-        self._link = DemandLink(path, self._keeping, timeout_s)
+        self._keeping = DeadMan(source, ttl_ms, hold_s)
+        self._link = DemandSession(path, self._keeping, timeout_s)
         self._stepped = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
 
-    def set(self, **asked: Unpack[Asked]) -> None:
+    def set(self, **asked: Unpack[DemandRequest]) -> None:
         """As DemandOwner.set; it does not wait and needs no `await`."""
         made_ns = time.monotonic_ns()
         body = body_of(asked)

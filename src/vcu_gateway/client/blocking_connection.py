@@ -23,7 +23,7 @@ class Connection:
 
     def __init__(self, path: Path) -> None:
         self._socket = connect(path, _TURN_WITHIN_S)
-        self._inbox = wire.Inbox()
+        self._inbox = wire.MessageDecoder()
         self._arrived: deque[wire.Incoming] = deque()
         self._ended = False
 
@@ -80,11 +80,11 @@ def ask(connection: Connection, request_id: int, call: Call[ResultT], deadline_s
 
 def _answer(
     connection: Connection, request_id: int, call: Call[ResultT], deadline_s: float
-) -> wire.Answer | None:
+) -> wire.Response | None:
     """None where the connection ended instead."""
     try:
         while (incoming := connection.receive(deadline_s)) is not None:
-            if isinstance(incoming, wire.Answer) and incoming.concerns(request_id):
+            if isinstance(incoming, wire.Response) and incoming.concerns(request_id):
                 return incoming
     except GarbledError as error:
         raise GarbledError(f"{error}{call.doubt}") from error

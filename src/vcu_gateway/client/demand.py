@@ -27,7 +27,7 @@ class Values(TypedDict, total=False):
     """0 to 60000; None is the configured maximum."""
 
 
-class Asked(Values, total=False):
+class DemandRequest(Values, total=False):
     """The same for both controllers, or different values for each."""
 
     PCU1: Values
@@ -38,7 +38,7 @@ Body = Mapping[str, Mapping[str, Any]]
 """The part of a demand that says what: `values`, or `controllers`."""
 
 # Both tracks, because the gateway may require the second.
-NOTHING: Body = {
+NO_MOTION: Body = {
     "values": {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0},
 }
 
@@ -66,8 +66,8 @@ def stilled(body: Body) -> Body:
 def _still(values: Mapping[str, Any]) -> Mapping[str, Any]:
     # Nothing else is copied: what was refused for a wrong value must not be refused again.
     if values.get("motor_reverse") is True:
-        return {**NOTHING["values"], "motor_reverse": True}
-    return NOTHING["values"]
+        return {**NO_MOTION["values"], "motor_reverse": True}
+    return NO_MOTION["values"]
 
 
 def _finite(values: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -10,7 +10,7 @@ from vcu_gateway.client import jsonrpc as wire
 from vcu_gateway.client.connect import connect
 from vcu_gateway.client.demand import Body
 from vcu_gateway.client.errors import GarbledError, UnreachableError
-from vcu_gateway.client.keeping import Demand, Keeping
+from vcu_gateway.client.keeping import DeadMan, Demand
 
 _READ_BYTES = 65536
 _FIRST_RETRY_NS = 50_000_000
@@ -18,7 +18,7 @@ _LAST_RETRY_NS = 1_000_000_000
 _NS_PER_S = 1_000_000_000
 
 
-class DemandLink:
+class DemandSession:
     """Sends what an owner asks for and what its keeping repeats; reconnects by itself.
 
     Whoever drives it calls `step` when `socket` is readable or `step`'s time has come. Only
@@ -28,12 +28,12 @@ class DemandLink:
         socket: None while there is no connection.
     """
 
-    def __init__(self, path: Path, keeping: Keeping, timeout_s: float) -> None:
+    def __init__(self, path: Path, keeping: DeadMan, timeout_s: float) -> None:
         self.keeping = keeping
         self.socket: socket.socket | None = None
         self._path = path
         self._patience_ns = round(timeout_s * _NS_PER_S)
-        self._inbox = wire.Inbox()
+        self._inbox = wire.MessageDecoder()
         self._broken = False
         self._released = False
         self._unanswered: dict[int | None, str] = {}
@@ -54,7 +54,7 @@ class DemandLink:
     def open(self, now_ns: int) -> None:
         """Connect and ask for no motion; UnreachableError where nobody listens."""
         self.socket = connect(self._path)
-        self._inbox = wire.Inbox()
+        self._inbox = wire.MessageDecoder()
         self._unanswered.clear()
         self.keeping.still()
         self._send_demand(self.keeping.repeat(now_ns), now_ns)
@@ -134,11 +134,11 @@ class DemandLink:
 
     def _take(self, arrived: list[wire.Incoming], now_ns: int) -> None:
         for incoming in arrived:
-            if isinstance(incoming, wire.Answer):
+            if isinstance(incoming, wire.Response):
                 self._heard_ns = now_ns
                 self._heed(incoming)
 
-    def _heed(self, answer: wire.Answer) -> None:
+    def _heed(self, answer: wire.Response) -> None:
         method = self._unanswered.pop(answer.id, "")
         if answer.id is not None and method != "demand.set":
             return

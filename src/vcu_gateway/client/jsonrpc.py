@@ -10,7 +10,7 @@ MAX_LINE_BYTES = 4 * 1024 * 1024
 """More without an end of line is no gateway."""
 
 
-class Answer(NamedTuple):
+class Response(NamedTuple):
     """One request's answer.
 
     Attributes:
@@ -40,10 +40,10 @@ class Notification(NamedTuple):
     params: Mapping[str, Any]
 
 
-Incoming = Answer | Notification
+Incoming = Response | Notification
 
 
-class Inbox:
+class MessageDecoder:
     """Gathers one connection's bytes into lines; half a line waits for its end."""
 
     def __init__(self) -> None:
@@ -86,8 +86,8 @@ def _understood(message: object) -> Incoming:
     if ("result" in message) == ("error" in message):
         raise ValueError("not one of result and error")
     if "error" in message:
-        return Answer(request_id, None, api_error(message["error"]))
-    return Answer(request_id, message["result"], None)
+        return Response(request_id, None, api_error(message["error"]))
+    return Response(request_id, message["result"], None)
 
 
 def _notification(message: Mapping[str, Any]) -> Notification:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.demand import NOTHING, Body, stilled
+from vcu_gateway.client.demand import NO_MOTION, Body, stilled
 from vcu_gateway.client.errors import ApiError
 
 _NS_PER_MS = 1_000_000
@@ -21,7 +21,7 @@ RELEASED_S = 0.2
 """How long the gateway must have been asked for no throttle before it can be armed."""
 
 
-class Keeping:
+class DeadMan:
     """Numbers demands, repeats the last one, and lets it end.
 
     Asked-for values are repeated every third of their time to live, until `hold_s` after they
@@ -42,7 +42,7 @@ class Keeping:
         self.due_ns = 0
         self._ttl_ms = ttl_ms
         self._hold_ns = None if hold_s is None else round(hold_s * _NS_PER_S)
-        self._body: Body = NOTHING
+        self._body: Body = NO_MOTION
         self._hold_end_ns: int | None = None
         self._told = True
         self._sequence = 0
@@ -86,7 +86,7 @@ class Keeping:
         self._refused_in_a_row += 1
         self.still()
         if error.refusal == _DIRECTIONS_DIFFER:
-            self._body = NOTHING
+            self._body = NO_MOTION
         if self._refused_in_a_row == 1:
             self.due_ns = 0
 

@@ -11,10 +11,10 @@ from types import TracebackType
 from typing import Self, Unpack
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.demand import Asked, body_of
-from vcu_gateway.client.demand_session import DemandLink
+from vcu_gateway.client.demand import DemandRequest, body_of
+from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
-from vcu_gateway.client.keeping import RELEASED_S, Keeping
+from vcu_gateway.client.keeping import RELEASED_S, DeadMan
 
 _FAREWELL_S = 0.2
 _NS_PER_MS = 1_000_000
@@ -45,13 +45,13 @@ class DemandOwner:
         self, path: Path, source: str, ttl_ms: int, hold_s: float | None, timeout_s: float
     ) -> None:
         self._timeout_s = timeout_s
-        self._keeping = Keeping(source, ttl_ms, hold_s)
-        self._link = DemandLink(path, self._keeping, timeout_s)
+        self._keeping = DeadMan(source, ttl_ms, hold_s)
+        self._link = DemandSession(path, self._keeping, timeout_s)
         self._stepped = threading.Condition()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._keep, name=f"demand {source}", daemon=True)
 
-    def set(self, **asked: Unpack[Asked]) -> None:
+    def set(self, **asked: Unpack[DemandRequest]) -> None:
         """Ask for the same of both controllers, or of each: `set(PCU1={...}, PCU2={...})`.
 
         What is left out is at its default; numbers must be finite (ValueError), the gateway
