@@ -6,8 +6,8 @@ import pytest
 
 from tests.doctor.judged import complaints, only, well
 from vcu_gateway.core.settings import REQUIRED_MESSAGES
-from vcu_gateway.doctor.bus_traffic import Facts, Heard, judge, listen
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.bus_traffic import ObservedTraffic, TrafficFacts, judge, listen
+from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.protocol import dbc, packaged
 
 SPEC = dbc.load(packaged("vcu.dbc"))
@@ -27,11 +27,13 @@ def frames(*skipped: str) -> Counter[int]:
 
 
 SENT = Counter(dict.fromkeys(COMMANDS, 40))
-HEALTHY = Facts("can0", Heard(SENT, frames(), SECONDS), SPEC, REQUIRED_MESSAGES, True)
+HEALTHY = TrafficFacts(
+    "can0", ObservedTraffic(SENT, frames(), SECONDS), SPEC, REQUIRED_MESSAGES, True
+)
 
 
 def heard(local: Counter[int], remote: Counter[int], **changed: object) -> list:
-    return list(judge(HEALTHY._replace(heard=Heard(local, remote, SECONDS), **changed)))
+    return list(judge(HEALTHY._replace(heard=ObservedTraffic(local, remote, SECONDS), **changed)))
 
 
 def test_a_whole_vehicle_is_one_line_with_every_rate():
@@ -64,9 +66,11 @@ def test_an_alias_and_another_priority_count_for_their_message():
     imu = SPEC.message("IMU_Attitude").can_id
     for one in (0x08F02DE2, imu ^ OTHER_PRIORITY):
         spec = HEALTHY.protocol
-        aliased = Facts("can0", HEALTHY.heard, _with_alias(spec), REQUIRED_MESSAGES, True)
+        aliased = TrafficFacts("can0", HEALTHY.heard, _with_alias(spec), REQUIRED_MESSAGES, True)
         remote = frames("IMU_Attitude") + Counter({one: 200})
-        assert complaints(judge(aliased._replace(heard=Heard(SENT, remote, SECONDS)))) == {}
+        assert (
+            complaints(judge(aliased._replace(heard=ObservedTraffic(SENT, remote, SECONDS)))) == {}
+        )
 
 
 def _with_alias(spec):
@@ -124,5 +128,5 @@ def test_commands_of_this_machine_without_a_gateway_are_wrong():
 
 def test_an_interface_that_cannot_be_opened_is_unknown():
     heard_nothing = listen("nocan9", duration_s=0.01)
-    assert isinstance(heard_nothing, Unread)
+    assert isinstance(heard_nothing, Unreadable)
     assert only(judge(HEALTHY._replace(heard=heard_nothing))).kind.value == "unknown"

@@ -8,7 +8,7 @@ import pytest
 
 from tests.doctor.judged import complaints, only, well
 from vcu_gateway.doctor import configuration, protocol
-from vcu_gateway.doctor.configuration import Standing, judge, read
+from vcu_gateway.doctor.configuration import FilePermissions, judge, read
 from vcu_gateway.errors import Problem
 from vcu_gateway.protocol import packaged
 
@@ -25,10 +25,10 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def healthy(path: Path) -> configuration.Facts:
+def healthy(path: Path) -> configuration.ConfigurationFacts:
     return read(path)._replace(
-        file=Standing(stat.S_IFREG | 0o644, 0, 0),
-        folder=Standing(stat.S_IFDIR | 0o755, 0, 0),
+        file=FilePermissions(stat.S_IFREG | 0o644, 0, 0),
+        folder=FilePermissions(stat.S_IFDIR | 0o755, 0, 0),
         own_uid=ME,
     )
 
@@ -41,9 +41,9 @@ def test_a_valid_file_is_one_line_with_its_digest(path, healthy):
 @pytest.mark.parametrize(
     ("file", "check", "kind", "command"),
     [
-        (Standing(stat.S_IFREG | 0o646, 0, 0), "mode", "wrong", "sudo chmod o-w "),
-        (Standing(stat.S_IFREG | 0o664, 0, OTHER), "group", "warning", "sudo chmod g-w "),
-        (Standing(stat.S_IFREG | 0o644, OTHER, 0), "owner", "warning", "sudo chown root: "),
+        (FilePermissions(stat.S_IFREG | 0o646, 0, 0), "mode", "wrong", "sudo chmod o-w "),
+        (FilePermissions(stat.S_IFREG | 0o664, 0, OTHER), "group", "warning", "sudo chmod g-w "),
+        (FilePermissions(stat.S_IFREG | 0o644, OTHER, 0), "owner", "warning", "sudo chown root: "),
     ],
 )
 def test_a_file_that_others_may_change_is_told(path, healthy, file, check, kind, command):
@@ -55,8 +55,8 @@ def test_a_file_that_others_may_change_is_told(path, healthy, file, check, kind,
 @pytest.mark.parametrize(
     "file",
     [
-        Standing(stat.S_IFREG | 0o664, 0, 0),
-        Standing(stat.S_IFREG | 0o600, ME, OTHER),
+        FilePermissions(stat.S_IFREG | 0o664, 0, 0),
+        FilePermissions(stat.S_IFREG | 0o600, ME, OTHER),
     ],
 )
 def test_a_file_of_roots_or_of_whoever_asks_is_well(healthy, file):
@@ -65,7 +65,7 @@ def test_a_file_of_roots_or_of_whoever_asks_is_well(healthy, file):
 
 @pytest.mark.parametrize(("mode", "kinds"), [(0o777, {"folder": "wrong"}), (0o1777, {})])
 def test_a_folder_where_everybody_may_replace_the_file_is_wrong_unless_sticky(healthy, mode, kinds):
-    folder = Standing(stat.S_IFDIR | mode, 0, 0)
+    folder = FilePermissions(stat.S_IFDIR | mode, 0, 0)
     assert complaints(judge(healthy._replace(folder=folder))) == kinds
 
 
@@ -106,7 +106,9 @@ def test_a_file_that_is_not_there_or_a_folder_is_wrong(tmp_path):
 
 
 def test_a_file_that_this_user_may_not_read_is_unknown(healthy):
-    facts = healthy._replace(config=None, unread=configuration.Unread("this user may not read it"))
+    facts = healthy._replace(
+        config=None, unread=configuration.Unreadable("this user may not read it")
+    )
     found = next(judge(facts))
     assert complaints(judge(facts)) == {"readable": "unknown", "dependent": "unknown"}
     assert found.remedy == "sudo vcu-gateway doctor"
@@ -134,7 +136,7 @@ def test_the_packaged_dbc_is_well():
     assert "the packaged DBC: 12 messages" in well(protocol.judge(facts))
 
 
-def with_dbc(path: Path, text: str) -> protocol.Facts:
+def with_dbc(path: Path, text: str) -> protocol.ProtocolFacts:
     (path.parent / "own.dbc").write_text(text)
     path.write_text("protocol: {dbc: own.dbc}\n")
     return protocol.read(read(path).in_effect)

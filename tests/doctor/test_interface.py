@@ -16,8 +16,8 @@ from vcu_gateway.bus.interface_info import (
 )
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.doctor import interface
-from vcu_gateway.doctor.interface import Facts, judge
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.interface import InterfaceFacts, judge
+from vcu_gateway.doctor.procfs import Unreadable
 
 QUIET_PAST = DeviceCounters(0, 0, 0, 0, 17, 0)
 CONTROLLER = CanController(100, ControllerMode(0), ErrorCounters(0, 0), QUIET_PAST)
@@ -34,7 +34,7 @@ VCAN0 = InterfaceInfo(
     None,
     TRAFFIC,
 )
-HEALTHY = Facts("can0", 250_000, None, CAN0)
+HEALTHY = InterfaceFacts("can0", 250_000, None, CAN0)
 SHIPPED = (
     "sudo cp /usr/share/vcu-gateway/network/can0.network"
     " /usr/share/vcu-gateway/network/10-can0.link /etc/systemd/network/"
@@ -65,7 +65,7 @@ def test_a_healthy_interface_is_one_line():
 
 
 def test_a_virtual_interface_has_neither_bit_rate_nor_queue_and_that_is_well():
-    findings = list(judge(Facts("vcan0", 250_000, None, VCAN0)))
+    findings = list(judge(InterfaceFacts("vcan0", 250_000, None, VCAN0)))
     assert complaints(findings) == {}
     assert well(findings) == "vcan0: up, vcan, no bit rate"
 
@@ -222,13 +222,13 @@ def test_where_networkd_runs_the_shipped_files_mend_bit_rate_and_restart():
     ],
 )
 def test_a_missing_interface_is_wrong_and_says_what_there_is_instead(channel, others, remedy):
-    found = only(judge(Facts(channel, 250_000, others=others)))
+    found = only(judge(InterfaceFacts(channel, 250_000, others=others)))
     assert (found.check, found.kind.value) == ("exists", "wrong")
     assert found.remedy == remedy
 
 
 def test_a_kernel_without_can_is_one_line_not_two():
-    found = only(judge(Facts("can0", 250_000, kernel=errno.EAFNOSUPPORT)))
+    found = only(judge(InterfaceFacts("can0", 250_000, kernel=errno.EAFNOSUPPORT)))
     assert (found.check, found.kind.value) == ("sockets", "wrong")
     assert "vcu-gateway demo" in found.remedy
 
@@ -239,7 +239,7 @@ def test_a_process_that_may_not_open_can_sockets_is_told_so():
 
 
 def test_a_kernel_that_does_not_tell_is_unknown_with_the_reason():
-    found = only(judge(HEALTHY._replace(described=Unread("rtnetlink: timed out"))))
+    found = only(judge(HEALTHY._replace(described=Unreadable("rtnetlink: timed out"))))
     assert (found.check, found.kind.value) == ("exists", "unknown")
     assert "timed out" in found.what
 

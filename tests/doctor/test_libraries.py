@@ -11,12 +11,12 @@ import pytest
 from tests.doctor.judged import complaints, only, well
 from tests.mf4 import PATIENCE_S, mf4_folder, with_asammdf
 from vcu_gateway.doctor import libraries
-from vcu_gateway.doctor.libraries import Cost, Facts, Stray
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.libraries import ForeignLibrary, ImportCost, LibraryFacts
+from vcu_gateway.doctor.procfs import Unreadable
 
 __all__ = ["mf4_folder"]
 
-FACTS = Facts(None, {})
+FACTS = LibraryFacts(None, {})
 OWN = "nothing but its own libraries delays the gateway's start"
 
 
@@ -26,7 +26,7 @@ def test_a_gateway_with_its_own_libraries_is_one_line():
 
 
 def test_asammdf_is_told_with_what_it_costs_other_programs_and_is_well():
-    findings = list(libraries.judge(FACTS._replace(asammdf=Cost(309.6, 100.5))))
+    findings = list(libraries.judge(FACTS._replace(asammdf=ImportCost(309.6, 100.5))))
     assert complaints(findings) == {}
     assert findings[1].what == (
         "asammdf is kept out of the gateway; in every other program it makes `import can` "
@@ -39,19 +39,19 @@ def test_asammdf_is_told_with_what_it_costs_other_programs_and_is_well():
     ("facts", "check", "kind", "what", "remedy"),
     [
         (
-            {"strays": {"numpy": Stray(88.4), "attrs": Stray(19.9)}},
+            {"strays": {"numpy": ForeignLibrary(88.4), "attrs": ForeignLibrary(19.9)}},
             *("stray", "warning"),
             "numpy gets into the gateway, which does not need it: 88 ms a start",
             "pip uninstall numpy, where nothing else needs it",
         ),
         (
-            {"strays": {"sitecustomize": Stray(20.0, "/opt/sitecustomize.py")}},
+            {"strays": {"sitecustomize": ForeignLibrary(20.0, "/opt/sitecustomize.py")}},
             *("stray", "warning"),
             "sitecustomize gets into the gateway, which does not need it: 20 ms a start",
             "take /opt/sitecustomize.py out of this Python's path",
         ),
-        ({"strays": Unread("import vcu_gateway: no")}, "stray", "unknown", "import vcu", ""),
-        ({"asammdf": Unread("import can: no")}, "asammdf", "unknown", "import can: no", ""),
+        ({"strays": Unreadable("import vcu_gateway: no")}, "stray", "unknown", "import vcu", ""),
+        ({"asammdf": Unreadable("import can: no")}, "asammdf", "unknown", "import can: no", ""),
     ],
 )
 def test_each_library_too_many_is_one_finding(facts, check, kind, what, remedy):
@@ -62,7 +62,7 @@ def test_each_library_too_many_is_one_finding(facts, check, kind, what, remedy):
 
 
 def test_what_delays_the_start_too_little_to_tell_is_well():
-    assert well(libraries.judge(FACTS._replace(strays={"attrs": Stray(19.9)}))) == OWN
+    assert well(libraries.judge(FACTS._replace(strays={"attrs": ForeignLibrary(19.9)}))) == OWN
 
 
 def read(environment: dict[str, str]) -> dict:

@@ -10,12 +10,12 @@ import pytest
 
 from tests.doctor.judged import complaints, only, well
 from vcu_gateway.doctor import buffers, clock, process
-from vcu_gateway.doctor.process import Running
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.process import RunningProcess
+from vcu_gateway.doctor.procfs import Unreadable
 
 # Time.
 
-CLOCK = clock.Facts(True, 11_200, 1, 50_000)
+CLOCK = clock.ClockFacts(True, 11_200, 1, 50_000)
 
 
 def test_a_synchronised_clock_with_fine_timers_is_one_line():
@@ -29,10 +29,10 @@ def test_a_synchronised_clock_with_fine_timers_is_one_line():
     ("changed", "check", "kind", "remedy"),
     [
         ({"synchronised": False}, "synchronised", "warning", "sudo timedatectl set-ntp true"),
-        ({"synchronised": Unread("adjtimex: no")}, "synchronised", "unknown", ""),
+        ({"synchronised": Unreadable("adjtimex: no")}, "synchronised", "unknown", ""),
         ({"resolution_ns": 1_000_000}, "resolution", "warning", "high-resolution"),
         ({"slack_ns": 1_000_001}, "slack", "warning", "TimerSlackNSec="),
-        ({"slack_ns": Unread("no such file")}, "slack", "unknown", ""),
+        ({"slack_ns": Unreadable("no such file")}, "slack", "unknown", ""),
     ],
 )
 def test_each_fault_of_the_clock_is_one_finding(changed, check, kind, remedy):
@@ -62,22 +62,22 @@ def test_this_machines_clock_is_read():
 
 # Buffers.
 
-BUFFERS = buffers.Facts(None, 212_992, 212_992)
+BUFFERS = buffers.BufferFacts(None, 212_992, 212_992)
 
 
 def test_the_kernels_usual_buffer_is_well_where_none_is_asked_for():
     assert complaints(buffers.judge(BUFFERS)) == {}
-    assert complaints(buffers.judge(BUFFERS._replace(largest_bytes=Unread("hidden")))) == {}
+    assert complaints(buffers.judge(BUFFERS._replace(largest_bytes=Unreadable("hidden")))) == {}
 
 
 @pytest.mark.parametrize(
     ("changed", "check", "kind", "remedy"),
     [
         ({"usual_bytes": 212_991}, "rmem_default", "warning", "net.core.rmem_default=212992"),
-        ({"usual_bytes": Unread("hidden")}, "rmem_default", "unknown", ""),
+        ({"usual_bytes": Unreadable("hidden")}, "rmem_default", "unknown", ""),
         ({"asked_bytes": 212_993}, "rmem_max", "warning", "net.core.rmem_max=212993"),
         (
-            {"asked_bytes": 4096, "largest_bytes": Unread("hidden")},
+            {"asked_bytes": 4096, "largest_bytes": Unreadable("hidden")},
             "rmem_max",
             "unknown",
             "",
@@ -104,11 +104,13 @@ def test_this_machines_buffers_are_read():
 
 MEMORY = {"MemAvailable": "900000 kB", "SwapTotal": "0 kB", "SwapFree": "0 kB"}
 STATUS = {"VmLck": "92160 kB", "VmSwap": "0 kB"}
-RUNNING = Running(700, "fifo", 20, STATUS)
-PROCESS = process.Facts(RUNNING, MEMORY, (("cpufreq-dt", "performance"),), "PREEMPT_RT", 5000)
+RUNNING = RunningProcess(700, "fifo", 20, STATUS)
+PROCESS = process.ProcessFacts(
+    RUNNING, MEMORY, (("cpufreq-dt", "performance"),), "PREEMPT_RT", 5000
+)
 
 
-def running(**changed: object) -> process.Facts:
+def running(**changed: object) -> process.ProcessFacts:
     return PROCESS._replace(running=RUNNING._replace(**changed))
 
 
@@ -125,17 +127,17 @@ def test_a_real_time_process_on_a_roomy_machine_is_two_lines():
     ("facts", "check", "kind"),
     [
         (running(policy="other"), "priority", "warning"),
-        (running(policy=Unread("gone")), "priority", "unknown"),
+        (running(policy=Unreadable("gone")), "priority", "unknown"),
         (running(status={**STATUS, "VmLck": "0 kB"}), "memory_lock", "warning"),
-        (running(status=Unread("gone")), "memory_lock", "unknown"),
+        (running(status=Unreadable("gone")), "memory_lock", "unknown"),
         (running(status={**STATUS, "VmSwap": "4 kB"}), "swapped", "warning"),
         (PROCESS._replace(memory={**MEMORY, "MemAvailable": "102399 kB"}), "memory", "warning"),
-        (PROCESS._replace(memory=Unread("hidden")), "memory", "unknown"),
+        (PROCESS._replace(memory=Unreadable("hidden")), "memory", "unknown"),
         (PROCESS._replace(memory={}), "memory", "unknown"),
         (PROCESS._replace(memory={**MEMORY, "SwapTotal": "4096 kB"}), "swap", "warning"),
         (PROCESS._replace(governors=(("cpufreq-dt", "powersave"),)), "governor", "warning"),
         (PROCESS._replace(disk_mb=199), "disk", "warning"),
-        (PROCESS._replace(disk_mb=Unread("no permission")), "disk", "unknown"),
+        (PROCESS._replace(disk_mb=Unreadable("no permission")), "disk", "unknown"),
         (PROCESS._replace(running=None, memory_lock="8388608"), "memory_lock", "warning"),
         (PROCESS._replace(running=None, policy="0"), "priority", "warning"),
     ],
@@ -226,7 +228,7 @@ def test_free_space_is_read_in_megabytes(tmp_path: Path):
     assert process.free_mb(str(tmp_path / "none")) is None
     file = tmp_path / "file"
     file.touch()
-    assert isinstance(process.free_mb(f"{file}/below"), Unread)
+    assert isinstance(process.free_mb(f"{file}/below"), Unreadable)
 
 
 @pytest.fixture

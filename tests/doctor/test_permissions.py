@@ -11,17 +11,17 @@ from tests.doctor.judged import complaints, only, well
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.config import Api, Config, Protocol
 from vcu_gateway.doctor import permissions
-from vcu_gateway.doctor.permissions import Account, Facts, Place, judge
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.permissions import Account, PermissionFacts, ResourcePermissions, judge
+from vcu_gateway.doctor.procfs import Unreadable
 
 DRIVER = Account("driver", 1000, frozenset({1000, 500}))
 GATEWAY = Account("vcu-gateway", 900, frozenset({900}))
-SOCKET = Place("/run/vcu-gateway/control.sock", stat.S_IFSOCK | 0o660, 900, 500)
-FOLDER = Place("/run/vcu-gateway", stat.S_IFDIR | 0o755, 900, 900)
-ETC = Place("/etc", stat.S_IFDIR | 0o755, 0, 0)
-OWN = Place("/etc/vcu-gateway", stat.S_IFDIR | 0o755, 0, 0)
-FILE = Place("/etc/vcu-gateway/gateway.yaml", stat.S_IFREG | 0o644, 0, 0)
-HEALTHY = Facts(
+SOCKET = ResourcePermissions("/run/vcu-gateway/control.sock", stat.S_IFSOCK | 0o660, 900, 500)
+FOLDER = ResourcePermissions("/run/vcu-gateway", stat.S_IFDIR | 0o755, 900, 900)
+ETC = ResourcePermissions("/etc", stat.S_IFDIR | 0o755, 0, 0)
+OWN = ResourcePermissions("/etc/vcu-gateway", stat.S_IFDIR | 0o755, 0, 0)
+FILE = ResourcePermissions("/etc/vcu-gateway/gateway.yaml", stat.S_IFREG | 0o644, 0, 0)
+HEALTHY = PermissionFacts(
     me=DRIVER,
     service=GATEWAY,
     policy=Policy(900, operator_gids=frozenset({500})),
@@ -43,7 +43,7 @@ def test_an_operator_beside_an_installed_service_is_one_line():
     ("changed", "check", "kind", "remedy"),
     [
         (
-            {"service": Unread("this machine has no user vcu-gateway")},
+            {"service": Unreadable("this machine has no user vcu-gateway")},
             "service_user",
             "wrong",
             "sudo systemd-sysusers",
@@ -62,8 +62,8 @@ def test_an_operator_beside_an_installed_service_is_one_line():
         ),
         ({"shown": ("/usr", "/opt")}, "service_files", "wrong", "keep it in /etc/vcu-gateway"),
         ({"folder": FOLDER._replace(mode=stat.S_IFDIR | 0o777)}, "folder", "wrong", "chmod o-w"),
-        ({"folder": Unread("no permission")}, "folder", "unknown", ""),
-        ({"socket": Unread("no permission")}, "mine", "unknown", ""),
+        ({"folder": Unreadable("no permission")}, "folder", "unknown", ""),
+        ({"socket": Unreadable("no permission")}, "mine", "unknown", ""),
         ({"has_operators": False}, "operators", "warning", "api.operator_groups"),
         (
             {"socket": SOCKET._replace(gid=501)},
@@ -136,7 +136,7 @@ def test_without_a_service_the_sockets_folder_is_made_by_hand():
     ],
 )
 def test_the_first_class_of_bits_that_fits_decides(mode, uid, gid, may):
-    assert Place("x", mode, uid, gid).lets(DRIVER, 6) is may
+    assert ResourcePermissions("x", mode, uid, gid).lets(DRIVER, 6) is may
 
 
 def test_this_machines_accounts_and_files_are_read(tmp_path: Path):
@@ -147,7 +147,7 @@ def test_this_machines_accounts_and_files_are_read(tmp_path: Path):
     assert facts.me.uid == os.geteuid()
     assert isinstance(facts.service, Account)
     assert facts.socket is None
-    assert isinstance(facts.folder, Place)
+    assert isinstance(facts.folder, ResourcePermissions)
     assert [place.path for place in facts.files[0]][0 :: len(facts.files[0]) - 1] == [
         "/",
         str(file),

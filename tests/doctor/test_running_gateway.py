@@ -13,7 +13,7 @@ from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
 from vcu_gateway.client import Client
 from vcu_gateway.doctor import running_gateway as gateway
-from vcu_gateway.doctor.running_gateway import Facts, judge
+from vcu_gateway.doctor.running_gateway import GatewayFacts, judge
 
 PATIENCE_S = 60
 
@@ -26,9 +26,9 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
 
 
 @pytest.fixture
-def healthy(running: Driven) -> Facts:
+def healthy(running: Driven) -> GatewayFacts:
     """Its figures may come from a busy machine: no tick was skipped, no frame dropped."""
-    found: list[Facts] = []
+    found: list[GatewayFacts] = []
 
     def in_standby() -> bool:
         """A stall may keep the answer for too long, or a message of the vehicle."""
@@ -42,7 +42,7 @@ def healthy(running: Driven) -> Facts:
     return found[0]._replace(answers=(why, health))
 
 
-def changed(facts: Facts, section: str, **values: object) -> Facts:
+def changed(facts: GatewayFacts, section: str, **values: object) -> GatewayFacts:
     why, health = facts.answers
     target = why if section == "why" else health if section == "health" else health[section]
     target.update(values)
@@ -110,7 +110,7 @@ def test_only_two_requests_are_made_and_none_that_changes(running):
     assert asked == [(1, 3)], "one connection; two requests, and the one that counted them"
 
 
-def at(path: Path, expected: bool) -> Facts:
+def at(path: Path, expected: bool) -> GatewayFacts:
     api = configuration.Api(socket_path=str(path))
     return gateway.read(configuration.Config(api=api), expected)
 

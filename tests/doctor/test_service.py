@@ -6,8 +6,8 @@ import pytest
 
 from tests.doctor.judged import complaints, only, well
 from vcu_gateway.doctor import service
-from vcu_gateway.doctor.procfs import Unread
-from vcu_gateway.doctor.service import Facts, judge, parsed, unit_of
+from vcu_gateway.doctor.procfs import Unreadable
+from vcu_gateway.doctor.service import ServiceFacts, judge, parsed, unit_of
 
 UNIT = "vcu-gateway.service"
 FILE = "/etc/vcu-gateway/gateway.yaml"
@@ -19,8 +19,8 @@ TOLD = parsed(
 )
 
 
-def of(**changed: str) -> Facts:
-    return Facts(UNIT, {**TOLD, **changed})
+def of(**changed: str) -> ServiceFacts:
+    return ServiceFacts(UNIT, {**TOLD, **changed})
 
 
 def test_a_running_service_is_one_line():
@@ -65,7 +65,7 @@ def test_each_fault_of_the_service_is_one_finding(changed, check, kind, remedy):
 
 @pytest.mark.parametrize("told", [None, {**TOLD, "LoadState": "not-found"}])
 def test_a_development_machine_without_the_service_is_well(told):
-    findings = list(judge(Facts(UNIT, told)))
+    findings = list(judge(ServiceFacts(UNIT, told)))
     assert complaints(findings) == {}
     assert len(findings) == 1
 
@@ -98,7 +98,7 @@ def test_a_count_that_systemd_does_not_tell_is_none():
 
 
 def test_a_systemd_that_does_not_answer_is_unknown():
-    found = only(judge(Facts(UNIT, Unread("systemd did not answer within 2 s"))))
+    found = only(judge(ServiceFacts(UNIT, Unreadable("systemd did not answer within 2 s"))))
     assert found.kind.value == "unknown"
 
 
@@ -125,7 +125,7 @@ def test_the_service_runs_with_its_own_configuration_alone():
     assert of().runs_with(Path(FILE))
     assert of().runs_with(None)
     assert not of().runs_with(Path("/home/me/bench.yaml"))
-    assert not Facts(UNIT, None).runs_with(None)
+    assert not ServiceFacts(UNIT, None).runs_with(None)
     assert not of(LoadState="not-found").runs_with(None)
 
 
@@ -138,7 +138,7 @@ def test_a_unit_with_a_root_of_its_own_sees_only_what_it_is_shown():
 def test_the_process_is_known_only_while_there_is_one():
     assert of().pid == 700
     assert of(MainPID="0").pid is None
-    assert Facts(UNIT, None).pid is None
+    assert ServiceFacts(UNIT, None).pid is None
 
 
 def test_this_machine_is_asked_without_a_failure():
@@ -147,7 +147,7 @@ def test_this_machine_is_asked_without_a_failure():
     assert {one.kind.value for one in judge(facts)} <= {"ok", "warning", "wrong", "unknown"}
 
 
-def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> Facts:
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> ServiceFacts:
     """With this in place of systemctl, as on a machine that systemd has booted."""
     program = tmp_path / "systemctl"
     program.write_text(f"#!/bin/sh\n{script}\n")

@@ -13,7 +13,7 @@ import pytest
 
 from vcu_gateway.doctor import checks as examination
 from vcu_gateway.doctor import interface
-from vcu_gateway.doctor.check_result import Finding, Kind
+from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
 
 ROOT = Path(__file__).parents[2]
 SUBJECTS = [
@@ -133,14 +133,14 @@ def test_python_can_is_imported_for_the_dbc_alone(config):
 
 
 def test_a_room_that_breaks_is_unknown_and_hides_no_other(config, monkeypatch):
-    def broken(*_: object) -> list[Finding]:
+    def broken(*_: object) -> list[CheckResult]:
         raise KeyError("never thought of")
 
     monkeypatch.setattr(interface, "can_sockets_refused", broken)
     config.write_text("bus: {channel: can0}\n")
     findings = list(examination.examine(config))
     found = next(one for one in findings if one.subject == "interface")
-    assert (found.check, found.kind) == ("examination", Kind.UNKNOWN)
+    assert (found.check, found.kind) == ("examination", CheckStatus.UNKNOWN)
     assert "KeyError" in found.what
     assert findings[-1].subject == "gateway"
 

@@ -10,12 +10,17 @@ from pathlib import Path
 import click
 
 from vcu_gateway.cli.options import config_option, resolve_config
-from vcu_gateway.doctor.check_result import Finding, Kind
+from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
 from vcu_gateway.doctor.checks import examine
 from vcu_gateway.errors import ConfigError, Problem
 
-_COLOURS = {Kind.OK: "green", Kind.WARNING: "yellow", Kind.WRONG: "red", Kind.UNKNOWN: "cyan"}
-_SEVEREST_FIRST = (Kind.WRONG, Kind.WARNING, Kind.UNKNOWN, Kind.OK)
+_COLOURS = {
+    CheckStatus.OK: "green",
+    CheckStatus.WARNING: "yellow",
+    CheckStatus.WRONG: "red",
+    CheckStatus.UNKNOWN: "cyan",
+}
+_SEVEREST_FIRST = (CheckStatus.WRONG, CheckStatus.WARNING, CheckStatus.UNKNOWN, CheckStatus.OK)
 _HELP = """Check everything that the gateway needs before it can drive.
 
 Looks at the configuration and its DBC, the interface, time, permissions, buffers, process,
@@ -40,7 +45,7 @@ def command(config_path: Path | None, listen: bool, as_json: bool) -> None:
     path, missing = _file(config_path)
     findings = list(examine(path, missing, listen=listen))
     click.echo(_as_json(findings) if as_json else _as_text(findings), color=_colour())
-    if any(finding.kind is Kind.WRONG for finding in findings):
+    if any(finding.kind is CheckStatus.WRONG for finding in findings):
         sys.exit(1)
 
 
@@ -56,38 +61,38 @@ def _colour() -> bool | None:
     return False if os.environ.get("NO_COLOR") else None
 
 
-def _as_json(findings: list[Finding]) -> str:
+def _as_json(findings: list[CheckResult]) -> str:
     counts = _counts(findings)
     told = {
-        "healthy": not counts[Kind.WRONG],
-        "counts": {kind.value: counts[kind] for kind in Kind},
+        "healthy": not counts[CheckStatus.WRONG],
+        "counts": {kind.value: counts[kind] for kind in CheckStatus},
         "findings": [{**finding._asdict(), "kind": finding.kind.value} for finding in findings],
     }
     return json.dumps(told, ensure_ascii=False)
 
 
-def _as_text(findings: list[Finding]) -> str:
+def _as_text(findings: list[CheckResult]) -> str:
     width = max((len(finding.subject) for finding in findings), default=0)
     return "\n".join([*(_line(finding, width) for finding in findings), _summary(findings)])
 
 
-def _line(finding: Finding, width: int) -> str:
+def _line(finding: CheckResult, width: int) -> str:
     kind = click.style(f"{finding.kind.value:<7}", fg=_COLOURS[finding.kind])
     remedy = f"; {finding.remedy}" if finding.remedy else ""
     return f"{kind}  {finding.subject:<{width}}  {finding.what}{remedy}"
 
 
-def _summary(findings: list[Finding]) -> str:
+def _summary(findings: list[CheckResult]) -> str:
     counts = _counts(findings)
     told = ", ".join(_counted(kind, counts[kind]) for kind in _SEVEREST_FIRST if counts[kind])
-    more = counts[Kind.UNKNOWN] and os.geteuid() != 0
+    more = counts[CheckStatus.UNKNOWN] and os.geteuid() != 0
     return told + ("; sudo vcu-gateway doctor tells more" if more else "")
 
 
-def _counted(kind: Kind, count: int) -> str:
-    plural = "s" if kind is Kind.WARNING and count > 1 else ""
+def _counted(kind: CheckStatus, count: int) -> str:
+    plural = "s" if kind is CheckStatus.WARNING and count > 1 else ""
     return f"{count} {kind.value}{plural}"
 
 
-def _counts(findings: Iterable[Finding]) -> Counter[Kind]:
+def _counts(findings: Iterable[CheckResult]) -> Counter[CheckStatus]:
     return Counter(finding.kind for finding in findings)

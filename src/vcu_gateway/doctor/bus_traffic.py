@@ -11,10 +11,10 @@ from typing import NamedTuple
 from vcu_gateway.core import j1939
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
-from vcu_gateway.doctor.check_result import Finding, Subject, Told
-from vcu_gateway.doctor.procfs import Unread, refused
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
+from vcu_gateway.doctor.procfs import Unreadable, refused
 
-SAY = Subject("bus")
+SUBJECT = CheckSubject("bus")
 # Room for two frames of the slowest message, 500 ms apart.
 _LISTEN_S = 1.2
 _MS_PER_S = 1000
@@ -24,7 +24,7 @@ _FRAME_BYTES, _MOST_FRAMES = 16, 20_000
 _identifier = struct.Struct("=I")
 
 
-class Heard(NamedTuple):
+class ObservedTraffic(NamedTuple):
     """What was on the bus.
 
     Attributes:
@@ -44,7 +44,7 @@ class Heard(NamedTuple):
         return sum(count for one, count in both.items() if j1939.match_key(one) in keys)
 
 
-class Facts(NamedTuple):
+class TrafficFacts(NamedTuple):
     """What was heard, and what the protocol lets expect.
 
     Attributes:
@@ -53,26 +53,26 @@ class Facts(NamedTuple):
     """
 
     channel: str
-    heard: Heard | Unread
+    heard: ObservedTraffic | Unreadable
     protocol: ProtocolSpec
     required: tuple[str, ...]
     gateway_runs: bool
 
 
-def listen(channel: str, duration_s: float = _LISTEN_S) -> Heard | Unread:
+def listen(channel: str, duration_s: float = _LISTEN_S) -> ObservedTraffic | Unreadable:
     """All data frames of so long; nothing is sent, and nobody's frames are lost by it."""
     try:
         with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
             bus.bind((channel,))
             return _gathered(bus, duration_s)
     except AttributeError:
-        return Unread("this Python was built without CAN")
+        return Unreadable("this Python was built without CAN")
     except OSError as error:
         return refused(f"cannot listen on {channel}", error)
 
 
-def _gathered(bus: socket.socket, duration_s: float) -> Heard:
-    heard = Heard(Counter(), Counter(), duration_s)
+def _gathered(bus: socket.socket, duration_s: float) -> ObservedTraffic:
+    heard = ObservedTraffic(Counter(), Counter(), duration_s)
     end_s = time.monotonic() + duration_s
     for _ in range(_MOST_FRAMES):
         left_s = end_s - time.monotonic()
@@ -86,26 +86,28 @@ def _gathered(bus: socket.socket, duration_s: float) -> Heard:
     return heard._replace(duration_s=duration_s - max(0.0, end_s - time.monotonic()))
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: TrafficFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     heard = facts.heard
-    if isinstance(heard, Unread):
-        yield SAY.unknown("listen", heard.reason)
+    if isinstance(heard, Unreadable):
+        yield SUBJECT.unknown("listen", heard.reason)
     elif not heard.local and not heard.remote:
         what = f"{facts.channel}: nobody said anything for {heard.duration_s:g} s"
-        yield SAY.wrong("silent", what, "is the vehicle on? check bit rate, wiring, termination")
+        yield SUBJECT.wrong(
+            "silent", what, "is the vehicle on? check bit rate, wiring, termination"
+        )
     else:
-        yield from SAY.summed(facts.channel, _checks(facts, heard))
+        yield from SUBJECT.summed(facts.channel, _checks(facts, heard))
 
 
-def _checks(facts: Facts, heard: Heard) -> Iterator[Told | None]:
+def _checks(facts: TrafficFacts, heard: ObservedTraffic) -> Iterator[Outcome | None]:
     for message in facts.protocol.received_by(OWN_NODE):
         yield _message(facts, heard, message)
     for message in facts.protocol.sent_by(OWN_NODE):
         yield _command(facts, heard, message)
 
 
-def _message(facts: Facts, heard: Heard, message: MessageSpec) -> Told | None:
+def _message(facts: TrafficFacts, heard: ObservedTraffic, message: MessageSpec) -> Outcome | None:
     aliases = facts.protocol.aliases.items()
     count = heard.count(message, tuple(one for one, name in aliases if name == message.name))
     is_required = message.name in facts.required
@@ -117,22 +119,26 @@ def _message(facts: Facts, heard: Heard, message: MessageSpec) -> Told | None:
     if period_ms is None or count >= _TOO_FEW * expected:
         return f"{message.name} {rate_hz:.0f}/s"
     what = f"{message.name} came {rate_hz:.1f} times a second, not {_MS_PER_S / period_ms:.0f}"
-    return SAY.warning("slow", what, f"look at {message.sender}")
+    return SUBJECT.warning("slow", what, f"look at {message.sender}")
 
 
-def _missing(facts: Facts, heard: Heard, message: MessageSpec, is_required: bool) -> Told | None:
+def _missing(
+    facts: TrafficFacts, heard: ObservedTraffic, message: MessageSpec, is_required: bool
+) -> Outcome | None:
     if message.period_ms is None and not is_required:
         return None
     what = f"{message.name} was not heard"
     if not is_required:
-        return SAY.warning("missing", what, f"look at {message.sender}")
+        return SUBJECT.warning("missing", what, f"look at {message.sender}")
     commanded = any(heard.count(one) for one in facts.protocol.sent_by(OWN_NODE))
     if not commanded and message.sender.startswith("PCU"):
         return f"no {message.name} (it answers commands, and nobody sends any)"
-    return SAY.wrong("missing", f"{what}; without it nothing moves", f"look at {message.sender}")
+    return SUBJECT.wrong(
+        "missing", f"{what}; without it nothing moves", f"look at {message.sender}"
+    )
 
 
-def _command(facts: Facts, heard: Heard, message: MessageSpec) -> Told | None:
+def _command(facts: TrafficFacts, heard: ObservedTraffic, message: MessageSpec) -> Outcome | None:
     groups = (
         j1939.group_key(message.can_id),
         j1939.group_key_to(message.can_id, j1939.GLOBAL_ADDRESS),
@@ -145,14 +151,18 @@ def _command(facts: Facts, heard: Heard, message: MessageSpec) -> Told | None:
 
 
 def _senders(
-    facts: Facts, heard: Heard, message: MessageSpec, remote: Counter[int], local: Counter[int]
-) -> Told | None:
+    facts: TrafficFacts,
+    heard: ObservedTraffic,
+    message: MessageSpec,
+    remote: Counter[int],
+    local: Counter[int],
+) -> Outcome | None:
     """What commands of this kind, whatever sender they name, say; by identifier."""
     if remote:
         rate_hz = remote.total() / heard.duration_s
         names = ", ".join(f"{one:08X}" for one in sorted(remote))
         what = f"another node on the bus sends {message.name}, {rate_hz:.0f}/s ({names})"
-        return SAY.wrong("other_sender", what, "find it and switch it off: two would fight")
+        return SUBJECT.wrong("other_sender", what, "find it and switch it off: two would fight")
     if not local:
         return None
     expected = heard.duration_s * _MS_PER_S / (message.period_ms or _MS_PER_S)
@@ -160,5 +170,5 @@ def _senders(
     strange = any(j1939.match_key(one) != own for one in local)
     if not facts.gateway_runs or strange or local.total() > _TOO_MANY * expected:
         what = f"a process of this machine sends {message.name}, and it is not the gateway alone"
-        return SAY.wrong("other_sender", what, "find it (sudo ss -p -f can) and end it")
+        return SUBJECT.wrong("other_sender", what, "find it (sudo ss -p -f can) and end it")
     return f"{message.name} sent"

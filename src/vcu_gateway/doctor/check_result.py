@@ -5,7 +5,7 @@ from enum import Enum
 from typing import NamedTuple
 
 
-class Kind(Enum):
+class CheckStatus(Enum):
     """How it is; only WRONG keeps the gateway from driving safely."""
 
     OK = "ok"
@@ -14,7 +14,7 @@ class Kind(Enum):
     UNKNOWN = "unknown"
 
 
-class Finding(NamedTuple):
+class CheckResult(NamedTuple):
     """One thing that was looked at.
 
     Attributes:
@@ -25,40 +25,40 @@ class Finding(NamedTuple):
 
     subject: str
     check: str
-    kind: Kind
+    kind: CheckStatus
     what: str
     remedy: str = ""
 
 
-Told = str | Finding
+Outcome = str | CheckResult
 """A check's answer: a few words for the line of what is well, or a finding of its own."""
 
 
-class Subject(NamedTuple):
+class CheckSubject(NamedTuple):
     """Makes the findings of one subject."""
 
     name: str
 
-    def ok(self, check: str, what: str, remedy: str = "") -> Finding:
+    def ok(self, check: str, what: str, remedy: str = "") -> CheckResult:
         """It is as it should be; a remedy here is a hint."""
-        return Finding(self.name, check, Kind.OK, what, remedy)
+        return CheckResult(self.name, check, CheckStatus.OK, what, remedy)
 
-    def warning(self, check: str, what: str, remedy: str = "") -> Finding:
+    def warning(self, check: str, what: str, remedy: str = "") -> CheckResult:
         """It works, and should be otherwise."""
-        return Finding(self.name, check, Kind.WARNING, what, remedy)
+        return CheckResult(self.name, check, CheckStatus.WARNING, what, remedy)
 
-    def wrong(self, check: str, what: str, remedy: str = "") -> Finding:
+    def wrong(self, check: str, what: str, remedy: str = "") -> CheckResult:
         """The gateway cannot drive, or not safely."""
-        return Finding(self.name, check, Kind.WRONG, what, remedy)
+        return CheckResult(self.name, check, CheckStatus.WRONG, what, remedy)
 
-    def unknown(self, check: str, what: str, remedy: str = "") -> Finding:
+    def unknown(self, check: str, what: str, remedy: str = "") -> CheckResult:
         """It could not be found out; `what` says why."""
-        return Finding(self.name, check, Kind.UNKNOWN, what, remedy)
+        return CheckResult(self.name, check, CheckStatus.UNKNOWN, what, remedy)
 
-    def summed(self, opening: str, told: Iterable[Told | None]) -> Iterator[Finding]:
+    def summed(self, opening: str, told: Iterable[Outcome | None]) -> Iterator[CheckResult]:
         """All that is well in one line, then every finding; None says nothing."""
         answers = [one for one in told if one]
         well = ", ".join(one for one in answers if isinstance(one, str))
         if well:
             yield self.ok("well", f"{opening}: {well}" if opening else well)
-        yield from (one for one in answers if isinstance(one, Finding))
+        yield from (one for one in answers if isinstance(one, CheckResult))

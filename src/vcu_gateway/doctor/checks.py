@@ -18,7 +18,7 @@ from vcu_gateway.doctor import (
 )
 from vcu_gateway.doctor import bus_traffic as listening
 from vcu_gateway.doctor import running_gateway as gateway
-from vcu_gateway.doctor.check_result import Finding, Subject
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
 from vcu_gateway.errors import Problem
 
 _SHIPPED = "/usr/share/vcu-gateway/network"
@@ -28,16 +28,16 @@ _ORDER = (
     *("protocol", "interface", "bus", "time", "permissions", "buffers", "process", "service"),
     *("libraries", "gateway"),
 )
-_Room = Callable[[], Iterable[Finding]]
+_Room = Callable[[], Iterable[CheckResult]]
 _DEFAULT_SERVICE_USER = "root"  # what systemd takes where a unit names nobody
 
 
 class _Case(NamedTuple):
     """What more than one room looks at."""
 
-    file: configuration.Facts
-    unit: service.Facts
-    gateway: gateway.Facts
+    file: configuration.ConfigurationFacts
+    unit: service.ServiceFacts
+    gateway: gateway.GatewayFacts
 
     @property
     def is_of_the_service(self) -> bool:
@@ -52,7 +52,7 @@ class _Case(NamedTuple):
 
 def examine(
     path: Path | None, missing: tuple[Problem, ...] = (), *, listen: bool = False
-) -> Iterator[Finding]:
+) -> Iterator[CheckResult]:
     """Look at everything, the configuration at `path` or the defaults in mind.
 
     Nothing is raised. `missing` says why there is no path; `listen` adds a second on the bus.
@@ -92,13 +92,13 @@ def _of_machine(case: _Case) -> dict[str, _Room]:
     }
 
 
-def _guarded(name: str, room: _Room) -> list[Finding]:
+def _guarded(name: str, room: _Room) -> list[CheckResult]:
     """A room that breaks must not hide the others."""
     try:
         return list(room())
     except Exception as error:  # noqa: BLE001 - told as unknown, with its reason
         what = f"could not be looked at: {type(error).__name__}: {error}"
-        return [Subject(name).unknown("examination", what, "please report this")]
+        return [CheckSubject(name).unknown("examination", what, "please report this")]
 
 
 def _case(path: Path | None, missing: tuple[Problem, ...]) -> _Case:
@@ -108,11 +108,11 @@ def _case(path: Path | None, missing: tuple[Problem, ...]) -> _Case:
     return _Case(file, unit, gateway.read(file.in_effect, expected))
 
 
-def _interface(case: _Case) -> Iterable[Finding]:
+def _interface(case: _Case) -> Iterable[CheckResult]:
     bus = case.file.in_effect.bus
     if bus.interface != "socketcan":
         what = f"{bus.interface} {bus.channel} needs no CAN interface"
-        return [interface.SAY.ok("exists", what)]
+        return [interface.SUBJECT.ok("exists", what)]
     fits = (bus.channel, bus.bit_rate_bit_s) == (_SHIPPED_FOR, _SHIPPED_BIT_S)
     return interface.judge(
         interface.read(bus.channel, bus.bit_rate_bit_s, _shipped() if fits else "")
@@ -129,18 +129,18 @@ def _shipped() -> str:
     return f"{copy} && {apply}"
 
 
-def _bus(case: _Case) -> Iterable[Finding]:
+def _bus(case: _Case) -> Iterable[CheckResult]:
     config = case.file.in_effect
     spec = protocol.read(config).spec
     if spec is None:
-        return [listening.SAY.unknown("listen", "without a protocol nobody knows what to hear")]
+        return [listening.SUBJECT.unknown("listen", "without a protocol nobody knows what to hear")]
     heard = listening.listen(config.bus.channel)
     required = config.safety.required_messages
     runs = case.pid is not None
-    return listening.judge(listening.Facts(config.bus.channel, heard, spec, required, runs))
+    return listening.judge(listening.TrafficFacts(config.bus.channel, heard, spec, required, runs))
 
 
-def _permissions(case: _Case) -> Iterable[Finding]:
+def _permissions(case: _Case) -> Iterable[CheckResult]:
     unit, user = case.unit, None
     if case.is_of_the_service:
         user = unit.get("User") or _DEFAULT_SERVICE_USER
@@ -149,7 +149,7 @@ def _permissions(case: _Case) -> Iterable[Finding]:
     )
 
 
-def _process(case: _Case) -> Iterable[Finding]:
+def _process(case: _Case) -> Iterable[CheckResult]:
     asked = [case.unit.get(name) for name in ("LimitMEMLOCK", "CPUSchedulingPolicy")]
     known = case.is_of_the_service
     return process.judge(process.read(case.pid, *asked) if known else process.read(case.pid))

@@ -7,17 +7,17 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import Finding, Subject, Told
-from vcu_gateway.doctor.procfs import Unread, number
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
+from vcu_gateway.doctor.procfs import Unreadable, number
 
-SAY = Subject("time")
+SUBJECT = CheckSubject("time")
 _UNSYNCHRONISED = 0x40  # STA_UNSYNC of linux/timex.h
 _COARSE_NS = 1_000_000
 _SLACK_AT_MOST_NS = 1_000_000
 _SYNCHRONISED_BY_SYSTEMD = "/run/systemd/timesync/synchronized"
 
 
-class Facts(NamedTuple):
+class ClockFacts(NamedTuple):
     """What was read.
 
     Attributes:
@@ -27,10 +27,10 @@ class Facts(NamedTuple):
         slack_ns: how much later than asked the kernel may wake an ordinary process.
     """
 
-    synchronised: bool | Unread
+    synchronised: bool | Unreadable
     error_us: int | None
     resolution_ns: int
-    slack_ns: int | Unread
+    slack_ns: int | Unreadable
 
 
 class _Timex(ctypes.Structure):
@@ -47,10 +47,10 @@ class _Timex(ctypes.Structure):
     )
 
 
-def read() -> Facts:
+def read() -> ClockFacts:
     """Ask the kernel."""
     synchronised, error_us = _wall_clock()
-    return Facts(
+    return ClockFacts(
         synchronised,
         error_us,
         round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9),
@@ -58,44 +58,44 @@ def read() -> Facts:
     )
 
 
-def _wall_clock() -> tuple[bool | Unread, int | None]:
+def _wall_clock() -> tuple[bool | Unreadable, int | None]:
     told = _Timex()
     try:
         adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
     except (OSError, AttributeError) as error:
-        return Unread(f"adjtimex: {error}"), None
+        return Unreadable(f"adjtimex: {error}"), None
     if adjtimex(ctypes.byref(told)) < 0:
-        return Unread(f"adjtimex: {os.strerror(ctypes.get_errno())}"), None
+        return Unreadable(f"adjtimex: {os.strerror(ctypes.get_errno())}"), None
     followed = not told.status & _UNSYNCHRONISED
     return followed or os.path.exists(_SYNCHRONISED_BY_SYSTEMD), told.maxerror
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: ClockFacts) -> Iterator[CheckResult]:
     """What to say of it."""
-    return SAY.summed("", (_synchronised(facts), _resolution(facts), _slack(facts)))
+    return SUBJECT.summed("", (_synchronised(facts), _resolution(facts), _slack(facts)))
 
 
-def _synchronised(facts: Facts) -> Told:
-    if isinstance(facts.synchronised, Unread):
-        return SAY.unknown("synchronised", facts.synchronised.reason)
+def _synchronised(facts: ClockFacts) -> Outcome:
+    if isinstance(facts.synchronised, Unreadable):
+        return SUBJECT.unknown("synchronised", facts.synchronised.reason)
     if facts.synchronised:
         error_ms = math.ceil((facts.error_us or 0) / 1000)
         return "clock synchronised" + (f" (within {error_ms} ms)" if error_ms else "")
     what = "the wall clock is not synchronised: logs tell a wrong time; ticks do not use it"
-    return SAY.warning("synchronised", what, "sudo timedatectl set-ntp true")
+    return SUBJECT.warning("synchronised", what, "sudo timedatectl set-ntp true")
 
 
-def _resolution(facts: Facts) -> Told:
+def _resolution(facts: ClockFacts) -> Outcome:
     if facts.resolution_ns < _COARSE_NS:
         return f"timers of {facts.resolution_ns} ns"
     what = f"timers are no finer than {facts.resolution_ns / 1e6:g} ms: ticks come late"
-    return SAY.warning("resolution", what, "boot a kernel with high-resolution timers")
+    return SUBJECT.warning("resolution", what, "boot a kernel with high-resolution timers")
 
 
-def _slack(facts: Facts) -> Told:
-    if isinstance(facts.slack_ns, Unread):
-        return SAY.unknown("slack", facts.slack_ns.reason)
+def _slack(facts: ClockFacts) -> Outcome:
+    if isinstance(facts.slack_ns, Unreadable):
+        return SUBJECT.unknown("slack", facts.slack_ns.reason)
     if facts.slack_ns <= _SLACK_AT_MOST_NS:
         return f"timer slack {facts.slack_ns / 1000:g} us"
     what = f"a timer slack of {facts.slack_ns / 1e6:g} ms makes ticks late"
-    return SAY.warning("slack", what, "remove TimerSlackNSec= from the unit or its slice")
+    return SUBJECT.warning("slack", what, "remove TimerSlackNSec= from the unit or its slice")

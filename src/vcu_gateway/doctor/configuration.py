@@ -10,16 +10,16 @@ from typing import NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
-from vcu_gateway.doctor.check_result import Finding, Subject
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
+from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.errors import ConfigError, Problem
 
-SAY = Subject("configuration")
+SUBJECT = CheckSubject("configuration")
 _OTHERS_WRITE, _GROUP_WRITES = stat.S_IWOTH, stat.S_IWGRP
 _ROOT = 0
 
 
-class Standing(NamedTuple):
+class FilePermissions(NamedTuple):
     """Who may change a file or folder."""
 
     mode: int
@@ -27,7 +27,7 @@ class Standing(NamedTuple):
     gid: int
 
 
-class Facts(NamedTuple):
+class ConfigurationFacts(NamedTuple):
     """What was read.
 
     Attributes:
@@ -43,9 +43,9 @@ class Facts(NamedTuple):
     config: Config | None = None
     problems: tuple[Problem, ...] = ()
     accounts: tuple[Problem, ...] = ()
-    unread: Unread | None = None
-    file: Standing | None = None
-    folder: Standing | None = None
+    unread: Unreadable | None = None
+    file: FilePermissions | None = None
+    folder: FilePermissions | None = None
     owner: str = ""
     own_uid: int = _ROOT
 
@@ -60,24 +60,24 @@ class Facts(NamedTuple):
         return self.config or Config()
 
 
-def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> Facts:
+def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> ConfigurationFacts:
     """Read the file at `path`; `missing` says why there is none."""
     if path is None:
-        return Facts(None, problems=missing)
-    facts = Facts(path, own_uid=os.geteuid())
+        return ConfigurationFacts(None, problems=missing)
+    facts = ConfigurationFacts(path, own_uid=os.geteuid())
     try:
         file, folder = _standing(path), _standing(path.absolute().parent)
         facts = facts._replace(file=file, folder=folder, owner=_name(file.uid))
     except PermissionError as error:
-        return facts._replace(unread=Unread(f"this user may not look at it: {error.strerror}"))
+        return facts._replace(unread=Unreadable(f"this user may not look at it: {error.strerror}"))
     except OSError as error:
         return facts._replace(problems=(Problem(error.strerror or str(error), str(path)),))
     if not os.access(path, os.R_OK):
-        return facts._replace(unread=Unread("this user may not read it"))
+        return facts._replace(unread=Unreadable("this user may not read it"))
     return _with_contents(facts, path)
 
 
-def _with_contents(facts: Facts, path: Path) -> Facts:
+def _with_contents(facts: ConfigurationFacts, path: Path) -> ConfigurationFacts:
     try:
         config = configuration.load(path)
     except ConfigError as error:
@@ -85,9 +85,9 @@ def _with_contents(facts: Facts, path: Path) -> Facts:
     return facts._replace(config=config, accounts=tuple(configuration.check_accounts(config)))
 
 
-def _standing(path: Path) -> Standing:
+def _standing(path: Path) -> FilePermissions:
     found = path.stat()
-    return Standing(found.st_mode, found.st_uid, found.st_gid)
+    return FilePermissions(found.st_mode, found.st_uid, found.st_gid)
 
 
 def _name(uid: int) -> str:
@@ -97,21 +97,21 @@ def _name(uid: int) -> str:
         return str(uid)
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: ConfigurationFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     if facts.unread is not None:
         what = f"{facts.path}: {facts.unread.reason}"
-        yield SAY.unknown("readable", what, "sudo vcu-gateway doctor")
+        yield SUBJECT.unknown("readable", what, "sudo vcu-gateway doctor")
     for problem in facts.problems:
         yield _problem("valid", problem)
     if facts.path is None:
-        yield SAY.ok("defaults", "what follows is held against the defaults of every key")
+        yield SUBJECT.ok("defaults", "what follows is held against the defaults of every key")
     elif facts.config is None:
         what = "protocol, interface, permissions and buffers wait for a configuration to hold to"
-        yield SAY.unknown("dependent", what)
+        yield SUBJECT.unknown("dependent", what)
     if facts.config is not None:
         digest = configuration.digest(facts.config)
-        yield SAY.ok("valid", f"{facts.path}: valid, digest {digest}")
+        yield SUBJECT.ok("valid", f"{facts.path}: valid, digest {digest}")
         yield from _bench(facts.path, facts.config)
     for problem in facts.accounts:
         yield _problem("accounts", problem)
@@ -119,29 +119,33 @@ def judge(facts: Facts) -> Iterator[Finding]:
         yield from _standing_findings(facts, str(facts.path), facts.file)
 
 
-def _problem(check: str, problem: Problem) -> Finding:
+def _problem(check: str, problem: Problem) -> CheckResult:
     where = f"{problem.where}: " if problem.where else ""
-    return SAY.wrong(check, f"{where}{problem.what}", problem.remedy)
+    return SUBJECT.wrong(check, f"{where}{problem.what}", problem.remedy)
 
 
-def _bench(path: Path | None, config: Config) -> Iterator[Finding]:
+def _bench(path: Path | None, config: Config) -> Iterator[CheckResult]:
     if config.bench.demand is None:
         return
     what = f"{path}: a static demand, that nobody holds and that never ends: for a bench alone"
-    yield SAY.warning("bench", what, "in a vehicle, remove the section bench")
+    yield SUBJECT.warning("bench", what, "in a vehicle, remove the section bench")
 
 
-def _standing_findings(facts: Facts, path: str, file: Standing) -> Iterator[Finding]:
+def _standing_findings(
+    facts: ConfigurationFacts, path: str, file: FilePermissions
+) -> Iterator[CheckResult]:
     quoted = shlex.quote(path)
     if file.mode & _OTHERS_WRITE:
-        yield SAY.wrong("mode", f"{path}: everybody may change it", f"sudo chmod o-w {quoted}")
+        yield SUBJECT.wrong("mode", f"{path}: everybody may change it", f"sudo chmod o-w {quoted}")
     if file.mode & _GROUP_WRITES and file.gid != _ROOT:
-        yield SAY.warning("group", f"{path}: its group may change it", f"sudo chmod g-w {quoted}")
+        yield SUBJECT.warning(
+            "group", f"{path}: its group may change it", f"sudo chmod g-w {quoted}"
+        )
     if file.uid not in (_ROOT, facts.own_uid):
         what = f"{path} belongs to {facts.owner}, who may change every limit in it"
-        yield SAY.warning("owner", what, f"sudo chown root: {quoted}")
+        yield SUBJECT.warning("owner", what, f"sudo chown root: {quoted}")
     folder = facts.folder
     if folder is not None and folder.mode & _OTHERS_WRITE and not folder.mode & stat.S_ISVTX:
         parent = shlex.quote(os.path.dirname(os.path.abspath(path)))
         what = f"{path} may be replaced by everybody: its folder is open to all"
-        yield SAY.wrong("folder", what, f"sudo chmod o-w {parent}")
+        yield SUBJECT.wrong("folder", what, f"sudo chmod o-w {parent}")

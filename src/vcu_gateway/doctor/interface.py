@@ -9,10 +9,10 @@ from typing import NamedTuple
 from vcu_gateway.bus import netlink
 from vcu_gateway.bus.interface_info import InterfaceInfo, InterfaceTraffic
 from vcu_gateway.doctor import controller
-from vcu_gateway.doctor.check_result import Finding, Subject, Told
-from vcu_gateway.doctor.procfs import Unread, names, refused, text
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
+from vcu_gateway.doctor.procfs import Unreadable, names, refused, text
 
-SAY = Subject("interface")
+SUBJECT = CheckSubject("interface")
 _QUEUE_AT_MOST = 4
 _MS_PER_FRAME = 25  # two frames every 50 ms
 _IN_ORDER = ("noqueue", "pfifo_fast", "pfifo", "bfifo", "mq")
@@ -20,7 +20,7 @@ _ARPHRD_CAN = "280"
 _ALL = "/sys/class/net"
 
 
-class Facts(NamedTuple):
+class InterfaceFacts(NamedTuple):
     """What was read.
 
     Attributes:
@@ -35,16 +35,16 @@ class Facts(NamedTuple):
     channel: str
     bit_rate_bit_s: int
     kernel: int | None = None
-    described: InterfaceInfo | Unread | None = None
+    described: InterfaceInfo | Unreadable | None = None
     others: tuple[str, ...] = ()
     shipped: str = ""
     is_serial: bool = False
 
 
-def read(channel: str, bit_rate_bit_s: int, shipped: str = "") -> Facts:
+def read(channel: str, bit_rate_bit_s: int, shipped: str = "") -> InterfaceFacts:
     """Ask the kernel."""
     others = tuple(name for name in _can_interfaces() if name != channel)
-    facts = Facts(channel, bit_rate_bit_s, can_sockets_refused(), None, others, shipped)
+    facts = InterfaceFacts(channel, bit_rate_bit_s, can_sockets_refused(), None, others, shipped)
     try:
         it = netlink.describe(channel)
         is_serial = it.controller is not None and not os.path.exists(f"{_ALL}/{channel}/device")
@@ -70,7 +70,7 @@ def _can_interfaces() -> list[str]:
     return [name for name in names(_ALL) if text(f"{_ALL}/{name}/type") == _ARPHRD_CAN]
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: InterfaceFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     if facts.kernel is not None:
         yield _no_can(facts.kernel)
@@ -79,25 +79,25 @@ def judge(facts: Facts) -> Iterator[Finding]:
         yield _missing(facts)
     elif described is None:
         return
-    elif isinstance(described, Unread):
-        yield SAY.unknown("exists", f"{name}: the kernel does not tell: {described.reason}")
+    elif isinstance(described, Unreadable):
+        yield SUBJECT.unknown("exists", f"{name}: the kernel does not tell: {described.reason}")
     elif not described.is_can:
         what = f"{name} is no CAN interface"
-        yield SAY.wrong("is_can", what, f"set bus.channel to {_either(facts.others)}")
+        yield SUBJECT.wrong("is_can", what, f"set bus.channel to {_either(facts.others)}")
     else:
-        yield from SAY.summed(name, _checks(facts, described))
+        yield from SUBJECT.summed(name, _checks(facts, described))
 
 
-def _no_can(number: int) -> Finding:
+def _no_can(number: int) -> CheckResult:
     if number in (errno.EPERM, errno.EACCES):
         what = "this process may not open CAN sockets"
-        return SAY.wrong("sockets", what, "allow it AF_CAN (RestrictAddressFamilies=, seccomp)")
+        return SUBJECT.wrong("sockets", what, "allow it AF_CAN (RestrictAddressFamilies=, seccomp)")
     what = f"this kernel has no CAN: {os.strerror(number)}"
     remedy = "sudo modprobe can-raw; or another kernel; `vcu-gateway demo` needs neither"
-    return SAY.wrong("sockets", what, remedy)
+    return SUBJECT.wrong("sockets", what, remedy)
 
 
-def _missing(facts: Facts) -> Finding:
+def _missing(facts: InterfaceFacts) -> CheckResult:
     name = facts.channel
     if name.startswith("vcan"):
         remedy = f"sudo ip link add dev {name} type vcan && sudo ip link set {name} up"
@@ -105,16 +105,16 @@ def _missing(facts: Facts) -> Finding:
         remedy = f"set bus.channel to {_either(facts.others)}, or plug {name} in"
     else:
         remedy = "plug the adapter in, or load its driver: sudo dmesg | grep -i can"
-    return SAY.wrong("exists", f"there is no interface {name}", remedy)
+    return SUBJECT.wrong("exists", f"there is no interface {name}", remedy)
 
 
 def _either(others: tuple[str, ...]) -> str:
     return " or ".join(others) or "a CAN interface"
 
 
-def _checks(facts: Facts, it: InterfaceInfo) -> Iterator[Told | None]:
+def _checks(facts: InterfaceFacts, it: InterfaceInfo) -> Iterator[Outcome | None]:
     has_one = it.controller is not None
-    setting = controller.Setting(
+    setting = controller.ControllerSettings(
         facts.channel, facts.bit_rate_bit_s, facts.shipped, facts.is_serial
     )
     yield _up(setting, it)
@@ -126,20 +126,22 @@ def _checks(facts: Facts, it: InterfaceInfo) -> Iterator[Told | None]:
     yield _overruns(facts.channel, it.traffic)
 
 
-def _up(setting: controller.Setting, it: InterfaceInfo) -> Told:
+def _up(setting: controller.ControllerSettings, it: InterfaceInfo) -> Outcome:
     name = setting.channel
     command = f"sudo ip link set {name} up"
     if not it.up and it.controller is not None and it.details.bit_rate_bit_s is None:
         whole = setting.shipped or f"{command} {setting.whole}"
-        return SAY.wrong("up", f"{name} is down and has no bit rate", whole)
+        return SUBJECT.wrong("up", f"{name} is down and has no bit rate", whole)
     if not it.up:
-        return SAY.wrong("up", f"{name} is down", command)
+        return SUBJECT.wrong("up", f"{name} is down", command)
     if it.details.carrier is False and it.controller is None:
-        return SAY.wrong("carrier", f"{name} has no carrier", "look at the adapter and its cable")
+        return SUBJECT.wrong(
+            "carrier", f"{name} has no carrier", "look at the adapter and its cable"
+        )
     return "up"
 
 
-def _queue(name: str, it: InterfaceInfo) -> Told | None:
+def _queue(name: str, it: InterfaceInfo) -> Outcome | None:
     frames = it.tx_queue_frames
     if frames is None or it.discipline == "noqueue":
         return None
@@ -147,28 +149,28 @@ def _queue(name: str, it: InterfaceInfo) -> Told | None:
         return f"queue of {frames}"
     what = f"{name}: a queue of {frames} frames holds {frames * _MS_PER_FRAME} ms of old commands"
     command = f"sudo ip link set {name} txqueuelen {_QUEUE_AT_MOST}"
-    return SAY.warning("queue", what, command)
+    return SUBJECT.warning("queue", what, command)
 
 
-def _discipline(name: str, it: InterfaceInfo) -> Told | None:
+def _discipline(name: str, it: InterfaceInfo) -> Outcome | None:
     if not it.up or not it.discipline or it.discipline in _IN_ORDER:
         return None
     what = f"{name}: the queueing discipline {it.discipline} may delay or drop commands"
-    return SAY.warning("discipline", what, f"sudo tc qdisc replace dev {name} root pfifo_fast")
+    return SUBJECT.warning("discipline", what, f"sudo tc qdisc replace dev {name} root pfifo_fast")
 
 
-def _dropped(name: str, traffic: InterfaceTraffic | None) -> Told | None:
+def _dropped(name: str, traffic: InterfaceTraffic | None) -> Outcome | None:
     if traffic is None or not (traffic.send_dropped or traffic.receive_dropped):
         return None
     what = (
         f"{name} has dropped {traffic.send_dropped} frames of {traffic.sent} to be sent and"
         f" {traffic.receive_dropped} of {traffic.received} received"
     )
-    return SAY.warning("dropped", what, f"watch whether it grows: ip -s link show {name}")
+    return SUBJECT.warning("dropped", what, f"watch whether it grows: ip -s link show {name}")
 
 
-def _overruns(name: str, traffic: InterfaceTraffic | None) -> Told | None:
+def _overruns(name: str, traffic: InterfaceTraffic | None) -> Outcome | None:
     if traffic is None or not traffic.overruns:
         return None
     what = f"{name}: the controller had no room for {traffic.overruns} received frames"
-    return SAY.warning("overruns", what, f"watch whether it grows: ip -s link show {name}")
+    return SUBJECT.warning("overruns", what, f"watch whether it grows: ip -s link show {name}")

@@ -10,10 +10,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import Finding, Subject
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
+from vcu_gateway.doctor.procfs import Unreadable
 
-SAY = Subject("libraries")
+SUBJECT = CheckSubject("libraries")
 _PROGRAM = "vcu-gateway"
 _STRAY_AT_LEAST_MS = 20.0
 _PATIENCE_S = 60.0
@@ -41,21 +41,21 @@ print(took_s * 1000, int(held["VmHWM"].split()[0]) / 1024)
 _IMPORT_TIME = re.compile(r"import time: +(\d+) \| +\d+ \| +([\w.]+)")
 
 
-class Cost(NamedTuple):
+class ImportCost(NamedTuple):
     """What an import takes: time of the processor, and memory."""
 
     time_ms: float
     memory_mb: float
 
 
-class Stray(NamedTuple):
+class ForeignLibrary(NamedTuple):
     """A library in the gateway's process that is not of its own; `file` is empty for a package."""
 
     time_ms: float
     file: str = ""
 
 
-class Facts(NamedTuple):
+class LibraryFacts(NamedTuple):
     """What was measured.
 
     Attributes:
@@ -63,48 +63,48 @@ class Facts(NamedTuple):
         strays: by the name that pip has for it or, without a package, Python.
     """
 
-    asammdf: Cost | Unread | None
-    strays: Mapping[str, Stray] | Unread
+    asammdf: ImportCost | Unreadable | None
+    strays: Mapping[str, ForeignLibrary] | Unreadable
 
 
-def read() -> Facts:
+def read() -> LibraryFacts:
     """Import in processes of their own, and measure."""
-    return Facts(_asammdf(), _strays())
+    return LibraryFacts(_asammdf(), _strays())
 
 
-def _asammdf() -> Cost | Unread | None:
+def _asammdf() -> ImportCost | Unreadable | None:
     if importlib.util.find_spec("asammdf") is None:
         return None
     try:
         beside, alone = (_python_can(hide) for hide in (False, True))
     except (OSError, subprocess.SubprocessError) as error:
-        return Unread(f"import can: {error}")
-    return Cost(beside.time_ms - alone.time_ms, beside.memory_mb - alone.memory_mb)
+        return Unreadable(f"import can: {error}")
+    return ImportCost(beside.time_ms - alone.time_ms, beside.memory_mb - alone.memory_mb)
 
 
-def _python_can(hide: bool) -> Cost:
+def _python_can(hide: bool) -> ImportCost:
     """The cheapest of two: the first may have waited for the disk."""
     program = _PYTHON_CAN.format(hide=hide)
-    turns = [Cost(*map(float, _child("-c", program).stdout.split())) for _ in range(2)]
+    turns = [ImportCost(*map(float, _child("-c", program).stdout.split())) for _ in range(2)]
     return min(turns)
 
 
-def _strays() -> dict[str, Stray] | Unread:
+def _strays() -> dict[str, ForeignLibrary] | Unreadable:
     try:
         child = _child("-X", "importtime", "-c", _GATEWAY)
     except (OSError, subprocess.SubprocessError) as error:
-        return Unread(f"import vcu_gateway: {error}")
+        return Unreadable(f"import vcu_gateway: {error}")
     took_us: Counter[str] = Counter()
     for duration_us, module in _IMPORT_TIME.findall(child.stderr):
         took_us[module.partition(".")[0]] += int(duration_us)
     packages, own = importlib.metadata.packages_distributions(), _own_packages()
-    strays: dict[str, Stray] = {}
+    strays: dict[str, ForeignLibrary] = {}
     for module, file in json.loads(child.stdout).items():
         name, *others = packages.get(module, [module])
         if own.isdisjoint(map(_normal, (name, *others))):
             before_ms = strays[name].time_ms if name in strays else 0.0
             file_told = "" if module in packages else file
-            strays[name] = Stray(before_ms + took_us[module] / 1000, file_told)
+            strays[name] = ForeignLibrary(before_ms + took_us[module] / 1000, file_told)
     return strays
 
 
@@ -143,28 +143,28 @@ def _normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: LibraryFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     yield from _of_the_gateway(facts.strays)
     found = facts.asammdf
-    if isinstance(found, Unread):
-        yield SAY.unknown("asammdf", found.reason)
+    if isinstance(found, Unreadable):
+        yield SUBJECT.unknown("asammdf", found.reason)
     elif found is not None:
         what = "asammdf is kept out of the gateway; in every other program it makes `import can`"
         what += f" {found.time_ms:.0f} ms longer and {found.memory_mb:.0f} MB larger"
-        yield SAY.ok("asammdf", what, "pip uninstall asammdf, where nobody decodes MF4")
+        yield SUBJECT.ok("asammdf", what, "pip uninstall asammdf, where nobody decodes MF4")
 
 
-def _of_the_gateway(strays: Mapping[str, Stray] | Unread) -> Iterator[Finding]:
-    if isinstance(strays, Unread):
-        yield SAY.unknown("stray", strays.reason)
+def _of_the_gateway(strays: Mapping[str, ForeignLibrary] | Unreadable) -> Iterator[CheckResult]:
+    if isinstance(strays, Unreadable):
+        yield SUBJECT.unknown("stray", strays.reason)
         return
     told = {name: one for name, one in strays.items() if one.time_ms >= _STRAY_AT_LEAST_MS}
     if not told:
-        yield SAY.ok("well", "nothing but its own libraries delays the gateway's start")
+        yield SUBJECT.ok("well", "nothing but its own libraries delays the gateway's start")
     for name, one in sorted(told.items()):
         what = f"{name} gets into the gateway, which does not need it: {one.time_ms:.0f} ms a start"
         remedy = f"pip uninstall {name}, where nothing else needs it"
         if one.file:
             remedy = f"take {one.file} out of this Python's path"
-        yield SAY.warning("stray", what, remedy)
+        yield SUBJECT.warning("stray", what, remedy)

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 from vcu_gateway.api.rights import Peer, Policy, Right
 from vcu_gateway.config import Config, group_number, user_number
-from vcu_gateway.doctor.check_result import Finding, Subject, Told
-from vcu_gateway.doctor.procfs import Unread, refused
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
+from vcu_gateway.doctor.procfs import Unreadable, refused
 
-SAY = Subject("permissions")
+SUBJECT = CheckSubject("permissions")
 _WORDS = {Right.READ: ("read", "stop"), Right.OPERATE: ("operate",), Right.SERVICE: ("service",)}
 
 
@@ -25,7 +25,7 @@ class Account(NamedTuple):
     gids: frozenset[int]
 
 
-class Place(NamedTuple):
+class ResourcePermissions(NamedTuple):
     """A file, folder or socket with its permissions."""
 
     path: str
@@ -41,7 +41,7 @@ class Place(NamedTuple):
         return (self.mode >> shift) & bits == bits
 
 
-class Facts(NamedTuple):
+class PermissionFacts(NamedTuple):
     """What was read.
 
     Attributes:
@@ -57,12 +57,12 @@ class Facts(NamedTuple):
     """
 
     me: Account
-    service: Account | Unread | None
+    service: Account | Unreadable | None
     policy: Policy | None
     socket_path: str | None
-    socket: Place | Unread | None
-    folder: Place | Unread | None
-    files: tuple[tuple[Place, ...], ...] = ()
+    socket: ResourcePermissions | Unreadable | None
+    folder: ResourcePermissions | Unreadable | None
+    files: tuple[tuple[ResourcePermissions, ...], ...] = ()
     has_operators: bool = True
     socket_group: str = ""
     shown: tuple[str, ...] | None = None
@@ -73,15 +73,17 @@ def read(
     file: Path | None,
     service_user: str | None,
     shown: tuple[str, ...] | None = None,
-) -> Facts:
+) -> PermissionFacts:
     """Ask the account data base and the file system; `service_user` None: no unit here."""
     api = config.api
     service = None if service_user is None else _account(service_user)
     path = api.socket_path if api.enabled else None
     sock = None if path is None else _place(path)
-    group = _group_name(sock.gid) if isinstance(sock, Place) else api.socket_group or ""
+    group = (
+        _group_name(sock.gid) if isinstance(sock, ResourcePermissions) else api.socket_group or ""
+    )
     files = [one for one in (file, config.protocol.dbc) if one is not None]
-    return Facts(
+    return PermissionFacts(
         me=_me(),
         service=service,
         policy=_policy(config, service),
@@ -104,11 +106,11 @@ def _me() -> Account:
     return Account(name, uid, frozenset({os.getegid(), *os.getgroups()}))
 
 
-def _account(name: str) -> Account | Unread:
+def _account(name: str) -> Account | Unreadable:
     try:
         found = pwd.getpwnam(name)
     except KeyError:
-        return Unread(f"this machine has no user {name}")
+        return Unreadable(f"this machine has no user {name}")
     return Account(name, found.pw_uid, frozenset(os.getgrouplist(name, found.pw_gid)))
 
 
@@ -119,7 +121,7 @@ def _group_name(gid: int) -> str:
         return str(gid)
 
 
-def _policy(config: Config, service: Account | Unread | None) -> Policy | None:
+def _policy(config: Config, service: Account | Unreadable | None) -> Policy | None:
     api = config.api
     try:
         return Policy(
@@ -133,35 +135,35 @@ def _policy(config: Config, service: Account | Unread | None) -> Policy | None:
         return None  # configuration says which
 
 
-def _place(path: str) -> Place | Unread | None:
+def _place(path: str) -> ResourcePermissions | Unreadable | None:
     try:
         found = os.stat(path)
     except FileNotFoundError:
         return None
     except OSError as error:
         return refused(path, error)
-    return Place(path, found.st_mode, found.st_uid, found.st_gid)
+    return ResourcePermissions(path, found.st_mode, found.st_uid, found.st_gid)
 
 
-def _way_to(file: Path) -> Iterator[Place]:
+def _way_to(file: Path) -> Iterator[ResourcePermissions]:
     """The folders above and the file, as far as they can be looked at."""
     whole = file.absolute()
     for one in (*reversed(whole.parents), whole):
         place = _place(str(one))
-        if isinstance(place, Place):
+        if isinstance(place, ResourcePermissions):
             yield place
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: PermissionFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     service = _service(facts)
-    return SAY.summed("", (*service, _folder(facts), _operators(facts), _mine(facts)))
+    return SUBJECT.summed("", (*service, _folder(facts), _operators(facts), _mine(facts)))
 
 
-def _service(facts: Facts) -> Iterator[Told]:
+def _service(facts: PermissionFacts) -> Iterator[Outcome]:
     user = facts.service
-    if isinstance(user, Unread):
-        yield SAY.wrong("service_user", user.reason, "sudo systemd-sysusers")
+    if isinstance(user, Unreadable):
+        yield SUBJECT.wrong("service_user", user.reason, "sudo systemd-sysusers")
     elif user is not None:
         ways = [way for way in facts.files if way]
         told = [one for way in ways if (one := _way(user, way, facts.shown))]
@@ -170,19 +172,21 @@ def _service(facts: Facts) -> Iterator[Told]:
             yield f"{user.name} can read its files"
 
 
-def _way(user: Account, way: tuple[Place, ...], shown: tuple[str, ...] | None) -> Finding | None:
+def _way(
+    user: Account, way: tuple[ResourcePermissions, ...], shown: tuple[str, ...] | None
+) -> CheckResult | None:
     path = way[-1].path
     if shown is not None and not any(Path(path).is_relative_to(folder) for folder in shown):
         what = f"the service does not see {path}: its unit shows it {' and '.join(shown)} alone"
-        return SAY.wrong("service_files", what, "keep it in /etc/vcu-gateway")
+        return SUBJECT.wrong("service_files", what, "keep it in /etc/vcu-gateway")
     barrier = _barrier(user, way)
     if barrier is None:
         return None
     what = f"the service's user {user.name} cannot get to {barrier}"
-    return SAY.wrong("service_files", what, f"sudo chmod o+rX {barrier}")
+    return SUBJECT.wrong("service_files", what, f"sudo chmod o+rX {barrier}")
 
 
-def _barrier(user: Account, way: tuple[Place, ...]) -> str | None:
+def _barrier(user: Account, way: tuple[ResourcePermissions, ...]) -> str | None:
     """The first place on the way that does not let this user through."""
     for place in way:
         needed = 1 if stat.S_ISDIR(place.mode) else 4
@@ -191,41 +195,43 @@ def _barrier(user: Account, way: tuple[Place, ...]) -> str | None:
     return None
 
 
-def _folder(facts: Facts) -> Told | None:
+def _folder(facts: PermissionFacts) -> Outcome | None:
     folder = facts.folder
-    if isinstance(folder, Unread):
-        return SAY.unknown("folder", folder.reason)
+    if isinstance(folder, Unreadable):
+        return SUBJECT.unknown("folder", folder.reason)
     if folder is None:
         return _no_folder(facts)
     if folder.mode & stat.S_IWOTH and not folder.mode & stat.S_ISVTX:
         what = f"everybody may replace the API's socket: {folder.path} is open to all"
-        return SAY.wrong("folder", what, f"sudo chmod o-w {folder.path}")
+        return SUBJECT.wrong("folder", what, f"sudo chmod o-w {folder.path}")
     return None
 
 
-def _no_folder(facts: Facts) -> Told | None:
+def _no_folder(facts: PermissionFacts) -> Outcome | None:
     if facts.socket_path is None or facts.service is not None:
         return None  # the service makes its own
     folder = os.path.dirname(facts.socket_path)
     what = f"there is no folder {folder} for the API's socket; the service makes its own"
-    return SAY.warning("folder", what, f"sudo install -d -o {facts.me.name} {folder}")
+    return SUBJECT.warning("folder", what, f"sudo install -d -o {facts.me.name} {folder}")
 
 
-def _operators(facts: Facts) -> Told | None:
+def _operators(facts: PermissionFacts) -> Outcome | None:
     if facts.has_operators or facts.service is None or facts.socket_path is None:
         return None
     what = "nobody but root and the gateway's own user may demand and arm"
-    return SAY.warning("operators", what, "name them in api.operator_groups of the configuration")
+    return SUBJECT.warning(
+        "operators", what, "name them in api.operator_groups of the configuration"
+    )
 
 
-def _mine(facts: Facts) -> Told | None:
+def _mine(facts: PermissionFacts) -> Outcome | None:
     me = facts.me
-    if isinstance(facts.socket, Unread):
-        return SAY.unknown("mine", facts.socket.reason)
-    if isinstance(facts.socket, Place) and not facts.socket.lets(me, 2):
+    if isinstance(facts.socket, Unreadable):
+        return SUBJECT.unknown("mine", facts.socket.reason)
+    if isinstance(facts.socket, ResourcePermissions) and not facts.socket.lets(me, 2):
         what = f"{me.name} may not open {facts.socket.path}, so neither read nor stop"
         command = f"sudo usermod -aG {facts.socket_group} {me.name}, and log in again"
-        return SAY.warning("mine", what, command)
+        return SUBJECT.warning("mine", what, command)
     if facts.policy is None or facts.socket_path is None:
         return None
     rights = facts.policy.rights_of(Peer(0, me.uid, me.gids))

@@ -5,10 +5,10 @@ import platform
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import Finding, Subject, Told
-from vcu_gateway.doctor.procfs import Unread, fields, names, number, refused, text
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
+from vcu_gateway.doctor.procfs import Unreadable, fields, names, number, refused, text
 
-SAY = Subject("process")
+SUBJECT = CheckSubject("process")
 STATE_FOLDER = "/var/lib/vcu-gateway"
 _NOT_REAL_TIME = ("0", "3", "5")  # systemd shows the kernel's numbers: other, batch, idle
 _REAL_TIME = {os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr"}
@@ -19,16 +19,16 @@ _CPUS = "/sys/devices/system/cpu/cpufreq"
 _OWN_GOVERNORS = ("intel_pstate", "amd-pstate-epp", "amd_pstate_epp")
 
 
-class Running(NamedTuple):
+class RunningProcess(NamedTuple):
     """A running gateway."""
 
     pid: int
-    policy: str | Unread
+    policy: str | Unreadable
     priority: int
-    status: dict[str, str] | Unread
+    status: dict[str, str] | Unreadable
 
 
-class Facts(NamedTuple):
+class ProcessFacts(NamedTuple):
     """What was read.
 
     Attributes:
@@ -42,18 +42,18 @@ class Facts(NamedTuple):
             the unit is not installed.
     """
 
-    running: Running | None
-    memory: dict[str, str] | Unread
+    running: RunningProcess | None
+    memory: dict[str, str] | Unreadable
     governors: tuple[tuple[str, str], ...]
     preemption: str
-    disk_mb: int | Unread | None
+    disk_mb: int | Unreadable | None
     memory_lock: str = ""
     policy: str = ""
 
 
-def read(pid: int | None, memory_lock: str = "", policy: str = "") -> Facts:
+def read(pid: int | None, memory_lock: str = "", policy: str = "") -> ProcessFacts:
     """Ask the kernel."""
-    return Facts(
+    return ProcessFacts(
         None if pid is None else _running(pid),
         fields("/proc/meminfo"),
         tuple(governors()),
@@ -64,14 +64,14 @@ def read(pid: int | None, memory_lock: str = "", policy: str = "") -> Facts:
     )
 
 
-def _running(pid: int) -> Running:
-    policy: str | Unread
+def _running(pid: int) -> RunningProcess:
+    policy: str | Unreadable
     try:
         policy = _REAL_TIME.get(os.sched_getscheduler(pid) & 0xFF, "other")
         priority = os.sched_getparam(pid).sched_priority
     except OSError as error:
         policy, priority = refused(f"process {pid}", error), 0
-    return Running(pid, policy, priority, fields(f"/proc/{pid}/status"))
+    return RunningProcess(pid, policy, priority, fields(f"/proc/{pid}/status"))
 
 
 def governors(cpus: str = _CPUS) -> Iterator[tuple[str, str]]:
@@ -91,7 +91,7 @@ def _preemption() -> str:
     return next((word for word in words if word.startswith("PREEMPT")), "")
 
 
-def free_mb(folder: str) -> int | Unread | None:
+def free_mb(folder: str) -> int | Unreadable | None:
     """Free on the disk of a folder for who is not root; None where there is no folder."""
     try:
         found = os.statvfs(folder)
@@ -102,99 +102,99 @@ def free_mb(folder: str) -> int | Unread | None:
     return found.f_bavail * found.f_frsize >> 20
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: ProcessFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     running = facts.running
     if running is not None:
         checks = (_policy(running), _locked(running), _swapped(running))
-        yield from SAY.summed(f"process {running.pid}", checks)
+        yield from SUBJECT.summed(f"process {running.pid}", checks)
     else:
-        yield from SAY.summed("the unit", _of_unit(facts))
+        yield from SUBJECT.summed("the unit", _of_unit(facts))
     kernel = facts.preemption and f"kernel {facts.preemption}"
     machine = (_memory(facts), _swap(facts), _governor(facts.governors), _disk(facts), kernel)
-    yield from SAY.summed("machine", machine)
+    yield from SUBJECT.summed("machine", machine)
 
 
-def _policy(running: Running) -> Told:
-    if isinstance(running.policy, Unread):
-        return SAY.unknown("priority", running.policy.reason)
+def _policy(running: RunningProcess) -> Outcome:
+    if isinstance(running.policy, Unreadable):
+        return SUBJECT.unknown("priority", running.policy.reason)
     if running.policy in _REAL_TIME.values():
         return f"{running.policy} priority {running.priority}"
     what = f"process {running.pid} has no real-time priority: a busy machine makes ticks late"
-    return SAY.warning("priority", what, "run it as the service: its unit sets one")
+    return SUBJECT.warning("priority", what, "run it as the service: its unit sets one")
 
 
-def _of_unit(facts: Facts) -> Iterator[Told | None]:
+def _of_unit(facts: ProcessFacts) -> Iterator[Outcome | None]:
     """Of an installed service that does not run."""
     if facts.memory_lock.isdecimal() and int(facts.memory_lock) < _MEMORY_AT_LEAST_KB * 1024:
         what = f"the unit may lock only {int(facts.memory_lock) >> 10} kB of memory"
-        yield SAY.warning("memory_lock", what, "LimitMEMLOCK=infinity in a drop-in")
+        yield SUBJECT.warning("memory_lock", what, "LimitMEMLOCK=infinity in a drop-in")
     if facts.policy in _NOT_REAL_TIME:
         what = "the unit asks for no real-time priority: a busy machine makes ticks late"
-        yield SAY.warning("priority", what, "CPUSchedulingPolicy=fifo in a drop-in")
+        yield SUBJECT.warning("priority", what, "CPUSchedulingPolicy=fifo in a drop-in")
 
 
-def _locked(running: Running) -> Told:
+def _locked(running: RunningProcess) -> Outcome:
     locked_kb = _kb(running.status, "VmLck")
-    if isinstance(locked_kb, Unread):
-        return SAY.unknown("memory_lock", locked_kb.reason)
+    if isinstance(locked_kb, Unreadable):
+        return SUBJECT.unknown("memory_lock", locked_kb.reason)
     if locked_kb:
         return "locked in memory"
     what = f"process {running.pid} does not lock its memory: paging makes ticks late"
-    return SAY.warning("memory_lock", what, "run it with --lock-memory, as the service does")
+    return SUBJECT.warning("memory_lock", what, "run it with --lock-memory, as the service does")
 
 
-def _swapped(running: Running) -> Told | None:
+def _swapped(running: RunningProcess) -> Outcome | None:
     swapped_kb = _kb(running.status, "VmSwap")
-    if isinstance(swapped_kb, Unread) or not swapped_kb:
+    if isinstance(swapped_kb, Unreadable) or not swapped_kb:
         return None
     what = f"{swapped_kb} kB of process {running.pid} are swapped out"
-    return SAY.warning("swapped", what, "run it with --lock-memory, or sudo swapoff -a")
+    return SUBJECT.warning("swapped", what, "run it with --lock-memory, or sudo swapoff -a")
 
 
-def _memory(facts: Facts) -> Told:
+def _memory(facts: ProcessFacts) -> Outcome:
     free_kb = _kb(facts.memory, "MemAvailable")
-    if isinstance(free_kb, Unread):
-        return SAY.unknown("memory", free_kb.reason)
+    if isinstance(free_kb, Unreadable):
+        return SUBJECT.unknown("memory", free_kb.reason)
     if free_kb >= _MEMORY_AT_LEAST_KB:
         return f"{free_kb >> 10} MB memory free"
     what = f"only {free_kb >> 10} MB memory are free"
-    return SAY.warning("memory", what, "look who takes it: ps --sort=-rss -eo rss,comm | head")
+    return SUBJECT.warning("memory", what, "look who takes it: ps --sort=-rss -eo rss,comm | head")
 
 
-def _swap(facts: Facts) -> Told | None:
+def _swap(facts: ProcessFacts) -> Outcome | None:
     total, free = (_kb(facts.memory, name) for name in ("SwapTotal", "SwapFree"))
-    if isinstance(total, Unread) or isinstance(free, Unread) or total <= free:
+    if isinstance(total, Unreadable) or isinstance(free, Unreadable) or total <= free:
         return None
     what = f"{total - free >> 10} MB of swap are in use: what is not locked may be slow"
-    return SAY.warning("swap", what, "sudo swapoff -a, and remove it from /etc/fstab")
+    return SUBJECT.warning("swap", what, "sudo swapoff -a, and remove it from /etc/fstab")
 
 
-def _kb(found: dict[str, str] | Unread, name: str) -> int | Unread:
-    if isinstance(found, Unread):
+def _kb(found: dict[str, str] | Unreadable, name: str) -> int | Unreadable:
+    if isinstance(found, Unreadable):
         return found
     amount = found.get(name, "").split()
-    return int(amount[0]) if amount and amount[0].isdecimal() else Unread(f"no {name} is told")
+    return int(amount[0]) if amount and amount[0].isdecimal() else Unreadable(f"no {name} is told")
 
 
-def _governor(governors: tuple[tuple[str, str], ...]) -> Told | None:
+def _governor(governors: tuple[tuple[str, str], ...]) -> Outcome | None:
     slow = any(
         governor == "powersave" and driver not in _OWN_GOVERNORS for driver, governor in governors
     )
     if slow:
         what = "the processor is held at its lowest speed (governor powersave)"
         command = f"echo performance | sudo tee {_CPUS}/policy*/scaling_governor"
-        return SAY.warning("governor", what, command)
+        return SUBJECT.warning("governor", what, command)
     used = sorted({governor for _, governor in governors})
     return f"governor {' and '.join(used)}" if used else None
 
 
-def _disk(facts: Facts) -> Told | None:
-    if isinstance(facts.disk_mb, Unread):
-        return SAY.unknown("disk", facts.disk_mb.reason)
+def _disk(facts: ProcessFacts) -> Outcome | None:
+    if isinstance(facts.disk_mb, Unreadable):
+        return SUBJECT.unknown("disk", facts.disk_mb.reason)
     if facts.disk_mb is None:
         return None
     if facts.disk_mb >= _DISK_AT_LEAST_MB:
         return f"{facts.disk_mb} MB disk free"
     what = f"only {facts.disk_mb} MB are free below {STATE_FOLDER}"
-    return SAY.warning("disk", what, f"make room: du -ah {STATE_FOLDER} | sort -h | tail")
+    return SUBJECT.warning("disk", what, f"make room: du -ah {STATE_FOLDER} | sort -h | tail")

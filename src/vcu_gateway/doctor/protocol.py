@@ -6,13 +6,13 @@ from typing import NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.doctor.check_result import Finding, Subject
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
 from vcu_gateway.errors import GatewayError, Problem
 
-SAY = Subject("protocol")
+SUBJECT = CheckSubject("protocol")
 
 
-class Facts(NamedTuple):
+class ProtocolFacts(NamedTuple):
     """What was read.
 
     Attributes:
@@ -28,11 +28,11 @@ class Facts(NamedTuple):
     unknown_names: tuple[Problem, ...] = ()
 
 
-def read(config: Config) -> Facts:
+def read(config: Config) -> ProtocolFacts:
     """Read it as the gateway does; cantools is imported only here."""
     from vcu_gateway import app as wiring
 
-    facts = Facts(None if config.protocol.dbc is None else str(config.protocol.dbc))
+    facts = ProtocolFacts(None if config.protocol.dbc is None else str(config.protocol.dbc))
     try:
         spec = wiring.load_protocol(config)
         facts = facts._replace(spec=spec)
@@ -42,7 +42,7 @@ def read(config: Config) -> Facts:
     return facts._replace(unknown_names=tuple(configuration.check_against(config, spec)))
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: ProtocolFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     for problem in facts.contradictions:
         yield _wrong("dbc", problem)
@@ -51,9 +51,9 @@ def judge(facts: Facts) -> Iterator[Finding]:
     if facts.spec is not None and not facts.contradictions:
         which = facts.file or "the packaged DBC"
         messages = len(facts.spec.messages)
-        yield SAY.ok("dbc", f"{which}: {messages} messages, as the safety rules know them")
+        yield SUBJECT.ok("dbc", f"{which}: {messages} messages, as the safety rules know them")
 
 
-def _wrong(check: str, problem: Problem) -> Finding:
+def _wrong(check: str, problem: Problem) -> CheckResult:
     where = f"{problem.where}: " if problem.where else ""
-    return SAY.wrong(check, f"{where}{problem.what}", problem.remedy)
+    return SUBJECT.wrong(check, f"{where}{problem.what}", problem.remedy)

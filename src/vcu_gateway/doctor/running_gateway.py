@@ -8,15 +8,15 @@ from vcu_gateway import config as configuration
 from vcu_gateway.api import results as shapes
 from vcu_gateway.client import Client, ClientError
 from vcu_gateway.config import Config
-from vcu_gateway.doctor.check_result import Finding, Subject, Told
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
+from vcu_gateway.doctor.procfs import Unreadable
 
-SAY = Subject("gateway")
+SUBJECT = CheckSubject("gateway")
 _PATIENCE_S = 0.5
 _DRIVING = "active"
 
 
-class Facts(NamedTuple):
+class GatewayFacts(NamedTuple):
     """What was read.
 
     Attributes:
@@ -27,7 +27,7 @@ class Facts(NamedTuple):
     """
 
     socket_path: str
-    answers: tuple[shapes.Why, shapes.Health] | Unread | None
+    answers: tuple[shapes.Why, shapes.Health] | Unreadable | None
     barred: bool = False
     expected: bool = False
     file: str = ""
@@ -36,100 +36,100 @@ class Facts(NamedTuple):
     @property
     def pid(self) -> int | None:
         """The process that answered."""
-        if self.answers is None or isinstance(self.answers, Unread):
+        if self.answers is None or isinstance(self.answers, Unreadable):
             return None
         return self.answers[1]["pid"]
 
 
-def read(config: Config, expected: bool) -> Facts:
+def read(config: Config, expected: bool) -> GatewayFacts:
     """Two requests that only read; they wait for each other and then the socket is closed."""
     path = config.api.socket_path
     file = config.source.file
-    facts = Facts(path, None, expected=expected)
+    facts = GatewayFacts(path, None, expected=expected)
     if file:
         facts = facts._replace(file=os.path.abspath(file), digest=configuration.digest(config))
     return _asked(facts) if config.api.enabled else facts
 
 
-def _asked(facts: Facts) -> Facts:
+def _asked(facts: GatewayFacts) -> GatewayFacts:
     try:
         with Client(facts.socket_path, timeout_s=_PATIENCE_S) as client:
             return facts._replace(answers=(client.why(), client.health()))
     except ClientError as error:
         barred = isinstance(error.__cause__, PermissionError)
-        return facts._replace(answers=Unread(str(error)), barred=barred)
+        return facts._replace(answers=Unreadable(str(error)), barred=barred)
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: GatewayFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     if facts.answers is None:
-        yield SAY.ok("answers", "api.enabled is false: nobody can ask it")
-    elif not isinstance(facts.answers, Unread):
+        yield SUBJECT.ok("answers", "api.enabled is false: nobody can ask it")
+    elif not isinstance(facts.answers, Unreadable):
         yield from _alive(facts, *facts.answers)
     elif facts.barred:
-        yield SAY.unknown("answers", facts.answers.reason)
+        yield SUBJECT.unknown("answers", facts.answers.reason)
     elif facts.expected:
         what = f"a gateway runs and does not answer: {facts.answers.reason}"
-        yield SAY.wrong("answers", what, "systemctl status vcu-gateway")
+        yield SUBJECT.wrong("answers", what, "systemctl status vcu-gateway")
     else:
-        yield SAY.ok("answers", f"no gateway runs at {facts.socket_path}")
+        yield SUBJECT.ok("answers", f"no gateway runs at {facts.socket_path}")
 
 
-def _alive(facts: Facts, why: shapes.Why, health: shapes.Health) -> Iterator[Finding]:
+def _alive(facts: GatewayFacts, why: shapes.Why, health: shapes.Health) -> Iterator[CheckResult]:
     yield _mode(why)
     ticks, frames = health["ticks"], health["frames"]
     good = (_link(health["link"]), _skipped(ticks), _dropped(frames), _same(facts, health))
-    yield from SAY.summed(f"process {health['pid']}", good)
+    yield from SUBJECT.summed(f"process {health['pid']}", good)
 
 
-def _mode(why: shapes.Why) -> Finding:
+def _mode(why: shapes.Why) -> CheckResult:
     sentence = why["sentence"]
     if why["mode"] == _DRIVING:
-        return SAY.ok("mode", f"{sentence}; somebody drives: change nothing now")
+        return SUBJECT.ok("mode", f"{sentence}; somebody drives: change nothing now")
     if why["mode"] == "standby":
-        return SAY.ok("mode", sentence)
+        return SUBJECT.ok("mode", sentence)
     if why["mode"] == "fault":
-        return SAY.wrong("mode", sentence, "vcu-gateway reset, once the cause is gone")
-    return SAY.warning("mode", sentence, "vcu-gateway why")
+        return SUBJECT.wrong("mode", sentence, "vcu-gateway reset, once the cause is gone")
+    return SUBJECT.warning("mode", sentence, "vcu-gateway why")
 
 
-def _link(link: shapes.Link) -> Told:
+def _link(link: shapes.Link) -> Outcome:
     name = f"{link['interface']} {link['channel']}"
     if link["state"] == "up":
         return f"{name} up"
     reason = f": {link['lost']}" if link["lost"] else ""
     what = f"its link to {name} is {link['state']}{reason}"
     if link["state"] == "error warning":
-        return SAY.warning("link", what, "see interface")
-    return SAY.wrong("link", what, "see interface")
+        return SUBJECT.warning("link", what, "see interface")
+    return SUBJECT.wrong("link", what, "see interface")
 
 
-def _skipped(ticks: shapes.Ticks) -> Told:
+def _skipped(ticks: shapes.Ticks) -> Outcome:
     if not ticks["skipped"]:
         return f"no tick of {ticks['done']} skipped"
     what = f"{ticks['skipped']} ticks of {ticks['done']} were skipped: the machine was too slow"
-    return SAY.warning("ticks", what, "see process; vcu-gateway events")
+    return SUBJECT.warning("ticks", what, "see process; vcu-gateway events")
 
 
-def _dropped(frames: shapes.FrameCounts) -> Told | None:
+def _dropped(frames: shapes.FrameCounts) -> Outcome | None:
     if frames["dropped"] is None:
         return None
     if not frames["dropped"]:
         return f"no frame of {frames['received']} dropped"
     what = f"the kernel dropped {frames['dropped']} received frames of {frames['received']}"
-    return SAY.warning("frames", what, "see buffers and process")
+    return SUBJECT.warning("frames", what, "see buffers and process")
 
 
-def _same(facts: Facts, health: shapes.Health) -> Told | None:
+def _same(facts: GatewayFacts, health: shapes.Health) -> Outcome | None:
     if not facts.digest:
         return None
     running = health["config_file"]
     if not _is_same(running, facts.file):
         what = f"it runs with {running}, not with {facts.file}"
-        return SAY.warning("config_file", what, f"vcu-gateway doctor -c {running}")
+        return SUBJECT.warning("config_file", what, f"vcu-gateway doctor -c {running}")
     if health["config_digest"] != facts.digest:
         what = f"{facts.file} has changed since the gateway read it"
-        return SAY.warning("config_digest", what, "vcu-gateway reload, while it stands")
+        return SUBJECT.warning("config_digest", what, "vcu-gateway reload, while it stands")
     return "configuration as on disk"
 
 

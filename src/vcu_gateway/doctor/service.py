@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import Finding, Subject, Told
-from vcu_gateway.doctor.procfs import Unread
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
+from vcu_gateway.doctor.procfs import Unreadable
 
-SAY = Subject("service")
+SUBJECT = CheckSubject("service")
 _BOOTED = "/run/systemd/system"
 _PATIENCE_S = 2.0
 _BAD_CONFIGURATION = ("65", "66", "78")
@@ -23,11 +23,11 @@ _PROPERTIES = (
 )
 
 
-class Facts(NamedTuple):
+class ServiceFacts(NamedTuple):
     """What was read: systemd's properties by name, Unread, or None where it does not run."""
 
     unit: str
-    told: Mapping[str, str] | Unread | None
+    told: Mapping[str, str] | Unreadable | None
 
     def get(self, name: str) -> str:
         """A property; empty where it is not known."""
@@ -69,13 +69,13 @@ def unit_of(path: Path | None) -> str:
     return "vcu-gateway.service"
 
 
-def read(unit: str, booted: str = _BOOTED) -> Facts:
+def read(unit: str, booted: str = _BOOTED) -> ServiceFacts:
     """Ask systemd, once and not for long; `booted` is a folder that only it makes."""
     if not os.path.isdir(booted):
-        return Facts(unit, None)
+        return ServiceFacts(unit, None)
     program = shutil.which("systemctl")
     if program is None:
-        return Facts(unit, Unread("there is no systemctl"))
+        return ServiceFacts(unit, Unreadable("there is no systemctl"))
     command = [program, "show", unit, "--property", ",".join(_PROPERTIES)]
     try:
         done = subprocess.run(  # noqa: S603 - systemd's own program
@@ -87,12 +87,12 @@ def read(unit: str, booted: str = _BOOTED) -> Facts:
             timeout=_PATIENCE_S,
         )
     except subprocess.TimeoutExpired:
-        return Facts(unit, Unread(f"systemd did not answer within {_PATIENCE_S:g} s"))
+        return ServiceFacts(unit, Unreadable(f"systemd did not answer within {_PATIENCE_S:g} s"))
     except OSError as error:
-        return Facts(unit, Unread(f"systemctl: {error.strerror}"))
+        return ServiceFacts(unit, Unreadable(f"systemctl: {error.strerror}"))
     if done.returncode != 0:
-        return Facts(unit, Unread(f"systemctl: {' '.join(done.stderr.split())}"))
-    return Facts(unit, parsed(done.stdout))
+        return ServiceFacts(unit, Unreadable(f"systemctl: {' '.join(done.stderr.split())}"))
+    return ServiceFacts(unit, parsed(done.stdout))
 
 
 def parsed(output: str) -> dict[str, str]:
@@ -101,71 +101,71 @@ def parsed(output: str) -> dict[str, str]:
     return {name: value for name, equals, value in pairs if equals}
 
 
-def judge(facts: Facts) -> Iterator[Finding]:
+def judge(facts: ServiceFacts) -> Iterator[CheckResult]:
     """What to say of it."""
     if facts.told is None:
-        yield SAY.ok("systemd", "no systemd here: the gateway is started by hand")
-    elif isinstance(facts.told, Unread):
-        yield SAY.unknown("systemd", facts.told.reason)
+        yield SUBJECT.ok("systemd", "no systemd here: the gateway is started by hand")
+    elif isinstance(facts.told, Unreadable):
+        yield SUBJECT.unknown("systemd", facts.told.reason)
     elif facts.get("LoadState") == "not-found":
-        yield SAY.ok("installed", f"{facts.unit} is not installed; a vehicle computer needs it")
+        yield SUBJECT.ok("installed", f"{facts.unit} is not installed; a vehicle computer needs it")
     elif not facts.is_installed:
         what = f"{facts.unit} cannot be loaded: {facts.get('LoadState')}"
         is_masked = facts.get("LoadState") == "masked"
         command = "sudo systemctl unmask" if is_masked else "systemctl status"
-        yield SAY.wrong("installed", what, f"{command} {facts.unit}")
+        yield SUBJECT.wrong("installed", what, f"{command} {facts.unit}")
     else:
         checks = (_active(facts), _enabled(facts), _restarts(facts), _changed(facts))
-        yield from SAY.summed(facts.unit, checks)
+        yield from SUBJECT.summed(facts.unit, checks)
 
 
-def _enabled(facts: Facts) -> Told:
+def _enabled(facts: ServiceFacts) -> Outcome:
     state = facts.get("UnitFileState")
     if state.startswith("enabled") or state in ("static", "generated"):
         return "starts at boot"
     what = f"{facts.unit} does not start at boot ({state or 'state not known'})"
     remedy = "unmask" if state.startswith("masked") else "enable"
-    return SAY.warning("enabled", what, f"sudo systemctl {remedy} {facts.unit}")
+    return SUBJECT.warning("enabled", what, f"sudo systemctl {remedy} {facts.unit}")
 
 
-def _active(facts: Facts) -> Told:
+def _active(facts: ServiceFacts) -> Outcome:
     state, unit = facts.get("ActiveState"), facts.unit
     text = facts.get("StatusText")
     if state == "active":
         return f"running as {facts.pid}" + (f' ("{text}")' if text else "")
     journal = f"journalctl -u {unit} -n 50"
     if state == "failed":
-        return SAY.wrong("active", f"{unit} has failed: {_why(facts)}", _mend(facts, journal))
+        return SUBJECT.wrong("active", f"{unit} has failed: {_why(facts)}", _mend(facts, journal))
     if facts.get("SubState") == "auto-restart":
         what = f"{unit} ends again and again: {_why(facts)}"
-        return SAY.wrong("active", what, _mend(facts, journal))
+        return SUBJECT.wrong("active", what, _mend(facts, journal))
     if state in ("activating", "reloading", "deactivating"):
-        return SAY.warning("active", f"{unit} is {state}", "look again in some seconds")
-    return SAY.warning("active", f"{unit} does not run", f"sudo systemctl start {unit}")
+        return SUBJECT.warning("active", f"{unit} is {state}", "look again in some seconds")
+    return SUBJECT.warning("active", f"{unit} does not run", f"sudo systemctl start {unit}")
 
 
-def _why(facts: Facts) -> str:
+def _why(facts: ServiceFacts) -> str:
     status = facts.get("ExecMainStatus")
     exited = f"{facts.get('Result')}, status {status}"
     return f"{exited} ({facts.get('StatusText')})" if facts.get("StatusText") else exited
 
 
-def _mend(facts: Facts, otherwise: str) -> str:
+def _mend(facts: ServiceFacts, otherwise: str) -> str:
     if facts.get("ExecMainStatus") in _BAD_CONFIGURATION:
         return f"mend the configuration, then sudo systemctl start {facts.unit}"
     return otherwise
 
 
-def _restarts(facts: Facts) -> Told | None:
+def _restarts(facts: ServiceFacts) -> Outcome | None:
     count = facts.get("NRestarts")
     if not count.isdecimal() or int(count) == 0:
         return None
     what = f"{facts.unit} had to be started again {count} times"
-    return SAY.warning("restarts", what, f"journalctl -u {facts.unit} -p warning")
+    return SUBJECT.warning("restarts", what, f"journalctl -u {facts.unit} -p warning")
 
 
-def _changed(facts: Facts) -> Told | None:
+def _changed(facts: ServiceFacts) -> Outcome | None:
     if facts.get("NeedDaemonReload") != "yes":
         return None
     what = f"{facts.unit} has changed on disk since systemd read it"
-    return SAY.warning("changed", what, "sudo systemctl daemon-reload")
+    return SUBJECT.warning("changed", what, "sudo systemctl daemon-reload")
