@@ -13,7 +13,7 @@ from tests.watch import view_models as worlds
 from tests.watch.screenshot import draw
 from vcu_gateway.watch import app as app_module
 from vcu_gateway.watch.app import WatchApp
-from vcu_gateway.watch.lines_widget import Lines
+from vcu_gateway.watch.lines_widget import LinesWidget
 
 WAIT_S = 60.0
 BLACK = Color(0, 0, 0)
@@ -321,7 +321,7 @@ def test_a_gateway_that_goes_away_and_comes_back_is_told_each_time():
 def test_a_picture_that_does_not_change_writes_nothing():
     async def check(view: Shown) -> None:
         drawn: list[int] = []
-        for lines in view.pilot.app.query(Lines):
+        for lines in view.pilot.app.query(LinesWidget):
             lines.refresh_line = drawn.append
         looks = view.source.looks
         await view.until(lambda: view.source.looks >= looks + 3)

@@ -15,13 +15,13 @@ from vcu_gateway.watch.layout import upper_lines
 from vcu_gateway.watch.plain_text import plain
 from vcu_gateway.watch.reasons import reason_lines
 from vcu_gateway.watch.signals import signal_lines
-from vcu_gateway.watch.view_model import Picture
+from vcu_gateway.watch.view_model import ViewModel
 
-WORLDS = [worlds.driving, worlds.starting, worlds.faulty, worlds.unreachable, Picture]
+WORLDS = [worlds.driving, worlds.starting, worlds.faulty, worlds.unreachable, ViewModel]
 SIZES = [(80, 24), (120, 40), (100, 30), (160, 50), (40, 10)]
 
 
-def page(picture: Picture, width: int = 80, height: int = 24) -> str:
+def page(picture: ViewModel, width: int = 80, height: int = 24) -> str:
     return text_of(upper_lines("vcu-gateway", picture, width, height))
 
 
@@ -29,7 +29,7 @@ def text_of(lines: list[Text]) -> str:
     return "\n".join(line.plain.rstrip() for line in lines) + "\n"
 
 
-def signals(picture: Picture, width: int = 80, wanted: str = "", old: bool = False) -> str:
+def signals(picture: ViewModel, width: int = 80, wanted: str = "", old: bool = False) -> str:
     return text_of(signal_lines(picture.state, width, wanted, old))
 
 
@@ -271,7 +271,7 @@ def test_a_gateway_that_has_gone_is_said_to_be_and_its_values_are_old():
 
 
 def test_before_the_first_answer_it_says_that_it_waits():
-    assert page(Picture()).splitlines()[1].startswith(" CONNECTING  waiting for the gateway")
+    assert page(ViewModel()).splitlines()[1].startswith(" CONNECTING  waiting for the gateway")
 
 
 def test_a_picture_that_stands_still_says_so():

@@ -13,7 +13,7 @@ import pytest
 from tests.watch import view_models as worlds
 from vcu_gateway.watch import poller as asking
 from vcu_gateway.watch.poller import GatewaySource
-from vcu_gateway.watch.view_model import Picture, RefusedError
+from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel
 
 WAIT_S = 60.0
 
@@ -77,7 +77,7 @@ def gateway(path: Path) -> Iterator[Gateway]:
             made.close()
 
 
-def seen(source: GatewaySource, wanted: Callable[[Picture], object]) -> Picture:
+def seen(source: GatewaySource, wanted: Callable[[ViewModel], object]) -> ViewModel:
     """The first picture like this, however slow this machine is."""
     end_s = time.monotonic() + WAIT_S
     while time.monotonic() < end_s:
@@ -171,7 +171,7 @@ def test_stopping_goes_to_the_gateway(path, what):
 def test_a_refusal_and_a_missing_gateway_are_told_alike(path, what):
     with gateway(path) as made:
         made.error = {"code": -32002, "message": "the mode is standby", "data": {}}
-        with pytest.raises(RefusedError, match="the mode is standby"):
+        with pytest.raises(SourceRefusedError, match="the mode is standby"):
             getattr(GatewaySource(path), what)()
-    with pytest.raises(RefusedError, match="no socket"):
+    with pytest.raises(SourceRefusedError, match="no socket"):
         getattr(GatewaySource(path), what)()

@@ -16,7 +16,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.server import views as report
-from vcu_gateway.watch.view_model import Picture, RefusedError, Trouble
+from vcu_gateway.watch.view_model import SourceProblem, SourceRefusedError, ViewModel
 
 HEALTH: Health = {
     "pid": 812,
@@ -79,7 +79,7 @@ HEALTH: Health = {
 
 
 @functools.cache
-def _driven(seconds: float, soc_pct: float = 80.0) -> Picture:
+def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
     codec = Codec(dbc.load(packaged("vcu.dbc")))
     gateway = Gateway(codec, Settings(bench_demand=CRUISE, auto_arm=True), START_NS)
     nodes = simulator.build(codec, START_NS, soc_pct=soc_pct)
@@ -97,20 +97,20 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> Picture:
             tick_ns += gateway.settings.period_ns
     why = gateway.why(result.snapshot.now_ns)
     state = report.state(result.snapshot, LastTick(result, why))
-    return Picture(state, report.why(why), HEALTH)
+    return ViewModel(state, report.why(why), HEALTH)
 
 
-def driving() -> Picture:
+def driving() -> ViewModel:
     """A healthy vehicle under way, to change at will."""
     return copy.deepcopy(_driven(8.0))
 
 
-def limited() -> Picture:
+def limited() -> ViewModel:
     """Under way with a battery that is nearly empty."""
     return copy.deepcopy(_driven(8.0, soc_pct=14.0))
 
 
-def starting() -> Picture:
+def starting() -> ViewModel:
     """Just started: most has never been heard."""
     return copy.deepcopy(_driven(0.06))
 
@@ -128,7 +128,7 @@ def cause(effect: str = "stop", **changes: object) -> Cause:
     return made | changes  # type: ignore[return-value]
 
 
-def faulty() -> Picture:
+def faulty() -> ViewModel:
     """Latched, with reasons of every kind, and counts that ought to be 0."""
     picture = driving()
     state, why, health = picture.state, picture.why, picture.health
@@ -172,20 +172,20 @@ def faulty() -> Picture:
     return picture
 
 
-def unreachable() -> Picture:
+def unreachable() -> ViewModel:
     """The gateway that drove has gone."""
     gone = driving()
-    trouble = Trouble(
+    trouble = SourceProblem(
         "/run/vcu-gateway/control.sock: Connection refused; is the gateway running?",
         datetime(2026, 5, 4, 14, 3, 11),
     )
-    return Picture(gone.state, gone.why, gone.health, trouble)
+    return ViewModel(gone.state, gone.why, gone.health, trouble)
 
 
 class Scripted:
     """A source that shows what it is told to, and notes what was asked of it."""
 
-    def __init__(self, picture: Picture | None = None) -> None:
+    def __init__(self, picture: ViewModel | None = None) -> None:
         self.picture = driving() if picture is None else picture
         self.asked: list[str] = []
         self.refusal = ""
@@ -194,7 +194,7 @@ class Scripted:
         self.looks = 0
         self.on_look: Callable[[], None] = lambda: None
 
-    def latest(self) -> Picture:
+    def latest(self) -> ViewModel:
         self.looks += 1
         self.on_look()
         return self.picture
@@ -209,4 +209,4 @@ class Scripted:
         self.asked.append(what)
         self.may_answer.wait()
         if self.refusal:
-            raise RefusedError(self.refusal)
+            raise SourceRefusedError(self.refusal)

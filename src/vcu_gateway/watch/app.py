@@ -16,9 +16,9 @@ from textual.widgets import Input, Static
 from vcu_gateway.watch import keys
 from vcu_gateway.watch.formatting import cell, line
 from vcu_gateway.watch.layout import upper_lines
-from vcu_gateway.watch.lines_widget import Lines
+from vcu_gateway.watch.lines_widget import LinesWidget
 from vcu_gateway.watch.signals import signal_lines
-from vcu_gateway.watch.view_model import Picture, RefusedError, Source
+from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel, ViewSource
 
 REFRESH_HZ = 5.0
 _TOLD_S = 6.0
@@ -77,7 +77,7 @@ class WatchApp(App[None]):
 
     def __init__(
         self,
-        source: Source,
+        source: ViewSource,
         title: str = "vcu-gateway",
         over: Callable[[], bool] = lambda: False,
         refresh_hz: float = REFRESH_HZ,
@@ -88,13 +88,17 @@ class WatchApp(App[None]):
         self._heading = title
         self._over = over
         self._refresh_s = 1 / refresh_hz
-        self._picture = Picture()
+        self._picture = ViewModel()
         self._paused = False
         self._filter = ""
         self._asked = ""
         self._told = ""
         # Held here: at the end a timer may still fire when the screen has no widgets any more.
-        self._upper, self._signals, self._keys = Lines("upper"), Lines("signals"), Lines("hints")
+        self._upper, self._signals, self._keys = (
+            LinesWidget("upper"),
+            LinesWidget("signals"),
+            LinesWidget("hints"),
+        )
         self._find = Input(id="find", placeholder="part of a name; Enter keeps it, Esc ends it")
         self._help = Static(keys.HELP, id="help", markup=False)
 
@@ -231,7 +235,7 @@ class WatchApp(App[None]):
         request = {"estop": self._source.estop, "disarm": self._source.disarm}[what]
         try:
             request()
-        except RefusedError as refusal:
+        except SourceRefusedError as refusal:
             answer = f"{keys.NAMES[what]} not granted: {refusal}"
         else:
             answer = f"{keys.NAMES[what]} granted"

@@ -17,7 +17,7 @@ _CELL_COLUMNS = 16
 _NAMES: tuple[ControllerName, ControllerName] = ("PCU1", "PCU2")
 
 
-class Reports:
+class ControllerReports:
     """The signals of one controller, by name and message kind."""
 
     def __init__(self, state: State, controller: ControllerName) -> None:
@@ -49,15 +49,15 @@ class Reports:
         return bool(signal and signal["raw"])
 
 
-class Row(NamedTuple):
+class ControllerRow(NamedTuple):
     """One line of the table: how to say what was told, and what is reported."""
 
     label: str
     told: Callable[[Command], str]
-    reported: Callable[[Reports], Text]
+    reported: Callable[[ControllerReports], Text]
 
 
-def _mode(reports: Reports) -> Text:
+def _mode(reports: ControllerReports) -> Text:
     if reports.is_set("PowerCut"):
         return Text("POWER CUT", "bold red")
     return line(reports.word("PowerMode"), " ", reports.word("MotorReverse"))
@@ -73,12 +73,12 @@ def _brake_told(command: Command) -> str:
     return f"{'regen ' if command['regen_brake'] else ''}{command['brake_pct']:.1f}"
 
 
-def _brake(reports: Reports) -> Text:
+def _brake(reports: ControllerReports) -> Text:
     regen = "regen " if reports.is_set("RegenBrake") else ""
     return line(regen, reports.figure("Status1", "Brake", 1))
 
 
-def _power(reports: Reports) -> Text:
+def _power(reports: ControllerReports) -> Text:
     """Battery voltage times battery current; the worse of the two decides its quality."""
     voltage = reports.signal("Status2", "BatteryVoltage")
     current = reports.signal("Status2", "BatteryCurrent")
@@ -90,12 +90,12 @@ def _power(reports: Reports) -> Text:
     return marked(number(voltage["value"] * current["value"]), worse)
 
 
-def _battery(reports: Reports) -> Text:
+def _battery(reports: ControllerReports) -> Text:
     voltage = reports.figure("Status2", "BatteryVoltage", 1, " V")
     return line(voltage, " ", reports.figure("Status2", "BatteryCurrent", 1, " A"))
 
 
-def _temperatures(reports: Reports) -> Text:
+def _temperatures(reports: ControllerReports) -> Text:
     controller = reports.figure("Status1", "ControllerTemperature")
     return line(controller, " / ", reports.figure("Status1", "MotorTemperature"))
 
@@ -105,27 +105,27 @@ def _nothing(_: Command) -> str:
 
 
 _ROWS = (
-    Row(
+    ControllerRow(
         "throttle %",
         lambda c: f"{c['throttle_pct']:.1f}",
         lambda r: r.figure("Status1", "Throttle", 1),
     ),
-    Row("brake %", _brake_told, _brake),
-    Row("mode", _mode_told, _mode),
-    Row(
+    ControllerRow("brake %", _brake_told, _brake),
+    ControllerRow("mode", _mode_told, _mode),
+    ControllerRow(
         "speed rpm",
         lambda c: f"max {c['speed_limit_rpm']:.0f}",
         lambda r: r.figure("Status2", "MotorSpeed"),
     ),
-    Row("power W", lambda c: f"max {c['power_limit_w']:.0f}", _power),
-    Row("battery", _nothing, _battery),
-    Row("phase A", _nothing, lambda r: r.figure("Status2", "PhaseCurrent", 1)),
-    Row("temp degC", _nothing, _temperatures),
+    ControllerRow("power W", lambda c: f"max {c['power_limit_w']:.0f}", _power),
+    ControllerRow("battery", _nothing, _battery),
+    ControllerRow("phase A", _nothing, lambda r: r.figure("Status2", "PhaseCurrent", 1)),
+    ControllerRow("temp degC", _nothing, _temperatures),
 )
 _MORE_ROWS = (
-    Row("protection", _nothing, lambda r: r.word("TemperatureProtectLevel")),
-    Row("voltage", _nothing, lambda r: r.word("VoltageLevel")),
-    Row("status", _nothing, lambda r: r.figure("Status1", "StatusCode")),
+    ControllerRow("protection", _nothing, lambda r: r.word("TemperatureProtectLevel")),
+    ControllerRow("voltage", _nothing, lambda r: r.word("VoltageLevel")),
+    ControllerRow("status", _nothing, lambda r: r.figure("Status1", "StatusCode")),
 )
 
 
@@ -142,12 +142,12 @@ def _header(old: bool) -> Text:
     return line(cell("old values" if old else "", _LABEL_COLUMNS), *cells)
 
 
-def _line(row: Row, state: State | None) -> Text:
+def _line(row: ControllerRow, state: State | None) -> Text:
     cells: list[Text] = []
     for name in _NAMES:
         command = state["commands"].get(name) if state else None
         cells.append(cell(row.told(command) if command else ABSENT, _CELL_COLUMNS, align=">"))
-        reported = row.reported(Reports(state, name)) if state else Text(ABSENT, "dim")
+        reported = row.reported(ControllerReports(state, name)) if state else Text(ABSENT, "dim")
         cells.append(cell(reported, _CELL_COLUMNS, align=">"))
     return line(cell(row.label, _LABEL_COLUMNS, "dim"), *cells)
 

@@ -6,7 +6,7 @@ from vcu_gateway.watch import bus, controllers
 from vcu_gateway.watch import header as heading
 from vcu_gateway.watch.formatting import cell, line
 from vcu_gateway.watch.reasons import next_lines, reason_lines
-from vcu_gateway.watch.view_model import Picture
+from vcu_gateway.watch.view_model import ViewModel
 
 TALL_LINES = 32
 """From here on there is room for more than the needed."""
@@ -19,7 +19,7 @@ _PANEL_LINES = 13
 
 
 def upper_lines(
-    title: str, picture: Picture, width: int, height: int, paused: bool = False
+    title: str, picture: ViewModel, width: int, height: int, paused: bool = False
 ) -> list[Text]:
     """What, where, mode, why, controllers and bus: 19 lines at most in 80 x 24."""
     tall = height >= TALL_LINES
@@ -33,7 +33,7 @@ def upper_lines(
     ]
 
 
-def _explanation(picture: Picture, width: int, tall: bool) -> list[Text]:
+def _explanation(picture: ViewModel, width: int, tall: bool) -> list[Text]:
     """Mode and reasons; where room is short, what to do stands for the long sentence."""
     why = picture.why
     if why is None or picture.trouble is not None:
@@ -48,7 +48,7 @@ def _explanation(picture: Picture, width: int, tall: bool) -> list[Text]:
     return [*mode, Text(), *reasons, *next_lines(why, width)]
 
 
-def _figures(picture: Picture, width: int, tall: bool) -> list[Text]:
+def _figures(picture: ViewModel, width: int, tall: bool) -> list[Text]:
     """Controllers above the bus, or beside it where the terminal is wide."""
     wide = width >= _WIDE_COLUMNS
     old = picture.trouble is not None

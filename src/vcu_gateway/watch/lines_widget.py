@@ -10,7 +10,7 @@ from textual.strip import Strip
 from vcu_gateway.watch.formatting import line
 
 
-class Lines(ScrollView):
+class LinesWidget(ScrollView):
     """Shows lines, from the first in sight on; scrolls where there are more than fit."""
 
     DEFAULT_CSS = "Lines { scrollbar-size: 0 0; }"

@@ -9,7 +9,7 @@ from vcu_gateway.watch import bus, controllers, reasons
 from vcu_gateway.watch import header as heading
 from vcu_gateway.watch.formatting import ABSENT, number, wrapped
 from vcu_gateway.watch.quality import NOT_GOOD_MARK
-from vcu_gateway.watch.view_model import Picture
+from vcu_gateway.watch.view_model import ViewModel
 
 _COLUMNS = 120
 _MOST_LINES = 12
@@ -19,7 +19,7 @@ _FIRM = "\u00a0"
 """A space where no line is broken."""
 
 
-def plain(title: str, picture: Picture) -> str:
+def plain(title: str, picture: ViewModel) -> str:
     """Everything of this instant; ends with a line feed."""
     lines = [
         heading.title_line(title, picture, _COLUMNS),
@@ -34,7 +34,7 @@ def plain(title: str, picture: Picture) -> str:
     return "\n".join(shown) + "\n"
 
 
-def _sentence(picture: Picture) -> list[Text]:
+def _sentence(picture: ViewModel) -> list[Text]:
     """The gateway's own sentence, whole; or why there is none."""
     if picture.why is None or picture.trouble is not None:
         return heading.mode_lines(picture, _COLUMNS, _MOST_LINES)

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from vcu_gateway.api.results import Health, State, Why
 from vcu_gateway.client import Client, ClientError
-from vcu_gateway.watch.view_model import Picture, RefusedError, Trouble
+from vcu_gateway.watch.view_model import SourceProblem, SourceRefusedError, ViewModel
 
 _STATE_EVERY_S = 0.2
 _REST_EVERY_S = 0.5
@@ -28,12 +28,12 @@ class GatewaySource:
 
     def __init__(self, socket_path: Path | None = None) -> None:
         self._socket_path = socket_path
-        self._picture = Picture()
+        self._picture = ViewModel()
         self._rest_due_s = 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="asking", daemon=True)
 
-    def latest(self) -> Picture:
+    def latest(self) -> ViewModel:
         """What is known now."""
         return self._picture
 
@@ -51,7 +51,7 @@ class GatewaySource:
             with Client(self._socket_path) as client:
                 method(client)
         except ClientError as error:
-            raise RefusedError(str(error)) from error
+            raise SourceRefusedError(str(error)) from error
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -78,7 +78,7 @@ class GatewaySource:
                     self._lost(f"it speaks another version of the API: {what}")
                 self._stop.wait(_STATE_EVERY_S)
 
-    def _asked(self, client: Client) -> Picture:
+    def _asked(self, client: Client) -> ViewModel:
         state: State = _checked(State, client.state())
         before, now_s = self._picture, time.monotonic()
         changed = before.why is None or before.why["mode"] != state["mode"]
@@ -86,12 +86,12 @@ class GatewaySource:
             return dataclasses.replace(before, state=state)
         why, health = _checked(Why, client.why()), _checked(Health, client.health())
         self._rest_due_s = now_s + _REST_EVERY_S
-        return Picture(state, why, health)
+        return ViewModel(state, why, health)
 
     def _lost(self, sentence: str) -> None:
         before = self._picture.trouble
         since = datetime.now().astimezone() if before is None else before.since
-        self._picture = dataclasses.replace(self._picture, trouble=Trouble(sentence, since))
+        self._picture = dataclasses.replace(self._picture, trouble=SourceProblem(sentence, since))
 
 
 def _checked(shape: Any, answer: Any) -> Any:

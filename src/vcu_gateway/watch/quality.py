@@ -4,7 +4,7 @@ from rich.text import Text
 
 from vcu_gateway.api.results import QualityName, Signal
 
-WORD_STYLES: dict[QualityName, str] = {
+QUALITY_STYLES: dict[QualityName, str] = {
     "good": "green",
     "out of range": "yellow",
     "saturated": "yellow",
@@ -17,7 +17,7 @@ NOT_GOOD_MARK = "!"
 def value_style(signal: Signal) -> str:
     """A good value has no colour, so that the others stand out."""
     quality = signal["quality"]
-    return "" if quality == "good" else WORD_STYLES[quality]
+    return "" if quality == "good" else QUALITY_STYLES[quality]
 
 
 def marked(shown: str, signal: Signal) -> Text:

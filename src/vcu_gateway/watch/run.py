@@ -6,15 +6,15 @@ from collections.abc import Callable
 from vcu_gateway import streams
 from vcu_gateway.watch import terminal
 from vcu_gateway.watch.app import WatchApp
-from vcu_gateway.watch.view_model import Source
+from vcu_gateway.watch.view_model import ViewSource
 
 
-def watch(source: Source, title: str, over: Callable[[], bool] = lambda: False) -> None:
+def watch(source: ViewSource, title: str, over: Callable[[], bool] = lambda: False) -> None:
     """Show the source until a key or a signal ends it, the terminal goes away, or it is over.
 
     Only in the main thread, and where `terminal.is_full`. The process ends with 70 after a bug.
     """
-    leaving = terminal.Exit()
+    leaving = terminal.TerminalExit()
     leaving.handle_signals()
 
     def done() -> bool:

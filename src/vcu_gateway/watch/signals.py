@@ -4,7 +4,7 @@ from rich.text import Text
 
 from vcu_gateway.api.results import Message, Signal, State
 from vcu_gateway.watch.formatting import cell, duration, line, number
-from vcu_gateway.watch.quality import WORD_STYLES, value_style
+from vcu_gateway.watch.quality import QUALITY_STYLES, value_style
 
 COLUMNS = 59
 """The least that one column of signals needs; two stand side by side in twice that."""
@@ -100,7 +100,7 @@ def _signal(name: str, signal: Signal) -> Text:
         cell(f"  {name}", _NAME_COLUMNS),
         cell(_value(signal), _VALUE_COLUMNS, value_style(signal), ">"),
         cell(f" {signal['unit']}", _UNIT_COLUMNS, "dim"),
-        Text(signal["quality"], WORD_STYLES[signal["quality"]]),
+        Text(signal["quality"], QUALITY_STYLES[signal["quality"]]),
     )
 
 

@@ -32,7 +32,7 @@ def has_gone() -> bool:
     return False
 
 
-class Exit:
+class TerminalExit:
     """Notes that the view has to end, and sees to it that it does.
 
     Attributes:

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 from vcu_gateway.api.results import Health, State, Why
 
 
-class Trouble(NamedTuple):
+class SourceProblem(NamedTuple):
     """Why nothing new is known: a sentence, and since when, in local time."""
 
     sentence: str
@@ -15,7 +15,7 @@ class Trouble(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class ViewModel:
     """The latest that is known; None where nothing was heard yet.
 
     Attributes:
@@ -25,17 +25,17 @@ class Picture:
     state: State | None = None
     why: Why | None = None
     health: Health | None = None
-    trouble: Trouble | None = None
+    trouble: SourceProblem | None = None
 
 
-class RefusedError(Exception):
+class SourceRefusedError(Exception):
     """A request was not granted, or not heard; the text says why."""
 
 
-class Source(Protocol):
+class ViewSource(Protocol):
     """Where the picture comes from. `latest` never waits; the others may, for a second or two."""
 
-    def latest(self) -> Picture:
+    def latest(self) -> ViewModel:
         """What is known now."""
 
     def estop(self) -> None:
