@@ -16,7 +16,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.names import PROTOCOL
-from vcu_gateway.simulator.nodes import OutFrame
+from vcu_gateway.simulator.nodes import NodeFrame
 from vcu_gateway.simulator.play import open_bus, play
 from vcu_gateway.simulator.steps import FAULTS
 from vcu_gateway.simulator.vehicle import Vehicle
@@ -39,7 +39,7 @@ class Hand:
     def next_due_ns(self) -> int:
         return time.monotonic_ns() + 20_000_000
 
-    def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[OutFrame]:
+    def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
         if self._pipe.poll():
             self._change(vehicle, self._pipe.recv())
             self._pipe.send(now_ns)
@@ -60,8 +60,8 @@ class Hand:
             .broken(self._codec)
         )
 
-    def transform(self, frame: OutFrame) -> Iterable[OutFrame]:
-        frames: Iterable[OutFrame] = (frame,)
+    def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
+        frames: Iterable[NodeFrame] = (frame,)
         for fault in self._broken:
             frames = [changed for each in frames for changed in fault.transform(each)]
         return frames

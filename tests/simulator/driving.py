@@ -11,7 +11,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.why import Explanation
-from vcu_gateway.simulator.nodes import OutFrame
+from vcu_gateway.simulator.nodes import NodeFrame
 from vcu_gateway.simulator.scenario import Scenario
 
 S_NS = 1_000_000_000
@@ -32,11 +32,11 @@ class Drive(NamedTuple):
     """What the vehicle sent and what the gateway answered."""
 
     gateway: Gateway
-    heard: list[tuple[float, OutFrame]]
+    heard: list[tuple[float, NodeFrame]]
     ticks: list[Ticked]
     told: list[str]
 
-    def heard_of(self, message: str, from_s: float = 0.0) -> list[tuple[float, OutFrame]]:
+    def heard_of(self, message: str, from_s: float = 0.0) -> list[tuple[float, NodeFrame]]:
         return [(at, f) for at, f in self.heard if f.message == message and at >= from_s]
 
     def tick_at(self, at_s: float) -> Ticked:

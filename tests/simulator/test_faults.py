@@ -10,15 +10,15 @@ from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator import faults
-from vcu_gateway.simulator.faults import NEVER_NS, Fault, Intruder, Spell
-from vcu_gateway.simulator.nodes import Nodes, OutFrame
+from vcu_gateway.simulator.faults import NEVER_NS, Fault, FaultInterval, ForeignNode
+from vcu_gateway.simulator.nodes import NodeFrame, Nodes
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT
 
 CODEC = Codec(dbc.load(packaged("vcu.dbc")))
 MS_NS = 1_000_000
 S_NS = 1_000_000_000
 START_NS = 77 * S_NS
-FRAME = OutFrame(0x1808D0F4, bytes(range(8)), "BMS_Status", START_NS)
+FRAME = NodeFrame(0x1808D0F4, bytes(range(8)), "BMS_Status", START_NS)
 ORDERED = {"PowerMode": 1, "Throttle": 50, "SpeedLimit": 12_000, "PowerLimit": 60_000}
 SIGNALS = [
     (message.name, signal)
@@ -28,12 +28,12 @@ SIGNALS = [
 ]
 
 
-def spell(fault: Fault, begin_s: float = 0.0, end_s: float | None = None) -> Spell:
+def spell(fault: Fault, begin_s: float = 0.0, end_s: float | None = None) -> FaultInterval:
     end_ns = None if end_s is None else START_NS + round(end_s * S_NS)
-    return Spell("fault", fault, START_NS + round(begin_s * S_NS), end_ns, lambda _: None)
+    return FaultInterval("fault", fault, START_NS + round(begin_s * S_NS), end_ns, lambda _: None)
 
 
-def drive(nodes: Nodes, seconds: float, **order: float) -> list[OutFrame]:
+def drive(nodes: Nodes, seconds: float, **order: float) -> list[NodeFrame]:
     """Every frame, with both controllers commanded every 50 ms."""
     frames = []
     for now_ns in range(START_NS, START_NS + round(seconds * S_NS), 50 * MS_NS):
@@ -45,7 +45,7 @@ def drive(nodes: Nodes, seconds: float, **order: float) -> list[OutFrame]:
     return frames
 
 
-def says(frame: OutFrame, signal: str) -> float:
+def says(frame: NodeFrame, signal: str) -> float:
     codec = CODEC.by_name[frame.message]
     return codec.decode(frame.data).values[codec.spec.signal_names.index(signal)]
 
@@ -182,7 +182,7 @@ def test_a_speed_below_0_reads_as_one_that_no_motor_has():
     speed = CODEC.protocol.message("PCU1_Status2").signal("MotorSpeed")
     codec = CODEC.by_name["PCU1_Status2"]
     for rpm, expected in ((0, 0), (1, 65_535), (3000, 62_536)):
-        frame = OutFrame(0x0809D0A7, codec.encode({"MotorSpeed": rpm}), "PCU1_Status2", START_NS)
+        frame = NodeFrame(0x0809D0A7, codec.encode({"MotorSpeed": rpm}), "PCU1_Status2", START_NS)
         (found,) = faults.negated(speed)(frame)
         assert says(found, "MotorSpeed") == expected
 
@@ -190,7 +190,7 @@ def test_a_speed_below_0_reads_as_one_that_no_motor_has():
 def test_an_intruder_sends_at_its_period_and_is_obeyed_and_answered():
     command = CODEC.by_name["VCU_PCU2_Command"]
     data = command.encode({**ORDERED, "Throttle": 80})
-    intruder = Intruder(command.spec.can_id, data, "VCU_PCU2_Command", 20 * MS_NS)
+    intruder = ForeignNode(command.spec.can_id, data, "VCU_PCU2_Command", 20 * MS_NS)
     nodes = simulator.build(CODEC, START_NS, faults=[spell(Fault(intruder=intruder), 0.1, 0.5)])
     frames = []
     while nodes.next_due_ns() < START_NS + S_NS:

@@ -17,7 +17,7 @@ from vcu_gateway.core import j1939
 from vcu_gateway.core.codec import Codec, Decoded
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.simulator.nodes import ANSWER_DELAY_NS, Nodes, OutFrame
+from vcu_gateway.simulator.nodes import ANSWER_DELAY_NS, NodeFrame, Nodes
 from vcu_gateway.simulator.signals import sources
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT, Vehicle
 
@@ -36,7 +36,7 @@ def command(controller: str, values: dict[str, float]) -> tuple[int, bytes]:
     return message.spec.can_id, message.encode(values)
 
 
-def run(nodes: Nodes, until_ns: int) -> list[OutFrame]:
+def run(nodes: Nodes, until_ns: int) -> list[NodeFrame]:
     """Every frame up to then, asked for exactly when it is due."""
     frames = []
     while nodes.next_due_ns() <= until_ns:
@@ -46,7 +46,7 @@ def run(nodes: Nodes, until_ns: int) -> list[OutFrame]:
 
 def commanded(
     nodes: Nodes, seconds: float, values: dict[str, float], start_ns: int = START_NS
-) -> list[OutFrame]:
+) -> list[NodeFrame]:
     """As `run`, with both controllers commanded every 50 ms."""
     frames = []
     for now_ns in range(start_ns, start_ns + round(seconds * S_NS), 50 * MS_NS):
@@ -56,18 +56,18 @@ def commanded(
     return frames
 
 
-def decoded(frame: OutFrame) -> Decoded:
+def decoded(frame: NodeFrame) -> Decoded:
     found = CODEC.find(Frame(frame.can_id, frame.data, frame.due_ns))
     assert found is CODEC.by_name[frame.message]
     return found.decode(frame.data)
 
 
-def signal(frame: OutFrame, name: str) -> float:
+def signal(frame: NodeFrame, name: str) -> float:
     spec = CODEC.by_name[frame.message].spec
     return decoded(frame).values[spec.signal_names.index(name)]
 
 
-def of(frames: Iterable[OutFrame], message: str) -> list[OutFrame]:
+def of(frames: Iterable[NodeFrame], message: str) -> list[NodeFrame]:
     return [frame for frame in frames if frame.message == message]
 
 
@@ -257,15 +257,15 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
 
 
 def test_a_transform_can_lose_change_double_and_delay_frames() -> None:
-    def lose_imu(frame: OutFrame) -> list[OutFrame]:
+    def lose_imu(frame: NodeFrame) -> list[NodeFrame]:
         return [] if frame.message.startswith("IMU") else [frame]
 
-    def freeze_life(frame: OutFrame) -> list[OutFrame]:
+    def freeze_life(frame: NodeFrame) -> list[NodeFrame]:
         if frame.message != "BMS_Status":
             return [frame]
         return [frame._replace(data=frame.data[:7] + bytes([frame.data[7] & 0x7F]))]
 
-    def double_late(frame: OutFrame) -> list[OutFrame]:
+    def double_late(frame: NodeFrame) -> list[NodeFrame]:
         if frame.message != "ARD2_SteeringWheel":
             return [frame]
         return [frame, frame._replace(due_ns=frame.due_ns + 30 * MS_NS)]

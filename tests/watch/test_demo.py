@@ -14,11 +14,11 @@ import pytest
 
 from tests.watch.terminals import ROOT, VCU_GATEWAY, window
 from vcu_gateway.client import Client
-from vcu_gateway.demo.process import Child, Wanted
+from vcu_gateway.demo.process import DemoOptions, DemoProcess
 from vcu_gateway.errors import GatewayError
 
 WAIT_S = 60.0
-IN_PROCESS = Wanted("virtual", "in-process", 30.0, 20.0, None)
+IN_PROCESS = DemoOptions("virtual", "in-process", 30.0, 20.0, None)
 
 
 @pytest.fixture
@@ -106,7 +106,7 @@ def test_a_reader_that_goes_away_ends_it_quietly(folder):
 
 
 def test_its_api_answers_as_that_of_any_gateway_for_this_user_alone(folder):
-    with Child(IN_PROCESS) as child, Client(child.socket_path) as client:
+    with DemoProcess(IN_PROCESS) as child, Client(child.socket_path) as client:
         assert client.health()["link"]["interface"] == "virtual"
         assert child.socket_path.stat().st_mode & 0o777 == 0o600
         assert child.socket_path.parent.stat().st_mode & 0o777 == 0o700
@@ -115,7 +115,7 @@ def test_its_api_answers_as_that_of_any_gateway_for_this_user_alone(folder):
 
 
 def test_its_duration_ends_it(folder):
-    with Child(IN_PROCESS._replace(duration_s=1.5)) as child:
+    with DemoProcess(IN_PROCESS._replace(duration_s=1.5)) as child:
         until(child.has_ended)
     done, skipped = map(int, re.findall(r"(\d+) (?:ticks|skipped)", child.summary))
     assert done <= 36
@@ -125,9 +125,9 @@ def test_its_duration_ends_it(folder):
 
 def test_a_child_that_cannot_start_says_why_with_its_exit_code(folder):
     with pytest.raises(GatewayError, match=r"throttle_pct.*200") as caught:
-        Child(IN_PROCESS._replace(throttle_pct=200.0))
+        DemoProcess(IN_PROCESS._replace(throttle_pct=200.0))
     assert caught.value.exit_code == 78
     with pytest.raises(GatewayError, match="cannot open socketcan none") as caught:
-        Child(IN_PROCESS._replace(interface="socketcan", channel="none"))
+        DemoProcess(IN_PROCESS._replace(interface="socketcan", channel="none"))
     assert caught.value.exit_code == 69
     assert list(folder.iterdir()) == []

@@ -16,9 +16,9 @@ import click
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.errors import DataError, GatewayError, Problem, UnavailableError
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
-from vcu_gateway.recording import Recorded, Recording, open_recording
+from vcu_gateway.recording import RecordedFrame, Recording, open_recording
 from vcu_gateway.recording.summary import Summary
-from vcu_gateway.recording.writers import FORMATS, Format, FrameWriter
+from vcu_gateway.recording.writers import FORMATS, FrameFormat, FrameWriter
 
 _HELP = """Decode the recording LOG to one JSON object a frame, or to CSV.
 
@@ -120,7 +120,9 @@ def _codec(dbc_path: Path | None, *, aliased: bool) -> Codec:
     return Codec(dataclasses.replace(protocol, aliases=aliases if aliased else {}))
 
 
-def _writers(codec: Codec, asked: tuple[str, ...], text_format: Format) -> dict[str, FrameWriter]:
+def _writers(
+    codec: Codec, asked: tuple[str, ...], text_format: FrameFormat
+) -> dict[str, FrameWriter]:
     for name in asked:
         if name not in codec.by_name:
             near = difflib.get_close_matches(name, codec.by_name, n=1, cutoff=0.4)
@@ -192,14 +194,14 @@ def _decode(
             summary.passed_over += 1
 
 
-def _watched(recording: Recording) -> Iterable[Recorded]:
+def _watched(recording: Recording) -> Iterable[RecordedFrame]:
     """The frames, with a line of progress where a person waits for a large file."""
     if recording.size_bytes < _LARGE_BYTES or not sys.stderr.isatty():
         return recording
     return _with_progress(recording)
 
 
-def _with_progress(recording: Recording) -> Iterator[Recorded]:
+def _with_progress(recording: Recording) -> Iterator[RecordedFrame]:
     shown_s = time.monotonic()
     for count, recorded in enumerate(recording, 1):
         if count % _FRAMES_BETWEEN_LOOKS == 0 and time.monotonic() - shown_s > _PROGRESS_PERIOD_S:

@@ -11,7 +11,7 @@ from types import FrameType
 import click
 
 from vcu_gateway.cli.watch import extra_needed
-from vcu_gateway.demo.process import Child, Wanted
+from vcu_gateway.demo.process import DemoOptions, DemoProcess
 
 _IFF_UP = 1
 _PLAIN_EVERY_S = 2.0
@@ -55,8 +55,8 @@ def command(duration_s: float | None, throttle_pct: float, battery_speedup: floa
         from vcu_gateway.watch.run import watch
     real = vcan0_is_up()
     interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
-    wanted = Wanted(interface, channel, throttle_pct, battery_speedup, duration_s)
-    with Child(wanted) as child, GatewaySource(child.socket_path) as source:
+    wanted = DemoOptions(interface, channel, throttle_pct, battery_speedup, duration_s)
+    with DemoProcess(wanted) as child, GatewaySource(child.socket_path) as source:
         if terminal.is_full():
             watch(source, _TITLE, child.has_ended)
         else:
@@ -64,7 +64,7 @@ def command(duration_s: float | None, throttle_pct: float, battery_speedup: floa
     click.echo(child.summary)
 
 
-def _print(picture: Callable[[], str], child: Child) -> None:
+def _print(picture: Callable[[], str], child: DemoProcess) -> None:
     """The picture now and then, for a pipe or a file."""
     with stopped_by_signals() as stop:
         while not stop.wait(_PLAIN_EVERY_S) and not child.has_ended():

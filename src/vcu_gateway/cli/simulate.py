@@ -14,8 +14,8 @@ import click
 from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.simulator.play import Listener, Played, open_bus, open_log, play
-from vcu_gateway.simulator.scenario import Scenario, Start
+from vcu_gateway.simulator.play import CommandListener, Played, open_bus, open_log, play
+from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 from vcu_gateway.simulator.scenario import load as load_scenario
 
 _HELP = """Play the vehicle: BMS, IMU, ARD2 and both motor controllers.
@@ -86,7 +86,7 @@ def command(
     # What python-can logs of a failure comes as our error as well.
     logging.getLogger("can").addHandler(logging.NullHandler())
     codec = Codec(dbc.load(packaged("vcu.dbc")))
-    scenario = Scenario(Start(), ())
+    scenario = Scenario(ScenarioStart(), ())
     if scenario_path is not None:
         scenario = load_scenario(scenario_path, codec.protocol)
     start, start_ns = scenario.start, time.monotonic_ns()
@@ -132,7 +132,7 @@ def _note(text: str) -> None:
 
 
 @contextlib.contextmanager
-def _log(path: Path | None, channel: str) -> Iterator[Listener | None]:
+def _log(path: Path | None, channel: str) -> Iterator[CommandListener | None]:
     if path is None:
         yield None
         return

@@ -19,7 +19,7 @@ from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.demo.process import Wanted
+from vcu_gateway.demo.process import DemoOptions
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
@@ -27,7 +27,7 @@ from vcu_gateway.simulator.play import open_bus, play
 
 def main() -> None:
     """The child: its errors are lines on stderr and an exit code, as everywhere."""
-    wanted = Wanted(**json.loads(sys.argv[1]))
+    wanted = DemoOptions(**json.loads(sys.argv[1]))
     folder = Path(tempfile.mkdtemp(prefix="vcu-gateway-demo."))
     try:
         run(wanted, folder)
@@ -38,7 +38,7 @@ def main() -> None:
         shutil.rmtree(folder)
 
 
-def run(wanted: Wanted, folder: Path) -> None:
+def run(wanted: DemoOptions, folder: Path) -> None:
     """Drive the vehicle until the end; `folder` is for the socket."""
     writer = log.configure("error", "console")
     config = configuration.parse(_config(wanted, folder / "control.sock"), "demo")
@@ -63,7 +63,7 @@ def run(wanted: Wanted, folder: Path) -> None:
         serving.close()
 
 
-def _config(wanted: Wanted, socket_path: Path) -> str:
+def _config(wanted: DemoOptions, socket_path: Path) -> str:
     """JSON is YAML."""
     demand = {
         "bench_use_only": True,
@@ -79,7 +79,7 @@ def _config(wanted: Wanted, socket_path: Path) -> str:
     )
 
 
-def _vehicle(wanted: Wanted, codec: Codec, stop: threading.Event) -> threading.Thread:
+def _vehicle(wanted: DemoOptions, codec: Codec, stop: threading.Event) -> threading.Thread:
     nodes = simulator.build(codec, time.monotonic_ns(), battery_speedup=wanted.battery_speedup)
     bus = open_bus(wanted.interface, wanted.channel, nodes.command_ids)
 

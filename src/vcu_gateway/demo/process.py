@@ -16,7 +16,7 @@ _PROGRAM = "vcu_gateway.demo.main"
 _PATIENCE_S = 10.0
 
 
-class Wanted(NamedTuple):
+class DemoOptions(NamedTuple):
     """What the demonstration does.
 
     Attributes:
@@ -31,7 +31,7 @@ class Wanted(NamedTuple):
     duration_s: float | None
 
 
-class Child:
+class DemoProcess:
     """Started at once, and over at the end of the `with`, however that comes.
 
     Attributes:
@@ -39,7 +39,7 @@ class Child:
         summary: its last line; empty before the end.
     """
 
-    def __init__(self, wanted: Wanted) -> None:
+    def __init__(self, wanted: DemoOptions) -> None:
         self.summary = ""
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
         self._process = subprocess.Popen(  # noqa: S603 - our own program

@@ -8,8 +8,8 @@ No identifier is ever shortened to 29 bits: a number beyond them is an error fra
 the exception, because python-can cuts their identifiers before anybody sees them.
 """
 
-from vcu_gateway.recording.problems import Complaints
-from vcu_gateway.recording.recorded import Recorded
+from vcu_gateway.recording.problems import LineProblems
+from vcu_gateway.recording.recorded import RecordedFrame
 from vcu_gateway.recording.recording import STANDARD_INPUT, Recording, open_recording
 
-__all__ = ["STANDARD_INPUT", "Complaints", "Recorded", "Recording", "open_recording"]
+__all__ = ["STANDARD_INPUT", "LineProblems", "RecordedFrame", "Recording", "open_recording"]

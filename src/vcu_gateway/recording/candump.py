@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.recording.lines import Lines
-from vcu_gateway.recording.problems import Complaints, Verdict
-from vcu_gateway.recording.recorded import Recorded
+from vcu_gateway.recording.lines import LineReader
+from vcu_gateway.recording.problems import LineProblems, Verdict
+from vcu_gateway.recording.recorded import RecordedFrame
 
 # Seconds, fraction, channel, identifier, payload, and the direction of `candump -x`.
 _LINE = re.compile(
@@ -25,7 +25,7 @@ _STANDARD_DIGITS = 3
 _REMEDY = "record with `candump -L` or `candump -l`"
 
 
-def frames(lines: Lines, complaints: Complaints) -> Iterator[Recorded]:
+def frames(lines: LineReader, complaints: LineProblems) -> Iterator[RecordedFrame]:
     """Every frame of the text; damaged lines and flags in identifiers go to `complaints`."""
     match = _LINE.fullmatch
     for line in lines:
@@ -38,7 +38,7 @@ def frames(lines: Lines, complaints: Complaints) -> Iterator[Recorded]:
             yield recorded
 
 
-def _recorded(found: re.Match[str], number: int, complaints: Complaints) -> Recorded | None:
+def _recorded(found: re.Match[str], number: int, complaints: LineProblems) -> RecordedFrame | None:
     seconds, fraction, channel, digits, payload = found.groups("0")
     can_id = int(digits, 16)
     extended = len(digits) > _STANDARD_DIGITS
@@ -55,10 +55,10 @@ def _recorded(found: re.Match[str], number: int, complaints: Complaints) -> Reco
         data, remote, fd = unusual
     arrival_ns = int(seconds) * _NS_PER_S + int(fraction) * _NS_BY_DIGITS[len(fraction)]
     frame = Frame(can_id & j1939.ID_MASK, data, arrival_ns, extended, remote, error)
-    return Recorded(frame, channel, number, fd)
+    return RecordedFrame(frame, channel, number, fd)
 
 
-def _refused(can_id: int, extended: bool, number: int, complaints: Complaints) -> bool:
+def _refused(can_id: int, extended: bool, number: int, complaints: LineProblems) -> bool:
     """Complain of a number that is too large; True where the line is no frame at all."""
     if extended:
         return complaints.flagged(number, can_id) is Verdict.UNREADABLE

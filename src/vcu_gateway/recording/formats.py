@@ -10,11 +10,11 @@ from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
 
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.recording.lines import Lines
-from vcu_gateway.recording.problems import Complaints, Verdict
-from vcu_gateway.recording.recorded import Recorded
+from vcu_gateway.recording.lines import LineReader
+from vcu_gateway.recording.problems import LineProblems, Verdict
+from vcu_gateway.recording.recorded import RecordedFrame
 
-Content = Lines | IO[bytes] | str
+Content = LineReader | IO[bytes] | str
 """The lines of a text format, the open file of a binary one, or the name of a database."""
 
 _NS_PER_S = 1e9
@@ -35,7 +35,7 @@ def is_binary(suffix: str) -> bool:
     return issubclass(can.io.MESSAGE_READERS[suffix], BinaryIOMessageReader)
 
 
-def frames(suffix: str, content: Content, complaints: Complaints) -> Iterator[Recorded]:
+def frames(suffix: str, content: Content, complaints: LineProblems) -> Iterator[RecordedFrame]:
     """Every frame; ends with an error at the first damage, as python-can cannot go on."""
     messages = _messages(suffix, content)
     place = 0
@@ -44,11 +44,11 @@ def frames(suffix: str, content: Content, complaints: Complaints) -> Iterator[Re
             message = next(messages, None)
         except Exception as error:
             # Any bytes went into somebody else's parser: its errors have no family.
-            place = content.number if isinstance(content, Lines) else place + 1
+            place = content.number if isinstance(content, LineReader) else place + 1
             raise complaints.failure(place, error) from error
         if message is None:
             return
-        place = content.number if isinstance(content, Lines) else place + 1
+        place = content.number if isinstance(content, LineReader) else place + 1
         if recorded := _recorded(message, place, complaints):
             yield recorded
 
@@ -59,7 +59,7 @@ def _messages(suffix: str, content: Content) -> Iterator[can.Message]:
         yield from reader
 
 
-def _recorded(message: can.Message, place: int, complaints: Complaints) -> Recorded | None:
+def _recorded(message: can.Message, place: int, complaints: LineProblems) -> RecordedFrame | None:
     try:
         # A database holds whatever somebody put into its columns.
         arrival_ns = round(float(message.timestamp) * _NS_PER_S)
@@ -82,4 +82,4 @@ def _recorded(message: can.Message, place: int, complaints: Complaints) -> Recor
         error,
     )
     channel = None if message.channel is None else str(message.channel)
-    return Recorded(frame, channel, place, message.is_fd)
+    return RecordedFrame(frame, channel, place, message.is_fd)

@@ -7,7 +7,7 @@ from typing import TextIO
 _LONGEST_CHARACTERS = 8192
 
 
-class Lines:
+class LineReader:
     """Iterates over a text file like the file itself, and knows where it is.
 
     Of a line beyond 8192 characters only the beginning is given, so that a file without

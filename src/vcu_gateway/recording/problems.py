@@ -23,7 +23,7 @@ class Verdict(Enum):
     UNREADABLE = "unreadable"
 
 
-class Complaints:
+class LineProblems:
     """Counts what cannot be read, and reports the first of each kind.
 
     Attributes:

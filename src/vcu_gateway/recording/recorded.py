@@ -5,7 +5,7 @@ from typing import NamedTuple
 from vcu_gateway.core.frame import Frame
 
 
-class Recorded(NamedTuple):
+class RecordedFrame(NamedTuple):
     """One frame of a recording.
 
     Attributes:

@@ -13,9 +13,9 @@ from typing import IO, cast
 
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
 from vcu_gateway.recording import candump
-from vcu_gateway.recording.lines import Lines
-from vcu_gateway.recording.problems import Complaints
-from vcu_gateway.recording.recorded import Recorded
+from vcu_gateway.recording.lines import LineReader
+from vcu_gateway.recording.problems import LineProblems
+from vcu_gateway.recording.recorded import RecordedFrame
 
 STANDARD_INPUT = "-"
 """The name that stands for candump text on standard input."""
@@ -52,7 +52,7 @@ class Recording:
         self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
         self._suffix = suffix
         self._lines = self._counted() if self._is_text() else None
-        self.complaints = Complaints(self._where, report)
+        self.complaints = LineProblems(self._where, report)
 
     def _is_text(self) -> bool:
         if self._suffix == _CANDUMP:
@@ -61,9 +61,9 @@ class Recording:
 
         return formats.is_text(self._suffix)
 
-    def _counted(self) -> Lines:
+    def _counted(self) -> LineReader:
         # Bytes that are no text make their line a damaged one, not the file unreadable.
-        return Lines(io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace"))
+        return LineReader(io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace"))
 
     def _where(self, position: int) -> str:
         between = ":" if self._lines else ", frame "
@@ -82,7 +82,7 @@ class Recording:
         if not self.live:
             self._stored.close()
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[RecordedFrame]:
         if self._lines is not None and self._suffix == _CANDUMP:
             return self._candump(self._lines)
         from vcu_gateway.recording import formats
@@ -94,7 +94,7 @@ class Recording:
             content = self.name
         return formats.frames(self._suffix, content, self.complaints)
 
-    def _candump(self, lines: Lines) -> Iterator[Recorded]:
+    def _candump(self, lines: LineReader) -> Iterator[RecordedFrame]:
         try:
             yield from candump.frames(lines, self.complaints)
         except (OSError, EOFError, zlib.error) as error:

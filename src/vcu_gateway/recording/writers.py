@@ -22,7 +22,7 @@ _CSV_COLUMNS = "time,channel,message,signal,value,unit,raw,quality,name\n"
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
+class FrameFormat:
     """How the parts of a decoded frame are written.
 
     Attributes:
@@ -39,7 +39,7 @@ class Format:
 class FrameWriter:
     """Writes out the frames of one message."""
 
-    def __init__(self, message: MessageSpec, text_format: Format) -> None:
+    def __init__(self, message: MessageSpec, text_format: FrameFormat) -> None:
         self._message = message
         self._format = text_format
         self._decimals = [decimals(signal) for signal in message.signals]
@@ -120,6 +120,6 @@ def _csv_frame(time_s: str, channel: str | None, message: MessageSpec, signals: 
 
 
 FORMATS = {
-    "jsonl": Format("", _json_signal, _json_frame),
-    "csv": Format(_CSV_COLUMNS, _csv_signal, _csv_frame),
+    "jsonl": FrameFormat("", _json_signal, _json_frame),
+    "csv": FrameFormat(_CSV_COLUMNS, _csv_signal, _csv_frame),
 }

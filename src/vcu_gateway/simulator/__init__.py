@@ -9,7 +9,7 @@ import random
 from collections.abc import Sequence
 
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.simulator.nodes import Fault, Nodes, Transform
+from vcu_gateway.simulator.nodes import Nodes, Transform, VehicleFault
 from vcu_gateway.simulator.vehicle import Vehicle
 
 
@@ -21,7 +21,7 @@ def build(
     battery_speedup: float = 1.0,
     seed: int = 0,
     transforms: Sequence[Transform] = (),
-    faults: Sequence[Fault] = (),
+    faults: Sequence[VehicleFault] = (),
 ) -> Nodes:
     """All nodes of a vehicle that stands still at start_ns; the seed decides the noise."""
     vehicle = Vehicle(start_ns, soc_pct=soc_pct, battery_speedup=battery_speedup)

@@ -1,7 +1,7 @@
 """What can break in the simulated vehicle: each fault is one small function.
 
 A transform changes a frame on its way to the bus, a change the vehicle itself, and an
-intruder sends by itself. `Spell` says from when until when.
+intruder sends by itself. `FaultInterval` says from when until when.
 """
 
 import random
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.spec import SignalSpec
-from vcu_gateway.simulator.nodes import OutFrame, Transform
+from vcu_gateway.simulator.nodes import NodeFrame, Transform
 from vcu_gateway.simulator.vehicle import Vehicle
 
 NEVER_NS = 2**62
@@ -24,25 +24,25 @@ _ALL_PCT = 100.0
 Change = Callable[[Vehicle, bool], None]
 """Breaks the vehicle where it is told True, mends it where it is told False."""
 
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 """Takes one sentence for the person who watches."""
 
 
 # What may happen to a frame.
 
 
-def whole(frame: OutFrame) -> Iterable[OutFrame]:
+def whole(frame: NodeFrame) -> Iterable[NodeFrame]:
     """Nothing happens to it."""
     return (frame,)
 
 
-def lost(frame: OutFrame) -> Iterable[OutFrame]:
+def lost(frame: NodeFrame) -> Iterable[NodeFrame]:
     """It never leaves."""
     del frame
     return ()
 
 
-def doubled(frame: OutFrame) -> Iterable[OutFrame]:
+def doubled(frame: NodeFrame) -> Iterable[NodeFrame]:
     """It leaves twice."""
     return (frame, frame)
 
@@ -50,7 +50,7 @@ def doubled(frame: OutFrame) -> Iterable[OutFrame]:
 def delayed(delay_ms: int) -> Transform:
     """It leaves so much later."""
 
-    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         return (frame._replace(due_ns=frame.due_ns + delay_ms * _NS_PER_MS),)
 
     return transform
@@ -59,7 +59,7 @@ def delayed(delay_ms: int) -> Transform:
 def shortened(length_bytes: int) -> Transform:
     """It carries so many bytes only."""
 
-    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         return (frame._replace(data=frame.data[:length_bytes]),)
 
     return transform
@@ -69,7 +69,7 @@ def corrupted(flip_bits: int, seed: int) -> Transform:
     """So many of its bits are wrong, others in each frame."""
     dice = _dice(seed)
 
-    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         bits = len(frame.data) * _BYTE_BITS
         flips = sum(1 << position for position in dice.sample(range(bits), min(flip_bits, bits)))
         return (frame._replace(data=_bytes(_number(frame.data) ^ flips, len(frame.data))),)
@@ -82,7 +82,7 @@ def overridden(signal: SignalSpec, raw: int) -> Transform:
     mask = _placed(signal, -1)
     bits = _placed(signal, raw)
 
-    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         return (_with_bits(frame, mask, bits),)
 
     return transform
@@ -93,7 +93,7 @@ def frozen(signal: SignalSpec) -> Transform:
     mask = _placed(signal, -1)
     kept: list[int] = []
 
-    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         if not kept:
             kept.append(_number(frame.data) & mask)
         return (_with_bits(frame, mask, kept[0]),)
@@ -105,7 +105,7 @@ def shifted(signal: SignalSpec, by: int) -> Transform:
     """One signal says so many codes more, and its last code beyond that."""
     mask = _placed(signal, -1)
 
-    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         raw = max(signal.raw_lowest, min(signal.raw_highest, _raw(signal, frame) + by))
         return (_with_bits(frame, mask, _placed(signal, raw)),)
 
@@ -116,7 +116,7 @@ def negated(signal: SignalSpec) -> Transform:
     """One signal says its code below 0, in two's complement."""
     mask = _placed(signal, -1)
 
-    def transform(frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         return (_with_bits(frame, mask, _placed(signal, -_raw(signal, frame))),)
 
     return transform
@@ -175,7 +175,7 @@ def turned_round(controllers: Sequence[str]) -> Change:
 # Put together.
 
 
-class Intruder(NamedTuple):
+class ForeignNode(NamedTuple):
     """A node that sends this frame every period_ns."""
 
     can_id: int
@@ -190,14 +190,14 @@ class Fault:
 
     transform: Transform = whole
     change: Change = untouched
-    intruder: Intruder | None = None
+    intruder: ForeignNode | None = None
 
 
-class Spell:
+class FaultInterval:
     """A fault from begin_ns on until just before end_ns; None is for ever."""
 
     def __init__(
-        self, name: str, fault: Fault, begin_ns: int, end_ns: int | None, tell: Told
+        self, name: str, fault: Fault, begin_ns: int, end_ns: int | None, tell: Report
     ) -> None:
         """`tell` hears when it begins and when it ends."""
         self._name = name
@@ -214,7 +214,7 @@ class Spell:
             return changes_ns
         return min(changes_ns, self._grid.next_deadline_ns)
 
-    def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[OutFrame]:
+    def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
         """Break or mend the vehicle where it is time to; what an intruder sends now."""
         while self._changes and self._changes[0][0] <= now_ns:
             at_ns, broken = self._changes.pop(0)
@@ -224,14 +224,14 @@ class Spell:
             self._tell(f"{at_s:.1f} s: {self._name} {'begins' if broken else 'ends'}")
         return self._intrusion(now_ns)
 
-    def _intrusion(self, now_ns: int) -> Iterable[OutFrame]:
+    def _intrusion(self, now_ns: int) -> Iterable[NodeFrame]:
         intruder, grid = self._fault.intruder, self._grid
         tick = grid.due(now_ns) if grid else None
         if intruder is None or tick is None or tick.deadline_ns >= self._end_ns:
             return ()
-        return (OutFrame(intruder.can_id, intruder.data, intruder.message, tick.deadline_ns),)
+        return (NodeFrame(intruder.can_id, intruder.data, intruder.message, tick.deadline_ns),)
 
-    def transform(self, frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
         """What becomes of a frame that is due while this lasts."""
         lasts = self._begin_ns <= frame.due_ns < self._end_ns
         return self._fault.transform(frame) if lasts else (frame,)
@@ -251,7 +251,7 @@ def _placed(signal: SignalSpec, raw: int) -> int:
     return sum((raw >> i & 1) << bit for i, bit in enumerate(signal.bit_positions()))
 
 
-def _raw(signal: SignalSpec, frame: OutFrame) -> int:
+def _raw(signal: SignalSpec, frame: NodeFrame) -> int:
     """The code of a signal in this frame."""
     number = _number(frame.data)
     bits = enumerate(signal.bit_positions())
@@ -259,6 +259,6 @@ def _raw(signal: SignalSpec, frame: OutFrame) -> int:
     return raw - (1 << signal.length_bits) if raw > signal.raw_highest else raw
 
 
-def _with_bits(frame: OutFrame, mask: int, bits: int) -> OutFrame:
+def _with_bits(frame: NodeFrame, mask: int, bits: int) -> NodeFrame:
     number = _number(frame.data) & ~mask | bits
     return frame._replace(data=_bytes(number, len(frame.data)))

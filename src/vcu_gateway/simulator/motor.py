@@ -43,7 +43,7 @@ _VOLTAGE_LEVELS_V = (50.0, 56.0, 86.0, 92.0)
 _RAD_S_PER_RPM = math.pi / 30
 
 
-class Order(NamedTuple):
+class MotorCommand(NamedTuple):
     """What a controller is told; the defaults make no torque.
 
     throttle_pct and brake_pct 0..100, speed_limit_rpm and power_limit_w 0 and up.
@@ -59,7 +59,7 @@ class Order(NamedTuple):
     power_limit_w: float = 0.0
 
 
-def order_of(values: Mapping[str, float]) -> Order:
+def order_of(values: Mapping[str, float]) -> MotorCommand:
     """The order in a command's physical values, by the protocol's signal names.
 
     Whatever is missing, not a number or unknown makes no torque.
@@ -69,7 +69,7 @@ def order_of(values: Mapping[str, float]) -> Order:
         return min(highest, max(0.0, values.get(name, 0.0)))
 
     mode = values.get("PowerMode")
-    return Order(
+    return MotorCommand(
         power_mode=next((known for known in PowerMode if known == mode), PowerMode.SAFETY),
         reverse=values.get("MotorReverse") == 1,
         regen_brake=values.get("RegenBrake") == 1,
@@ -95,7 +95,7 @@ class Motor:
     """
 
     def __init__(self, ambient_c: float) -> None:
-        self.order = Order()
+        self.order = MotorCommand()
         self.speed_rpm = 0.0
         self.torque_nm = 0.0
         self.power_w = 0.0
@@ -104,10 +104,10 @@ class Motor:
         self.ignores_commands = False
         self.turned_round = False
         self._ambient_c = ambient_c
-        self._told = Order()
+        self._told = MotorCommand()
         self._told_at_ns: int | None = None
 
-    def command(self, order: Order, now_ns: int) -> None:
+    def command(self, order: MotorCommand, now_ns: int) -> None:
         """Take an order; it counts from the next step on."""
         self._told, self._told_at_ns = order, now_ns
 
@@ -143,7 +143,7 @@ class Motor:
     def _hotter_than(self, limits_c: Mapping[str, float]) -> bool:
         return self.controller_c > limits_c["controller"] or self.motor_c > limits_c["motor"]
 
-    def _obeyed(self, now_ns: int) -> Order:
+    def _obeyed(self, now_ns: int) -> MotorCommand:
         """The order as far as the time-out and the temperatures let it pass."""
         if self.ignores_commands:
             return self.order
@@ -151,7 +151,7 @@ class Motor:
         if self.turned_round:
             told = told._replace(reverse=not told.reverse)
         if self._told_at_ns is None or now_ns - self._told_at_ns > COMMAND_TIMEOUT_NS:
-            return Order(reverse=told.reverse)
+            return MotorCommand(reverse=told.reverse)
         level = self.temperature_protect_level
         if level == 1 and told.power_mode is PowerMode.TURBO:
             return told._replace(power_mode=PowerMode.NORMAL)

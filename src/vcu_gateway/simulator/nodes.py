@@ -23,7 +23,7 @@ _NS_PER_MS = 1_000_000
 _PHASE_NS = 1_000_000
 
 
-class OutFrame(NamedTuple):
+class NodeFrame(NamedTuple):
     """A frame to send.
 
     Attributes:
@@ -38,7 +38,7 @@ class OutFrame(NamedTuple):
     due_ns: int
 
 
-Transform = Callable[[OutFrame], Iterable[OutFrame]]
+Transform = Callable[[NodeFrame], Iterable[NodeFrame]]
 """What may happen to a frame between its node and the bus.
 
 Nothing returned is a lost frame (or a silent node), two are a duplicate, other data a frozen,
@@ -46,16 +46,16 @@ overridden or corrupted one, a later due_ns a delayed one.
 """
 
 
-class Fault(Protocol):
+class VehicleFault(Protocol):
     """Something that is broken for a while."""
 
     def next_due_ns(self) -> int:
         """When `due` has something to do; far in the future where nothing is left."""
 
-    def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[OutFrame]:
+    def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
         """Break or mend the vehicle, and send what no node of it sends."""
 
-    def transform(self, frame: OutFrame) -> Iterable[OutFrame]:
+    def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
         """As a `Transform`."""
 
 
@@ -67,11 +67,11 @@ class _Sender:
     source: Source
     count: int = 0
 
-    def frame(self, due_ns: int) -> OutFrame:
+    def frame(self, due_ns: int) -> NodeFrame:
         """The next frame of this message."""
         data = self.codec.encode(self.source(self.count))
         self.count += 1
-        return OutFrame(self.codec.spec.can_id, data, self.codec.spec.name, due_ns)
+        return NodeFrame(self.codec.spec.can_id, data, self.codec.spec.name, due_ns)
 
 
 class Nodes:
@@ -91,7 +91,7 @@ class Nodes:
         vehicle: Vehicle,
         noise: random.Random,
         transforms: Sequence[Transform] = (),
-        faults: Sequence[Fault] = (),
+        faults: Sequence[VehicleFault] = (),
     ) -> None:
         """Start the grids at vehicle.start_ns; each frame passes transforms and faults in turn.
 
@@ -109,7 +109,7 @@ class Nodes:
             vehicle.start_ns,
         )
         self._answers: deque[tuple[int, _Sender]] = deque()
-        self._outgoing: list[tuple[int, int, OutFrame]] = []
+        self._outgoing: list[tuple[int, int, NodeFrame]] = []
         self._sequence = itertools.count()
 
     @property
@@ -145,7 +145,7 @@ class Nodes:
             next_ns = min(next_ns, self._outgoing[0][0])
         return next_ns
 
-    def due(self, now_ns: int) -> list[OutFrame]:
+    def due(self, now_ns: int) -> list[NodeFrame]:
         """The frames to send now, the earliest due first."""
         self._advance(now_ns)
         for schedule, sender in self._grids:
@@ -168,14 +168,14 @@ class Nodes:
                 self._hand_over(frame)
         self.vehicle.advance(now_ns)
 
-    def _hand_over(self, frame: OutFrame) -> None:
-        frames: Iterable[OutFrame] = (frame,)
+    def _hand_over(self, frame: NodeFrame) -> None:
+        frames: Iterable[NodeFrame] = (frame,)
         for transform in self._transforms:
             frames = [changed for each in frames for changed in transform(each)]
         for each in frames:
             heapq.heappush(self._outgoing, (each.due_ns, next(self._sequence), each))
 
-    def _leaving(self, now_ns: int) -> Iterable[OutFrame]:
+    def _leaving(self, now_ns: int) -> Iterable[NodeFrame]:
         while self._outgoing and self._outgoing[0][0] <= now_ns:
             yield heapq.heappop(self._outgoing)[2]
 

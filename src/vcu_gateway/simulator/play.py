@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from vcu_gateway.core import j1939
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.python_can import can
-from vcu_gateway.simulator.nodes import Nodes, OutFrame
+from vcu_gateway.simulator.nodes import NodeFrame, Nodes
 
 _NS_PER_S = 1_000_000_000
 # The longest wait, so that stopping never takes longer.
@@ -27,7 +27,7 @@ _PASSING_ERRNOS = {errno.ENOBUFS, errno.ENETDOWN, errno.EAGAIN}
 _FULL_BUFFER_TEXT = "Transmit buffer full"  # python-can raises this one without a number
 
 
-class Listener(Protocol):
+class CommandListener(Protocol):
     """Whatever wants every frame sent or received: a python-can log writer, for one."""
 
     def on_message_received(self, msg: can.Message) -> None:
@@ -77,7 +77,7 @@ def play(
     *,
     stop: threading.Event,
     duration_s: float | None = None,
-    log: Listener | None = None,
+    log: CommandListener | None = None,
     note: Callable[[str], None] = lambda _: None,
 ) -> Played:
     """Send what is due and hand commands in, until `stop` is set or duration_s is over.
@@ -103,7 +103,11 @@ class _Player:
     """One bus with the nodes on it."""
 
     def __init__(
-        self, bus: can.BusABC, nodes: Nodes, log: Listener | None, note: Callable[[str], None]
+        self,
+        bus: can.BusABC,
+        nodes: Nodes,
+        log: CommandListener | None,
+        note: Callable[[str], None],
     ) -> None:
         self.played = Played()
         self._bus = bus
@@ -157,7 +161,7 @@ class _Player:
         readable, _, _ = select.select([self._descriptor], [], [], timeout_s)
         return self._bus.recv(0) if readable else None
 
-    def _sent(self, frame: OutFrame, message: can.Message, now_ns: int) -> None:
+    def _sent(self, frame: NodeFrame, message: can.Message, now_ns: int) -> None:
         self.played.sent[frame.message] += 1
         if self._log is not None:
             self._log.on_message_received(message)

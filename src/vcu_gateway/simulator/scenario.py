@@ -11,7 +11,7 @@ from vcu_gateway.config.value_types import Section
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, Problem
-from vcu_gateway.simulator.faults import Spell, Told
+from vcu_gateway.simulator.faults import FaultInterval, Report
 from vcu_gateway.simulator.names import PROTOCOL
 from vcu_gateway.simulator.steps import FAULTS, Step
 from vcu_gateway.strict_yaml import file_text as text
@@ -24,7 +24,7 @@ _NS_PER_S = 1_000_000_000
 _EXAMPLE = "{at_s: 10, fault: silence, of: BMS}"
 
 
-class Start(Section):
+class ScenarioStart(Section):
     """The vehicle at the beginning."""
 
     soc_pct: float = Field(default=80.0, ge=0, le=100, description="State of charge.")
@@ -39,7 +39,7 @@ class Start(Section):
 class _File(Section):
     """A scenario as it is written; its steps are looked at one by one."""
 
-    start: Start = Start()
+    start: ScenarioStart = ScenarioStart()
     steps: list[Any] = Field(default_factory=list)
 
 
@@ -47,18 +47,20 @@ class _File(Section):
 class Scenario:
     """How the vehicle starts and what breaks when."""
 
-    start: Start
+    start: ScenarioStart
     steps: tuple[Step, ...]
 
-    def faults(self, codec: Codec, start_ns: int, tell: Told = lambda _: None) -> list[Spell]:
+    def faults(
+        self, codec: Codec, start_ns: int, tell: Report = lambda _: None
+    ) -> list[FaultInterval]:
         """What `Nodes` takes; `tell` hears when each step begins and ends."""
         return [_spell(step, codec, start_ns, tell) for step in self.steps]
 
 
-def _spell(step: Step, codec: Codec, start_ns: int, tell: Told) -> Spell:
+def _spell(step: Step, codec: Codec, start_ns: int, tell: Report) -> FaultInterval:
     begin_ns = start_ns + round(step.at_s * _NS_PER_S)
     end_ns = None if step.for_s is None else begin_ns + round(step.for_s * _NS_PER_S)
-    return Spell(step.told(), step.broken(codec), begin_ns, end_ns, tell)
+    return FaultInterval(step.told(), step.broken(codec), begin_ns, end_ns, tell)
 
 
 def load(path: Path, protocol: ProtocolSpec) -> Scenario:

@@ -242,7 +242,7 @@ class ForeignSender(Step):
         asked = {"PowerMode": PowerMode.NORMAL, "Throttle": self.throttle_pct}
         limits = {"SpeedLimit": 12_000, "PowerLimit": 60_000}
         return Fault(
-            intruder=faults.Intruder(
+            intruder=faults.ForeignNode(
                 command.spec.can_id,
                 command.encode({**asked, **limits}),
                 command.spec.name,
