@@ -68,7 +68,7 @@ class UnavailableError(GatewayError):
     exit_code = os.EX_UNAVAILABLE
 
 
-class RefusedError(GatewayError):
+class RequestRefusedError(GatewayError):
     """The running gateway said no, or did not answer."""
 
     exit_code = os.EX_TEMPFAIL

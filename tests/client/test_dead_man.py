@@ -4,7 +4,7 @@ import pytest
 
 from vcu_gateway.api.methods import DemandParams
 from vcu_gateway.client import RefusedError
-from vcu_gateway.client.demand import body_of
+from vcu_gateway.client.demand import request_values
 from vcu_gateway.client.keeping import DeadMan
 
 MS = 1_000_000
@@ -12,7 +12,7 @@ S = 1_000_000_000
 START_NS = 5_000 * S
 TTL_MS = 300
 PAUSE_NS = 100 * MS
-DRIVING = body_of({"throttle_pct": 20})
+DRIVING = request_values({"throttle_pct": 20})
 ZERO = {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0}
 GRANTED = {"granted": True, "mode": "active"}
 
@@ -99,7 +99,7 @@ def test_without_a_hold_the_values_go_on_for_as_long_as_the_process():
 
 
 def test_the_direction_outlasts_the_hold(keeping):
-    keeping.ask(body_of({"throttle_pct": 20, "motor_reverse": True}), START_NS)
+    keeping.ask(request_values({"throttle_pct": 20, "motor_reverse": True}), START_NS)
     after = keeping.repeat(START_NS + S)["values"]
     assert after == {**ZERO, "motor_reverse": True}
 
@@ -121,7 +121,7 @@ def test_a_refusal_is_raised_by_the_next_set_which_takes_nothing(driving):
     driving.refused(error)
     assert driving.refusal is error
     with pytest.raises(RefusedError) as raised:
-        driving.ask(body_of({"throttle_pct": 50}), START_NS + MS)
+        driving.ask(request_values({"throttle_pct": 50}), START_NS + MS)
     assert raised.value is error
     assert driving.repeat(START_NS + 2 * MS)["values"] == ZERO
 
@@ -196,7 +196,7 @@ def test_the_last_granted_answer_is_kept(keeping):
 
 @pytest.mark.parametrize(("word", "kept"), [("other_owner", True), ("directions_differ", False)])
 def test_two_directions_that_were_refused_are_not_asked_for_again(keeping, word, kept):
-    keeping.ask(body_of({"PCU1": {"motor_reverse": True}, "PCU2": {}}), START_NS)
+    keeping.ask(request_values({"PCU1": {"motor_reverse": True}, "PCU2": {}}), START_NS)
     keeping.refused(refusal(word))
     again = keeping.repeat(START_NS + PAUSE_NS)
     assert ("controllers" in again) is kept

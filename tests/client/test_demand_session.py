@@ -8,7 +8,7 @@ import pytest
 from tests.client.fake_gateway import PATIENCE_S
 from tests.client.vehicle import refused
 from vcu_gateway.client import UnreachableError
-from vcu_gateway.client.demand import body_of
+from vcu_gateway.client.demand import request_values
 from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.keeping import DeadMan
 
@@ -17,7 +17,7 @@ S = 1_000_000_000
 START_NS = 5_000 * S
 PAUSE_NS = 100 * MS
 PATIENCE_NS = 2 * S
-DRIVING = body_of({"throttle_pct": 20})
+DRIVING = request_values({"throttle_pct": 20})
 
 
 @pytest.fixture

@@ -138,7 +138,7 @@ def test_a_room_that_breaks_is_unknown_and_hides_no_other(config, monkeypatch):
 
     monkeypatch.setattr(interface, "can_sockets_refused", broken)
     config.write_text("bus: {channel: can0}\n")
-    findings = list(examination.examine(config))
+    findings = list(examination.run_checks(config))
     found = next(one for one in findings if one.subject == "interface")
     assert (found.check, found.kind) == ("examination", CheckStatus.UNKNOWN)
     assert "KeyError" in found.what

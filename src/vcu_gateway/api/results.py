@@ -47,7 +47,7 @@ class Message(TypedDict):
     """By the protocol's signal names."""
 
 
-class Command(TypedDict):
+class SentCommand(TypedDict):
     """What one controller was told in the last tick."""
 
     throttle_pct: float
@@ -70,7 +70,7 @@ class State(TypedDict):
     mode: ModeName
     messages: dict[str, Message]
     """By the protocol's message names; only those that were asked for."""
-    commands: dict[ControllerName, Command]
+    commands: dict[ControllerName, SentCommand]
 
 
 class Cause(TypedDict):

@@ -9,7 +9,7 @@ from vcu_gateway.core.events import Event, Severity
 _TX_QUEUE_AT_MOST = 4
 
 
-def cautions(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
+def interface_warnings(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
     """What to tell of an interface that was opened, and the command that mends it."""
     yield from _queue(opened, settings.channel)
     yield from _buffer(opened, settings.receive_buffer_bytes)

@@ -21,7 +21,7 @@ from vcu_gateway.errors import (
     ConfigError,
     NotPermittedError,
     Problem,
-    RefusedError,
+    RequestRefusedError,
     UnavailableError,
 )
 
@@ -30,7 +30,7 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 
 
-def asking_options(command: _Command) -> _Command:
+def api_options(command: _Command) -> _Command:
     """--socket and --json."""
     return socket_option(json_option(command))
 
@@ -38,12 +38,12 @@ def asking_options(command: _Command) -> _Command:
 @contextlib.contextmanager
 def connected(socket_path: Path | None) -> Iterator[Client]:
     """A client; what it raises becomes a line for a person and an exit code."""
-    with said_plainly(), Client(socket_path) as client:
+    with command_line_errors(), Client(socket_path) as client:
         yield client
 
 
 @contextlib.contextmanager
-def said_plainly() -> Iterator[None]:
+def command_line_errors() -> Iterator[None]:
     """Errors of the client as errors of the command line."""
     try:
         yield
@@ -52,11 +52,11 @@ def said_plainly() -> Iterator[None]:
     except NoRightError as error:
         raise NotPermittedError(Problem(error.sentence)) from error
     except ApiError as error:
-        raise RefusedError(Problem(error.sentence)) from error
+        raise RequestRefusedError(Problem(error.sentence)) from error
     except UnreachableError as error:
         raise UnavailableError(Problem(str(error))) from error
     except ClientError as error:
-        raise RefusedError(Problem(str(error))) from error
+        raise RequestRefusedError(Problem(str(error))) from error
 
 
 def show(result: Any, as_json: bool, text: Callable[[], str]) -> None:

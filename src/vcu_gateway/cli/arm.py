@@ -4,11 +4,11 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.api_options import asking_options, connected, show
+from vcu_gateway.cli.api_options import api_options, connected, show
 
 
 @click.command("arm")
-@asking_options
+@api_options
 def command(socket_path: Path | None, as_json: bool) -> None:
     """Let the vehicle move: from standby to active.
 

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.cli.api_options import asking_options, connected
+from vcu_gateway.cli.api_options import api_options, connected
 from vcu_gateway.client import Client, DemandOwner
 
 _SET_EVERY_S = 0.1
@@ -49,7 +49,7 @@ def _pedal_options(command: Any) -> Any:
 
 
 @click.command("demand")
-@asking_options
+@api_options
 @_pedal_options
 @click.option("--source", help="Name of the source; default: your user name.")
 @click.option("--ttl-ms", type=int, default=200, show_default=True, help="Time to live.")

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.api_options import asking_options, connected, show
+from vcu_gateway.cli.api_options import api_options, connected, show
 
 
 @click.command("disarm")
-@asking_options
+@api_options
 def command(socket_path: Path | None, as_json: bool) -> None:
     """End the drive: from active to standby, zero torque at once."""
     with connected(socket_path) as client:

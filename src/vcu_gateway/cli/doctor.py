@@ -11,7 +11,7 @@ import click
 
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
-from vcu_gateway.doctor.checks import examine
+from vcu_gateway.doctor.checks import run_checks
 from vcu_gateway.errors import ConfigError, Problem
 
 _COLOURS = {
@@ -43,7 +43,7 @@ root it tells more. Exit code 1 where something is wrong, 0 otherwise, warnings 
 def command(config_path: Path | None, listen: bool, as_json: bool) -> None:
     """Examine, show, and exit with the answer."""
     path, missing = _file(config_path)
-    findings = list(examine(path, missing, listen=listen))
+    findings = list(run_checks(path, missing, listen=listen))
     click.echo(_as_json(findings) if as_json else _as_text(findings), color=_colour())
     if any(finding.kind is CheckStatus.WRONG for finding in findings):
         sys.exit(1)

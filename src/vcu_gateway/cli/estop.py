@@ -4,13 +4,13 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.api_options import asking_options, connected, show
+from vcu_gateway.cli.api_options import api_options, connected, show
 
 _NEXT = "power cut; when it is safe again: vcu-gateway reset --level service"
 
 
 @click.command("estop")
-@asking_options
+@api_options
 def command(socket_path: Path | None, as_json: bool) -> None:
     """Emergency stop: cut the power of both controllers in the next tick.
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import click
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.cli.api_options import age, asking_options, connected, show
+from vcu_gateway.cli.api_options import age, api_options, connected, show
 
 
 @click.command("events")
-@asking_options
+@api_options
 @click.option("-n", "--limit", type=click.IntRange(1, 200), default=50, show_default=True)
 def command(socket_path: Path | None, as_json: bool, limit: int) -> None:
     """List the latest events, the latest last: when, how often, what."""

@@ -5,11 +5,11 @@ from pathlib import Path
 import click
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.cli.api_options import asking_options, connected, show
+from vcu_gateway.cli.api_options import api_options, connected, show
 
 
 @click.command("reload")
-@asking_options
+@api_options
 def command(socket_path: Path | None, as_json: bool) -> None:
     """Read the configuration file again: all of it is taken, or nothing.
 

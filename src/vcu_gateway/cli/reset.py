@@ -5,11 +5,11 @@ from typing import Literal
 
 import click
 
-from vcu_gateway.cli.api_options import asking_options, connected, show
+from vcu_gateway.cli.api_options import api_options, connected, show
 
 
 @click.command("reset")
-@asking_options
+@api_options
 @click.option(
     "--level",
     type=click.Choice(["driver", "service"]),

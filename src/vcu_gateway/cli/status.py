@@ -6,11 +6,11 @@ from pathlib import Path
 import click
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.cli.api_options import age, asking_options, connected, show
+from vcu_gateway.cli.api_options import age, api_options, connected, show
 
 
 @click.command("status")
-@asking_options
+@api_options
 @click.option("--check", is_flag=True, help="Exit with 1 unless the mode is standby or active.")
 def command(socket_path: Path | None, as_json: bool, check: bool) -> None:
     """Tell mode, reasons, demand, bus, ticks and commands of the running gateway."""
@@ -46,7 +46,7 @@ def _demand(demand: shapes.DemandState | None) -> str:
     return f"{demand['source']}, {age(demand['age_ms'])} old, {fresh}"
 
 
-def _command(command: shapes.Command) -> str:
+def _command(command: shapes.SentCommand) -> str:
     mode = "POWER CUT" if command["power_cut"] else command["power_mode"]
     return (
         f"throttle {command['throttle_pct']:.1f} %  brake {command['brake_pct']:.1f} %  {mode}"

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Self, Unpack
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.demand import DemandRequest, body_of
+from vcu_gateway.client.demand import DemandRequest, request_values
 from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
 from vcu_gateway.client.keeping import RELEASED_S, DeadMan
@@ -37,7 +37,7 @@ class AsyncDemandOwner:
     def set(self, **asked: Unpack[DemandRequest]) -> None:
         """As DemandOwner.set; it does not wait and needs no `await`."""
         made_ns = time.monotonic_ns()
-        body = body_of(asked)
+        body = request_values(asked)
         if self._task is None or self._task.done():
             raise ClientError("the demand is not entered, or released")
         self._link.ask(body, made_ns)

@@ -34,16 +34,16 @@ class DemandRequest(Values, total=False):
     PCU2: Values
 
 
-Body = Mapping[str, Mapping[str, Any]]
+RequestValues = Mapping[str, Mapping[str, Any]]
 """The part of a demand that says what: `values`, or `controllers`."""
 
 # Both tracks, because the gateway may require the second.
-NO_MOTION: Body = {
+NO_MOTION: RequestValues = {
     "values": {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0},
 }
 
 
-def body_of(asked: Mapping[str, Any]) -> Body:
+def request_values(asked: Mapping[str, Any]) -> RequestValues:
     """As the gateway takes it, which judges it; ValueError where a number is not finite."""
     controllers = {name: asked[name] for name in CONTROLLERS if name in asked}
     values = {name: asked[name] for name in asked if name not in CONTROLLERS}
@@ -55,7 +55,7 @@ def body_of(asked: Mapping[str, Any]) -> Body:
     return body
 
 
-def stilled(body: Body) -> Body:
+def without_motion(body: RequestValues) -> RequestValues:
     """No throttle and no brake; the direction stays, for changing it is a request of its own."""
     if "controllers" in body:
         controllers = body["controllers"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.client import jsonrpc as wire
 from vcu_gateway.client.connect import connect
-from vcu_gateway.client.demand import Body
+from vcu_gateway.client.demand import RequestValues
 from vcu_gateway.client.errors import GarbledError, UnreachableError
 from vcu_gateway.client.keeping import DeadMan, Demand
 
@@ -59,7 +59,7 @@ class DemandSession:
         self.keeping.still()
         self._send_demand(self.keeping.repeat(now_ns), now_ns)
 
-    def ask(self, body: Body, now_ns: int) -> None:
+    def ask(self, body: RequestValues, now_ns: int) -> None:
         """Send new values now; without a connection they are dropped, never sent later."""
         demand = self.keeping.ask(body, now_ns)
         if self.connected:

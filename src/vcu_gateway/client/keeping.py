@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.demand import NO_MOTION, Body, stilled
+from vcu_gateway.client.demand import NO_MOTION, RequestValues, without_motion
 from vcu_gateway.client.errors import ApiError
 
 _NS_PER_MS = 1_000_000
@@ -42,13 +42,13 @@ class DeadMan:
         self.due_ns = 0
         self._ttl_ms = ttl_ms
         self._hold_ns = None if hold_s is None else round(hold_s * _NS_PER_S)
-        self._body: Body = NO_MOTION
+        self._body: RequestValues = NO_MOTION
         self._hold_end_ns: int | None = None
         self._told = True
         self._sequence = 0
         self._refused_in_a_row = 0
 
-    def ask(self, body: Body, now_ns: int) -> Demand:
+    def ask(self, body: RequestValues, now_ns: int) -> Demand:
         """New values; instead raises a refusal that nobody has been told."""
         if self.refusal is not None and not self._told:
             self._told = True
@@ -65,7 +65,7 @@ class DeadMan:
 
     def still(self) -> None:
         """Ask for no motion from the next demand on."""
-        self._body = stilled(self._body)
+        self._body = without_motion(self._body)
         self._hold_end_ns = None
 
     def next_number(self, now_ns: int) -> int:

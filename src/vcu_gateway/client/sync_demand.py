@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self, Unpack
 
 from vcu_gateway.api import results as shapes
-from vcu_gateway.client.demand import DemandRequest, body_of
+from vcu_gateway.client.demand import DemandRequest, request_values
 from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
 from vcu_gateway.client.keeping import RELEASED_S, DeadMan
@@ -59,7 +59,7 @@ class DemandOwner:
         which then sends nothing. Without a connection the values are dropped; see `connected`.
         """
         made_ns = time.monotonic_ns()
-        body = body_of(asked)
+        body = request_values(asked)
         if not self._thread.is_alive():
             raise ClientError("the demand is not entered, or released")
         with self._stepped:

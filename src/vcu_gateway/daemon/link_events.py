@@ -1,7 +1,7 @@
 """The link as the ticking thread sees it: the keeper's news taken in, and told as events."""
 
 from vcu_gateway.bus.connection import BusConnection
-from vcu_gateway.bus.interface_warnings import cautions
+from vcu_gateway.bus.interface_warnings import interface_warnings
 from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
@@ -66,7 +66,7 @@ class LinkEvents:
         self._gateway.intake.book.begin(link, carrier)
         self._door.admit()
         self._journal.tell(Event("link_open", Severity.INFO))
-        for caution in cautions(opened, self._door.settings):
+        for caution in interface_warnings(opened, self._door.settings):
             if self._cautions.get(caution.name) != caution:
                 self._cautions[caution.name] = caution
                 self._journal.tell(caution)

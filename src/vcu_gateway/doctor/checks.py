@@ -50,7 +50,7 @@ class _Case(NamedTuple):
         return (self.unit.pid if self.is_of_the_service else None) or self.gateway.pid
 
 
-def examine(
+def run_checks(
     path: Path | None, missing: tuple[Problem, ...] = (), *, listen: bool = False
 ) -> Iterator[CheckResult]:
     """Look at everything, the configuration at `path` or the defaults in mind.

@@ -7,7 +7,7 @@ from enum import Enum
 from vcu_gateway.core import j1939
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
 
-TOLD_LIMIT = 10
+REPORTED_LIMIT = 10
 
 _ERROR_FLAG = 1 << 29
 _FLAGS = {30: "remote frames", 31: "29-bit identifiers"}
@@ -39,9 +39,9 @@ class LineProblems:
     def damaged(self, position: int, what: str, remedy: str = "") -> None:
         """Count a line or frame that cannot be read."""
         self.unreadable += 1
-        if self.unreadable <= TOLD_LIMIT:
+        if self.unreadable <= REPORTED_LIMIT:
             self._report(Problem(what, self._where(position), remedy))
-        if self.unreadable == TOLD_LIMIT:
+        if self.unreadable == REPORTED_LIMIT:
             self._report(Problem("further damage is only counted", self._where(position)))
 
     def flagged(self, position: int, can_id: int) -> Verdict:
@@ -65,7 +65,7 @@ class LineProblems:
         return Verdict.UNREADABLE
 
     def _explain(self, position: int, can_id: int, what: str) -> None:
-        if can_id in self._explained or len(self._explained) >= TOLD_LIMIT:
+        if can_id in self._explained or len(self._explained) >= REPORTED_LIMIT:
             return
         self._explained.add(can_id)
         remedy = f"on the wire it is {can_id & j1939.ID_MASK:08X}"

@@ -58,10 +58,10 @@ def _signal(reading: Reading) -> shapes.Signal:
     return signal
 
 
-def commands(result: TickResult) -> dict[shapes.ControllerName, shapes.Command]:
+def commands(result: TickResult) -> dict[shapes.ControllerName, shapes.SentCommand]:
     """What each controller was told in this tick."""
     frames = {frame.controller: frame for frame in result.frames}
-    told: dict[shapes.ControllerName, shapes.Command] = {}
+    told: dict[shapes.ControllerName, shapes.SentCommand] = {}
     for name in _CONTROLLERS:
         command, frame = result.commands[name], frames.get(name)
         told[name] = {

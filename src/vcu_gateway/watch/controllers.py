@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from rich.text import Text
 
-from vcu_gateway.api.results import Command, ControllerName, Signal, State
+from vcu_gateway.api.results import ControllerName, SentCommand, Signal, State
 from vcu_gateway.watch.formatting import ABSENT, cell, line, number
 from vcu_gateway.watch.quality import marked
 
@@ -53,7 +53,7 @@ class ControllerRow(NamedTuple):
     """One line of the table: how to say what was told, and what is reported."""
 
     label: str
-    told: Callable[[Command], str]
+    told: Callable[[SentCommand], str]
     reported: Callable[[ControllerReports], Text]
 
 
@@ -63,13 +63,13 @@ def _mode(reports: ControllerReports) -> Text:
     return line(reports.word("PowerMode"), " ", reports.word("MotorReverse"))
 
 
-def _mode_told(command: Command) -> str:
+def _mode_told(command: SentCommand) -> str:
     if command["power_cut"]:
         return "POWER CUT"
     return f"{command['power_mode']} {'reverse' if command['motor_reverse'] else 'forward'}"
 
 
-def _brake_told(command: Command) -> str:
+def _brake_told(command: SentCommand) -> str:
     return f"{'regen ' if command['regen_brake'] else ''}{command['brake_pct']:.1f}"
 
 
@@ -100,7 +100,7 @@ def _temperatures(reports: ControllerReports) -> Text:
     return line(controller, " / ", reports.figure("Status1", "MotorTemperature"))
 
 
-def _nothing(_: Command) -> str:
+def _nothing(_: SentCommand) -> str:
     return ""
 
 
