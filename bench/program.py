@@ -180,11 +180,11 @@ def naive() -> NoReturn:
 
 def receive_ours(config: str, seconds: float) -> dict[str, Any]:
     """Socket to store, without ticks."""
-    from vcu_gateway import app as wiring
+    from vcu_gateway import app
     from vcu_gateway import config as configuration
 
     parsed = configuration.parse(config, "bench")
-    daemon = wiring.build(parsed, wiring.load_protocol(parsed))
+    daemon = app.build(parsed, app.load_protocol(parsed))
     gc.disable()  # as the daemon does while it runs
     daemon.door.open()
     found = _window(lambda: daemon.door.counters.received, seconds)

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import can
 
-from vcu_gateway import app as wiring
+from vcu_gateway import app, simulator
 from vcu_gateway import config as configuration
-from vcu_gateway import simulator
 from vcu_gateway.client import Client
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Explanation
@@ -40,8 +39,8 @@ class Driven:
         )
         self.configure(config)
         loaded = configuration.load(self.file)
-        protocol = wiring.load_protocol(loaded)
-        self.daemon = wiring.build(loaded, protocol)
+        protocol = app.load_protocol(loaded)
+        self.daemon = app.build(loaded, protocol)
         self.serving = Serving(loaded, protocol, self.daemon, lambda: 0, CountedStart(3, 1))
         self.daemon.observe_with(self.serving.observe)
         self.nodes = simulator.build(Codec(protocol), time.monotonic_ns())

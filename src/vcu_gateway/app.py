@@ -13,8 +13,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon.loop import Observer, TickLoop
 from vcu_gateway.errors import DataError, Problem
-from vcu_gateway.protocol import compatibility as agreement
-from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.protocol import compatibility, dbc, packaged
 
 _MOST_DIFFERENCES = 20
 
@@ -33,7 +32,7 @@ def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
     """DataError where a DBC contradicts the protocol that the safety rules were written for."""
     if config.protocol.dbc is None:
         return
-    found = list(agreement.differences(protocol, dbc.load(packaged("vcu.dbc"))))
+    found = list(compatibility.differences(protocol, dbc.load(packaged("vcu.dbc"))))
     if found:
         remedy = "the safety rules are written for dbc/vcu.yaml; change it, and the rules with it"
         where = str(config.protocol.dbc)

@@ -7,8 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from vcu_gateway import __version__
-from vcu_gateway import app as wiring
+from vcu_gateway import __version__, app
 from vcu_gateway import config as configuration
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.api.rights import Policy
@@ -51,7 +50,7 @@ class Serving:
         self._daemon = daemon
         self._config = config
         in_effect = EffectiveConfig(config)
-        self.reloader = Reloader(in_effect, protocol, daemon, wiring.settings)
+        self.reloader = Reloader(in_effect, protocol, daemon, app.settings)
         facts = health.RunFacts(
             protocol_digest=digest_of(config),
             start=start,
@@ -59,12 +58,12 @@ class Serving:
         )
         self._program = ServerContext(
             daemon=daemon,
-            bus=wiring.bus_settings(config),
+            bus=app.bus_settings(config),
             in_effect=in_effect,
             reloader=self.reloader,
             facts=facts,
             protocol=definition(protocol, facts.protocol_digest),
-            metrics=self._metrics(in_effect, facts),
+            exporter=self._metrics(in_effect, facts),
             api_counts=self._api_counts,
         )
         gaps = TickGaps(lambda: daemon.schedule.next_deadline_ns, daemon.schedule.period_ns)
@@ -106,9 +105,9 @@ class Serving:
     def _metrics(
         self, in_effect: EffectiveConfig, facts: health.RunFacts
     ) -> Callable[[], bytes] | None:
-        from vcu_gateway import exporter as metrics
+        from vcu_gateway import exporter
 
-        told = metrics.Facts(
+        told = exporter.Facts(
             version=__version__,
             python=platform.python_version(),
             protocol_digest=facts.protocol_digest,
@@ -119,7 +118,7 @@ class Serving:
             log_lines_dropped=facts.log_lines_dropped,
         )
         try:
-            return metrics.exposition(self._daemon, self._api_counts, told).text
+            return exporter.exposition(self._daemon, self._api_counts, told).text
         except UnavailableError:
             return None
 
@@ -146,5 +145,5 @@ def server_settings(config: Config) -> ServerSettings:
 
 def digest_of(config: Config) -> str:
     """The beginning of the SHA-256 of the DBC in use."""
-    contents = wiring.dbc_path(config).read_bytes()
+    contents = app.dbc_path(config).read_bytes()
     return hashlib.sha256(contents).hexdigest()[:_DIGEST_CHARACTERS]

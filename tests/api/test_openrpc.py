@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.api import docs_page as page
-from vcu_gateway.api import openrpc, rights
+from vcu_gateway.api import docs_page, openrpc, rights
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
 from vcu_gateway.core.demand import Refusal
 
@@ -60,7 +59,7 @@ def test_the_document_is_printed_as_json():
 
 def test_the_page_is_current(document):
     text = (ROOT / "docs" / "api.md").read_text()
-    assert page.page(document) in text, "run scripts/api-page"
+    assert docs_page.page(document) in text, "run scripts/api-page"
 
 
 def test_a_reset_needs_the_right_of_its_level():

@@ -7,7 +7,7 @@ import pytest
 from vcu_gateway.api import openrpc
 from vcu_gateway.api.methods import METHODS
 from vcu_gateway.client import Client, RefusedError
-from vcu_gateway.server import queries as reading
+from vcu_gateway.server import queries
 from vcu_gateway.server.commands import COMMANDS
 from vcu_gateway.server.dispatch import RELOAD
 
@@ -31,7 +31,7 @@ def client(running):
 
 
 def test_every_method_has_exactly_one_answer():
-    answered = [*reading.QUERIES, *COMMANDS, RELOAD, *SUBSCRIPTIONS]
+    answered = [*queries.QUERIES, *COMMANDS, RELOAD, *SUBSCRIPTIONS]
     assert sorted(answered) == sorted(METHODS)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.config.test_config import LEAVES, one_key
 from tests.driven import wait_until
-from vcu_gateway import app as wiring
+from vcu_gateway import app
 from vcu_gateway import config as configuration
 from vcu_gateway.client import ConfigRefusedError
 from vcu_gateway.config import parse
@@ -85,7 +85,7 @@ def test_every_key_is_taken_by_a_running_gateway_or_named_as_needing_a_restart()
             continue
         after = parse(one_key(name, OTHER[name]), "gateway.yaml")
         assert changed_keys(before, after) == (name,)
-        settings = changed(wiring.settings(before), wiring.settings(after))
+        settings = changed(app.settings(before), app.settings(after))
         assert settings, name
         assert not set(settings) & set(RESTART_ONLY), name
 
@@ -118,13 +118,13 @@ OTHER = {
 
 def test_every_setting_that_a_running_gateway_takes_comes_from_a_live_key():
     live = {name for key in OTHER for name in settings_of(key)}
-    fields = {field.name for field in dataclasses.fields(wiring.settings(configuration.Config()))}
+    fields = {field.name for field in dataclasses.fields(app.settings(configuration.Config()))}
     assert live == fields - set(RESTART_ONLY)
 
 
 def settings_of(key: str) -> tuple[str, ...]:
     after = parse(one_key(key, OTHER[key]), "gateway.yaml")
-    return changed(wiring.settings(configuration.Config()), wiring.settings(after))
+    return changed(app.settings(configuration.Config()), app.settings(after))
 
 
 def test_a_hangup_signal_reloads_and_an_invalid_file_does_not_end_the_process(tmp_path):

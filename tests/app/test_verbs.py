@@ -10,8 +10,7 @@ import sys
 import pytest
 
 from tests.driven import Driven, wait_until
-from vcu_gateway.api import openrpc
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import openrpc, results
 
 
 def vcu(socket_path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -37,8 +36,8 @@ def test_status_is_a_few_lines_for_a_person(ask):
 
 def test_status_is_one_json_object_for_a_program(ask):
     found = json.loads(ask("status --json").stdout)
-    openrpc.result_adapter(shapes.Why).validate_python(found["why"])
-    openrpc.result_adapter(shapes.Health).validate_python(found["health"])
+    openrpc.result_adapter(results.Why).validate_python(found["why"])
+    openrpc.result_adapter(results.Health).validate_python(found["health"])
 
 
 def test_a_check_of_the_status_has_an_exit_code(ask, fresh):

@@ -14,8 +14,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from vcu_gateway.bus import instance_lock as lock
-from vcu_gateway.bus import netlink
+from vcu_gateway.bus import instance_lock, netlink
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.instance_lock import InstanceLock
 from vcu_gateway.bus.interface import Interfaces
@@ -206,7 +205,7 @@ def test_a_name_that_another_user_holds_is_passed_by_and_says_who(channel):
 
 @ONLY_ROOT
 def test_the_services_own_account_is_honoured(channel, monkeypatch):
-    monkeypatch.setattr(lock, "_SERVICE_ACCOUNT", pwd.getpwuid(NOBODY).pw_name)
+    monkeypatch.setattr(instance_lock, "_SERVICE_ACCOUNT", pwd.getpwuid(NOBODY).pw_name)
     with (
         holder(channel, "listens", NOBODY) as pid,
         pytest.raises(UnavailableError, match=f"process {pid},"),

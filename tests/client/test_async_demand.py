@@ -16,8 +16,8 @@ from vcu_gateway.client import (
     ClientError,
     RefusedError,
     UnreachableError,
+    async_demand,
 )
-from vcu_gateway.client import async_demand as async_owner
 
 TTL_MS = 60
 LONG_TTL_MS = 3000
@@ -202,7 +202,7 @@ def test_leaving_leaves_no_task(gateway):
 
 
 def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypatch):
-    monkeypatch.setattr(async_owner, "_FAREWELL_S", PATIENCE_S)
+    monkeypatch.setattr(async_demand, "_FAREWELL_S", PATIENCE_S)
 
     def speak(gateway):
         gateway.grant()

@@ -6,7 +6,7 @@ import pytest
 from pydantic import BaseModel
 
 from vcu_gateway.api import methods
-from vcu_gateway.client import demand as asked
+from vcu_gateway.client import demand
 
 ZERO = {"throttle_pct": 0.0, "throttle_track2_pct": 0.0, "brake_pct": 0.0}
 
@@ -19,46 +19,48 @@ class LikeNumpy:
 
 
 def test_values_without_a_name_are_for_both_controllers():
-    assert asked.request_values({"throttle_pct": 20}) == {"values": {"throttle_pct": 20.0}}
+    assert demand.request_values({"throttle_pct": 20}) == {"values": {"throttle_pct": 20.0}}
 
 
 def test_values_can_differ_between_the_controllers():
-    body = asked.request_values({"PCU1": {"throttle_pct": 1}, "PCU2": {"throttle_pct": 2}})
+    body = demand.request_values({"PCU1": {"throttle_pct": 1}, "PCU2": {"throttle_pct": 2}})
     assert body == {"controllers": {"PCU1": {"throttle_pct": 1.0}, "PCU2": {"throttle_pct": 2.0}}}
 
 
 def test_asking_for_nothing_is_a_demand_at_its_defaults():
-    assert asked.request_values({}) == {"values": {}}
+    assert demand.request_values({}) == {"values": {}}
 
 
 def test_values_beside_controllers_are_left_for_the_gateway_to_refuse():
-    assert set(asked.request_values({"PCU1": {}, "brake_pct": 1})) == {"values", "controllers"}
+    assert set(demand.request_values({"PCU1": {}, "brake_pct": 1})) == {"values", "controllers"}
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 10**400])
 def test_a_number_that_is_not_finite_is_refused_here_by_its_name(value):
     with pytest.raises(ValueError, match="brake_pct"):
-        asked.request_values({"brake_pct": value})
+        demand.request_values({"brake_pct": value})
     with pytest.raises(ValueError, match="brake_pct"):
-        asked.request_values({"PCU1": {"brake_pct": value}, "PCU2": {}})
+        demand.request_values({"PCU1": {"brake_pct": value}, "PCU2": {}})
 
 
 def test_a_value_of_the_wrong_kind_is_refused_before_anything_is_kept():
     with pytest.raises(TypeError):
-        asked.request_values({"throttle_pct": [20]})
+        demand.request_values({"throttle_pct": [20]})
 
 
 def test_numbers_of_other_libraries_are_taken():
-    assert asked.request_values({"throttle_pct": LikeNumpy()}) == {"values": {"throttle_pct": 12.5}}
+    assert demand.request_values({"throttle_pct": LikeNumpy()}) == {
+        "values": {"throttle_pct": 12.5}
+    }
 
 
 def test_words_switches_and_none_pass_as_they_are():
     given = {"power_mode": "turbo", "motor_reverse": True, "speed_limit_rpm": None}
-    assert asked.request_values(given) == {"values": given}
+    assert demand.request_values(given) == {"values": given}
 
 
 def test_a_number_out_of_range_is_left_for_the_gateway_to_judge():
-    assert asked.request_values({"throttle_pct": 900}) == {"values": {"throttle_pct": 900.0}}
+    assert demand.request_values({"throttle_pct": 900}) == {"values": {"throttle_pct": 900.0}}
 
 
 @pytest.mark.parametrize(
@@ -70,24 +72,24 @@ def test_a_number_out_of_range_is_left_for_the_gateway_to_judge():
     ],
 )
 def test_no_motion_keeps_the_direction_and_nothing_else(before, after):
-    still = asked.without_motion(asked.request_values(before))
+    still = demand.without_motion(demand.request_values(before))
     assert still == {"values": {**ZERO, **after}}
 
 
 def test_no_motion_keeps_each_controllers_direction():
-    body = asked.request_values({"PCU1": {"throttle_pct": 9, "motor_reverse": True}, "PCU2": {}})
+    body = demand.request_values({"PCU1": {"throttle_pct": 9, "motor_reverse": True}, "PCU2": {}})
     expected = {"PCU1": {**ZERO, "motor_reverse": True}, "PCU2": ZERO}
-    assert asked.without_motion(body) == {"controllers": expected}
+    assert demand.without_motion(body) == {"controllers": expected}
 
 
 def test_no_motion_is_asked_of_both_controllers_where_one_was_forgotten():
-    still = asked.without_motion(asked.request_values({"PCU2": {"throttle_pct": 9}}))
+    still = demand.without_motion(demand.request_values({"PCU2": {"throttle_pct": 9}}))
     assert set(still["controllers"]) == {"PCU1", "PCU2"}
 
 
 def test_the_values_are_those_of_the_contract():
     model: type[BaseModel] = methods.Values
-    assert set(asked.Values.__annotations__) == set(model.model_fields)
-    assert set(asked.DemandRequest.__annotations__) - set(model.model_fields) == set(
-        asked.CONTROLLERS
+    assert set(demand.Values.__annotations__) == set(model.model_fields)
+    assert set(demand.DemandRequest.__annotations__) - set(model.model_fields) == set(
+        demand.CONTROLLERS
     )

@@ -12,7 +12,7 @@ from tests.doctor.judged import complaints, only, well
 from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
 from vcu_gateway.client import Client
-from vcu_gateway.doctor import running_gateway as gateway
+from vcu_gateway.doctor import running_gateway
 from vcu_gateway.doctor.running_gateway import GatewayFacts, judge
 
 PATIENCE_S = 60
@@ -32,7 +32,7 @@ def healthy(running: Driven) -> GatewayFacts:
 
     def in_standby() -> bool:
         """A stall may keep the answer for too long, or a message of the vehicle."""
-        found[:] = [gateway.read(configuration.load(running.file), expected=True)]
+        found[:] = [running_gateway.read(configuration.load(running.file), expected=True)]
         answers = found[0].answers
         return isinstance(answers, tuple) and answers[0]["mode"] == "standby"
 
@@ -100,7 +100,7 @@ def test_only_two_requests_are_made_and_none_that_changes(running):
         """Within its half second; where that is missed, it is asked and counted again."""
         with Client(running.socket_path, timeout_s=PATIENCE_S) as client:
             before = client.health()["api"]
-            facts = gateway.read(configuration.load(running.file), expected=True)
+            facts = running_gateway.read(configuration.load(running.file), expected=True)
             after = client.health()["api"]
         counted = ("accepted", "requests")
         asked[:] = [tuple(after[name] - before[name] for name in counted)]
@@ -112,7 +112,7 @@ def test_only_two_requests_are_made_and_none_that_changes(running):
 
 def at(path: Path, expected: bool) -> GatewayFacts:
     api = configuration.Api(socket_path=str(path))
-    return gateway.read(configuration.Config(api=api), expected)
+    return running_gateway.read(configuration.Config(api=api), expected)
 
 
 def test_no_gateway_is_well_unless_one_ought_to_answer(tmp_path):
@@ -147,4 +147,6 @@ def test_a_socket_that_this_user_may_not_open_is_unknown(tmp_path):
 
 def test_a_gateway_without_an_api_is_well():
     api = configuration.Api(enabled=False)
-    assert complaints(judge(gateway.read(configuration.Config(api=api), expected=True))) == {}
+    assert (
+        complaints(judge(running_gateway.read(configuration.Config(api=api), expected=True))) == {}
+    )

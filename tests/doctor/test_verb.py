@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-from vcu_gateway.doctor import checks as examination
-from vcu_gateway.doctor import interface
+from vcu_gateway.doctor import checks, interface
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
 
 ROOT = Path(__file__).parents[2]
@@ -138,7 +137,7 @@ def test_a_room_that_breaks_is_unknown_and_hides_no_other(config, monkeypatch):
 
     monkeypatch.setattr(interface, "can_sockets_refused", broken)
     config.write_text("bus: {channel: can0}\n")
-    findings = list(examination.run_checks(config))
+    findings = list(checks.run_checks(config))
     found = next(one for one in findings if one.subject == "interface")
     assert (found.check, found.kind) == ("examination", CheckStatus.UNKNOWN)
     assert "KeyError" in found.what

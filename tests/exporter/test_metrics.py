@@ -13,8 +13,7 @@ import pytest
 
 from tests.core.safety_world import COMMAND_IDS, MS, Drive, active, data, in_mode, standby
 from tests.monitoring.program import STARTED_S, Program, Scrape, driven
-from vcu_gateway import exporter as metrics
-from vcu_gateway import simulator
+from vcu_gateway import exporter, simulator
 from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.causes import Effect
@@ -47,14 +46,14 @@ def exposed_names(scrape: Scrape) -> set[str]:
 
 def test_every_family_is_described_and_has_a_sample_in_a_driven_gateway():
     scrape = driven().scrape()
-    for family in metrics.FAMILIES:
+    for family in exporter.FAMILIES:
         assert f"# HELP {family.name} {family.help}" in scrape.text
         assert f"# TYPE {family.name} {family.kind}" in scrape.text
-    assert {family.name for family in metrics.FAMILIES} <= exposed_names(scrape)
+    assert {family.name for family in exporter.FAMILIES} <= exposed_names(scrape)
 
 
 def test_every_sample_belongs_to_a_family_and_has_exactly_its_labels():
-    families = {family.name: family for family in metrics.FAMILIES}
+    families = {family.name: family for family in exporter.FAMILIES}
     for name, labels in driven().scrape().samples:
         if name.startswith("process_"):
             continue
@@ -64,9 +63,9 @@ def test_every_sample_belongs_to_a_family_and_has_exactly_its_labels():
 
 
 def test_names_follow_the_conventions():
-    names = [family.name for family in metrics.FAMILIES]
+    names = [family.name for family in exporter.FAMILIES]
     assert len(names) == len(set(names))
-    for family in metrics.FAMILIES:
+    for family in exporter.FAMILIES:
         assert family.name.startswith("vcu_gateway_")
         assert family.name.endswith("_total") == (family.kind == "counter"), family.name
         assert family.help.endswith("."), family.name
@@ -517,7 +516,7 @@ def test_counters_never_go_back_while_the_gateway_runs_on_other_threads(codec):
         BusSettings("virtual", channel), codec.identifiers(), gateway.intake.receive
     )
     daemon, told = TickLoop(gateway, door, 50), Program()
-    exposition = metrics.exposition(daemon, lambda: told.api, told.facts)
+    exposition = exporter.exposition(daemon, lambda: told.api, told.facts)
     nodes = simulator.build(codec, time.monotonic_ns())
     vehicle_bus, stop = open_bus("virtual", channel, nodes.command_ids), threading.Event()
     vehicle = threading.Thread(target=play, args=(vehicle_bus, nodes), kwargs={"stop": stop})
@@ -614,4 +613,4 @@ def test_the_rest_of_the_program_does_not_import_prometheus_client():
         "print(len(vcu_gateway.exporter.FAMILIES))"
     )
     done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
-    assert done.stdout.strip() == str(len(metrics.FAMILIES)), done.stderr
+    assert done.stdout.strip() == str(len(exporter.FAMILIES)), done.stderr

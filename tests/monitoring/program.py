@@ -4,7 +4,7 @@ from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.core.safety_world import COMMAND_IDS, Drive, active
-from vcu_gateway import exporter as metrics
+from vcu_gateway import exporter
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.causes import Effect
@@ -75,7 +75,7 @@ class Program:
             closed={},
             lost_updates=0,
         )
-        self.facts = metrics.Facts(
+        self.facts = exporter.Facts(
             version="1.2.3",
             python="3.11.0",
             protocol_digest="0123",
@@ -102,7 +102,7 @@ class Program:
         return self
 
     def exposition(self):
-        return metrics.exposition(
+        return exporter.exposition(
             self.daemon, lambda: self.api, self.facts, lambda: self.drive.now_ns
         )
 

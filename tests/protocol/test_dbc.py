@@ -5,8 +5,7 @@ import pytest
 
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError
-from vcu_gateway.protocol import dbc, definition, packaged
-from vcu_gateway.protocol import docs_page as page
+from vcu_gateway.protocol import dbc, definition, docs_page, packaged
 
 DEFINITION = definition.load(packaged("vcu.yaml"))
 DBC_PATH = packaged("vcu.dbc")
@@ -19,7 +18,9 @@ def test_the_committed_dbc_is_what_the_definition_says():
 
 
 def test_the_committed_page_is_what_the_definition_says():
-    assert page.write(DEFINITION) == (REPOSITORY / "docs/protocol.md").read_text(encoding="utf-8")
+    assert docs_page.write(DEFINITION) == (REPOSITORY / "docs/protocol.md").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_the_dbc_says_all_that_the_definition_says():
@@ -271,7 +272,9 @@ def test_a_comment_with_quotes_survives():
     text = text.replace(plain, quoted)
     defined = definition.parse(text)
     assert dbc.parse(dbc.write(defined)).messages == defined.spec.messages
-    row = next(line for line in page.write(defined).splitlines() if line.startswith("| LifeSignal"))
+    row = next(
+        line for line in docs_page.write(defined).splitlines() if line.startswith("| LifeSignal")
+    )
     assert row.replace("\\|", "").count("|") == 9
 
 

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from tests.server.conftest import Client, eventually
 from vcu_gateway.api.methods import METHODS, Params
-from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.lines import MAX_LINE_BYTES
 from vcu_gateway.server.session import Limits
 
@@ -117,14 +117,16 @@ def mutated(line: bytes, rng: random.Random) -> bytes:
 
 def judge(line: bytes) -> str:
     """What became of the line; that it is in order."""
-    answer = wire.parse(line)
-    if isinstance(answer, wire.Request):
+    answer = jsonrpc.parse(line)
+    if isinstance(answer, jsonrpc.Request):
         assert answer.method in METHODS
         assert isinstance(answer.params, Params)
-        assert answer.id is None or json.loads(wire.result_line(answer.id, {}))["id"] == answer.id
+        assert (
+            answer.id is None or json.loads(jsonrpc.result_line(answer.id, {}))["id"] == answer.id
+        )
         return "request"
-    out = wire.error_line(answer.id, answer.failure)
-    assert len(answer.failure.sentence) <= wire.MAX_SENTENCE_CHARACTERS
+    out = jsonrpc.error_line(answer.id, answer.failure)
+    assert len(answer.failure.sentence) <= jsonrpc.MAX_SENTENCE_CHARACTERS
     assert len(out) < 2000
     assert out.count(b"\n") == 1
     return answer.failure.code.name

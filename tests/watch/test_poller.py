@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.watch import view_models as worlds
-from vcu_gateway.watch import poller as asking
+from vcu_gateway.watch import poller
 from vcu_gateway.watch.poller import GatewaySource
 from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel
 
@@ -104,7 +104,7 @@ def test_new_values_arrive(path):
 
 
 def test_a_new_mode_is_explained_at_once(path, monkeypatch):
-    monkeypatch.setattr(asking, "_REST_EVERY_S", 3600)
+    monkeypatch.setattr(poller, "_REST_EVERY_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
         seen(source, lambda picture: picture.state)
         made.picture = worlds.faulty()
@@ -113,7 +113,7 @@ def test_a_new_mode_is_explained_at_once(path, monkeypatch):
 
 
 def test_the_state_is_asked_for_more_often_than_the_rest(path, monkeypatch):
-    monkeypatch.setattr(asking, "_REST_EVERY_S", 3600)
+    monkeypatch.setattr(poller, "_REST_EVERY_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
         seen(source, lambda _: made.requests.count("state.get") >= 3)
     assert made.requests.count("why") == made.requests.count("health") == 1
@@ -141,7 +141,7 @@ def test_a_gateway_that_goes_away_is_told_with_the_time_and_found_again(path):
 
 
 def test_an_error_of_the_gateway_is_trouble_and_passes(path, monkeypatch):
-    monkeypatch.setattr(asking, "_REST_EVERY_S", 3600)
+    monkeypatch.setattr(poller, "_REST_EVERY_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
         seen(source, lambda picture: picture.state)
         made.error = {"code": -32004, "message": "the gateway is ending", "data": {}}

@@ -15,7 +15,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.server import views as report
+from vcu_gateway.server import views
 from vcu_gateway.watch.view_model import SourceProblem, SourceRefusedError, ViewModel
 
 HEALTH: Health = {
@@ -96,8 +96,8 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
                 nodes.receive(sent.can_id, sent.data, now_ns)
             tick_ns += gateway.settings.period_ns
     why = gateway.why(result.snapshot.now_ns)
-    state = report.state(result.snapshot, LastTick(result, why))
-    return ViewModel(state, report.why(why), HEALTH)
+    state = views.state(result.snapshot, LastTick(result, why))
+    return ViewModel(state, views.why(why), HEALTH)
 
 
 def driving() -> ViewModel:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.api.rights import Right
 
 MAX_RATE_HZ = 50.0
@@ -135,63 +135,63 @@ class Method(NamedTuple):
 
 METHODS: Mapping[str, Method] = {
     "state.get": Method(
-        StateParams, shapes.State, Right.READ, "Received signals and what was commanded."
+        StateParams, results.State, Right.READ, "Received signals and what was commanded."
     ),
     "state.subscribe": Method(
         SubscribeParams,
-        shapes.Subscribed,
+        results.Subscribed,
         Right.READ,
         "The state again and again, as `state.update` notifications. A slow reader loses updates.",
     ),
     "state.unsubscribe": Method(
-        UnsubscribeParams, shapes.Subscribed, Right.READ, "End a subscription."
+        UnsubscribeParams, results.Subscribed, Right.READ, "End a subscription."
     ),
     "demand.set": Method(
         DemandParams,
-        shapes.Granted,
+        results.Granted,
         Right.OPERATE,
         "Ask for throttle, brake and so on. The demand ends with its time to live, and with the"
         " connection that made it.",
     ),
     "demand.release": Method(
-        ReleaseParams, shapes.Granted, Right.OPERATE, "End one's own demand at once."
+        ReleaseParams, results.Granted, Right.OPERATE, "End one's own demand at once."
     ),
     "arm": Method(
         Nothing,
-        shapes.Granted,
+        results.Granted,
         Right.OPERATE,
         "From standby to active, once nothing but a throttle of 0 was demanded for 200 ms.",
     ),
     "disarm": Method(
         Nothing,
-        shapes.Granted,
+        results.Granted,
         Right.READ,
         "From active to standby. Whoever reaches the socket may stop the vehicle.",
     ),
     "reset": Method(
-        ResetParams, shapes.Granted, Right.OPERATE, "From fault to starting, at a level."
+        ResetParams, results.Granted, Right.OPERATE, "From fault to starting, at a level."
     ),
     "estop": Method(
         Nothing,
-        shapes.Granted,
+        results.Granted,
         Right.READ,
         "Cut the power of both controllers; ends with a reset at service level.",
     ),
-    "why": Method(Nothing, shapes.Why, Right.READ, "What blocks, what limits, what to do next."),
+    "why": Method(Nothing, results.Why, Right.READ, "What blocks, what limits, what to do next."),
     "health": Method(
-        Nothing, shapes.Health, Right.READ, "Bus, ticks, counters, versions, configuration."
+        Nothing, results.Health, Right.READ, "Bus, ticks, counters, versions, configuration."
     ),
-    "events": Method(EventsParams, shapes.Events, Right.READ, "The latest events, counted."),
+    "events": Method(EventsParams, results.Events, Right.READ, "The latest events, counted."),
     "config.get": Method(
-        Nothing, shapes.ConfigInEffect, Right.READ, "The configuration in effect."
+        Nothing, results.ConfigInEffect, Right.READ, "The configuration in effect."
     ),
     "config.reload": Method(
         Nothing,
-        shapes.Reloaded,
+        results.Reloaded,
         Right.SERVICE,
         "Read the configuration file again, all of it or nothing.",
     ),
-    "protocol.get": Method(Nothing, shapes.Protocol, Right.READ, "Messages and signals."),
+    "protocol.get": Method(Nothing, results.Protocol, Right.READ, "Messages and signals."),
 }
 
 

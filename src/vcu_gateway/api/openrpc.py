@@ -5,8 +5,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from vcu_gateway import __version__
-from vcu_gateway.api import methods
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.api.methods import METHODS, Method
 
@@ -40,8 +39,8 @@ def document() -> dict[str, Any]:
 
 def result_adapter(shape: type) -> TypeAdapter[Any]:
     """Checks and describes one result."""
-    for one in vars(shapes).values():
-        if isinstance(one, type) and one.__module__ == shapes.__name__:
+    for one in vars(results).values():
+        if isinstance(one, type) and one.__module__ == results.__name__:
             one.__pydantic_config__ = _DOCUMENTED  # type: ignore[attr-defined]
     return TypeAdapter(shape)
 
@@ -49,7 +48,7 @@ def result_adapter(shape: type) -> TypeAdapter[Any]:
 def _schemas() -> tuple[dict[str, Any], dict[str, Any]]:
     """Schema of each result and of the notification by name, and what they refer to."""
     adapters = {name: result_adapter(method.result) for name, method in METHODS.items()}
-    adapters[NOTIFICATION] = result_adapter(shapes.Update)
+    adapters[NOTIFICATION] = result_adapter(results.Update)
     params = {f"{name} params": TypeAdapter(method.params) for name, method in METHODS.items()}
     found, described = TypeAdapter.json_schemas(
         [(name, "validation", adapter) for name, adapter in {**adapters, **params}.items()],

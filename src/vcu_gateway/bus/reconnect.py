@@ -9,8 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from vcu_gateway.bus import diagnostics as complaints
-from vcu_gateway.bus import netlink
+from vcu_gateway.bus import diagnostics, netlink
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface import Interface, Interfaces
 from vcu_gateway.bus.netlink import InterfaceDetails
@@ -164,7 +163,7 @@ class Reconnector:
 
     def _check(self, opened: Interface, found: Interface | None, now_ns: int) -> None:
         channel = self._door.settings.channel
-        why = complaints.left(opened, found, channel, self._name_of)
+        why = diagnostics.left(opened, found, channel, self._name_of)
         if why is not None or not self._door.is_open:
             self._give_up(why or self._door.lost or "closed", now_ns)
         elif found is not None and found.carrier != opened.carrier:
@@ -184,7 +183,7 @@ class Reconnector:
     def _try_to_open(self, found: Interface | None, now_ns: int) -> None:
         gone = found is None and self._last_number is not None
         renamed_to = self._name_of(self._last_number or 0) if gone else None
-        if problem := complaints.unfit(found, self._door.settings, renamed_to):
+        if problem := diagnostics.unfit(found, self._door.settings, renamed_to):
             self._complain(str(problem))
         elif found is not None and now_ns >= self._next_ns:
             self._next_ns = now_ns + self._pause_ns

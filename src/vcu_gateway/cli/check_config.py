@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway import app as wiring
+from vcu_gateway import app
 from vcu_gateway import config as configuration
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config import BenchDemandSection, Config
@@ -23,8 +23,8 @@ def command(config_path: Path | None, as_json: bool) -> None:
     """
     path = resolve_config(config_path)
     config = configuration.load(path)
-    protocol = wiring.load_protocol(config)
-    wiring.check_protocol(config, protocol)
+    protocol = app.load_protocol(config)
+    app.check_protocol(config, protocol)
     if problems := configuration.check_against(config, protocol):
         raise ConfigError(*problems)
     if as_json:

@@ -11,8 +11,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
-from vcu_gateway.protocol import dbc, definition
-from vcu_gateway.protocol import docs_page as page
+from vcu_gateway.protocol import dbc, definition, docs_page
 
 _DEFINITION = Path("dbc/vcu.yaml")
 _OUTPUT = Path("dbc/vcu.dbc")
@@ -58,7 +57,7 @@ def command(check: bool, source: Path, output: Path, page_path: Path) -> None:
         remedy = "run this in the source tree, or name the file with --definition"
         raise MissingInputError(Problem("is not here", str(source), remedy))
     defined = definition.load(source)
-    generated = {output: dbc.write(defined), page_path: page.write(defined)}
+    generated = {output: dbc.write(defined), page_path: docs_page.write(defined)}
     stale = {path: text for path, text in generated.items() if _current(path) != text}
     if check:
         _report_stale(stale, _mending(source, output, page_path))

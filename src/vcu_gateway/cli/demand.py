@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.cli.api_options import api_options, connected
 from vcu_gateway.client import Client, DemandOwner
 
@@ -99,7 +99,7 @@ def _hold(
         end.wait(_SET_EVERY_S)
 
 
-def _tell(why: shapes.Why, told: str, as_json: bool) -> str:
+def _tell(why: results.Why, told: str, as_json: bool) -> str:
     """Print what changed; ages do not count."""
     reasons = [one["subject"] for one in why["blocks"] + why["limits"]]
     now = json.dumps([why["mode"], reasons, why["next_step"]])

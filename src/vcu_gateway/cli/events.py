@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.cli.api_options import age, api_options, connected, show
 
 
@@ -18,7 +18,7 @@ def command(socket_path: Path | None, as_json: bool, limit: int) -> None:
     show(events, as_json, lambda: "\n".join(map(_line, events["events"])) or "no events")
 
 
-def _line(event: shapes.EventEntry) -> str:
+def _line(event: results.EventEntry) -> str:
     fields = "  ".join(f"{name}={value}" for name, value in event["fields"].items())
     often = f"{event['count']} times since {age(event['first_ms'])}" if event["count"] > 1 else ""
     told = f"{event['last_time'][:23]}  {event['severity']:<8} {event['name']}  {fields}"

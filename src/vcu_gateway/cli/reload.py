@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.cli.api_options import api_options, connected, show
 
 
@@ -21,6 +21,6 @@ def command(socket_path: Path | None, as_json: bool) -> None:
     show(reloaded, as_json, lambda: _text(reloaded))
 
 
-def _text(reloaded: shapes.Reloaded) -> str:
+def _text(reloaded: results.Reloaded) -> str:
     changed = ", ".join(reloaded["changed"]) or "nothing"
     return f"changed: {changed} ({reloaded['digest']})"

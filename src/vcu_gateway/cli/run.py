@@ -7,19 +7,17 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway import app as wiring
+from vcu_gateway import app
 from vcu_gateway import config as configuration
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.daemon import log, safe_frames
-from vcu_gateway.daemon import realtime as memory
+from vcu_gateway.daemon import log, realtime, safe_frames
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.daemon.service import ServiceReporter
 from vcu_gateway.daemon.systemd import SystemdNotifier
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
-from vcu_gateway.server import health
-from vcu_gateway.server import views as report
+from vcu_gateway.server import health, views
 from vcu_gateway.serving import Serving
 
 
@@ -78,8 +76,8 @@ def _run(
     lock_memory: bool,
 ) -> None:
     config = configuration.load(resolve_config(config_path))
-    protocol = wiring.load_protocol(config)
-    wiring.check_protocol(config, protocol)
+    protocol = app.load_protocol(config)
+    app.check_protocol(config, protocol)
     problems = [
         *configuration.check_against(config, protocol),
         *configuration.check_accounts(config),
@@ -87,7 +85,7 @@ def _run(
     if problems:
         raise ConfigError(*problems)
     writer = log.configure(config.log.level, config.log.format)
-    daemon = wiring.build(config, protocol)
+    daemon = app.build(config, protocol)
     daemon.journal.tell(health.started(config))
     runtime = _runtime_folder()
     if runtime is not None:
@@ -124,7 +122,7 @@ def _run(
 
 def _lock_memory(daemon: TickLoop) -> None:
     try:
-        memory.lock()
+        realtime.lock()
     except UnavailableError as error:
         reason = str(error)
         daemon.journal.tell(Event("memory_not_locked", Severity.WARNING, {"reason": reason}))
@@ -147,8 +145,8 @@ def _write_state(path: Path, daemon: TickLoop) -> None:
 def _last_state(daemon: TickLoop) -> dict[str, object]:
     snapshot = daemon.gateway.intake.store.snapshot(time.monotonic_ns())
     return {
-        "messages": report.messages(snapshot),
-        "counters": report.counters(daemon.gateway),
+        "messages": views.messages(snapshot),
+        "counters": views.counters(daemon.gateway),
         "bus": daemon.door.report(),
         "ticks": {
             "done": daemon.schedule.ticks,

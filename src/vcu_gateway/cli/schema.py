@@ -17,12 +17,11 @@ def command(of_api: bool, as_page: bool) -> None:
     if as_page and not of_api:
         raise click.UsageError("--page needs --api")
     if of_api:
-        from vcu_gateway.api import docs_page as page
-        from vcu_gateway.api import openrpc
+        from vcu_gateway.api import docs_page, openrpc
 
         document = openrpc.document()
         click.echo(
-            page.page(document) if as_page else json.dumps(document, indent=2), nl=not as_page
+            docs_page.page(document) if as_page else json.dumps(document, indent=2), nl=not as_page
         )
         return
     from vcu_gateway import config

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.cli.api_options import age, api_options, connected, show
 
 
@@ -22,7 +22,7 @@ def command(socket_path: Path | None, as_json: bool, check: bool) -> None:
         sys.exit(1)
 
 
-def _lines(why: shapes.Why, health: shapes.Health, state: shapes.State) -> list[str]:
+def _lines(why: results.Why, health: results.Health, state: results.State) -> list[str]:
     commands = state["commands"].items()
     facts = {
         "mode": why["mode"],
@@ -37,7 +37,7 @@ def _lines(why: shapes.Why, health: shapes.Health, state: shapes.State) -> list[
     return [f"{name:<8} {text}" for name, text in facts.items()]
 
 
-def _demand(demand: shapes.DemandState | None) -> str:
+def _demand(demand: results.DemandState | None) -> str:
     if demand is None:
         return "none"
     if demand["age_ms"] is None:
@@ -46,7 +46,7 @@ def _demand(demand: shapes.DemandState | None) -> str:
     return f"{demand['source']}, {age(demand['age_ms'])} old, {fresh}"
 
 
-def _command(command: shapes.SentCommand) -> str:
+def _command(command: results.SentCommand) -> str:
     mode = "POWER CUT" if command["power_cut"] else command["power_mode"]
     return (
         f"throttle {command['throttle_pct']:.1f} %  brake {command['brake_pct']:.1f} %  {mode}"
@@ -56,7 +56,7 @@ def _command(command: shapes.SentCommand) -> str:
     )
 
 
-def _bus(health: shapes.Health) -> str:
+def _bus(health: results.Health) -> str:
     link = health["link"]
     reason = f": {link['lost']}" if link["lost"] else ""
     return (
@@ -64,7 +64,7 @@ def _bus(health: shapes.Health) -> str:
     )
 
 
-def _frames(frames: shapes.FrameCounts) -> str:
+def _frames(frames: results.FrameCounts) -> str:
     parts = [f"{frames['received']} received", f"{frames['sent']} sent"]
     counted = {
         "dropped": frames["dropped"] or 0,
@@ -76,7 +76,7 @@ def _frames(frames: shapes.FrameCounts) -> str:
     return ", ".join(parts + [f"{count} {what}" for what, count in counted.items()])
 
 
-def _ticks(ticks: shapes.Ticks) -> str:
+def _ticks(ticks: results.Ticks) -> str:
     late = ", ".join(
         f"{name} {value / 1000:.2f} ms"
         for name, value in (
@@ -89,7 +89,7 @@ def _ticks(ticks: shapes.Ticks) -> str:
     return f"{ticks['done']} done, {ticks['skipped']} skipped; late {late or 'unknown'}"
 
 
-def _program(health: shapes.Health) -> str:
+def _program(health: results.Health) -> str:
     starts = "" if health["starts"] is None else f", start {health['starts']} since boot"
     if health["unexpected_restarts"]:
         starts += f", {health['unexpected_restarts']} of them unexpected in this drive"

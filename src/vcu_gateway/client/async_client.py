@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self, TypeVar
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.client import calls, metrics_page
 from vcu_gateway.client.async_connection import AsyncConnection, ask
 from vcu_gateway.client.async_demand import AsyncDemandOwner
@@ -40,7 +40,7 @@ class AsyncClient:
         self._request_ids = itertools.count(1)
         self._connection: AsyncConnection | None = None
 
-    async def state(self, messages: Iterable[str] | None = None) -> shapes.State:
+    async def state(self, messages: Iterable[str] | None = None) -> results.State:
         """What is known and commanded now, of these messages or of all."""
         return await self.call(calls.state(messages))
 
@@ -51,43 +51,43 @@ class AsyncClient:
         call = calls.subscribe(messages, rate_hz)
         return AsyncSubscription(self.socket_path, call, rate_hz, self.timeout_s)
 
-    async def why(self) -> shapes.Why:
+    async def why(self) -> results.Why:
         """Why the vehicle does or does not move, and what to do next."""
         return await self.call(calls.why())
 
-    async def health(self) -> shapes.Health:
+    async def health(self) -> results.Health:
         """How the gateway itself fares: bus, ticks, counters, versions."""
         return await self.call(calls.health())
 
-    async def events(self, limit: int = 50) -> shapes.Events:
+    async def events(self, limit: int = 50) -> results.Events:
         """The latest events, 1 to 200 of them."""
         return await self.call(calls.events(limit))
 
-    async def config(self) -> shapes.ConfigInEffect:
+    async def config(self) -> results.ConfigInEffect:
         """The configuration in effect."""
         return await self.call(calls.config())
 
-    async def protocol(self) -> shapes.Protocol:
+    async def protocol(self) -> results.Protocol:
         """The bus's messages and signals."""
         return await self.call(calls.protocol())
 
-    async def arm(self) -> shapes.Granted:
+    async def arm(self) -> results.Granted:
         """From standby to active; needs a fresh demand without throttle."""
         return await self.call(calls.arm())
 
-    async def disarm(self) -> shapes.Granted:
+    async def disarm(self) -> results.Granted:
         """From active to standby."""
         return await self.call(calls.disarm())
 
-    async def reset(self, level: Literal["driver", "service"] = "driver") -> shapes.Granted:
+    async def reset(self, level: Literal["driver", "service"] = "driver") -> results.Granted:
         """From fault to starting."""
         return await self.call(calls.reset(level))
 
-    async def estop(self) -> shapes.Granted:
+    async def estop(self) -> results.Granted:
         """Cut the power of both controllers, until a reset at service level."""
         return await self.call(calls.estop())
 
-    async def reload(self) -> shapes.Reloaded:
+    async def reload(self) -> results.Reloaded:
         """Let the gateway read its configuration file again, all of it or nothing."""
         return await self.call(calls.reload())
 

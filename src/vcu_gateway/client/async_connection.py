@@ -7,7 +7,7 @@ from collections import deque
 from pathlib import Path
 from typing import TypeVar
 
-from vcu_gateway.client import jsonrpc as wire
+from vcu_gateway.client import jsonrpc
 from vcu_gateway.client.calls import Call
 from vcu_gateway.client.connect import connect
 from vcu_gateway.client.errors import GarbledError
@@ -22,8 +22,8 @@ class AsyncConnection:
 
     def __init__(self, path: Path) -> None:
         self._socket = connect(path)
-        self._inbox = wire.MessageDecoder()
-        self._arrived: deque[wire.Incoming] = deque()
+        self._inbox = jsonrpc.MessageDecoder()
+        self._arrived: deque[jsonrpc.Incoming] = deque()
         self._ended = False
         self._reading = False
 
@@ -49,7 +49,7 @@ class AsyncConnection:
             if self._ended:
                 self._socket.close()
 
-    async def receive(self) -> wire.Incoming | None:
+    async def receive(self) -> jsonrpc.Incoming | None:
         """The next message; None once the connection has ended."""
         while not self._arrived:
             data = await self.read()
@@ -71,7 +71,7 @@ class AsyncConnection:
 
 async def ask(connection: AsyncConnection, request_id: int, call: Call[ResultT]) -> ResultT:
     """Send one request and wait for its answer; an error is raised."""
-    sent = await connection.send(wire.request(request_id, call.method, call.params))
+    sent = await connection.send(jsonrpc.request(request_id, call.method, call.params))
     # A gateway that did not take it all may still have said why.
     answer = await _answer(connection, request_id, call)
     if answer is None:
@@ -82,11 +82,11 @@ async def ask(connection: AsyncConnection, request_id: int, call: Call[ResultT])
 
 async def _answer(
     connection: AsyncConnection, request_id: int, call: Call[ResultT]
-) -> wire.Response | None:
+) -> jsonrpc.Response | None:
     """None where the connection ended instead."""
     try:
         while (incoming := await connection.receive()) is not None:
-            if isinstance(incoming, wire.Response) and incoming.concerns(request_id):
+            if isinstance(incoming, jsonrpc.Response) and incoming.concerns(request_id):
                 return incoming
     except GarbledError as error:
         raise GarbledError(f"{error}{call.doubt}") from error

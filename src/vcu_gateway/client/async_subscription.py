@@ -5,8 +5,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
 
-from vcu_gateway.api import results as shapes
-from vcu_gateway.client import jsonrpc as wire
+from vcu_gateway.api import results
+from vcu_gateway.client import jsonrpc
 from vcu_gateway.client.async_connection import AsyncConnection, ask
 from vcu_gateway.client.calls import Call
 from vcu_gateway.client.errors import ApiTimeoutError, GarbledError
@@ -23,7 +23,7 @@ class AsyncSubscription:
     """
 
     def __init__(
-        self, path: Path, call: Call[shapes.Subscribed], rate_hz: float, timeout_s: float
+        self, path: Path, call: Call[results.Subscribed], rate_hz: float, timeout_s: float
     ) -> None:
         self._path = path
         self._call = call
@@ -34,7 +34,7 @@ class AsyncSubscription:
     def __aiter__(self) -> Self:
         return self
 
-    async def __anext__(self) -> shapes.Update:
+    async def __anext__(self) -> results.Update:
         connection = self._connection or await self._begin()
         try:
             async with asyncio.timeout(self._patience_s):
@@ -78,9 +78,9 @@ class AsyncSubscription:
         self.close()
 
 
-async def _update(connection: AsyncConnection) -> shapes.Update | None:
+async def _update(connection: AsyncConnection) -> results.Update | None:
     """The next one; None once the connection has ended."""
     while (incoming := await connection.receive()) is not None:
-        if isinstance(incoming, wire.Notification) and incoming.method == "state.update":
-            return cast(shapes.Update, incoming.params)
+        if isinstance(incoming, jsonrpc.Notification) and incoming.method == "state.update":
+            return cast(results.Update, incoming.params)
     return None

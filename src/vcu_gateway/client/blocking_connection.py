@@ -7,7 +7,7 @@ from collections import deque
 from pathlib import Path
 from typing import TypeVar
 
-from vcu_gateway.client import jsonrpc as wire
+from vcu_gateway.client import jsonrpc
 from vcu_gateway.client.calls import Call
 from vcu_gateway.client.connect import connect
 from vcu_gateway.client.errors import GarbledError
@@ -23,8 +23,8 @@ class Connection:
 
     def __init__(self, path: Path) -> None:
         self._socket = connect(path, _TURN_WITHIN_S)
-        self._inbox = wire.MessageDecoder()
-        self._arrived: deque[wire.Incoming] = deque()
+        self._inbox = jsonrpc.MessageDecoder()
+        self._arrived: deque[jsonrpc.Incoming] = deque()
         self._ended = False
 
     def send(self, data: bytes, deadline_s: float) -> bool:
@@ -46,7 +46,7 @@ class Connection:
         except ConnectionError:
             return b""
 
-    def receive(self, deadline_s: float) -> wire.Incoming | None:
+    def receive(self, deadline_s: float) -> jsonrpc.Incoming | None:
         """The next message; None once the connection has ended."""
         while not self._arrived:
             data = self.read(deadline_s)
@@ -69,7 +69,7 @@ class Connection:
 
 def ask(connection: Connection, request_id: int, call: Call[ResultT], deadline_s: float) -> ResultT:
     """Send one request and wait for its answer; an error is raised."""
-    sent = connection.send(wire.request(request_id, call.method, call.params), deadline_s)
+    sent = connection.send(jsonrpc.request(request_id, call.method, call.params), deadline_s)
     # A gateway that did not take it all may still have said why.
     answer = _answer(connection, request_id, call, deadline_s)
     if answer is None:
@@ -80,11 +80,11 @@ def ask(connection: Connection, request_id: int, call: Call[ResultT], deadline_s
 
 def _answer(
     connection: Connection, request_id: int, call: Call[ResultT], deadline_s: float
-) -> wire.Response | None:
+) -> jsonrpc.Response | None:
     """None where the connection ended instead."""
     try:
         while (incoming := connection.receive(deadline_s)) is not None:
-            if isinstance(incoming, wire.Response) and incoming.concerns(request_id):
+            if isinstance(incoming, jsonrpc.Response) and incoming.concerns(request_id):
                 return incoming
     except GarbledError as error:
         raise GarbledError(f"{error}{call.doubt}") from error

@@ -6,8 +6,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
 
-from vcu_gateway.api import results as shapes
-from vcu_gateway.client import jsonrpc as wire
+from vcu_gateway.api import results
+from vcu_gateway.client import jsonrpc
 from vcu_gateway.client.blocking_connection import Connection, ask
 from vcu_gateway.client.calls import Call
 from vcu_gateway.client.errors import ApiTimeoutError, GarbledError
@@ -23,7 +23,7 @@ class Subscription:
     """
 
     def __init__(
-        self, path: Path, call: Call[shapes.Subscribed], rate_hz: float, timeout_s: float
+        self, path: Path, call: Call[results.Subscribed], rate_hz: float, timeout_s: float
     ) -> None:
         self._patience_s = timeout_s + 1 / max(rate_hz, _LOWEST_RATE_HZ)
         self._reading = threading.Lock()
@@ -39,7 +39,7 @@ class Subscription:
     def __iter__(self) -> Self:
         return self
 
-    def __next__(self) -> shapes.Update:
+    def __next__(self) -> results.Update:
         with self._reading:
             update = self._following()
             if update is None:
@@ -47,7 +47,7 @@ class Subscription:
                 raise StopIteration
             return update
 
-    def _following(self) -> shapes.Update | None:
+    def _following(self) -> results.Update | None:
         """The next update; None once the connection has ended."""
         try:
             return self._update(time.monotonic() + self._patience_s)
@@ -57,10 +57,10 @@ class Subscription:
             self._connection.close()
             raise
 
-    def _update(self, deadline_s: float) -> shapes.Update | None:
+    def _update(self, deadline_s: float) -> results.Update | None:
         while (incoming := self._connection.receive(deadline_s)) is not None:
-            if isinstance(incoming, wire.Notification) and incoming.method == "state.update":
-                return cast(shapes.Update, incoming.params)
+            if isinstance(incoming, jsonrpc.Notification) and incoming.method == "state.update":
+                return cast(results.Update, incoming.params)
         return None
 
     def close(self) -> None:

@@ -6,7 +6,7 @@ The blocking and the asyncio client send these; the demand has its own connectio
 from collections.abc import Iterable, Mapping
 from typing import Generic, Literal, NamedTuple, TypeVar
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.client.errors import ApiTimeoutError, DisconnectedError
 
 ResultT = TypeVar("ResultT")
@@ -47,62 +47,62 @@ class Call(NamedTuple, Generic[ResultT]):
         return ApiTimeoutError(f"no answer to {self.method} within {timeout_s:g} s{self.doubt}")
 
 
-def state(messages: Iterable[str] | None) -> Call[shapes.State]:
+def state(messages: Iterable[str] | None) -> Call[results.State]:
     """What is known and commanded now."""
     return Call("state.get", _chosen(messages))
 
 
-def subscribe(messages: Iterable[str] | None, rate_hz: float) -> Call[shapes.Subscribed]:
+def subscribe(messages: Iterable[str] | None, rate_hz: float) -> Call[results.Subscribed]:
     """The state again and again; for a connection of its own."""
     return Call("state.subscribe", {**_chosen(messages), "rate_hz": rate_hz})
 
 
-def why() -> Call[shapes.Why]:
+def why() -> Call[results.Why]:
     """Why the vehicle does or does not move."""
     return Call("why", {})
 
 
-def health() -> Call[shapes.Health]:
+def health() -> Call[results.Health]:
     """How the gateway itself fares."""
     return Call("health", {})
 
 
-def events(limit: int) -> Call[shapes.Events]:
+def events(limit: int) -> Call[results.Events]:
     """The latest events."""
     return Call("events", {"limit": limit})
 
 
-def config() -> Call[shapes.ConfigInEffect]:
+def config() -> Call[results.ConfigInEffect]:
     """The configuration in effect."""
     return Call("config.get", {})
 
 
-def protocol() -> Call[shapes.Protocol]:
+def protocol() -> Call[results.Protocol]:
     """Messages and signals."""
     return Call("protocol.get", {})
 
 
-def arm() -> Call[shapes.Granted]:
+def arm() -> Call[results.Granted]:
     """From standby to active."""
     return Call("arm", {}, changes=True)
 
 
-def disarm() -> Call[shapes.Granted]:
+def disarm() -> Call[results.Granted]:
     """From active to standby."""
     return Call("disarm", {}, changes=True, stops=True)
 
 
-def reset(level: Literal["driver", "service"]) -> Call[shapes.Granted]:
+def reset(level: Literal["driver", "service"]) -> Call[results.Granted]:
     """From fault to starting."""
     return Call("reset", {"level": level}, changes=True)
 
 
-def estop() -> Call[shapes.Granted]:
+def estop() -> Call[results.Granted]:
     """Cut the power of both controllers."""
     return Call("estop", {}, changes=True, stops=True)
 
 
-def reload() -> Call[shapes.Reloaded]:
+def reload() -> Call[results.Reloaded]:
     """Read the configuration file again."""
     return Call("config.reload", {}, changes=True)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from vcu_gateway.api.errors import ErrorCode
-from vcu_gateway.client import jsonrpc as wire
+from vcu_gateway.client import jsonrpc
 from vcu_gateway.client.connect import connect
 from vcu_gateway.client.demand import RequestValues
 from vcu_gateway.client.errors import GarbledError, UnreachableError
@@ -33,7 +33,7 @@ class DemandSession:
         self.socket: socket.socket | None = None
         self._path = path
         self._patience_ns = round(timeout_s * _NS_PER_S)
-        self._inbox = wire.MessageDecoder()
+        self._inbox = jsonrpc.MessageDecoder()
         self._broken = False
         self._released = False
         self._unanswered: dict[int | None, str] = {}
@@ -54,7 +54,7 @@ class DemandSession:
     def open(self, now_ns: int) -> None:
         """Connect and ask for no motion; UnreachableError where nobody listens."""
         self.socket = connect(self._path)
-        self._inbox = wire.MessageDecoder()
+        self._inbox = jsonrpc.MessageDecoder()
         self._unanswered.clear()
         self.keeping.still()
         self._send_demand(self.keeping.repeat(now_ns), now_ns)
@@ -113,7 +113,7 @@ class DemandSession:
         if not self._unanswered:
             self._heard_ns = now_ns
         self._unanswered[number] = method
-        line = wire.request(number, method, params)
+        line = jsonrpc.request(number, method, params)
         try:
             self._broken = self.socket.send(line) < len(line)
         except OSError:
@@ -132,13 +132,13 @@ class DemandSession:
     def _hangs(self, now_ns: int) -> bool:
         return bool(self._unanswered) and now_ns - self._heard_ns > self._patience_ns
 
-    def _take(self, arrived: list[wire.Incoming], now_ns: int) -> None:
+    def _take(self, arrived: list[jsonrpc.Incoming], now_ns: int) -> None:
         for incoming in arrived:
-            if isinstance(incoming, wire.Response):
+            if isinstance(incoming, jsonrpc.Response):
                 self._heard_ns = now_ns
                 self._heed(incoming)
 
-    def _heed(self, answer: wire.Response) -> None:
+    def _heed(self, answer: jsonrpc.Response) -> None:
         method = self._unanswered.pop(answer.id, "")
         if answer.id is not None and method != "demand.set":
             return

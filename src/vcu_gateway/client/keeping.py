@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.client.demand import NO_MOTION, RequestValues, without_motion
 from vcu_gateway.client.errors import ApiError
 
@@ -38,7 +38,7 @@ class DeadMan:
     def __init__(self, source: str, ttl_ms: int, hold_s: float | None) -> None:
         self.source = source
         self.refusal: ApiError | None = None
-        self.last_answer: shapes.Granted | None = None
+        self.last_answer: results.Granted | None = None
         self.due_ns = 0
         self._ttl_ms = ttl_ms
         self._hold_ns = None if hold_s is None else round(hold_s * _NS_PER_S)
@@ -73,7 +73,7 @@ class DeadMan:
         self._sequence = max(self._sequence + 1, now_ns // _NS_PER_US)
         return self._sequence
 
-    def granted(self, answer: shapes.Granted) -> None:
+    def granted(self, answer: results.Granted) -> None:
         """The gateway took a demand."""
         self.last_answer = answer
         self._refused_in_a_row = 0

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self, TypeVar
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.client import calls, metrics_page
 from vcu_gateway.client.blocking_connection import Connection, ask
 from vcu_gateway.client.blocking_subscription import Subscription
@@ -40,7 +40,7 @@ class Client:
         self._request_ids = itertools.count(1)
         self._connection: Connection | None = None
 
-    def state(self, messages: Iterable[str] | None = None) -> shapes.State:
+    def state(self, messages: Iterable[str] | None = None) -> results.State:
         """What is known and commanded now, of these messages or of all."""
         return self.call(calls.state(messages))
 
@@ -51,43 +51,43 @@ class Client:
         call = calls.subscribe(messages, rate_hz)
         return Subscription(self.socket_path, call, rate_hz, self.timeout_s)
 
-    def why(self) -> shapes.Why:
+    def why(self) -> results.Why:
         """Why the vehicle does or does not move, and what to do next."""
         return self.call(calls.why())
 
-    def health(self) -> shapes.Health:
+    def health(self) -> results.Health:
         """How the gateway itself fares: bus, ticks, counters, versions."""
         return self.call(calls.health())
 
-    def events(self, limit: int = 50) -> shapes.Events:
+    def events(self, limit: int = 50) -> results.Events:
         """The latest events, 1 to 200 of them."""
         return self.call(calls.events(limit))
 
-    def config(self) -> shapes.ConfigInEffect:
+    def config(self) -> results.ConfigInEffect:
         """The configuration in effect."""
         return self.call(calls.config())
 
-    def protocol(self) -> shapes.Protocol:
+    def protocol(self) -> results.Protocol:
         """The bus's messages and signals."""
         return self.call(calls.protocol())
 
-    def arm(self) -> shapes.Granted:
+    def arm(self) -> results.Granted:
         """From standby to active; needs a fresh demand without throttle."""
         return self.call(calls.arm())
 
-    def disarm(self) -> shapes.Granted:
+    def disarm(self) -> results.Granted:
         """From active to standby."""
         return self.call(calls.disarm())
 
-    def reset(self, level: Literal["driver", "service"] = "driver") -> shapes.Granted:
+    def reset(self, level: Literal["driver", "service"] = "driver") -> results.Granted:
         """From fault to starting."""
         return self.call(calls.reset(level))
 
-    def estop(self) -> shapes.Granted:
+    def estop(self) -> results.Granted:
         """Cut the power of both controllers, until a reset at service level."""
         return self.call(calls.estop())
 
-    def reload(self) -> shapes.Reloaded:
+    def reload(self) -> results.Reloaded:
         """Let the gateway read its configuration file again, all of it or nothing."""
         return self.call(calls.reload())
 

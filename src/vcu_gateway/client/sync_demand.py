@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, Unpack
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.client.demand import DemandRequest, request_values
 from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
@@ -76,7 +76,7 @@ class DemandOwner:
         return self._keeping.refusal
 
     @property
-    def last_answer(self) -> shapes.Granted | None:
+    def last_answer(self) -> results.Granted | None:
         """What the gateway granted last, with its mode then; None before the first."""
         return self._keeping.last_answer
 

@@ -6,9 +6,7 @@ from pathlib import Path
 
 from vcu_gateway.config.model import Config, ConfigSource
 from vcu_gateway.errors import ConfigError, Problem
-from vcu_gateway.strict_yaml import file_text as text
-from vcu_gateway.strict_yaml import parser as document
-from vcu_gateway.strict_yaml import validation as shape
+from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.problems import FileProblem, problems
 
 # The bench demand's own limits and what they must not exceed.
@@ -20,12 +18,12 @@ _DEMAND_LIMITS = {
 
 def load(path: Path) -> Config:
     """Read a configuration file; ConfigError names everything that is wrong with it."""
-    return parse(text.read(path), str(path))
+    return parse(file_text.read(path), str(path))
 
 
 def parse(contents: str, where: str) -> Config:
     """As `load`, from text; `where` is the file that errors name and paths are relative to."""
-    read = document.read(contents)
+    read = parser.read(contents)
     if read.is_yaml and read.value is None and not read.findings:
         remedy = "write at least one section, such as `bus:` with `channel: can0` below it"
         raise ConfigError(Problem("is empty", where, remedy))
@@ -39,12 +37,12 @@ def parse(contents: str, where: str) -> Config:
     return config
 
 
-def _config(read: document.YamlDocument) -> tuple[Config | None, list[FileProblem]]:
+def _config(read: parser.YamlDocument) -> tuple[Config | None, list[FileProblem]]:
     findings = list(read.findings)
     if not read.is_yaml:
         return None, findings
     known = {finding.path for finding in findings}
-    config, refused = shape.validated(Config, read.value)
+    config, refused = validation.validated(Config, read.value)
     return config, findings + [finding for finding in refused if finding.path not in known]
 
 
@@ -80,6 +78,6 @@ def _contradictions(config: Config) -> Iterator[FileProblem]:
     for name, maximum in _DEMAND_LIMITS.items() if demand is not None else ():
         asked, largest = getattr(demand, name), getattr(config.limits, maximum)
         if asked > largest:
-            what = f"must be at most {largest} {shape.unit(name)}, not {asked}"
+            what = f"must be at most {largest} {validation.unit(name)}, not {asked}"
             remedy = f"limits.{maximum} says so"
             yield FileProblem(("bench", "demand", name), what, remedy)

@@ -11,8 +11,7 @@ from enum import Enum
 from functools import partial
 from typing import Any, NamedTuple
 
-from vcu_gateway.core import codegen as source
-from vcu_gateway.core import j1939
+from vcu_gateway.core import codegen, j1939
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec
 
@@ -116,7 +115,7 @@ class Codec:
 
 def compile_message(message: MessageSpec) -> MessageCodec:
     """Write out and compile the decoder and the encoder of one message."""
-    layout = source.plan(message)
+    layout = codegen.plan(message)
     names = {
         "Decoded": Decoded,
         "unpack": struct.Struct(layout.struct_format).unpack,
@@ -127,8 +126,8 @@ def compile_message(message: MessageSpec) -> MessageCodec:
     }
     return MessageCodec(
         message,
-        decode=_build("decode", source.decoder(message, layout), names),
-        encode=_build("encode", source.encoder(message, layout), names),
+        decode=_build("decode", codegen.decoder(message, layout), names),
+        encode=_build("encode", codegen.encoder(message, layout), names),
     )
 
 

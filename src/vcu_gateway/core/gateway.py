@@ -7,8 +7,7 @@ tick, one at a time; everything else belongs to the ticking thread.
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.core import freshness, rules, throttle, why
-from vcu_gateway.core import motor_speeds as speeds
+from vcu_gateway.core import freshness, motor_speeds, rules, throttle, why
 from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
@@ -63,7 +62,7 @@ class Gateway:
         self.supervisor = Supervisor(now_ns)
         self._commander = Commander(settings)
         self._regeneration = RegenerationInterlock()
-        self._speeds = speeds.UNKNOWN
+        self._speeds = motor_speeds.UNKNOWN
         self._listening = ListenBeforeTalk(now_ns, settings.listen_before_talk_ms)
         self._qualification = Qualification()
         self._plausibility = Plausibility()
@@ -180,7 +179,7 @@ class Gateway:
         hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
         self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
         self._supervise(snapshot)
-        self._speeds = speeds.of(snapshot, world.observed)
+        self._speeds = motor_speeds.of(snapshot, world.observed)
         decided = self._decide(snapshot)
         frames = self._frames(decided, now_ns) if talking else ()
         self.output.sending.note_emitted(bool(frames))
@@ -243,7 +242,7 @@ class Gateway:
         settings, now_ns, mode = self.settings, snapshot.now_ns, self.supervisor.mode
         effects, asked = self.causes.effects(), self.requests.asked(now_ns)
         regenerates = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
-        slow = speeds.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
+        slow = motor_speeds.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
         if mode is Mode.ACTIVE and asked is not None:
             return self._commander.active(
                 asked, effects, slow, settings, now_ns, regenerates=regenerates

@@ -13,9 +13,8 @@ import threading
 import time
 from pathlib import Path
 
-from vcu_gateway import app as wiring
+from vcu_gateway import app, simulator
 from vcu_gateway import config as configuration
-from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
@@ -42,8 +41,8 @@ def run(wanted: DemoOptions, folder: Path) -> None:
     """Drive the vehicle until the end; `folder` is for the socket."""
     writer = log.configure("error", "console")
     config = configuration.parse(_config(wanted, folder / "control.sock"), "demo")
-    protocol = wiring.load_protocol(config)
-    daemon = wiring.build(config, protocol)
+    protocol = app.load_protocol(config)
+    daemon = app.build(config, protocol)
     daemon.door.claim()
     serving = Serving(config, protocol, daemon, lambda: writer.dropped)
     daemon.handle_signals()

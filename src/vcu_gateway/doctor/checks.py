@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from vcu_gateway.doctor import (
     buffers,
+    bus_traffic,
     clock,
     configuration,
     interface,
@@ -14,10 +15,9 @@ from vcu_gateway.doctor import (
     permissions,
     process,
     protocol,
+    running_gateway,
     service,
 )
-from vcu_gateway.doctor import bus_traffic as listening
-from vcu_gateway.doctor import running_gateway as gateway
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
 from vcu_gateway.errors import Problem
 
@@ -37,7 +37,7 @@ class _Case(NamedTuple):
 
     file: configuration.ConfigurationFacts
     unit: service.ServiceFacts
-    gateway: gateway.GatewayFacts
+    running_gateway: running_gateway.GatewayFacts
 
     @property
     def is_of_the_service(self) -> bool:
@@ -88,7 +88,7 @@ def _of_machine(case: _Case) -> dict[str, _Room]:
         "process": lambda: _process(case),
         "service": lambda: service.judge(case.unit),
         "libraries": lambda: libraries.judge(libraries.read()),
-        "gateway": lambda: gateway.judge(case.gateway),
+        "gateway": lambda: running_gateway.judge(case.gateway),
     }
 
 
@@ -105,7 +105,7 @@ def _case(path: Path | None, missing: tuple[Problem, ...]) -> _Case:
     file = configuration.read(path, missing)
     unit = service.read(service.unit_of(path))
     expected = unit.is_active and unit.runs_with(path)
-    return _Case(file, unit, gateway.read(file.in_effect, expected))
+    return _Case(file, unit, running_gateway.read(file.in_effect, expected))
 
 
 def _interface(case: _Case) -> Iterable[CheckResult]:
@@ -133,11 +133,15 @@ def _bus(case: _Case) -> Iterable[CheckResult]:
     config = case.file.in_effect
     spec = protocol.read(config).spec
     if spec is None:
-        return [listening.SUBJECT.unknown("listen", "without a protocol nobody knows what to hear")]
-    heard = listening.listen(config.bus.channel)
+        return [
+            bus_traffic.SUBJECT.unknown("listen", "without a protocol nobody knows what to hear")
+        ]
+    heard = bus_traffic.listen(config.bus.channel)
     required = config.safety.required_messages
     runs = case.pid is not None
-    return listening.judge(listening.TrafficFacts(config.bus.channel, heard, spec, required, runs))
+    return bus_traffic.judge(
+        bus_traffic.TrafficFacts(config.bus.channel, heard, spec, required, runs)
+    )
 
 
 def _permissions(case: _Case) -> Iterable[CheckResult]:

@@ -30,13 +30,13 @@ class ProtocolFacts(NamedTuple):
 
 def read(config: Config) -> ProtocolFacts:
     """Read it as the gateway does; cantools is imported only here."""
-    from vcu_gateway import app as wiring
+    from vcu_gateway import app
 
     facts = ProtocolFacts(None if config.protocol.dbc is None else str(config.protocol.dbc))
     try:
-        spec = wiring.load_protocol(config)
+        spec = app.load_protocol(config)
         facts = facts._replace(spec=spec)
-        wiring.check_protocol(config, spec)
+        app.check_protocol(config, spec)
     except GatewayError as error:
         return facts._replace(contradictions=error.problems)
     return facts._replace(unknown_names=tuple(configuration.check_against(config, spec)))

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from vcu_gateway import config as configuration
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.client import Client, ClientError
 from vcu_gateway.config import Config
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
@@ -27,7 +27,7 @@ class GatewayFacts(NamedTuple):
     """
 
     socket_path: str
-    answers: tuple[shapes.Why, shapes.Health] | Unreadable | None
+    answers: tuple[results.Why, results.Health] | Unreadable | None
     barred: bool = False
     expected: bool = False
     file: str = ""
@@ -75,14 +75,14 @@ def judge(facts: GatewayFacts) -> Iterator[CheckResult]:
         yield SUBJECT.ok("answers", f"no gateway runs at {facts.socket_path}")
 
 
-def _alive(facts: GatewayFacts, why: shapes.Why, health: shapes.Health) -> Iterator[CheckResult]:
+def _alive(facts: GatewayFacts, why: results.Why, health: results.Health) -> Iterator[CheckResult]:
     yield _mode(why)
     ticks, frames = health["ticks"], health["frames"]
     good = (_link(health["link"]), _skipped(ticks), _dropped(frames), _same(facts, health))
     yield from SUBJECT.summed(f"process {health['pid']}", good)
 
 
-def _mode(why: shapes.Why) -> CheckResult:
+def _mode(why: results.Why) -> CheckResult:
     sentence = why["sentence"]
     if why["mode"] == _DRIVING:
         return SUBJECT.ok("mode", f"{sentence}; somebody drives: change nothing now")
@@ -93,7 +93,7 @@ def _mode(why: shapes.Why) -> CheckResult:
     return SUBJECT.warning("mode", sentence, "vcu-gateway why")
 
 
-def _link(link: shapes.Link) -> Outcome:
+def _link(link: results.Link) -> Outcome:
     name = f"{link['interface']} {link['channel']}"
     if link["state"] == "up":
         return f"{name} up"
@@ -104,14 +104,14 @@ def _link(link: shapes.Link) -> Outcome:
     return SUBJECT.wrong("link", what, "see interface")
 
 
-def _skipped(ticks: shapes.Ticks) -> Outcome:
+def _skipped(ticks: results.Ticks) -> Outcome:
     if not ticks["skipped"]:
         return f"no tick of {ticks['done']} skipped"
     what = f"{ticks['skipped']} ticks of {ticks['done']} were skipped: the machine was too slow"
     return SUBJECT.warning("ticks", what, "see process; vcu-gateway events")
 
 
-def _dropped(frames: shapes.FrameCounts) -> Outcome | None:
+def _dropped(frames: results.FrameCounts) -> Outcome | None:
     if frames["dropped"] is None:
         return None
     if not frames["dropped"]:
@@ -120,7 +120,7 @@ def _dropped(frames: shapes.FrameCounts) -> Outcome | None:
     return SUBJECT.warning("frames", what, "see buffers and process")
 
 
-def _same(facts: GatewayFacts, health: shapes.Health) -> Outcome | None:
+def _same(facts: GatewayFacts, health: results.Health) -> Outcome | None:
     if not facts.digest:
         return None
     running = health["config_file"]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.rights import Policy, Right
-from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.peer import peer_of
 from vcu_gateway.server.rate_limit import TokenBucket
@@ -112,7 +112,7 @@ class Acceptor:
                 f" {self._limits.kept_places} places kept for those who may operate,"
                 " and a demand keeps its place"
             )
-            line = wire.error_line(None, RequestError(ErrorCode.TOO_MANY_CLIENTS, what))
+            line = jsonrpc.error_line(None, RequestError(ErrorCode.TOO_MANY_CLIENTS, what))
             with contextlib.suppress(OSError):  # it may have left already
                 sock.send(line, socket.MSG_NOSIGNAL)
         sock.close()

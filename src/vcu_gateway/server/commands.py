@@ -4,8 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from vcu_gateway.api import methods
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.core.demand import (
     CONTROLLERS,
@@ -19,7 +18,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.daemon.event_log import LoggedEvent
-from vcu_gateway.server import views as report
+from vcu_gateway.server import views
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.sources import Sources
@@ -53,7 +52,7 @@ class CommandHandlers:
         for source in self._sources.forget(caller.connection):
             self._requests.end_demand(source, time.monotonic_ns())
 
-    def set_demand(self, params: methods.DemandParams, caller: Caller) -> shapes.Granted:
+    def set_demand(self, params: methods.DemandParams, caller: Caller) -> results.Granted:
         """Take a demand."""
         owner = self._sources.owner_of(params.source)
         if owner is not None and owner != caller.connection:
@@ -65,45 +64,45 @@ class CommandHandlers:
             self._sources.note(params.source, caller.connection)
         return self._granted(answer)
 
-    def release(self, params: methods.ReleaseParams, caller: Caller) -> shapes.Granted:
+    def release(self, params: methods.ReleaseParams, caller: Caller) -> results.Granted:
         """End one's own demand."""
         if self._sources.owner_of(params.source) != caller.connection:
             sentence = f"this connection is not source {params.source}"
             raise _refused(Refusal.OTHER_OWNER, sentence)
         return self._granted(self._requests.end_demand(params.source, time.monotonic_ns()))
 
-    def arm(self, _: methods.Nothing, caller: Caller) -> shapes.Granted:
+    def arm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         """From standby to active."""
         return self._told("arm", caller, self._requests.arm(time.monotonic_ns()))
 
-    def disarm(self, _: methods.Nothing, caller: Caller) -> shapes.Granted:
+    def disarm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         """From active to standby."""
         return self._told("disarm", caller, self._requests.disarm(time.monotonic_ns()))
 
-    def estop(self, _: methods.Nothing, caller: Caller) -> shapes.Granted:
+    def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         """Cut the power."""
         return self._told("estop", caller, self._requests.emergency_stop())
 
-    def reset(self, params: methods.ResetParams, caller: Caller) -> shapes.Granted:
+    def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
         """From fault to starting."""
         level = FaultClass(params.level)
         return self._told("reset", caller, self._requests.reset(level, time.monotonic_ns()))
 
-    def _told(self, what: str, caller: Caller, answer: RequestResult) -> shapes.Granted:
+    def _told(self, what: str, caller: Caller, answer: RequestResult) -> results.Granted:
         """As `_granted`, with who asked in the journal."""
         peer = {"uid": caller.peer.uid, "pid": caller.peer.pid}
         fields = {"request": what, "granted": answer.granted, **peer}
         self._program.daemon.journal.tell(Event("api_request", Severity.INFO, fields))
         return self._granted(answer)
 
-    def _granted(self, answer: RequestResult) -> shapes.Granted:
+    def _granted(self, answer: RequestResult) -> results.Granted:
         self._program.daemon.explain_anew()
         if answer.refusal is not None:
             raise _refused(answer.refusal, answer.sentence)
         mode = self._program.daemon.gateway.supervisor.mode
-        return {"granted": True, "mode": report.mode_name(mode)}
+        return {"granted": True, "mode": views.mode_name(mode)}
 
-    def events(self, params: methods.EventsParams, _: Caller) -> shapes.Events:
+    def events(self, params: methods.EventsParams, _: Caller) -> results.Events:
         """The latest of the journal."""
         now_ns, journal = time.monotonic_ns(), self._program.daemon.journal
         entries = [_entry(entry, now_ns) for entry in journal.latest(params.limit)]
@@ -162,7 +161,7 @@ def _refused(refusal: Refusal, sentence: str) -> RequestError:
     return RequestError(ErrorCode.REFUSED, sentence, refusal=refusal.value)
 
 
-def _entry(entry: LoggedEvent, now_ns: int) -> shapes.EventEntry:
+def _entry(entry: LoggedEvent, now_ns: int) -> results.EventEntry:
     severity = cast(Any, entry.event.severity.name.lower())
     return {
         "name": entry.event.name,

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.daemon.loop import LastTick, TickLoop
@@ -24,9 +24,9 @@ class ServerContext(NamedTuple):
     in_effect: EffectiveConfig
     reloader: Reloader
     facts: RunFacts
-    protocol: shapes.Protocol
+    protocol: results.Protocol
     metrics: Callable[[], bytes] | None
-    api_counts: Callable[[], shapes.ApiCounts]
+    api_counts: Callable[[], results.ApiCounts]
 
     def latest(self) -> LastTick:
         """The last tick; Failure before the first."""

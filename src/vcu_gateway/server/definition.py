@@ -1,10 +1,10 @@
 """The protocol in the API's shape."""
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 
 
-def definition(protocol: ProtocolSpec, digest: str) -> shapes.Protocol:
+def definition(protocol: ProtocolSpec, digest: str) -> results.Protocol:
     """Every message and signal."""
     return {
         "digest": digest,
@@ -13,7 +13,7 @@ def definition(protocol: ProtocolSpec, digest: str) -> shapes.Protocol:
     }
 
 
-def _message(message: MessageSpec) -> shapes.MessageDefinition:
+def _message(message: MessageSpec) -> results.MessageDefinition:
     return {
         "name": message.name,
         "can_id": f"0x{message.can_id:08X}",
@@ -25,7 +25,7 @@ def _message(message: MessageSpec) -> shapes.MessageDefinition:
     }
 
 
-def _signal(signal: SignalSpec) -> shapes.SignalDefinition:
+def _signal(signal: SignalSpec) -> results.SignalDefinition:
     return {
         "name": signal.name,
         "unit": signal.unit,

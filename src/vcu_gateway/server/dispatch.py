@@ -8,12 +8,11 @@ import time
 from collections.abc import Callable, Mapping
 
 from vcu_gateway import config as configuration
-from vcu_gateway.api import methods
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon.reload import ReloadOutcome
-from vcu_gateway.server import queries as reading
+from vcu_gateway.server import queries
 from vcu_gateway.server.commands import CommandHandlers
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.restraint import LogRateLimit
@@ -41,8 +40,8 @@ class Dispatcher:
     ) -> None:
         """Answer one permitted request through `reply`: at once, or from the ticking thread."""
         try:
-            if method in reading.QUERIES:
-                reply(reading.QUERIES[method](self._program, params))
+            if method in queries.QUERIES:
+                reply(queries.QUERIES[method](self._program, params))
             elif method == RELOAD:
                 self._reload(reply)
             else:
@@ -86,9 +85,9 @@ class Dispatcher:
         digest = configuration.digest(self._program.in_effect.config)
         return {"changed": list(outcome.changed), "digest": digest}
 
-    def state(self, messages: list[str] | None) -> shapes.State:
+    def state(self, messages: list[str] | None) -> results.State:
         """What is known now; Failure for a message that the gateway does not receive."""
-        return reading.state(self._program, messages)
+        return queries.state(self._program, messages)
 
     def metrics(self) -> bytes:
         """The metrics' text; Failure where they are not installed."""

@@ -10,19 +10,19 @@ from typing import cast
 
 from vcu_gateway import __version__
 from vcu_gateway import config as configuration
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.schedule import Schedule, percentile_ns
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restarts import CountedStart
-from vcu_gateway.server import views as report
+from vcu_gateway.server import views
 
 _NS_PER_MS = 1_000_000
 _NS_PER_US = 1_000
 
-_VERSIONS: shapes.Versions = {
+_VERSIONS: results.Versions = {
     "vcu_gateway": __version__,
     "python": platform.python_version(),
     "python_can": importlib.metadata.version("python-can"),
@@ -60,13 +60,13 @@ def started(config: Config) -> Event:
 
 
 def health(
-    daemon: TickLoop, bus: BusSettings, config: Config, facts: RunFacts, api: shapes.ApiCounts
-) -> shapes.Health:
+    daemon: TickLoop, bus: BusSettings, config: Config, facts: RunFacts, api: results.ApiCounts
+) -> results.Health:
     """Everything at this instant; read from any thread."""
     now_ns = time.monotonic_ns()
     return {
         "pid": os.getpid(),
-        "uptime_ms": report.milliseconds(now_ns - facts.started_ns) or 0.0,
+        "uptime_ms": views.milliseconds(now_ns - facts.started_ns) or 0.0,
         "starts": facts.start and facts.start.number,
         "unexpected_restarts": facts.start and facts.start.unexpected,
         "config_file": config.source.file,
@@ -81,7 +81,7 @@ def health(
     }
 
 
-def _link(daemon: TickLoop, bus: BusSettings, now_ns: int) -> shapes.Link:
+def _link(daemon: TickLoop, bus: BusSettings, now_ns: int) -> results.Link:
     link = daemon.gateway.link
     return {
         "interface": bus.interface,
@@ -92,7 +92,7 @@ def _link(daemon: TickLoop, bus: BusSettings, now_ns: int) -> shapes.Link:
     }
 
 
-def _ticks(schedule: Schedule, silent: int) -> shapes.Ticks:
+def _ticks(schedule: Schedule, silent: int) -> results.Ticks:
     recent_ns = tuple(schedule.recent_lateness_ns)
 
     def at(share: float) -> float | None:
@@ -112,16 +112,16 @@ def _ticks(schedule: Schedule, silent: int) -> shapes.Ticks:
     }
 
 
-def _frames(daemon: TickLoop) -> shapes.FrameCounts:
+def _frames(daemon: TickLoop) -> results.FrameCounts:
     door = daemon.door
     return cast(
-        shapes.FrameCounts,
+        results.FrameCounts,
         {
             "received": door.counters.received,
             "dropped": door.dropped,
             "sent": door.counters.sent,
             "unsent": dict(door.counters.refused),
             "receiver_bugs": door.counters.receiver_bugs,
-            **report.counters(daemon.gateway),
+            **views.counters(daemon.gateway),
         },
     )

@@ -5,15 +5,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from vcu_gateway import config as configuration
-from vcu_gateway.api import methods
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.server import health
-from vcu_gateway.server import views as report
+from vcu_gateway.server import health, views
 from vcu_gateway.server.context import ServerContext
 
 
-def state(program: ServerContext, messages: list[str] | None) -> shapes.State:
+def state(program: ServerContext, messages: list[str] | None) -> results.State:
     """What is known now; Failure for a message that the gateway does not receive."""
     latest = program.latest()
     snapshot = program.daemon.gateway.intake.store.snapshot(time.monotonic_ns())
@@ -22,23 +20,23 @@ def state(program: ServerContext, messages: list[str] | None) -> shapes.State:
         if name not in known:
             sentence = f"the gateway receives no message {name[:64]}; it knows {', '.join(known)}"
             raise RequestError(ErrorCode.INVALID_PARAMS, sentence)
-    return report.state(snapshot, latest, messages)
+    return views.state(snapshot, latest, messages)
 
 
-def _state(program: ServerContext, params: methods.StateParams) -> shapes.State:
+def _state(program: ServerContext, params: methods.StateParams) -> results.State:
     return state(program, params.messages)
 
 
-def _why(program: ServerContext, _: methods.Nothing) -> shapes.Why:
-    return report.why(program.latest().why)
+def _why(program: ServerContext, _: methods.Nothing) -> results.Why:
+    return views.why(program.latest().why)
 
 
-def _health(program: ServerContext, _: methods.Nothing) -> shapes.Health:
+def _health(program: ServerContext, _: methods.Nothing) -> results.Health:
     config = program.in_effect.config
     return health.health(program.daemon, program.bus, config, program.facts, program.api_counts())
 
 
-def _config(program: ServerContext, _: methods.Nothing) -> shapes.ConfigInEffect:
+def _config(program: ServerContext, _: methods.Nothing) -> results.ConfigInEffect:
     config = program.in_effect.config
     return {
         "file": config.source.file,
@@ -47,7 +45,7 @@ def _config(program: ServerContext, _: methods.Nothing) -> shapes.ConfigInEffect
     }
 
 
-def _protocol(program: ServerContext, _: methods.Nothing) -> shapes.Protocol:
+def _protocol(program: ServerContext, _: methods.Nothing) -> results.Protocol:
     return program.protocol
 
 

@@ -15,7 +15,7 @@ from vcu_gateway.api.methods import (
 )
 from vcu_gateway.api.results import Subscribed, Update
 from vcu_gateway.core.demand import Refusal
-from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.lines import MAX_LINE_BYTES
 from vcu_gateway.server.service import Caller, Reply, RequestService
@@ -50,8 +50,8 @@ class RequestHandler:
     def handle(self, connection: Session, line: bytes, now_ns: int) -> None:
         """Do what this line asks."""
         self._counters.requests += 1
-        request = wire.parse(line)
-        if isinstance(request, wire.RefusedRequest):
+        request = jsonrpc.parse(line)
+        if isinstance(request, jsonrpc.RefusedRequest):
             self._refuse(connection, request, now_ns)
             return
         try:
@@ -62,7 +62,7 @@ class RequestHandler:
         if result is not None and request.id is not None:
             self._send(connection, request.id, result, now_ns)
 
-    def _refuse(self, connection: Session, refused: wire.RefusedRequest, now_ns: int) -> None:
+    def _refuse(self, connection: Session, refused: jsonrpc.RefusedRequest, now_ns: int) -> None:
         """Say what is wrong; a stop is done all the same, and the answer waits for that."""
         if refused.stop is not None:
             self._counters.stopped_anyway += 1
@@ -90,18 +90,18 @@ class RequestHandler:
         state = self._service.state(subscription.messages)
         update = Update(subscription=subscription.number, lost=subscription.lost, state=state)
         subscription.lost = 0
-        connection.send(wire.notification_line("state.update", update), now_ns)
+        connection.send(jsonrpc.notification_line("state.update", update), now_ns)
 
     def _send(
-        self, connection: Session, request_id: wire.RequestId | None, reply: Reply, now_ns: int
+        self, connection: Session, request_id: jsonrpc.RequestId | None, reply: Reply, now_ns: int
     ) -> None:
         if isinstance(reply, RequestError):
             self._counters.count_error(reply.code.name.lower())
-            connection.send(wire.error_line(request_id, reply), now_ns)
+            connection.send(jsonrpc.error_line(request_id, reply), now_ns)
         elif request_id is not None:
-            connection.send(wire.result_line(request_id, reply), now_ns)
+            connection.send(jsonrpc.result_line(request_id, reply), now_ns)
 
-    def _result(self, connection: Session, request: wire.Request, now_ns: int) -> Reply | None:
+    def _result(self, connection: Session, request: jsonrpc.Request, now_ns: int) -> Reply | None:
         """The result; None where the service will reply. Failure is raised."""
         self._check_right(_caller(connection), request)
         if isinstance(request.params, SubscribeParams):
@@ -124,7 +124,7 @@ class RequestHandler:
         reply = functools.partial(self._reply, caller.connection, number)
         self._service.begin(method, params, caller, reply)
 
-    def _check_right(self, caller: Caller, request: wire.Request) -> None:
+    def _check_right(self, caller: Caller, request: jsonrpc.Request) -> None:
         needed = right_needed(request.method, request.params)
         if needed in caller.rights:
             return

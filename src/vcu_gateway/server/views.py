@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any, cast, get_args
 
-from vcu_gateway.api import results as shapes
+from vcu_gateway.api import results
 from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.gateway import Gateway, TickResult
@@ -12,10 +12,12 @@ from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
 
 _NS_PER_MS = 1_000_000
-_CONTROLLERS: tuple[shapes.ControllerName, ...] = get_args(shapes.ControllerName)
+_CONTROLLERS: tuple[results.ControllerName, ...] = get_args(results.ControllerName)
 
 
-def state(snapshot: Snapshot, latest: LastTick, names: Iterable[str] | None = None) -> shapes.State:
+def state(
+    snapshot: Snapshot, latest: LastTick, names: Iterable[str] | None = None
+) -> results.State:
     """What is known at the snapshot's instant, and what was commanded in the last tick.
 
     `names` are the messages to tell, None all; KeyError for one that the store does not keep.
@@ -28,13 +30,13 @@ def state(snapshot: Snapshot, latest: LastTick, names: Iterable[str] | None = No
     }
 
 
-def messages(snapshot: Snapshot, names: Iterable[str] | None = None) -> dict[str, shapes.Message]:
+def messages(snapshot: Snapshot, names: Iterable[str] | None = None) -> dict[str, results.Message]:
     """Received messages by name, in the protocol's order or in that of `names`."""
     known = [message.name for message in snapshot.messages]
     return {name: _message(snapshot, name) for name in (known if names is None else names)}
 
 
-def _message(snapshot: Snapshot, name: str) -> shapes.Message:
+def _message(snapshot: Snapshot, name: str) -> results.Message:
     readings, latest = snapshot.readings(name), snapshot.latest(name)
     return {
         "frame_count": latest.frame_count if latest else 0,
@@ -46,8 +48,8 @@ def _message(snapshot: Snapshot, name: str) -> shapes.Message:
     }
 
 
-def _signal(reading: Reading) -> shapes.Signal:
-    signal: shapes.Signal = {
+def _signal(reading: Reading) -> results.Signal:
+    signal: results.Signal = {
         "value": reading.value,
         "raw": reading.raw,
         "unit": reading.unit,
@@ -58,16 +60,16 @@ def _signal(reading: Reading) -> shapes.Signal:
     return signal
 
 
-def commands(result: TickResult) -> dict[shapes.ControllerName, shapes.SentCommand]:
+def commands(result: TickResult) -> dict[results.ControllerName, results.SentCommand]:
     """What each controller was told in this tick."""
     frames = {frame.controller: frame for frame in result.frames}
-    told: dict[shapes.ControllerName, shapes.SentCommand] = {}
+    told: dict[results.ControllerName, results.SentCommand] = {}
     for name in _CONTROLLERS:
         command, frame = result.commands[name], frames.get(name)
         told[name] = {
             "throttle_pct": command.throttle_pct,
             "brake_pct": command.brake_pct,
-            "power_mode": cast(shapes.PowerModeName, command.power_mode.name.lower()),
+            "power_mode": cast(results.PowerModeName, command.power_mode.name.lower()),
             "motor_reverse": command.motor_reverse,
             "regen_brake": command.regen_brake,
             "power_cut": command.power_cut,
@@ -78,7 +80,7 @@ def commands(result: TickResult) -> dict[shapes.ControllerName, shapes.SentComma
     return told
 
 
-def why(answer: explanation.Explanation) -> shapes.Why:
+def why(answer: explanation.Explanation) -> results.Why:
     """The answer of `why` as data; ages are those at its own instant."""
     now_ns, latch = answer.now_ns, answer.latch
     return {
@@ -107,7 +109,7 @@ def why(answer: explanation.Explanation) -> shapes.Why:
     }
 
 
-def _cause(held: HeldCause, answer: explanation.Explanation) -> shapes.Cause:
+def _cause(held: HeldCause, answer: explanation.Explanation) -> results.Cause:
     finding = held.finding
     return {
         "cause": finding.cause,
@@ -119,7 +121,7 @@ def _cause(held: HeldCause, answer: explanation.Explanation) -> shapes.Cause:
     }
 
 
-def mode_name(mode: Mode) -> shapes.ModeName:
+def mode_name(mode: Mode) -> results.ModeName:
     """The API's word for a mode."""
     return mode.value
 

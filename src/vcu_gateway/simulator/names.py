@@ -8,7 +8,7 @@ from vcu_gateway.config.value_types import refusal
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
-from vcu_gateway.strict_yaml import validation as shape
+from vcu_gateway.strict_yaml import validation
 
 PROTOCOL = "protocol"
 """Key of the validation's context; it holds the ProtocolSpec that names must be in."""
@@ -22,7 +22,7 @@ def protocol_of(info: ValidationInfo) -> ProtocolSpec:
 
 def _one_of(name: str, known: list[str], what: str) -> str:
     if name not in known:
-        near = shape.did_you_mean(name, known)
+        near = validation.did_you_mean(name, known)
         raise refusal(f"must be {what}", near or f"these are {', '.join(known)}")
     return name
 
@@ -45,7 +45,7 @@ def _signal(name: str, info: ValidationInfo) -> str:
     messages = [message for names in _spoken(info).values() for message in names]
     message, _, signal = name.partition(".")
     if message not in messages:
-        nearest = shape.did_you_mean(message, messages)
+        nearest = validation.did_you_mean(message, messages)
         remedy = nearest or f"the messages are {', '.join(messages)}"
         raise refusal("must be MESSAGE.SIGNAL, such as BMS_Status.SOC", remedy)
     _one_of(signal, list(protocol.message(message).signal_names), f"a signal of {message}")

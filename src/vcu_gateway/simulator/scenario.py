@@ -14,9 +14,7 @@ from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.simulator.faults import FaultInterval, Report
 from vcu_gateway.simulator.names import PROTOCOL
 from vcu_gateway.simulator.steps import FAULTS, Step
-from vcu_gateway.strict_yaml import file_text as text
-from vcu_gateway.strict_yaml import parser as document
-from vcu_gateway.strict_yaml import validation as shape
+from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.lines import Path as KeyPath
 from vcu_gateway.strict_yaml.problems import FileProblem, problems, shown
 
@@ -65,16 +63,16 @@ def _spell(step: Step, codec: Codec, start_ns: int, tell: Report) -> FaultInterv
 
 def load(path: Path, protocol: ProtocolSpec) -> Scenario:
     """Read a scenario; ConfigError names everything that is wrong with it."""
-    return parse(text.read(path), str(path), protocol)
+    return parse(file_text.read(path), str(path), protocol)
 
 
 def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
     """As `load`, from text; `where` is the file that errors name."""
-    read = document.read(contents)
+    read = parser.read(contents)
     if read.is_yaml and not isinstance(read.value, dict):
         remedy = f"write `steps:` and below it lines such as `- {_EXAMPLE}`"
         raise ConfigError(Problem("is no scenario", where, remedy))
-    outline, found = shape.validated(_File, read.value if read.is_yaml else {})
+    outline, found = validation.validated(_File, read.value if read.is_yaml else {})
     steps: list[Step] = []
     written = read.value.get("steps") if read.is_yaml else None
     for index, value in enumerate(written if isinstance(written, list) else ()):
@@ -92,7 +90,7 @@ def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None,
     """One step, or what is wrong with it."""
     if wrong := list(_without_fault(value, at)):
         return None, wrong
-    step, refused = shape.validated(FAULTS[value["fault"]], value, {PROTOCOL: protocol})
+    step, refused = validation.validated(FAULTS[value["fault"]], value, {PROTOCOL: protocol})
     return step, [finding._replace(path=(*at, *finding.path)) for finding in refused]
 
 
@@ -104,6 +102,6 @@ def _without_fault(value: Any, at: KeyPath) -> Iterator[FileProblem]:
     elif "fault" not in value:
         yield FileProblem(at, "has no fault", f"add `fault:` and one of {names}")
     elif not isinstance(value["fault"], str) or value["fault"] not in FAULTS:
-        near = shape.did_you_mean(str(value["fault"]), FAULTS)
+        near = validation.did_you_mean(str(value["fault"]), FAULTS)
         what = f"must be one of {names}, not {shown(value['fault'])}"
         yield FileProblem((*at, "fault"), what, near)

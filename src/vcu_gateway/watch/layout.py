@@ -2,8 +2,7 @@
 
 from rich.text import Text
 
-from vcu_gateway.watch import bus, controllers
-from vcu_gateway.watch import header as heading
+from vcu_gateway.watch import bus, controllers, header
 from vcu_gateway.watch.formatting import cell, line
 from vcu_gateway.watch.reasons import next_lines, reason_lines
 from vcu_gateway.watch.view_model import ViewModel
@@ -25,7 +24,7 @@ def upper_lines(
     tall = height >= TALL_LINES
     gap = [Text()] if tall else []
     return [
-        heading.title_line(title, picture, width, paused),
+        header.title_line(title, picture, width, paused),
         *_explanation(picture, width, tall),
         *gap,
         *_figures(picture, width, tall),
@@ -37,14 +36,14 @@ def _explanation(picture: ViewModel, width: int, tall: bool) -> list[Text]:
     """Mode and reasons; where room is short, what to do stands for the long sentence."""
     why = picture.why
     if why is None or picture.trouble is not None:
-        return heading.mode_lines(picture, width, _SENTENCE_LINES)
+        return header.mode_lines(picture, width, _SENTENCE_LINES)
     reasons = reason_lines(why, width, _REASON_LINES_TALL if tall else _REASON_LINES)
     if not reasons:
-        return heading.mode_lines(picture, width, _SENTENCE_LINES)
+        return header.mode_lines(picture, width, _SENTENCE_LINES)
     if not tall:
         sentence = f"next: {why['next_step']}"
-        return heading.mode_lines(picture, width, _SENTENCE_LINES, sentence) + reasons
-    mode = heading.mode_lines(picture, width, _SENTENCE_LINES_TALL)
+        return header.mode_lines(picture, width, _SENTENCE_LINES, sentence) + reasons
+    mode = header.mode_lines(picture, width, _SENTENCE_LINES_TALL)
     return [*mode, Text(), *reasons, *next_lines(why, width)]
 
 

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from rich.text import Text
 
 from vcu_gateway.api.results import Message, Signal, State
-from vcu_gateway.watch import bus, controllers, reasons
-from vcu_gateway.watch import header as heading
+from vcu_gateway.watch import bus, controllers, header, reasons
 from vcu_gateway.watch.formatting import ABSENT, number, wrapped
 from vcu_gateway.watch.quality import NOT_GOOD_MARK
 from vcu_gateway.watch.view_model import ViewModel
@@ -22,7 +21,7 @@ _FIRM = "\u00a0"
 def plain(title: str, picture: ViewModel) -> str:
     """Everything of this instant; ends with a line feed."""
     lines = [
-        heading.title_line(title, picture, _COLUMNS),
+        header.title_line(title, picture, _COLUMNS),
         *_sentence(picture),
         *reasons.reason_lines(picture.why, _COLUMNS, _MOST_LINES),
         *controllers.controller_lines(picture.state, roomy=True),
@@ -37,7 +36,7 @@ def plain(title: str, picture: ViewModel) -> str:
 def _sentence(picture: ViewModel) -> list[Text]:
     """The gateway's own sentence, whole; or why there is none."""
     if picture.why is None or picture.trouble is not None:
-        return heading.mode_lines(picture, _COLUMNS, _MOST_LINES)
+        return header.mode_lines(picture, _COLUMNS, _MOST_LINES)
     return [Text(part) for part in wrapped(picture.why["sentence"], _COLUMNS, _MOST_LINES)]
 
 

@@ -107,9 +107,9 @@ def test_f60_a_wrong_configuration_is_refused_and_nothing_starts(what, tmp_path,
 
 def _loaded(path: Path) -> None:
     config = configuration.load(path)
-    from vcu_gateway import app as wiring
+    from vcu_gateway import app
 
-    if problems := configuration.check_against(config, wiring.load_protocol(config)):
+    if problems := configuration.check_against(config, app.load_protocol(config)):
         raise ConfigError(*problems)
 
 
