@@ -10,12 +10,12 @@ from collections import deque
 from collections.abc import Callable
 
 from vcu_gateway.python_can import can
+from vcu_gateway.units import NS_PER_S
 
 # The reader needs some microseconds for the frame in its hands, and gets them while the ticking
 # thread sleeps; frames of a tick may leave until 25 ms after it.
 _PATIENCE_NS = 15_000_000
 _GIVE_WAY_S = 0.000_05
-_NS_PER_S = 1_000_000_000
 
 
 class FrameQueue:
@@ -65,7 +65,7 @@ class FrameQueue:
         """Whether the lock could be had with no frame in the reader's hands; it is kept then."""
         end_ns = time.monotonic_ns() + _PATIENCE_NS
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
-            if self.lock.acquire(timeout=left_ns / _NS_PER_S):
+            if self.lock.acquire(timeout=left_ns / NS_PER_S):
                 if not self.with_reader:
                     return True
                 self.lock.release()

@@ -7,8 +7,7 @@ from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.arrival_time import arrival_ns
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.python_can import can
-
-_NS_PER_S = 1_000_000_000
+from vcu_gateway.units import NS_PER_S
 
 
 class FrameListener:
@@ -30,7 +29,7 @@ class FrameListener:
     def __call__(self, message: can.Message) -> None:
         """Hand one frame on."""
         self._counters.received += 1
-        stamp_ns = int(message.timestamp * _NS_PER_S)
+        stamp_ns = int(message.timestamp * NS_PER_S)
         self._receive(
             Frame(
                 message.arbitration_id,

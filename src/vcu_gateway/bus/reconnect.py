@@ -15,12 +15,12 @@ from vcu_gateway.bus.interface import Interface, Interfaces
 from vcu_gateway.bus.netlink import InterfaceDetails
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
+from vcu_gateway.units import NS_PER_MS
 
 _LOOK_EVERY_S = 0.1
 _STEADY_NS = 5_000_000_000
 _PAUSE_AT_MOST_NS = 800_000_000
 _END_WITHIN_S = 1.0
-_NS_PER_MS = 1_000_000
 
 # A bus without a network interface: always there.
 _NO_INTERFACE = Interface(number=0, is_can=True, up=True, carrier=True, tx_queue_frames=0)
@@ -103,7 +103,7 @@ class Reconnector:
         self._look = look or self._look_at_channel
         self._name_of = name_of or self._interfaces.name_of
         self._details = details
-        self._pause_ns = self._first_pause_ns = pause_ms * _NS_PER_MS
+        self._pause_ns = self._first_pause_ns = pause_ms * NS_PER_MS
         self._next_ns = 0
         self._opened_ns = self._looked_ns = 0
         self._opened: Interface | None = None

@@ -25,6 +25,7 @@ from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.arrival_time import ClockPair, arrival_ns, steady
 from vcu_gateway.core.link import ERROR_CLASSES
 from vcu_gateway.core.schedule import next_drain_ns
+from vcu_gateway.units import NS_PER_S
 
 _SO_MEMINFO = 55
 _CAN_RAW_ERR_FILTER = 2
@@ -36,7 +37,6 @@ _EFF_FLAG, _RTR_FLAG, _ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _DRAIN_AT_MOST = 256
 _FAILURES_AT_MOST = 4
 _CONTROLLER_BYTE = 9
-_NS_PER_S = 1_000_000_000
 # Waking and reading all that gathered in 10 ms on a saturated bus takes less than this.
 _LEAD_NS = 2_000_000
 
@@ -68,7 +68,7 @@ class DrainingSocketcanBus(SocketcanBus):
     ) -> None:
         self._queue = FrameQueue()
         self._reader: threading.Thread | None = None
-        self._gather_ns = int(gather_s * _NS_PER_S)
+        self._gather_ns = int(gather_s * NS_PER_S)
         self._grid: tuple[int, int] | None = None
         self._distance_ns: int | None = None
         self._failed = False
@@ -157,7 +157,7 @@ class DrainingSocketcanBus(SocketcanBus):
             hand_on(message)
 
         def read_more() -> bool:
-            if self._failed or last_s * _NS_PER_S > until_ns or not self._glance.poll(0):
+            if self._failed or last_s * NS_PER_S > until_ns or not self._glance.poll(0):
                 return False
             self._drain()
             return True
@@ -175,7 +175,7 @@ class DrainingSocketcanBus(SocketcanBus):
         until_ns = next_drain_ns(self._clocks.monotonic_ns, self._gather_ns, self._grid)
         left_ns = until_ns - time.monotonic_ns()
         if left_ns > 0:
-            time.sleep(left_ns / _NS_PER_S)
+            time.sleep(left_ns / NS_PER_S)
 
     def _drain(self) -> None:
         """Read all that waits, at most some hundreds of frames, holding the queue's lock."""
@@ -277,12 +277,12 @@ class DrainingSocketcanBus(SocketcanBus):
 
     def _arrival_s(self, ancillary: Any, before: ClockPair) -> float:
         if not ancillary:
-            return before.monotonic_ns / _NS_PER_S
+            return before.monotonic_ns / NS_PER_S
         seconds, nanoseconds = _timespec.unpack(ancillary[0][2])
-        stamp_ns: int = seconds * _NS_PER_S + nanoseconds
+        stamp_ns: int = seconds * NS_PER_S + nanoseconds
         if self._distance_ns is None:
-            return arrival_ns(stamp_ns, before, self._clocks) / _NS_PER_S
-        return (stamp_ns - self._distance_ns) / _NS_PER_S
+            return arrival_ns(stamp_ns, before, self._clocks) / NS_PER_S
+        return (stamp_ns - self._distance_ns) / NS_PER_S
 
     def send_now(self, can_id: int, data: bytes) -> None:
         """Hand one extended data frame to the kernel without waiting.

@@ -12,9 +12,9 @@ from vcu_gateway.client.demand import DemandRequest, request_values
 from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
 from vcu_gateway.client.keeping import RELEASED_S, DeadMan
+from vcu_gateway.units import NS_PER_S
 
 _FAREWELL_S = 0.2
-_NS_PER_S = 1_000_000_000
 
 
 class AsyncDemandOwner:
@@ -121,7 +121,7 @@ class AsyncDemandOwner:
 
     async def _pause(self, again_ns: int) -> None:
         """Until the gateway says something, or until then."""
-        pause_s = max(0, again_ns - time.monotonic_ns()) / _NS_PER_S
+        pause_s = max(0, again_ns - time.monotonic_ns()) / NS_PER_S
         if self._link.socket is None:
             await asyncio.sleep(pause_s)
             return

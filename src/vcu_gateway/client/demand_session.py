@@ -11,11 +11,11 @@ from vcu_gateway.client.connect import connect
 from vcu_gateway.client.demand import RequestValues
 from vcu_gateway.client.errors import GarbledError, UnreachableError
 from vcu_gateway.client.keeping import DeadMan, Demand
+from vcu_gateway.units import NS_PER_S
 
 _READ_BYTES = 65536
 _FIRST_RETRY_NS = 50_000_000
 _LAST_RETRY_NS = 1_000_000_000
-_NS_PER_S = 1_000_000_000
 
 
 class DemandSession:
@@ -32,7 +32,7 @@ class DemandSession:
         self.keeping = keeping
         self.socket: socket.socket | None = None
         self._path = path
-        self._patience_ns = round(timeout_s * _NS_PER_S)
+        self._patience_ns = round(timeout_s * NS_PER_S)
         self._inbox = jsonrpc.MessageDecoder()
         self._broken = False
         self._released = False

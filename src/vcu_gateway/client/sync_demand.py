@@ -15,10 +15,9 @@ from vcu_gateway.client.demand import DemandRequest, request_values
 from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
 from vcu_gateway.client.keeping import RELEASED_S, DeadMan
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _FAREWELL_S = 0.2
-_NS_PER_MS = 1_000_000
-_NS_PER_S = 1_000_000_000
 
 
 class DemandOwner:
@@ -143,8 +142,8 @@ class DemandOwner:
     def _pause(self, connection: socket.socket | None, again_ns: int) -> None:
         pause_ns = max(0, again_ns - time.monotonic_ns())
         if connection is None:
-            self._ended.wait(pause_ns / _NS_PER_S)
+            self._ended.wait(pause_ns / NS_PER_S)
             return
         readable = select.poll()
         readable.register(connection, select.POLLIN)
-        readable.poll(math.ceil(pause_ns / _NS_PER_MS))
+        readable.poll(math.ceil(pause_ns / NS_PER_MS))

@@ -10,8 +10,8 @@ from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import Problem
 from vcu_gateway.strict_yaml.problems import FileProblem, problems
 from vcu_gateway.strict_yaml.validation import did_you_mean
+from vcu_gateway.units import NS_PER_MS
 
-_NS_PER_MS = 1_000_000
 _PATIENCE = 2  # times its default, for a required message
 _SWITCH_OFF = "this alias is the default; write `aliases: {}` for none"
 
@@ -53,8 +53,8 @@ def _freshness(config: Config, protocol: ProtocolSpec) -> Iterator[FileProblem]:
             yield FileProblem(path, _no_message(name), _nearest(name, list(messages)))
     for name in late_after_ms.keys() & messages.keys():
         stale_ns = deadlines(messages[name], {}, stale_after_ms).stale_after_ns
-        if late_after_ms[name] * _NS_PER_MS > stale_ns:
-            what = f"must be at most {stale_ns // _NS_PER_MS} ms, not {late_after_ms[name]}"
+        if late_after_ms[name] * NS_PER_MS > stale_ns:
+            what = f"must be at most {stale_ns // NS_PER_MS} ms, not {late_after_ms[name]}"
             remedy = f"{name} is stale by then"
             yield FileProblem(("freshness", "late_after_ms", name), what, remedy)
 
@@ -69,7 +69,7 @@ def _patience(config: Config, protocol: ProtocolSpec) -> Iterator[FileProblem]:
             ("stale_after_ms", config.freshness.stale_after_ms, default.stale_after_ns),
             ("late_after_ms", config.freshness.late_after_ms, default.late_after_ns),
         ):
-            age_ms, most_ms = ages_ms.get(message.name), _PATIENCE * default_ns // _NS_PER_MS
+            age_ms, most_ms = ages_ms.get(message.name), _PATIENCE * default_ns // NS_PER_MS
             if age_ms is not None and age_ms > most_ms:
                 what = f"must be at most {most_ms} ms, not {age_ms}"
                 remedy = f"{message.name} is required: at most twice its default"

@@ -12,8 +12,8 @@ from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode, directions_differ
 from vcu_gateway.core.pedals import Pedals
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.units import NS_PER_S
 
-_NS_PER_S = 1_000_000_000
 _SPEED_LIMIT_MIN_RPM = 500.0
 _FULL_PCT = 100.0
 _HIGHEST_RPM = math.inf
@@ -216,7 +216,7 @@ class Commander:
         """
         if self._last_ns is not None:
             elapsed_ns = min(max(now_ns - self._last_ns, 0), settings.period_ns)
-            self._elapsed_s = elapsed_ns / _NS_PER_S
+            self._elapsed_s = elapsed_ns / NS_PER_S
         self._last_ns = now_ns
         applied = {name: last.motor_reverse for name, last in self.last.items()}
         return self.pedals.tick(asked, applied, now_ns)

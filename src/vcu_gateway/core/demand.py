@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
+from vcu_gateway.units import NS_PER_MS
+
 CONTROLLERS = ("PCU1", "PCU2")
 
 BENCH_SOURCE = "bench"
@@ -13,8 +15,6 @@ BENCH_SOURCE = "bench"
 
 MOST_SOURCES = 64
 """Sources whose last sequence number is kept, for as long as the gateway runs."""
-
-_NS_PER_MS = 1_000_000
 
 
 class PowerMode(IntEnum):
@@ -177,8 +177,8 @@ def _fault_of_time(ttl_ms: int, made_ns: int, now_ns: int) -> RequestResult:
     if age_ns < 0:
         sentence = f"made_ns is {-age_ns} ns ahead of this machine's monotonic clock"
         return refused(Refusal.FROM_THE_FUTURE, sentence)
-    if age_ns > ttl_ms * _NS_PER_MS:
-        sentence = f"it is {age_ns // _NS_PER_MS} ms old and counts for {ttl_ms} ms"
+    if age_ns > ttl_ms * NS_PER_MS:
+        sentence = f"it is {age_ns // NS_PER_MS} ms old and counts for {ttl_ms} ms"
         return refused(Refusal.EXPIRED, sentence)
     return GRANTED
 
@@ -265,4 +265,4 @@ class DemandArbiter:
             return False
         if self._current.ttl_ms is None:
             return True
-        return 0 <= now_ns - self._made_ns <= self._current.ttl_ms * _NS_PER_MS
+        return 0 <= now_ns - self._made_ns <= self._current.ttl_ms * NS_PER_MS

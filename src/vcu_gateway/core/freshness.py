@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from vcu_gateway.core.spec import MessageSpec
+from vcu_gateway.units import NS_PER_MS
 
-_NS_PER_MS = 1_000_000
 _NEVER_NS = 2**62
 
 # From this period on (ms): stale after so many periods, in tenths.
@@ -33,12 +33,12 @@ def deadlines(
     if message.period_ms is None:
         late_ns = stale_ns = _NEVER_NS
     else:
-        stale_ns = message.period_ms * _stale_tenths(message.period_ms) * _NS_PER_MS // 10
-        late_ns = min(message.period_ms * _LATE_TENTHS * _NS_PER_MS // 10, stale_ns)
+        stale_ns = message.period_ms * _stale_tenths(message.period_ms) * NS_PER_MS // 10
+        late_ns = min(message.period_ms * _LATE_TENTHS * NS_PER_MS // 10, stale_ns)
     if message.name in stale_after_ms:
-        stale_ns = stale_after_ms[message.name] * _NS_PER_MS
+        stale_ns = stale_after_ms[message.name] * NS_PER_MS
     if message.name in late_after_ms:
-        late_ns = late_after_ms[message.name] * _NS_PER_MS
+        late_ns = late_after_ms[message.name] * NS_PER_MS
     return Deadlines(min(late_ns, stale_ns), stale_ns)
 
 

@@ -25,8 +25,7 @@ from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 from vcu_gateway.core.transmit import OutFrame, Transmitter
 from vcu_gateway.core.why import Explanation
-
-_NS_PER_MS = 1_000_000
+from vcu_gateway.units import NS_PER_MS
 
 
 class TickResult(NamedTuple):
@@ -176,7 +175,7 @@ class Gateway:
         if not self.output.sending.begun:
             unsent = self.output.sending.unsent
             self._commander.take_over(_echoed_directions(snapshot, unsent))
-        hold_ns = self.settings.clear_hold_ms * _NS_PER_MS
+        hold_ns = self.settings.clear_hold_ms * NS_PER_MS
         self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
         self._supervise(snapshot)
         self._speeds = motor_speeds.of(snapshot, world.observed)

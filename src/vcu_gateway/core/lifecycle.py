@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.why import WAITING_FOR
-
-_NS_PER_MS = 1_000_000
+from vcu_gateway.units import NS_PER_MS
 
 
 class ListenBeforeTalk:
@@ -16,8 +15,8 @@ class ListenBeforeTalk:
     """
 
     def __init__(self, now_ns: int, listen_ms: int) -> None:
-        self._quiet_until_ns = now_ns + listen_ms * _NS_PER_MS
-        self._listen_ns = listen_ms * _NS_PER_MS
+        self._quiet_until_ns = now_ns + listen_ms * NS_PER_MS
+        self._listen_ns = listen_ms * NS_PER_MS
         self.over = False
 
     def again(self, now_ns: int) -> None:

@@ -14,6 +14,7 @@ from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.sending import SentValues
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Latest, Snapshot
+from vcu_gateway.units import NS_PER_MS
 
 _STATUS1 = {name: f"{name}_Status1" for name in CONTROLLERS}
 _STATUS2 = {name: f"{name}_Status2" for name in CONTROLLERS}
@@ -21,10 +22,9 @@ _STATUS2 = {name: f"{name}_Status2" for name in CONTROLLERS}
 WHEELS_MESSAGE = "ARD2_SteeringWheel"
 WHEELS = ("WheelSpeedFL", "WheelSpeedFR")
 
-_NS_PER_MS = 1_000_000
-_THROTTLE_WINDOW_NS = 1_000 * _NS_PER_MS
-_DIRECTION_WINDOW_NS = 1_100 * _NS_PER_MS
-_STEP_WITHIN_NS = 100 * _NS_PER_MS
+_THROTTLE_WINDOW_NS = 1_000 * NS_PER_MS
+_DIRECTION_WINDOW_NS = 1_100 * NS_PER_MS
+_STEP_WITHIN_NS = 100 * NS_PER_MS
 _ABOVE_MAX_PCT = 5.0
 _PLAUSIBLE_FRAMES = 3
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, HeldCause
 from vcu_gateway.core.demand import DemandArbiter
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Supervisor
+from vcu_gateway.units import NS_PER_MS
 
 LONGEST_CHARACTERS = 200
 """Of a sentence."""
@@ -13,7 +14,6 @@ LONGEST_CHARACTERS = 200
 WAITING_FOR = "waiting for "
 """Begins a condition that a message has to meet; its name follows."""
 
-_NS_PER_MS = 1_000_000
 _NAMED = (3, 2, 1)
 # What becomes shorter, step by step, until the sentence is short enough.
 _SHORTENED = (
@@ -119,7 +119,7 @@ class Explanation:
         if self.demand_age_ns is None:
             return f"demand of {self.demand_source}"
         state = "" if self.demand_fresh else ", expired"
-        return f"demand of {self.demand_source} {self.demand_age_ns // _NS_PER_MS} ms old{state}"
+        return f"demand of {self.demand_source} {self.demand_age_ns // NS_PER_MS} ms old{state}"
 
     def signature(self) -> tuple[object, ...]:
         """What a person would call the same answer: all but ages and values."""

@@ -20,14 +20,13 @@ from vcu_gateway.daemon.link_events import LinkEvents
 from vcu_gateway.daemon.log import log
 from vcu_gateway.daemon.processor_time import ProcessorTime
 from vcu_gateway.daemon.work_queue import WorkQueue
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _SWITCH_INTERVAL_S = 0.0005
 # No work for others is begun so shortly before a tick; sleeping to it is the most punctual.
 _PUNCTUAL_NS = 3_000_000
 _COLLECT_EVERY_TICKS = 1200
 _FIRST_LOOK_WITHIN_S = 0.5
-_NS_PER_S = 1_000_000_000
-_NS_PER_MS = 1_000_000
 
 Observer = Callable[[Tick, TickResult], None]
 
@@ -111,7 +110,7 @@ class TickLoop:
         self.keeper.tried.wait(_FIRST_LOOK_WITHIN_S)
         schedule = self.schedule = Schedule(time.monotonic_ns(), self.schedule.period_ns)
         self.door.align(schedule.origin_ns, schedule.period_ns)
-        end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * _NS_PER_S)
+        end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * NS_PER_S)
         try:
             while not self._finished:
                 self.inbox.do_until(schedule.next_deadline_ns - _PUNCTUAL_NS)
@@ -134,7 +133,7 @@ class TickLoop:
     def _sleep_until(deadline_ns: int) -> None:
         left_ns = deadline_ns - time.monotonic_ns()
         if left_ns > 0:
-            time.sleep(left_ns / _NS_PER_S)
+            time.sleep(left_ns / NS_PER_S)
 
     def _tick(self, tick: Tick) -> None:
         gateway, begun_ns = self.gateway, time.monotonic_ns()
@@ -175,9 +174,9 @@ class TickLoop:
         if tick.skipped:
             fields = {
                 "skipped": tick.skipped,
-                "late_ms": tick.lateness_ns / _NS_PER_MS,
-                "processor_ms": spent.processor_ns / _NS_PER_MS,
-                "waited_ms": None if spent.waited_ns is None else spent.waited_ns / _NS_PER_MS,
+                "late_ms": tick.lateness_ns / NS_PER_MS,
+                "processor_ms": spent.processor_ns / NS_PER_MS,
+                "waited_ms": None if spent.waited_ns is None else spent.waited_ns / NS_PER_MS,
             }
             self.journal.tell(Event("ticks_skipped", Severity.WARNING, fields))
         for event in result.events:
@@ -199,7 +198,7 @@ class TickLoop:
             "stopped",
             reason=self._stopping,
             mode=self.gateway.supervisor.mode.value,
-            elapsed_s=round((time.monotonic_ns() - schedule.origin_ns) / _NS_PER_S, 3),
+            elapsed_s=round((time.monotonic_ns() - schedule.origin_ns) / NS_PER_S, 3),
             ticks=schedule.ticks,
             skipped=schedule.skipped,
             silent_ticks=self.silent_ticks,

@@ -5,7 +5,8 @@ import os
 import socket
 from collections.abc import Mapping
 
-_NS_PER_US = 1_000
+from vcu_gateway.units import NS_PER_US
+
 _STATUS_CHARACTERS = 500
 
 
@@ -67,4 +68,4 @@ def _watchdog_ns(environment: Mapping[str, str], own_pid: int) -> int | None:
     if environment.get("WATCHDOG_PID", str(own_pid)) != str(own_pid):
         return None
     text = environment.get("WATCHDOG_USEC", "")
-    return int(text) * _NS_PER_US if text.isascii() and text.isdecimal() and int(text) else None
+    return int(text) * NS_PER_US if text.isascii() and text.isdecimal() and int(text) else None

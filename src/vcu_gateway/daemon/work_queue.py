@@ -9,11 +9,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from vcu_gateway.units import NS_PER_S
+
 Work = Callable[[], None]
 
 _MUCH = 256
 _AT_ONCE = 32
-_NS_PER_S = 1_000_000_000
 
 
 class WorkQueue:
@@ -47,5 +48,5 @@ class WorkQueue:
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
             if self._waiting:
                 self._waiting.popleft()()
-            elif not self._bell.acquire(timeout=left_ns / _NS_PER_S):
+            elif not self._bell.acquire(timeout=left_ns / NS_PER_S):
                 return

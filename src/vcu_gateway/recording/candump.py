@@ -8,6 +8,7 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.recording.lines import LineReader
 from vcu_gateway.recording.problems import LineProblems, Verdict
 from vcu_gateway.recording.recorded import RecordedFrame
+from vcu_gateway.units import NS_PER_S
 
 # Seconds, fraction, channel, identifier, payload, and the direction of `candump -x`.
 _LINE = re.compile(
@@ -18,7 +19,6 @@ _REMOTE = re.compile(r"R(?:[0-8](?:_[9A-F])?)?", re.IGNORECASE)
 _FD = re.compile(r"#[0-9A-F]((?:[0-9A-F]{2}){0,64})", re.IGNORECASE)
 _DATA = re.compile(r"((?:[0-9A-F]{2}\.?){0,64})(?:_[9A-F])?", re.IGNORECASE)
 
-_NS_PER_S = 1_000_000_000
 _NS_BY_DIGITS = tuple(10 ** (9 - digits) for digits in range(10))
 _STANDARD_MASK = 0x7FF
 _STANDARD_DIGITS = 3
@@ -53,7 +53,7 @@ def _recorded(found: re.Match[str], number: int, complaints: LineProblems) -> Re
             complaints.damaged(number, f"the payload {payload[:40]!r} is damaged")
             return None
         data, remote, fd = unusual
-    arrival_ns = int(seconds) * _NS_PER_S + int(fraction) * _NS_BY_DIGITS[len(fraction)]
+    arrival_ns = int(seconds) * NS_PER_S + int(fraction) * _NS_BY_DIGITS[len(fraction)]
     frame = Frame(can_id & j1939.ID_MASK, data, arrival_ns, extended, remote, error)
     return RecordedFrame(frame, channel, number, fd)
 

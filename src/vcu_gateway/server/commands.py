@@ -22,8 +22,7 @@ from vcu_gateway.server import views
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.sources import Sources
-
-_NS_PER_MS = 1_000_000
+from vcu_gateway.units import NS_PER_MS
 
 
 class CommandHandlers:
@@ -168,7 +167,7 @@ def _entry(entry: LoggedEvent, now_ns: int) -> results.EventEntry:
         "severity": severity,
         "fields": dict(entry.event.fields),
         "count": entry.count,
-        "first_ms": (now_ns - entry.first_ns) / _NS_PER_MS,
-        "last_ms": (now_ns - entry.last_ns) / _NS_PER_MS,
+        "first_ms": (now_ns - entry.first_ns) / NS_PER_MS,
+        "last_ms": (now_ns - entry.last_ns) / NS_PER_MS,
         "last_time": entry.last_time(),
     }

@@ -14,9 +14,9 @@ from vcu_gateway.server.scraping import Scraping
 from vcu_gateway.server.service import Caller, RequestService
 from vcu_gateway.server.session import GAVE_WAY, Limits, Session
 from vcu_gateway.server.tick_gaps import TickGaps
+from vcu_gateway.units import NS_PER_S
 
 _UPDATES_PER_ROUND = 4
-_NS_PER_S = 1_000_000_000
 _LOOK_S = 0.005
 
 
@@ -95,7 +95,7 @@ class EventLoop:
     def _timeout_s(self) -> float | None:
         if self._wake_ns is None:
             return None
-        return max(0.0, (self._wake_ns - time.monotonic_ns()) / _NS_PER_S)
+        return max(0.0, (self._wake_ns - time.monotonic_ns()) / NS_PER_S)
 
     def _on_event(self, connection: Session, event: int) -> None:
         now_ns = self._now_ns()

@@ -18,9 +18,7 @@ from vcu_gateway.core.schedule import Schedule, percentile_ns
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.server import views
-
-_NS_PER_MS = 1_000_000
-_NS_PER_US = 1_000
+from vcu_gateway.units import NS_PER_MS, NS_PER_US
 
 _VERSIONS: results.Versions = {
     "vcu_gateway": __version__,
@@ -87,7 +85,7 @@ def _link(daemon: TickLoop, bus: BusSettings, now_ns: int) -> results.Link:
         "interface": bus.interface,
         "channel": bus.channel,
         "state": link.state.value,
-        "since_ms": (now_ns - link.since_ns) / _NS_PER_MS,
+        "since_ms": (now_ns - link.since_ns) / NS_PER_MS,
         "lost": daemon.door.lost,
     }
 
@@ -97,10 +95,10 @@ def _ticks(schedule: Schedule, silent: int) -> results.Ticks:
 
     def at(share: float) -> float | None:
         value_ns = percentile_ns(recent_ns, share)
-        return None if value_ns is None else value_ns / _NS_PER_US
+        return None if value_ns is None else value_ns / NS_PER_US
 
     return {
-        "period_ms": schedule.period_ns / _NS_PER_MS,
+        "period_ms": schedule.period_ns / NS_PER_MS,
         "done": schedule.ticks,
         "skipped": schedule.skipped,
         "silent": silent,

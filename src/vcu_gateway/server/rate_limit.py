@@ -1,13 +1,13 @@
 """So many a second, and some of them at once."""
 
-_NS_PER_S = 1_000_000_000
+from vcu_gateway.units import NS_PER_S
 
 
 class TokenBucket:
     """A token bucket in integers: `take` only from `ready_ns` on."""
 
     def __init__(self, rate_per_s: int, burst: int, now_ns: int) -> None:
-        self._interval_ns = _NS_PER_S // rate_per_s
+        self._interval_ns = NS_PER_S // rate_per_s
         self._burst_ns = burst * self._interval_ns
         self._taken_until_ns = now_ns - self._burst_ns
 

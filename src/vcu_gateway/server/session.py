@@ -10,9 +10,9 @@ from vcu_gateway.server.lines import LineBuffer
 from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.subscriptions import SubscriptionState
+from vcu_gateway.units import NS_PER_S
 
 _CHUNK_BYTES = 16_384
-_NS_PER_S = 1_000_000_000
 
 LINE_TOO_LONG = "line too long"
 LINE_LATE = "line not finished in time"
@@ -54,8 +54,8 @@ class Limits(NamedTuple):
     burst: int = 50
     unanswered: int = 16
     output_bytes: int = 262_144
-    patience_ns: int = 10 * _NS_PER_S
-    pause_ns: int = _NS_PER_S
+    patience_ns: int = 10 * NS_PER_S
+    pause_ns: int = NS_PER_S
     linger_ns: int = 300_000_000
 
 

@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-_NS_PER_S = 1_000_000_000
+from vcu_gateway.units import NS_PER_S
+
 UNIT_NS = 1_000_000
 """What one unit of work costs, unless its caller knows better."""
 
@@ -71,7 +72,7 @@ class TickGaps:
             until_ns = self._open_at(now_ns, cost_ns)
             if until_ns <= now_ns:
                 return
-            self._sleep((until_ns - now_ns) / _NS_PER_S)
+            self._sleep((until_ns - now_ns) / NS_PER_S)
 
     def _open_at(self, now_ns: int, cost_ns: int) -> int:
         """When to look again; `now_ns` or before where there is room now."""

@@ -10,8 +10,8 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
+from vcu_gateway.units import NS_PER_MS
 
-_NS_PER_MS = 1_000_000
 _CONTROLLERS: tuple[results.ControllerName, ...] = get_args(results.ControllerName)
 
 
@@ -128,11 +128,11 @@ def mode_name(mode: Mode) -> results.ModeName:
 
 def milliseconds(duration_ns: int | None) -> float | None:
     """A duration as the API has it, to the microsecond."""
-    return None if duration_ns is None else round(duration_ns / _NS_PER_MS, 3)
+    return None if duration_ns is None else round(duration_ns / NS_PER_MS, 3)
 
 
 def _since(now_ns: int, since_ns: int) -> float:
-    return round((now_ns - since_ns) / _NS_PER_MS, 3)
+    return round((now_ns - since_ns) / NS_PER_MS, 3)
 
 
 def counters(gateway: Gateway) -> dict[str, Any]:

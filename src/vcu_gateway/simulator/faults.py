@@ -13,11 +13,11 @@ from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.simulator.nodes import NodeFrame, Transform
 from vcu_gateway.simulator.vehicle import Vehicle
+from vcu_gateway.units import NS_PER_MS
 
 NEVER_NS = 2**62
 """Later than anything happens."""
 
-_NS_PER_MS = 1_000_000
 _BYTE_BITS = 8
 _ALL_PCT = 100.0
 
@@ -51,7 +51,7 @@ def delayed(delay_ms: int) -> Transform:
     """It leaves so much later."""
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        return (frame._replace(due_ns=frame.due_ns + delay_ms * _NS_PER_MS),)
+        return (frame._replace(due_ns=frame.due_ns + delay_ms * NS_PER_MS),)
 
     return transform
 

@@ -13,12 +13,12 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.simulator.signals import Source, sources
 from vcu_gateway.simulator.vehicle import Vehicle
+from vcu_gateway.units import NS_PER_MS
 
 ANSWER_DELAY_NS = 1_000_000
 """From a command to the controller's Status2."""
 
 _GATEWAY_NODE = "VCU"
-_NS_PER_MS = 1_000_000
 # Successive messages start so far apart: one frame at 250 kbit/s takes 0.6 ms.
 _PHASE_NS = 1_000_000
 
@@ -199,5 +199,5 @@ def _grids(senders: Iterable[_Sender], start_ns: int) -> list[tuple[Schedule, _S
         period_ms = sender.codec.spec.period_ms
         if period_ms is not None:
             first_ns = start_ns + len(grids) * _PHASE_NS
-            grids.append((Schedule(first_ns, period_ms * _NS_PER_MS), sender))
+            grids.append((Schedule(first_ns, period_ms * NS_PER_MS), sender))
     return grids

@@ -15,8 +15,8 @@ from vcu_gateway.core import j1939
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.python_can import can
 from vcu_gateway.simulator.nodes import NodeFrame, Nodes
+from vcu_gateway.units import NS_PER_S
 
-_NS_PER_S = 1_000_000_000
 # The longest wait, so that stopping never takes longer.
 _LONGEST_WAIT_NS = 50_000_000
 # Trouble is over when none has come for so long; a queue that flickers is told of once.
@@ -88,14 +88,14 @@ def play(
     """
     player = _Player(bus, nodes, log, note)
     begin_ns = time.monotonic_ns()
-    end_ns = None if duration_s is None else begin_ns + int(duration_s * _NS_PER_S)
+    end_ns = None if duration_s is None else begin_ns + int(duration_s * NS_PER_S)
     now_ns = begin_ns
     while not stop.is_set() and (end_ns is None or now_ns < end_ns):
         player.send_due(now_ns)
         until_ns = min(nodes.next_due_ns(), now_ns + _LONGEST_WAIT_NS)
         player.receive_until(until_ns if end_ns is None else min(until_ns, end_ns))
         now_ns = time.monotonic_ns()
-    player.played.duration_s = (now_ns - begin_ns) / _NS_PER_S
+    player.played.duration_s = (now_ns - begin_ns) / NS_PER_S
     return player.played
 
 
@@ -134,7 +134,7 @@ class _Player:
     def receive_until(self, until_ns: int) -> None:
         """Wait for one frame until then, and take it in."""
         try:
-            message = self._wait((until_ns - time.monotonic_ns()) / _NS_PER_S)
+            message = self._wait((until_ns - time.monotonic_ns()) / NS_PER_S)
         except (can.CanError, OSError) as error:
             self._trouble(error)
             return

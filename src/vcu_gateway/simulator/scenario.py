@@ -17,8 +17,8 @@ from vcu_gateway.simulator.steps import FAULTS, Step
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.lines import Path as KeyPath
 from vcu_gateway.strict_yaml.problems import FileProblem, problems, shown
+from vcu_gateway.units import NS_PER_S
 
-_NS_PER_S = 1_000_000_000
 _EXAMPLE = "{at_s: 10, fault: silence, of: BMS}"
 
 
@@ -56,8 +56,8 @@ class Scenario:
 
 
 def _spell(step: Step, codec: Codec, start_ns: int, tell: Report) -> FaultInterval:
-    begin_ns = start_ns + round(step.at_s * _NS_PER_S)
-    end_ns = None if step.for_s is None else begin_ns + round(step.for_s * _NS_PER_S)
+    begin_ns = start_ns + round(step.at_s * NS_PER_S)
+    end_ns = None if step.for_s is None else begin_ns + round(step.for_s * NS_PER_S)
     return FaultInterval(step.told(), step.broken(codec), begin_ns, end_ns, tell)
 
 

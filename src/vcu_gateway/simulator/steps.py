@@ -19,9 +19,9 @@ from vcu_gateway.simulator.names import (
     signal_spec,
 )
 from vcu_gateway.simulator.nodes import Transform
+from vcu_gateway.units import NS_PER_MS
 
 _LONGEST_S = 86_400
-_NS_PER_MS = 1_000_000
 
 
 class Step(Section):
@@ -246,7 +246,7 @@ class ForeignSender(Step):
                 command.spec.can_id,
                 command.encode({**asked, **limits}),
                 command.spec.name,
-                self.period_ms * _NS_PER_MS,
+                self.period_ms * NS_PER_MS,
             )
         )
 
