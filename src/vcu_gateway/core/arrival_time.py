@@ -1,7 +1,7 @@
-"""Arrival stamps of the wall clock, told in monotonic time.
+"""Arrival time: the kernel's stamps of the wall clock in monotonic time.
 
 The kernel stamps frames on the wall clock only. Both clocks are slewed alike, so their
-distance changes only when somebody steps the wall clock (or the machine was suspended).
+distance changes only when the wall clock is stepped (or the machine was suspended).
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ def arrival_ns(stamp_wall_ns: int, before: ClockPair, now: ClockPair) -> int:
     """Monotonic arrival of a frame that was read at `now`.
 
     `before` is the reading of the drain before: whatever is read now arrived after it or
-    was left over from it. Where the wall clock was stepped between the two, nobody can know
+    was left over from it. Where the wall clock was stepped between the two, it is not known
     whether a stamp was taken before or after the step; the reading that is possible (not in
     the future) and older wins, because a frame must never look fresher than it is. A stamp
     that no reading makes possible counts as arriving at `before`.
@@ -51,5 +51,5 @@ def steady(before: ClockPair, now: ClockPair) -> bool:
 
 
 def _likelier(older_ns: int, newer_ns: int, earliest_ns: int) -> int:
-    """The older reading, unless only the newer one lies after the last drain."""
+    """Older of two readings, unless only the newer one lies after the last drain."""
     return newer_ns if older_ns < earliest_ns <= newer_ns else older_ns

@@ -1,8 +1,50 @@
-"""The Python source of a message's decoder and encoder.
+"""Code generation: the Python source of a message's decoder and encoder.
 
-Whole bytes and words are moved by one call of struct; a signal inside one byte is shifted
-out of that byte; whatever else crosses bytes comes from all 64 bits at once. Nothing but the
-message's own numbers and names goes into the source.
+Theory of operation
+-------------------
+A decoder runs for every received frame, so nothing is looked up in it: `plan` decides once where
+each signal comes from, `decoder` and `encoder` write that down as straight-line source, and
+`codec.compile_message` compiles it. Only numbers and names of the protocol go into the source.
+
+- A signal of whole bytes in the order of the frame is moved by one call of struct: r<i>.
+- A signal inside one byte is shifted out of that byte: b<k>.
+- A signal that crosses bytes in another way comes from all 64 bits at once: q.
+
+Of VCU_PCU1_Command (four signals in byte 0, two bytes, two words) these come out, but for the
+breaks in the line of `return Decoded`:
+
+    def decode(data):
+        (b0, r4, r5, r6, r7, ) = unpack(data)
+        r0 = b0 >> 2 & 3
+        r1 = b0 >> 4 & 1
+        r2 = b0 >> 5 & 1
+        r3 = b0 >> 7
+        raws = (r0, r1, r2, r3, r4, r5, r6, r7, )
+        return Decoded(((r0, r1, r2, r3, r4 * 0.39, r5 * 0.39, r6, r7, ), raws,
+            0 if r6 <= 12000 and r7 <= 60000
+            else (0 if r6 <= 12000 else 64) | (0 if r7 <= 60000 else 128)))
+
+    def encode(values):
+        try:
+            x = values['PowerMode']
+            r0 = x.__round__() if 0 < x < 3 else 3 if x >= 3 else 0
+            r1 = 1 if values['MotorReverse'] > 0.5 else 0
+            r2 = 1 if values['RegenBrake'] > 0.5 else 0
+            r3 = 1 if values['PowerCut'] > 0.5 else 0
+            x = values['Throttle'] / 0.39
+            r4 = x.__round__() if 0.0 < x < 255.0 else 255 if x >= 255.0 else 0
+            x = values['Brake'] / 0.39
+            r5 = x.__round__() if 0.0 < x < 255.0 else 255 if x >= 255.0 else 0
+            x = values['SpeedLimit']
+            r6 = x.__round__() if 0.0 < x < 12000.0 else 12000 if x >= 12000.0 else 0
+            x = values['PowerLimit']
+            r7 = x.__round__() if 0.0 < x < 60000.0 else 60000 if x >= 60000.0 else 0
+        except (KeyError, OverflowError):
+            return encode(complete(values))
+        return pack(r0 << 2 | r1 << 4 | r2 << 5 | r3 << 7, r4, r5, r6, r7)
+
+The last item of `Decoded` has bit i set where signal i is not good. The encoder saturates: every
+comparison with NaN is false, so that NaN becomes the lowest code.
 """
 
 from collections.abc import Iterable
@@ -16,7 +58,7 @@ _EXACT_FLOAT_BITS = 53
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a frame is taken apart: signal i becomes r<i>, byte k becomes b<k>.
+    """Layout of a frame: signal i becomes r<i>, byte k becomes b<k>.
 
     Attributes:
         struct_format: of the eight bytes.
@@ -33,7 +75,7 @@ class Layout:
 
 
 def plan(message: MessageSpec) -> Layout:
-    """Decide for each signal where it comes from."""
+    """Layout of a message: where each of its signals comes from."""
     signals = message.signals
     orders = {signal.byte_order for signal in signals if signal.length_bits > 8}
     order = "big" if orders == {"big"} else "little"
@@ -66,7 +108,7 @@ def plan(message: MessageSpec) -> Layout:
 
 
 def _struct_code(signal: SignalSpec, order: str) -> str | None:
-    """The code of struct for a signal of whole bytes in this order, or None."""
+    """Struct code for a signal of whole bytes in this order, or None."""
     code = _STRUCT_CODES.get(signal.length_bits)
     first = 0 if signal.byte_order == "little" else 7
     if code is None or signal.start_bit % 8 != first:
@@ -164,7 +206,7 @@ def _marks(signals: tuple[SignalSpec, ...]) -> str:
 
 
 def _good_expression(index: int, signal: SignalSpec) -> str:
-    """Whether the code is inside the range and not the saturated one; empty if always."""
+    """Test of a code inside the range and not saturated; empty where every code is good."""
     raw, parts = f"r{index}", []
     lowest, highest = signal.raw_minimum, signal.raw_maximum
     if signal.saturated_raw == highest:
@@ -214,7 +256,7 @@ def _saturating_lines(index: int, signal: SignalSpec) -> list[str]:
 
 
 def _limit(signal: SignalSpec, raw: int) -> float:
-    """A code to compare with: quantities come as floats, and like is compared with like faster."""
+    """Code to compare with: quantities come as floats, and like is compared with like faster."""
     exact = signal.length_bits <= _EXACT_FLOAT_BITS
     return float(raw) if exact and not signal.names else raw
 

@@ -1,4 +1,4 @@
-"""What happened, as values; the core cannot log."""
+"""Events: facts as values; the core cannot log."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Severity(IntEnum):
-    """How much it matters, as the log's levels."""
+    """Severity of an event, as the log's levels."""
 
     INFO = 20
     WARNING = 30

@@ -1,11 +1,11 @@
-"""What the bus door hands to the core."""
+"""Frame: one received CAN frame, as the core takes it."""
 
 from dataclasses import dataclass
 
 
 @dataclass(slots=True)
 class Frame:
-    """One received frame; nobody changes it after it was made.
+    """One received frame; not changed after it was made.
 
     Attributes:
         can_id: identifier without flags, 11 or 29 bits.

@@ -1,4 +1,4 @@
-"""When a message is late or stale: from its period, unless configured (SAFETY.md, Causes)."""
+"""Freshness: deadlines of a message, from its period unless configured (docs/safety.md, Causes)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

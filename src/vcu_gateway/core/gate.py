@@ -1,4 +1,4 @@
-"""The last check on every frame, by someone who does not trust the rest.
+"""Gate: the last check of every command frame, independent of the rest of the core.
 
 Written against the bytes of the command frame and the protocol's limits alone; it imports
 nothing of the rules, the supervisor or the commands. A frame that breaks a rule here is
@@ -24,7 +24,7 @@ _NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True)
 class GateLimits:
-    """What the gate holds every frame against.
+    """Limits that the gate holds every frame against.
 
     Attributes:
         allowed: identifier of the one frame of each slot; anything else is blocked.
@@ -60,7 +60,7 @@ class GateLimits:
 
 
 class GateResult(NamedTuple):
-    """What may be sent, and why it is not what was given; None where it is."""
+    """Frame that may be sent, and the rule that the given one broke; None where it broke none."""
 
     can_id: int
     data: bytes
@@ -109,7 +109,7 @@ class Gate:
         return GateResult(own_id, self.zero_torque(reverse, sent), why)
 
     def zero_torque(self, reverse: bool, sent: _Sent | None = None) -> bytes:
-        """SAFETY.md's ZERO_TORQUE in bytes, as it may follow the frame that was sent."""
+        """ZERO_TORQUE (docs/safety.md, Safe frames) in bytes, as it may follow the frame sent."""
         speed = int(self.limits.speed_limit_max_rpm)
         if sent is not None:
             speed = max(speed, _word(sent.data, 4) - int(self.limits.speed_step_rpm))
@@ -185,7 +185,7 @@ class Gate:
         return None
 
     def _too_slow_to_regenerate(self, speeds_rpm: tuple[float | None, ...]) -> bool:
-        """True where a motor turns too slowly for regeneration, or nobody knows how fast."""
+        """True where a motor turns too slowly for regeneration, or at an unknown speed."""
         least_rpm = self.limits.regen_min_rpm
         return least_rpm > 0 and any(speed is None or speed < least_rpm for speed in speeds_rpm)
 

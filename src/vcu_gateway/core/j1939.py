@@ -3,13 +3,13 @@
 from typing import NamedTuple
 
 ID_MASK = 0x1FFF_FFFF
-"""29 bits; anything above is a flag of SocketCAN, not an identifier (PROTOCOL.md E2)."""
+"""29 bits; anything above is a flag of SocketCAN, not an identifier (docs/protocol.md E2)."""
 
 MATCH_MASK = 0x03FF_FFFF
-"""All but the priority: a receiver tells messages apart by PGN and source (PROTOCOL.md E1)."""
+"""All but the priority: receivers tell messages apart by PGN and source (docs/protocol.md E1)."""
 
 GROUP_MASK = MATCH_MASK & ~0xFF
-"""All but priority and source: what a node tells by whom it is for, whoever sent it."""
+"""All but priority and source: messages of one meaning to one node, from any sender."""
 
 PDU2_FIRST_PF = 240
 """From this PDU format on, PS belongs to the group number instead of being a destination."""
@@ -72,12 +72,12 @@ def parse(can_id: int) -> Identifier:
 
 
 def match_key(can_id: int) -> int:
-    """What identifies a message whatever its priority."""
+    """Key of a message, the same for every priority."""
     return can_id & MATCH_MASK
 
 
 def group_key(can_id: int) -> int:
-    """What identifies a message whatever its priority and sender."""
+    """Key of a message, the same for every priority and sender."""
     return can_id & GROUP_MASK
 
 

@@ -100,7 +100,7 @@ class Schedule:
 
 
 def next_drain_ns(last_ns: int, gather_ns: int, grid: tuple[int, int] | None) -> int:
-    """When to read the bus again: after `gather_ns`, but never past a point of the grid.
+    """Time to read the bus again: after `gather_ns`, but never past a point of the grid.
 
     `grid` is (origin_ns, period_ns) of the instants by which everything must have been read;
     None without a grid.

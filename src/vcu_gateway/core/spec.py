@@ -1,4 +1,4 @@
-"""What a message and a signal are: the protocol as values."""
+"""Protocol as values: messages, signals and their layout."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ _RANGE_TOLERANCE_RAW = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class SignalSpec:
-    """One signal: where its bits are and what they mean.
+    """One signal: position, scaling and codes of its bits.
 
     Attributes:
         name: the signal's one name, as in the DBC, the store, the API and the logs.
@@ -115,7 +115,7 @@ class ProtocolSpec:
 
     Attributes:
         nodes: source address of each node.
-        aliases: further identifier -> message name (PROTOCOL.md E3).
+        aliases: further identifier -> message name (docs/protocol.md E3).
     """
 
     messages: tuple[MessageSpec, ...]

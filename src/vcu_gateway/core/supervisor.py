@@ -1,4 +1,4 @@
-"""Modes: what may happen in each, as a total table, and the fault that is latched.
+"""Supervisor: modes, their transitions as a total table, and the latched fault.
 
 Only ACTIVE can carry torque; it is reached by an explicit request from STANDBY alone.
 """
@@ -11,7 +11,7 @@ from vcu_gateway.core.events import Event, Severity
 
 
 class Mode(Enum):
-    """SAFETY.md, Modes."""
+    """Operating mode of the gateway; docs/safety.md, Modes."""
 
     STARTING = "starting"
     STANDBY = "standby"
@@ -21,7 +21,7 @@ class Mode(Enum):
 
 
 class Stimulus(Enum):
-    """What can change the mode, the most urgent first."""
+    """Stimulus of a mode change, the most urgent first."""
 
     TERMINATE = "terminate"
     CUT = "cut"
@@ -36,7 +36,7 @@ class Stimulus(Enum):
 
 
 class FaultClass(Enum):
-    """Who may reset a latched fault."""
+    """Class of a latched fault: the level that may reset it."""
 
     DRIVER = "driver"
     SERVICE = "service"
@@ -69,7 +69,7 @@ def following(mode: Mode, stimulus: Stimulus) -> Mode:
 
 @dataclass(frozen=True, slots=True)
 class LatchedFault:
-    """A latched fault: who may reset it, and what latched it, as a person reads it."""
+    """Latched fault: the level that may reset it, and its reason as a person reads it."""
 
     fault_class: FaultClass
     reason: str
