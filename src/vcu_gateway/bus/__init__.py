@@ -1,1 +1,1 @@
-"""The door to the bus: the only place of the daemon that knows python-can."""
+"""CAN bus: connection, SocketCAN, reconnecting, interface state; the home of python-can."""

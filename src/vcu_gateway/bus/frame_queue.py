@@ -1,4 +1,4 @@
-"""Frames that were read and wait to be handed on: by the reader, or at once by the ticking thread.
+"""Queue of read frames, handed on by the reader or at once by the ticking thread.
 
 The reader takes them one by one. Right before a tick the ticking thread takes the rest over. Both
 never hand on at the same time, and the order of arrival is kept.
@@ -22,7 +22,7 @@ class FrameQueue:
     """A queue with one reader, which another thread may empty in between.
 
     Attributes:
-        lock: held by whoever puts frames in.
+        lock: held while frames are put in.
         pending: frames in the order of their arrival.
         with_reader: the reader has one in its hands; until then it is in `pending`.
     """
@@ -34,7 +34,7 @@ class FrameQueue:
         self._wanted = False
 
     def take(self) -> can.Message | None:
-        """The reader's next frame; it asks when it is done with the one before."""
+        """The reader's next frame, None where nothing waits; it is done with the one before."""
         self.with_reader = False
         while self._wanted:
             time.sleep(_GIVE_WAY_S)
@@ -62,7 +62,7 @@ class FrameQueue:
         return True
 
     def _reader_is_done(self) -> bool:
-        """Whether the lock could be had with no frame in the reader's hands; it is kept then."""
+        """Take the lock with no frame in the reader's hands; False where that took too long."""
         end_ns = time.monotonic_ns() + _PATIENCE_NS
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
             if self.lock.acquire(timeout=left_ns / NS_PER_S):

@@ -1,4 +1,4 @@
-"""What the kernel can tell of a CAN interface, as values."""
+"""Values of a CAN interface as the kernel reports them."""
 
 from enum import IntFlag
 from typing import NamedTuple
@@ -7,7 +7,7 @@ from vcu_gateway.core.link import LinkState
 
 
 class InterfaceDetails(NamedTuple):
-    """Of one CAN interface; None is not known.
+    """Details of one CAN interface; None is not known.
 
     Attributes:
         driver_echoes: our frames come back from the driver once they have left; where it does
@@ -26,7 +26,7 @@ class InterfaceDetails(NamedTuple):
 
 
 class ControllerMode(IntFlag):
-    """What a controller is set to besides its bit rate."""
+    """Modes of a controller (CAN_CTRLMODE)."""
 
     LOOPBACK = 0x01
     LISTEN_ONLY = 0x02
@@ -44,7 +44,7 @@ class ErrorCounters(NamedTuple):
 
 
 class DeviceCounters(NamedTuple):
-    """What a controller went through since its driver was loaded, each a number of times."""
+    """Counters of a controller since its driver was loaded."""
 
     bus_errors: int
     warnings: int
@@ -55,10 +55,10 @@ class DeviceCounters(NamedTuple):
 
 
 class CanController(NamedTuple):
-    """A CAN controller; None is what its driver does not tell.
+    """A CAN controller; None is what its driver does not report.
 
     Attributes:
-        restart_ms: after bus-off it starts again by itself after so long; 0 is never.
+        restart_ms: time from bus-off to its restart by itself; 0 is never.
     """
 
     restart_ms: int | None = None
@@ -68,7 +68,7 @@ class CanController(NamedTuple):
 
 
 class InterfaceTraffic(NamedTuple):
-    """Frames since the interface exists."""
+    """Frame counters since the interface exists."""
 
     received: int
     sent: int
@@ -78,7 +78,7 @@ class InterfaceTraffic(NamedTuple):
 
 
 class InterfaceInfo(NamedTuple):
-    """All of an interface; None and empty are not known.
+    """Everything known of an interface; None and empty are not known.
 
     Attributes:
         kind: the kernel's word, such as vcan; can is any with a controller.

@@ -1,4 +1,4 @@
-"""Both clocks at one instant."""
+"""Pairs of wall-clock and monotonic time, read at one instant."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Processor time between two ticks: a starved machine and a busy gateway look alike without it."""
+"""Processor time between two ticks: distinguishes a starved machine from a busy gateway."""
 
 import contextlib
 import os
@@ -10,12 +10,12 @@ _BYTES = 128
 
 
 class ProcessorUsage(NamedTuple):
-    """Since the look before.
+    """Processor time of one interval.
 
     Attributes:
         processor_ns: processor time of the whole process.
         waited_ns: how long the asking thread was ready to run and had no processor; None where
-            the kernel does not tell.
+            the kernel does not count it.
     """
 
     processor_ns: int
@@ -23,7 +23,7 @@ class ProcessorUsage(NamedTuple):
 
 
 class ProcessorTime:
-    """Asked by one thread, about itself and its process; it keeps one file open."""
+    """Counter of one thread and its process, read by that thread; it keeps one file open."""
 
     def __init__(self) -> None:
         self._file: int | None = None
@@ -33,7 +33,7 @@ class ProcessorTime:
         self._waited_ns = self._waited()
 
     def since_last(self) -> ProcessorUsage:
-        """What was spent since the last call, or since the beginning."""
+        """Processor time since the last call, or since the beginning."""
         processor_ns, waited_ns = time.process_time_ns(), self._waited()
         spent_ns, before_ns = processor_ns - self._processor_ns, self._waited_ns
         self._processor_ns, self._waited_ns = processor_ns, waited_ns
@@ -50,7 +50,7 @@ class ProcessorTime:
         return None
 
     def close(self) -> None:
-        """Ask no more."""
+        """Close the file."""
         if self._file is not None:
             os.close(self._file)
             self._file = None

@@ -1,4 +1,4 @@
-"""How often the gateway has started, and how often without having ended before."""
+"""Restart counter: starts of this boot, and those that no orderly end came before."""
 
 import contextlib
 from pathlib import Path
@@ -24,7 +24,7 @@ class CountedStart(NamedTuple):
 
 
 class RestartCounter:
-    """The account of one gateway, in a file of its runtime folder."""
+    """Counter of one gateway's starts, in a file of its runtime folder."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / _NAME
@@ -38,7 +38,7 @@ class RestartCounter:
         return now if self._now or before.number else None
 
     def end(self) -> None:
-        """This was an orderly end: the next start begins a new drive."""
+        """Record an orderly end: the next start begins a new drive."""
         if self._now is not None:
             self._write(self._now, _ENDED)
 
