@@ -1,1 +1,1 @@
-"""The local API: JSON-RPC 2.0, one message a line, over a Unix stream socket."""
+"""The contract of the API: methods, results, errors and rights; no sockets, no gateway."""

@@ -1,10 +1,10 @@
-"""The errors that the API answers with: a code, a stable word and a sentence."""
+"""Errors of the API: a code, a stable word and a sentence."""
 
 from enum import Enum
 
 
 class ErrorCode(Enum):
-    """JSON-RPC's own codes, and ours from -32000 on; the value's name is the stable word."""
+    """Error codes: JSON-RPC's own, and ours from -32001 down; the word is the lower-case name."""
 
     PARSE_ERROR = -32700
     INVALID_REQUEST = -32600
@@ -21,8 +21,8 @@ class ErrorCode(Enum):
     """The new configuration is not taken; `data.problems` has a line for each reason."""
 
 
-class RequestError(Exception):  # noqa: N818
-    """A request that is answered with an error.
+class RequestError(Exception):
+    """Failed request, answered with an error.
 
     Attributes:
         refusal: machine word of a REFUSED, as core.demand.Refusal has them.

@@ -1,11 +1,11 @@
-"""Who asks, and what that process may do."""
+"""Rights of a peer, from its user and groups."""
 
 from enum import Enum
 from typing import NamedTuple
 
 
 class Right(Enum):
-    """What a method needs; every peer that can open the socket may read, and stop the vehicle."""
+    """Right that a method needs; every peer that can open the socket has READ, and may stop."""
 
     READ = "read"
     OPERATE = "operate"
@@ -13,7 +13,7 @@ class Right(Enum):
 
 
 class Peer(NamedTuple):
-    """The process at the other end, as the kernel tells it (SO_PEERCRED, SO_PEERGROUPS).
+    """Process at the other end, as the kernel reports it (SO_PEERCRED, SO_PEERGROUPS).
 
     Attributes:
         groups: the primary group and every supplementary one.
@@ -25,7 +25,7 @@ class Peer(NamedTuple):
 
 
 class Policy(NamedTuple):
-    """Users and groups, by number, that may do more than read.
+    """Users and groups, by number, that have more rights than READ.
 
     `own_uid` is the gateway's own user; it and root may do everything.
     """
@@ -37,7 +37,7 @@ class Policy(NamedTuple):
     service_gids: frozenset[int] = frozenset()
 
     def rights_of(self, peer: Peer) -> frozenset[Right]:
-        """Everything that this peer may do."""
+        """All rights of this peer."""
         if peer.uid in (0, self.own_uid):
             return frozenset(Right)
         rights = {Right.READ}

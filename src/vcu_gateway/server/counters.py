@@ -1,4 +1,4 @@
-"""What the API counts."""
+"""Counters of the API."""
 
 from dataclasses import dataclass, field
 
@@ -7,7 +7,7 @@ from vcu_gateway.api.results import ApiCounts
 
 @dataclass(slots=True)
 class Counters:
-    """Written by the API's thread alone; see shapes.ApiCounts.
+    """Counters written by the API's thread alone; see results.ApiCounts.
 
     Attributes:
         delayed: requests that had to wait because their connection sent too many.
@@ -25,15 +25,15 @@ class Counters:
     stopped_anyway: int = 0
 
     def count_error(self, word: str) -> None:
-        """One more answer that is an error."""
+        """Count an answer that is an error."""
         self.errors[word] = self.errors.get(word, 0) + 1
 
     def count_closed(self, reason: str) -> None:
-        """One more connection that the gateway ended."""
+        """Count a connection that the gateway closed."""
         self.closed[reason] = self.closed.get(reason, 0) + 1
 
     def report(self) -> ApiCounts:
-        """A copy, from any thread."""
+        """Copy of the counters; from any thread."""
         return ApiCounts(
             clients=self.clients,
             accepted=self.accepted,
