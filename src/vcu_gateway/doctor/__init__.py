@@ -1,5 +1,5 @@
-"""`vcu-gateway doctor`: is this machine ready to drive, and what mends what is not?
+"""`vcu-gateway doctor`: checks of this machine, and how to fix what fails.
 
-Each room has the facts of one subject as a value, a thin reader of them, and a pure judgement.
+Each module has one subject: its facts as a value, `read` that collects them, and a pure `judge`.
 Nothing here writes, sends a frame or needs root.
 """
