@@ -1,6 +1,6 @@
-"""The live view: pure functions from plain data to lines of text, and a Textual app over them.
+"""Live view: pure functions from a view model to lines of text, and a Textual app over them.
 
-`picture` is what is shown and where it comes from; `heading`, `reasons`, `controllers`, `bus`
-and `signals` make the lines; `app` puts them on a terminal, `plain` into a pipe. Only this room
-imports textual and rich.
+`poller` fills the `view_model` from the client. `header`, `reasons`, `controllers`, `bus` and
+`signals` make lines of it, which `layout` arranges for the terminal's size. `terminal` runs the
+`app`; `plain_text` is for a pipe.
 """

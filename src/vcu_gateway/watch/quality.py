@@ -1,4 +1,4 @@
-"""What a value is worth: a colour, and a word or a mark, so that colour is never the only sign."""
+"""Signal quality as colour and word or mark: colour is never the only sign."""
 
 from rich.text import Text
 
@@ -15,7 +15,7 @@ NOT_GOOD_MARK = "!"
 
 
 def value_style(signal: Signal) -> str:
-    """A good value has no colour, so that the others stand out."""
+    """Style of a value: none where it is good, so that the others stand out."""
     quality = signal["quality"]
     return "" if quality == "good" else QUALITY_STYLES[quality]
 

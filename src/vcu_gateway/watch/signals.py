@@ -1,4 +1,4 @@
-"""Every received signal: value, unit and quality, under its message with age and rate."""
+"""List of received signals: value, unit and quality, under message, age and rate."""
 
 from rich.text import Text
 
@@ -7,7 +7,7 @@ from vcu_gateway.watch.formatting import cell, duration, line, number
 from vcu_gateway.watch.quality import QUALITY_STYLES, value_style
 
 COLUMNS = 59
-"""The least that one column of signals needs; two stand side by side in twice that."""
+"""Least width of one column of signals."""
 
 _GAP = 2
 _NAME_COLUMNS = 25
@@ -21,9 +21,13 @@ _MS_PER_S = 1000
 def signal_lines(
     state: State | None, width: int, filter_text: str = "", old: bool = False
 ) -> list[Text]:
-    """As many columns as there is room for, the messages one below the other.
+    """Signals by message, in as many columns as fit.
 
-    `old` where the gateway has gone: no age and no quality, for nobody knows them.
+    Args:
+        state: None before the first answer.
+        width: of the terminal, in columns.
+        filter_text: part of the message or signal names to show.
+        old: the gateway is not reachable: ages and qualities are unknown.
     """
     blocks = [] if state is None else _blocks(state, filter_text.casefold(), old)
     if not blocks:
