@@ -1,4 +1,4 @@
-"""Options that several verbs share."""
+"""Options shared by several verbs."""
 
 import os
 from pathlib import Path
@@ -21,7 +21,7 @@ config_option = click.option(
 
 
 def resolve_config(given: Path | None, default: Path = DEFAULT_CONFIG) -> Path:
-    """The file to read; ConfigError, saying what to do, where none is given or in its place."""
+    """Path of the configuration; ConfigError where none is given and the default is missing."""
     if given is not None:
         return given
     if os.path.lexists(default):
