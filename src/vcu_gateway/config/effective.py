@@ -1,4 +1,4 @@
-"""The configuration's values for people and machines: what is in effect, digest, schema."""
+"""Effective values of a configuration, their digest, and the JSON Schema."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ _DIGEST_CHARACTERS = 16
 
 
 def effective(config: Config) -> dict[str, Any]:
-    """Every value that is in effect, as JSON has them; identifiers as 0x and 8 digits."""
+    """Effective values as JSON has them; identifiers as 0x and 8 digits."""
     return config.model_dump(mode="json")
 
 
@@ -25,7 +25,7 @@ def digest(config: Config) -> str:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON Schema of the configuration file, for editors that complete and check."""
+    """JSON Schema of the configuration file, for editors that complete and check."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **Config.model_json_schema(),

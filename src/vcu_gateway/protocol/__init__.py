@@ -1,4 +1,4 @@
-"""The protocol's way: definition file -> model -> DBC -> model."""
+"""Protocol: definition file -> specification -> DBC -> specification."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,7 +7,7 @@ from types import MappingProxyType
 _DATA = Path(__file__).parents[1] / "data"
 
 DEFAULT_ALIASES: Mapping[int, str] = MappingProxyType({0x08F02DE2: "IMU_Attitude"})
-"""Further identifiers that are received as a message, unless configured (PROTOCOL.md E3)."""
+"""Further identifiers that are received as a message, unless configured (docs/protocol.md E3)."""
 
 
 def packaged(name: str) -> Path:

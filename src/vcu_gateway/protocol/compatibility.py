@@ -1,4 +1,4 @@
-"""Does a DBC say what the safety rules were written for?"""
+"""Compatibility of a DBC with the protocol that the safety rules were written for."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,7 @@ _OF_SIGNAL = (
 
 
 def differences(found: ProtocolSpec, reference: ProtocolSpec) -> Iterator[str]:
-    """What `found` says otherwise of a message or signal of `reference`, a sentence each.
+    """Differences of `found` from the messages and signals of `reference`, a sentence each.
 
     What it has besides does not count.
     """

@@ -1,4 +1,4 @@
-"""The protocol as a DBC, written and read through cantools."""
+"""DBC of the protocol, written and read through cantools."""
 
 from collections import OrderedDict
 from pathlib import Path
