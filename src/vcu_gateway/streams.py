@@ -5,7 +5,7 @@ import sys
 
 
 def flush() -> None:
-    """Write out what stdout and stderr still hold, or drop it where nobody takes it.
+    """Flush stdout and stderr, or drop what cannot be written.
 
     Else Python tries it again after the last line of the program, fails and makes the exit code
     120 of whatever it was.

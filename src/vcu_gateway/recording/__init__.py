@@ -1,11 +1,11 @@
-"""Recordings of the bus: whatever format, frame by frame.
+"""Recordings of the bus, read frame by frame whatever their format.
 
 candump text is read here, line by line, and a damaged line does not end the reading. Every
 other format is read by python-can, which ends at the first damage.
 
 No identifier is ever shortened to 29 bits: a number beyond them is an error frame or damage
-(PROTOCOL.md E2), and python-can's own candump reader would decode it as data. BLF and MF4 are
-the exception, because python-can cuts their identifiers before anybody sees them.
+(docs/protocol.md E2), and python-can's own candump reader would decode it as data. BLF and MF4
+are the exception, because python-can cuts their identifiers itself.
 """
 
 from vcu_gateway.recording.problems import LineProblems

@@ -1,4 +1,4 @@
-"""Lines of a text, counted."""
+"""Reader of text lines that counts them and bounds their length."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -8,7 +8,7 @@ _LONGEST_CHARACTERS = 8192
 
 
 class LineReader:
-    """Iterates over a text file like the file itself, and knows where it is.
+    """Iterator over the lines of a text file, with the number of the current one.
 
     Of a line beyond 8192 characters only the beginning is given, so that a file without
     line ends cannot fill the memory.

@@ -1,4 +1,4 @@
-"""What is wrong with a recording, told a bounded number of times."""
+"""Problems of a recording, reported a bounded number of times."""
 
 import gzip
 from collections.abc import Callable
@@ -11,20 +11,20 @@ REPORTED_LIMIT = 10
 
 _ERROR_FLAG = 1 << 29
 _FLAGS = {30: "remote frames", 31: "29-bit identifiers"}
-# The classes that the kernel puts into an error frame's identifier; anything beyond them in
-# a "class" is an identifier that somebody printed with 30 bits.
+# The classes that the kernel puts into an error frame's identifier; other bits in a "class"
+# are those of an identifier that was printed with 30 bits.
 _ERROR_CLASSES = 0x3FF
 
 
 class Verdict(Enum):
-    """What an identifier above 29 bits makes of its frame."""
+    """Kind of frame that an identifier above 29 bits stands for."""
 
     ERROR = "error frame"
     UNREADABLE = "unreadable"
 
 
 class LineProblems:
-    """Counts what cannot be read, and reports the first of each kind.
+    """Counter of what cannot be read; the first of each kind are reported.
 
     Attributes:
         unreadable: lines or frames that were passed over.
@@ -72,7 +72,7 @@ class LineProblems:
         self._report(Problem(f"identifier {can_id:08X} {what}", self._where(position), remedy))
 
     def failure(self, position: int, error: Exception) -> GatewayError:
-        """What the end of the reading means: an unreadable file, or wrong contents."""
+        """Error that ended the reading: an unreadable file, or wrong contents."""
         where = self._where(position)
         if isinstance(error, OSError) and not isinstance(error, gzip.BadGzipFile):
             return MissingInputError(Problem(f"cannot be read: {error.strerror or error}", where))

@@ -1,4 +1,4 @@
-"""What every reader yields."""
+"""Recorded frame, the common result of every reader."""
 
 from typing import NamedTuple
 

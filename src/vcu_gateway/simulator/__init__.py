@@ -1,6 +1,6 @@
 """The simulated vehicle: everything on the bus but the gateway.
 
-`motor`, `battery` and `vehicle` are the physics, `signals` says what each message tells of
+`motor`, `battery` and `vehicle` are the physics, `signals` has what each message carries of
 them, `nodes` when it is sent, `faults` what can break; all of these are pure. `scenario` reads
 from a file what breaks when, and `play` puts everything on a bus.
 """

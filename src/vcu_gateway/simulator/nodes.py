@@ -1,4 +1,4 @@
-"""The nodes on the bus: who sends which frame when."""
+"""Nodes on the bus: the sender, period and schedule of each frame."""
 
 import heapq
 import itertools
@@ -39,7 +39,7 @@ class NodeFrame(NamedTuple):
 
 
 Transform = Callable[[NodeFrame], Iterable[NodeFrame]]
-"""What may happen to a frame between its node and the bus.
+"""Changes of a frame between its node and the bus.
 
 Nothing returned is a lost frame (or a silent node), two are a duplicate, other data a frozen,
 overridden or corrupted one, a later due_ns a delayed one.
@@ -50,10 +50,10 @@ class VehicleFault(Protocol):
     """Something that is broken for a while."""
 
     def next_due_ns(self) -> int:
-        """When `due` has something to do; far in the future where nothing is left."""
+        """Time at which `due` has something to do; far in the future where nothing is left."""
 
     def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
-        """Break or mend the vehicle, and send what no node of it sends."""
+        """Break or repair the vehicle; the frames that no node of it sends."""
 
     def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
         """As a `Transform`."""
@@ -61,7 +61,7 @@ class VehicleFault(Protocol):
 
 @dataclass(slots=True)
 class _Sender:
-    """One message with what it says and how often it has said it."""
+    """One cyclic message with its values and the number of frames sent."""
 
     codec: MessageCodec
     source: Source
@@ -136,7 +136,7 @@ class Nodes:
         return found.spec.name
 
     def next_due_ns(self) -> int:
-        """When `due` has something again."""
+        """Time at which `due` has something again."""
         next_ns = min(schedule.next_deadline_ns for schedule, _ in self._grids)
         next_ns = min((next_ns, *(fault.next_due_ns() for fault in self._faults)))
         if self._answers:
@@ -162,7 +162,7 @@ class Nodes:
         return leaving
 
     def _advance(self, now_ns: int) -> None:
-        """Move the vehicle on, and break and mend what is due on the way."""
+        """Advance the vehicle; break and repair what is due on the way."""
         for fault in self._faults:
             for frame in fault.due(self.vehicle, now_ns):
                 self._hand_over(frame)

@@ -19,7 +19,7 @@ from vcu_gateway.units import NS_PER_S
 
 # The longest wait, so that stopping never takes longer.
 _LONGEST_WAIT_NS = 50_000_000
-# Trouble is over when none has come for so long; a queue that flickers is told of once.
+# Trouble is over when none has come for this long; a flickering queue is reported once.
 _TROUBLE_OVER_NS = 1_000_000_000
 
 # The frame is lost and the bus may come back; any other error means that it is gone.
@@ -28,7 +28,7 @@ _FULL_BUFFER_TEXT = "Transmit buffer full"  # python-can raises this one without
 
 
 class CommandListener(Protocol):
-    """Whatever wants every frame sent or received: a python-can log writer, for one."""
+    """Listener of every frame sent or received, such as a python-can log writer."""
 
     def on_message_received(self, msg: can.Message) -> None:
         """Take one frame."""
@@ -36,7 +36,7 @@ class CommandListener(Protocol):
 
 @dataclass(slots=True)
 class Played:
-    """What was done on the bus.
+    """Counts of one run on the bus.
 
     Attributes:
         sent: frames by message; received: commands by message.
@@ -83,7 +83,7 @@ def play(
     """Send what is due and hand commands in, until `stop` is set or duration_s is over.
 
     The nodes' time is the monotonic clock. A frame that the bus does not take is counted and
-    forgotten; `note` is told when that begins and when it is over. UnavailableError where
+    forgotten; `note` is called when that begins and when it is over. UnavailableError where
     the bus has gone away.
     """
     player = _Player(bus, nodes, log, note)
@@ -171,7 +171,7 @@ class _Player:
             self._note("the bus takes frames again")
 
     def _trouble(self, error: Exception) -> str:
-        """What is wrong with the bus for a while; UnavailableError where it has gone."""
+        """Report trouble of the bus; UnavailableError where the bus is gone."""
         number = _errno(error)
         if _FULL_BUFFER_TEXT in str(error):
             number = errno.ENOBUFS
@@ -185,7 +185,7 @@ class _Player:
 
 
 def _descriptor(bus: can.BusABC) -> int | None:
-    """What to wait on, or None on a bus without."""
+    """File descriptor to wait on; None on a bus without one."""
     try:
         descriptor = bus.fileno()
     except NotImplementedError:
