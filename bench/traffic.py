@@ -1,4 +1,4 @@
-"""The vehicle's traffic: PROTOCOL.md's periods, 358 frames/s."""
+"""The vehicle's traffic: the periods of docs/protocol.md, Messages; 358 frames/s."""
 
 import random
 import struct

@@ -1,4 +1,4 @@
-"""The asyncio client behind the blocking one's face, so that one test tries both."""
+"""Adapter that gives the asyncio client the synchronous one's methods: one test tries both."""
 
 import asyncio
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ _END = object()
 
 
 class Bridged:
-    """Each call runs in a loop of its own keeping."""
+    """Synchronous methods, each of which runs the asyncio one in an event loop of its own."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._runner = asyncio.Runner()
@@ -40,7 +40,7 @@ class Bridged:
 
 
 class BridgedSubscription:
-    """An async iterator as an ordinary one."""
+    """Synchronous iterator over an asynchronous one."""
 
     def __init__(self, runner: asyncio.Runner, updates: Any) -> None:
         self._runner = runner

@@ -1,4 +1,4 @@
-"""Deadlines derive from the protocol's periods (SAFETY.md, Causes)."""
+"""Deadlines derive from the protocol's periods (docs/safety.md, Causes)."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The table of modes against SAFETY.md's sentences, cell by cell; latching and its classes."""
+"""The table of modes, cell by cell, against docs/safety.md, Modes; latching and its classes."""
 
 from itertools import product
 
@@ -18,7 +18,7 @@ CELLS = list(product(Mode, Stimulus))
 
 
 def expected(mode: Mode, stimulus: Stimulus) -> Mode:
-    """SAFETY.md's sentences on modes, in their order of precedence."""
+    """The sentences of docs/safety.md, Modes, in their order of precedence."""
     if mode is Mode.STOPPING or stimulus is Stimulus.TERMINATE:
         return Mode.STOPPING  # "then exit"
     if stimulus in (Stimulus.CUT, Stimulus.LATCHING_STOP):

@@ -205,7 +205,7 @@ class Driving:
         return not ended and (self.vehicle is None or self.vehicle.popen.poll() is None)
 
     def check(self) -> None:
-        """SAFETY.md's invariants on what was recorded since the last check."""
+        """docs/safety.md, Invariants: on what was recorded since the last check."""
         frames, log = self.recording.frames(), self.gateway.log()
         begin, self._checked_to = self._checked_to, len(frames)
         invariants.check(frames[begin:], log=log, foreign=self.foreign)

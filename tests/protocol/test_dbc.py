@@ -1,4 +1,4 @@
-"""The committed DBC against the definition, against cantools, and against PROTOCOL.md by hand."""
+"""The committed DBC against the definition, cantools and, typed by hand, docs/protocol.md."""
 
 import cantools
 import pytest
@@ -34,7 +34,7 @@ def test_generating_twice_gives_the_same_bytes():
     assert dbc.write(definition.load(packaged("vcu.yaml"))) == dbc.write(DEFINITION)
 
 
-# What PROTOCOL.md says, typed by hand: a slip of the definition's author is found here.
+# What docs/protocol.md says, typed by hand: a slip of the definition's author is found here.
 # message -> (identifier, sender, receiver, period ms)
 MESSAGES = {
     "ARD2_SteeringWheel": (0x040AD092, "ARD2", "VCU", 100),

@@ -50,7 +50,7 @@ def demo(*arguments: str) -> subprocess.Popen[str]:
 
 
 def first_pid(process: subprocess.Popen[str]) -> int:
-    """The gateway's own, from the first picture."""
+    """The gateway's own, from the first view."""
     assert process.stdout is not None
     return int(re.search(r"pid (\d+)", process.stdout.readline())[1])
 

@@ -31,7 +31,7 @@ class Adapted(Driving):
         super().__init__(stand, wire="vcan0")
 
     def check(self) -> None:
-        """SAFETY.md's invariants of what the gateway sent since the last check."""
+        """docs/safety.md, Invariants: on what the gateway sent since the last check."""
         frames, log = self.near.frames(), self.gateway.log()
         begin, self._near_checked_to = self._near_checked_to, len(frames)
         checked = invariants.check(frames[begin:], log=log)
