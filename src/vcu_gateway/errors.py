@@ -1,4 +1,4 @@
-"""What the program says when it cannot go on: what, where, and what to do.
+"""Errors with their problems (what, where, remedy) and exit codes.
 
 Exit codes follow sysexits.h and are part of the interface:
 
@@ -15,11 +15,12 @@ Exit codes follow sysexits.h and are part of the interface:
 """
 
 import os
+from collections.abc import Iterable
 from typing import NamedTuple
 
 
 class Problem(NamedTuple):
-    """One thing that is wrong: `where` is file:line or empty, `remedy` what to do or empty."""
+    """One problem: `where` is file:line or empty, `remedy` the way to fix it or empty."""
 
     what: str
     where: str = ""
@@ -32,7 +33,7 @@ class Problem(NamedTuple):
 
 
 class GatewayError(Exception):
-    """Problems to show, a line each, and the exit code that goes with them."""
+    """Base of the program's errors: problems, shown a line each, and the exit code."""
 
     exit_code = os.EX_SOFTWARE
 
@@ -69,12 +70,28 @@ class UnavailableError(GatewayError):
 
 
 class RequestRefusedError(GatewayError):
-    """The running gateway said no, or did not answer."""
+    """The running gateway refused a request, or did not answer."""
 
     exit_code = os.EX_TEMPFAIL
 
 
 class NotPermittedError(GatewayError):
-    """This user has not the right."""
+    """This user lacks the right to make the request."""
 
     exit_code = os.EX_NOPERM
+
+
+def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """The known word that is most like this one; None where none is alike enough.
+
+    `cutoff` is the least likeness, 0 to 1. The time it takes grows with the word's length.
+    """
+    import difflib  # seldom needed, and not for nothing
+
+    return next(iter(difflib.get_close_matches(word, tuple(known), n=1, cutoff=cutoff)), None)
+
+
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """The question with the nearest known word; empty where none is near."""
+    found = nearest(word, known, cutoff)
+    return f'did you mean "{found}"?' if found else ""
