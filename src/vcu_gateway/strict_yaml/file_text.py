@@ -1,11 +1,11 @@
-"""A configuration file -> its text, or why it is none."""
+"""Text of a file that people write: UTF-8, at most 1 MiB, a regular file."""
 
 import codecs
 import errno
 import stat
 from pathlib import Path
 
-from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.errors import ConfigError, GatewayError, Problem
 
 _LARGEST_BYTES = 1 << 20
 _BYTE_ORDER_MARK = "\ufeff"
@@ -20,9 +20,18 @@ _UNREADABLE = {
 }
 
 
-def read(path: Path) -> str:
-    """The whole text, without a byte order mark; ConfigError where it cannot be read."""
-    return _text(_contents(path), str(path))
+def read(path: Path, error: type[GatewayError] = ConfigError) -> str:
+    """The whole text, without a byte order mark; raises `error` where it cannot be read."""
+    try:
+        return _text(_contents(path), str(path))
+    except _NoTextError as no_text:
+        raise error(no_text.problem) from no_text
+
+
+class _NoTextError(Exception):
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        self.problem = problem
 
 
 def _contents(path: Path) -> bytes:
@@ -31,13 +40,13 @@ def _contents(path: Path) -> bytes:
         if stat.S_ISDIR(mode):
             raise IsADirectoryError(errno.EISDIR, "")
         if not stat.S_ISREG(mode):
-            raise ConfigError(Problem("is no regular file", str(path)))
+            raise _NoTextError(Problem("is no regular file", str(path)))
         with path.open("rb") as file:
             contents = file.read(_LARGEST_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise ConfigError(Problem(_why_unreadable(error), str(path))) from error
+        raise _NoTextError(Problem(_why_unreadable(error), str(path))) from error
     if len(contents) > _LARGEST_BYTES:
-        raise ConfigError(Problem("is larger than 1 MiB: no configuration", str(path)))
+        raise _NoTextError(Problem("is larger than 1 MiB", str(path)))
     return contents
 
 
@@ -49,12 +58,12 @@ def _why_unreadable(error: OSError | ValueError) -> str:
 
 def _text(contents: bytes, where: str) -> str:
     if contents.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise ConfigError(Problem("is UTF-16 text", where, "save it as UTF-8"))
+        raise _NoTextError(Problem("is UTF-16 text", where, "save it as UTF-8"))
     if b"\0" in contents:
-        raise ConfigError(Problem("is binary, not text", where))
+        raise _NoTextError(Problem("is binary, not text", where))
     try:
         return contents.decode().removeprefix(_BYTE_ORDER_MARK)
     except UnicodeDecodeError as error:
         line = contents.count(b"\n", 0, error.start) + 1
         what = f"is not UTF-8 text: byte 0x{contents[error.start]:02X}"
-        raise ConfigError(Problem(what, f"{where}:{line}", "save it as UTF-8")) from error
+        raise _NoTextError(Problem(what, f"{where}:{line}", "save it as UTF-8")) from error

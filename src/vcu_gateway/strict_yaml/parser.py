@@ -1,4 +1,4 @@
-"""The text of a configuration file -> plain values, with the line of every key.
+"""YAML parser: text -> plain values, with the line of every key.
 
 Stricter than YAML, so that a file means what a person reads in it: a key stands once, `yes`
 and `010` are text (which no number or switch accepts), and there are no aliases, tags, merges
@@ -37,7 +37,7 @@ _SYNTAX_REMEDIES = {
 
 
 class YamlDocument(NamedTuple):
-    """What a text says; value is None where it says nothing, and where it is no YAML."""
+    """A parsed text; `value` is None where it is empty, and where it is no YAML."""
 
     value: Any
     lines: LineMap
@@ -46,7 +46,7 @@ class YamlDocument(NamedTuple):
 
 
 def read(text: str) -> YamlDocument:
-    """Read one document; what is wrong with it is in the findings, nothing is raised."""
+    """Parse one document; problems are in its findings, nothing is raised."""
     reader = _Reader(text)
     try:
         value, is_yaml = reader.document(), True
@@ -106,7 +106,7 @@ class _Reader:
         next(self._events)  # the document ends
         after = next(self._events)
         if isinstance(after, yaml.DocumentStartEvent):
-            what = "a second document begins here (---); a configuration is one document"
+            what = "a second document begins here (---); only one is read"
             raise _NotReadableError(what, "", _line(after))
         return value
 
@@ -131,7 +131,7 @@ class _Reader:
             self.findings.append(
                 FileProblem(path, f"holds {_code_point(hidden)}", "", _line(event))
             )
-        return text if event.style else _plain(text)
+        return text if event.style else plain(text)
 
     def _mapping(self, path: Path) -> dict[str | int, Any]:
         content: dict[str | int, Any] = {}
@@ -154,7 +154,7 @@ class _Reader:
             return False  # a finding already
         if key in content:
             at = (*path, key)
-            what = f"stands twice, first in line {self.lines.line(at)}"
+            what = f"duplicate key, first defined in line {self.lines.line(at)}"
             self.findings.append(FileProblem(at, what, "remove one of them", line))
             return False
         return True
@@ -182,8 +182,8 @@ def _line(event: Any) -> int:
     return int(event.start_mark.line) + 1
 
 
-def _plain(text: str) -> Any:
-    """What an unquoted word means."""
+def plain(text: str) -> Any:
+    """Value of an unquoted word; the word itself where it is text."""
     if text in _WORDS:
         return _WORDS[text]
     if _WHOLE.fullmatch(text):

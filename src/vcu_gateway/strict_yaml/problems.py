@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words for the person who wrote it."""
+"""Problems of a file, with file, line and key, for the person who wrote it."""
 
 import json
 import math
@@ -9,11 +9,10 @@ from vcu_gateway.errors import Problem
 from vcu_gateway.strict_yaml.lines import LineMap, Path
 
 _SHOWN_CHARACTERS = 40
-_ALIASES = ("protocol", "aliases")
 
 
 class FileProblem(NamedTuple):
-    """One thing that is wrong with the key at `path`; `line` where the path's is not meant."""
+    """Problem of the key at `path`; `line` where another than the path's is meant."""
 
     path: Path
     what: str
@@ -21,13 +20,20 @@ class FileProblem(NamedTuple):
     line: int | None = None
 
 
-def problems(findings: Iterable[FileProblem], file: str, lines: LineMap) -> list[Problem]:
-    """The findings with file and line, in the order of the file."""
+def problems(
+    findings: Iterable[FileProblem], file: str, lines: LineMap, hexadecimal: Path | None = None
+) -> list[Problem]:
+    """The findings with file and line, in the order of the file.
+
+    The keys of the mapping at `hexadecimal` are shown as identifiers, 0x and 8 digits.
+    """
     placed = [(finding.line or lines.line(finding.path), finding) for finding in findings]
     placed.sort(key=lambda item: item[0] or 0)
     return [
         Problem(
-            f"{dotted(finding.path)}: {finding.what}" if finding.path else finding.what,
+            f"{dotted(finding.path, hexadecimal)}: {finding.what}"
+            if finding.path
+            else finding.what,
             file if line is None else f"{file}:{line}",
             finding.remedy,
         )
@@ -35,15 +41,17 @@ def problems(findings: Iterable[FileProblem], file: str, lines: LineMap) -> list
     ]
 
 
-def dotted(path: Path) -> str:
-    """A key's full name; identifiers as they are written, in hexadecimal."""
-    return ".".join(shown_key(path[:-1][:depth], key) for depth, key in enumerate(path))
+def dotted(path: Path, hexadecimal: Path | None = None) -> str:
+    """A key's full name."""
+    return ".".join(
+        _shown_key(key, as_hexadecimal=path[:depth] == hexadecimal)
+        for depth, key in enumerate(path)
+    )
 
 
-def shown_key(parent: Path, key: str | int) -> str:
-    """A key on one line."""
+def _shown_key(key: str | int, *, as_hexadecimal: bool) -> str:
     if isinstance(key, int):
-        return f"0x{key:08X}" if parent == _ALIASES and key >= 0 else str(key)
+        return f"0x{key:08X}" if as_hexadecimal and key >= 0 else str(key)
     return _shortened(key)
 
 

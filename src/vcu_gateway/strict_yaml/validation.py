@@ -1,20 +1,21 @@
-"""What the model refuses, said in plain words with a remedy."""
+"""Validation against a model: pydantic's errors as problems in plain words, with a remedy."""
 
-import difflib
 import re
-import typing
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from vcu_gateway.config.value_types import REFUSED
+from vcu_gateway.errors import did_you_mean
 from vcu_gateway.strict_yaml.lines import Path
+from vcu_gateway.strict_yaml.parser import YamlDocument
 from vcu_gateway.strict_yaml.problems import FileProblem, shown
+from vcu_gateway.strict_yaml.section import REFUSED, Section
 
-_Model = TypeVar("_Model", bound=BaseModel)
+_Model = TypeVar("_Model", bound=Section)
 
 _UNITS = {
     "bit_s": "bit/s",
@@ -49,7 +50,19 @@ def validated(
         return None, list(_findings(error, model))
 
 
-def _findings(error: ValidationError, root: type[BaseModel]) -> Iterator[FileProblem]:
+def validated_document(
+    model: type[_Model], document: YamlDocument
+) -> tuple[_Model | None, list[FileProblem]]:
+    """A document as this model, or None; and everything that is wrong with it, each key once."""
+    findings = list(document.findings)
+    if not document.is_yaml:
+        return None, findings
+    value, refused = validated(model, document.value)
+    known = {finding.path for finding in findings}
+    return value, findings + [finding for finding in refused if finding.path not in known]
+
+
+def _findings(error: ValidationError, root: type[Section]) -> Iterator[FileProblem]:
     """A finding for each thing that pydantic refused; the rest of very many is counted."""
     refused = error.errors(include_url=False)
     for details in refused[:_MOST_FINDINGS]:
@@ -64,36 +77,49 @@ def unit(name: str) -> str:
     return next(ends, "")
 
 
-def _finding(details: ErrorDetails, root: type[BaseModel]) -> FileProblem:
+def _finding(details: ErrorDetails, root: type[Section]) -> FileProblem:
     path, kind = details["loc"], details["type"]
     if kind in ("extra_forbidden", "invalid_key"):
         return FileProblem(path, "unknown key", _remedy_for_unknown(path, root))
-    field = _field(path, root)
+    field, _ = _at(path, root)
     if kind == "missing":
         return FileProblem(path, "is missing", _lower_first(field.description if field else None))
-    requirement = _requirement(details, field) if path else "must hold sections such as `bus:`"
+    requirement = _requirement(details, field) if path else root.outline
     if path[-1:] == (_KEY,):
         return FileProblem(path[:-1], f"the key {requirement}", _own_remedy(details))
     what = f"{requirement}, not {shown(details['input'])}"
     return FileProblem(path, what, _own_remedy(details) or _remedy(details, field))
 
 
-def _field(path: Path, root: type[BaseModel]) -> FieldInfo | None:
-    """The field that a path leads to; None where it leads into a mapping or nowhere."""
-    model: type[BaseModel] | None = root
+def _at(path: Path, root: type[Section]) -> tuple[FieldInfo | None, type[Section] | None]:
+    """The field that a path leads to, and the section that it holds.
+
+    No field where the path leads into a mapping or a list, neither where it leads nowhere.
+    """
+    kind: Any = root
     field = None
     for name in path:
-        if model is None:
-            return None
-        field = model.model_fields.get(str(name))
-        model = section_of(field)
-    return field
+        section = _as_section(kind)
+        field = section.model_fields.get(str(name)) if section else None
+        if section and field is None:
+            return None, None
+        kind = field.annotation if field else _item_of(kind)
+    return field, _as_section(kind)
 
 
-def section_of(field: FieldInfo | None) -> type[BaseModel] | None:
+def section_of(field: FieldInfo) -> type[Section] | None:
     """The section that a field holds (or may hold), if any."""
-    candidates = (field.annotation, *typing.get_args(field.annotation)) if field else ()
-    return next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+    return _as_section(field.annotation)
+
+
+def _as_section(kind: Any) -> type[Section] | None:
+    candidates = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    return next((c for c in candidates if isinstance(c, type) and issubclass(c, Section)), None)
+
+
+def _item_of(kind: Any) -> Any:
+    """The type of a mapping's values or a list's items; None for anything else."""
+    return get_args(kind)[-1] if get_origin(kind) in (dict, list, Mapping) else None
 
 
 def _unit_at(path: Path) -> str:
@@ -116,6 +142,7 @@ def _requirement(details: ErrorDetails, field: FieldInfo | None) -> str:
         "path_type": lambda: "must be the path of a file",
         "string_too_short": lambda: "must not be empty",
         "literal_error": lambda: f"must be one of {', '.join(_choices(field))}",
+        "greater_than": lambda: f"must be more than {_number(context['gt'])}{after}",
         "greater_than_equal": lambda: f"must be at least {_number(context['ge'])}{after}",
         "less_than_equal": lambda: f"must be at most {_number(context['le'])}{after}",
         "dict_type": lambda: "must be a mapping, key: value in each line",
@@ -130,7 +157,7 @@ def _number(limit: float) -> str:
 
 
 def _choices(field: FieldInfo | None) -> tuple[str, ...]:
-    return tuple(map(str, typing.get_args(field.annotation))) if field else ()
+    return tuple(map(str, get_args(field.annotation))) if field else ()
 
 
 def _own_remedy(details: ErrorDetails) -> str:
@@ -140,7 +167,7 @@ def _own_remedy(details: ErrorDetails) -> str:
 def _remedy(details: ErrorDetails, field: FieldInfo | None) -> str:
     value, kind = details["input"], details["type"]
     if value is None:
-        return _remedy_for_empty(kind, field)
+        return _remedy_for_empty(kind, field) if details["loc"] else ""
     if kind in ("string_type", "path_type") and isinstance(value, int | float):
         return "put it in quotes"
     if not isinstance(value, str):
@@ -164,11 +191,12 @@ def _remedy_for_empty(kind: str, field: FieldInfo | None) -> str:
     return f"remove the line for the default, which is {shown(field.default)}"
 
 
-def _remedy_for_unknown(path: Path, root: type[BaseModel]) -> str:
+def _remedy_for_unknown(path: Path, root: type[Section]) -> str:
     *parents, key = path
-    field = _field(tuple(parents), root)
-    known = root if not parents else section_of(field)
+    _, known = _at(tuple(parents), root)
     names = tuple(known.model_fields) if known else ()
+    if known and key in known.removed:
+        return known.removed[str(key)]
     if ":" in str(key):
         return _KEY_AND_VALUE
     if near := did_you_mean(str(key), names):
@@ -179,19 +207,13 @@ def _remedy_for_unknown(path: Path, root: type[BaseModel]) -> str:
     return f"the keys here are {', '.join(names)}"
 
 
-def _places(model: type[BaseModel], prefix: str) -> Iterator[str]:
+def _places(model: type[Section], prefix: str) -> Iterator[str]:
     """The full name of every key that there is."""
     for name, field in model.model_fields.items():
         yield prefix + name
         section = section_of(field)
         if section is not None:
             yield from _places(section, f"{prefix}{name}.")
-
-
-def did_you_mean(word: str, known: typing.Iterable[str]) -> str:
-    """The question with the nearest known word; empty where none is near."""
-    nearest = difflib.get_close_matches(word, tuple(known), n=1)
-    return f'did you mean "{nearest[0]}"?' if nearest else ""
 
 
 def _lower_first(text: str | None) -> str:
