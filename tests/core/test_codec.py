@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from vcu_gateway.core.codec import Codec, Decoded, MessageCodec, Reason, compile_message
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.j1939 import with_priority
+from vcu_gateway.core.snapshot import Quality, mark
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
-from vcu_gateway.core.state import Quality, mark
 from vcu_gateway.protocol import dbc, packaged
 
 PROTOCOL = dbc.load(packaged("vcu.dbc"))
@@ -296,7 +296,7 @@ def oracle_of(message: MessageSpec):
             spec.name,
             spec.start_bit,
             spec.length_bits,
-            byte_order=f"{spec.byte_order}_endian",
+            byte_order="little_endian" if spec.byte_order == "little" else "big_endian",
             is_signed=spec.signed,
             conversion=cantools.database.conversion.BaseConversion.factory(
                 spec.factor, spec.offset

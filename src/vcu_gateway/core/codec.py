@@ -1,4 +1,4 @@
-"""Frame to message and back, whole or not at all.
+"""Codec: frames to messages and back, whole or not at all.
 
 One decoder and one encoder is written out as Python source for each message and compiled
 once, at start: loops and look-ups are gone before the first frame arrives.
@@ -44,7 +44,7 @@ class Decoded(tuple[tuple[float, ...], tuple[int, ...], int]):
 
 
 class Reason(Enum):
-    """Why a frame was not decoded."""
+    """Reason for not decoding a frame."""
 
     ERROR = "error"
     REMOTE = "remote"
@@ -94,7 +94,7 @@ class Codec:
         return tuple(sorted({j1939.match_key(can_id) for can_id in self._by_id}))
 
     def find(self, frame: Frame) -> MessageCodec | Reason:
-        """The codec for this frame, or why there is none.
+        """Codec of this frame, or the reason why there is none.
 
         Only extended data frames of exactly eight bytes are decoded.
         """
@@ -132,13 +132,13 @@ def compile_message(message: MessageSpec) -> MessageCodec:
 
 
 def _build(name: str, text: str, names: Mapping[str, object]) -> Any:
-    room = dict(names)
-    exec(compile(text, f"<{name}>", "exec"), room)  # noqa: S102 - our own numbers and names only
-    return room[name]
+    namespace = dict(names)
+    exec(compile(text, f"<{name}>", "exec"), namespace)  # noqa: S102 - our own numbers and names only
+    return namespace[name]
 
 
 def _complete(names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float]:
-    """Every signal's value: 0 where it was left out, an int only where a float can follow."""
+    """Value of every signal: 0 where it was left out, an int only where a float can follow."""
     found = {name: values.get(name, 0.0) for name in names}
     return {
         name: max(-_HUGE, min(_HUGE, value)) if isinstance(value, int) else value
