@@ -24,7 +24,7 @@ from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
 from vcu_gateway.core.events import Severity
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import Quality
+from vcu_gateway.core.snapshot import Quality
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
 DRIVER, SERVICE = FaultClass.DRIVER, FaultClass.SERVICE

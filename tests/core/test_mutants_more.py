@@ -8,7 +8,8 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, Tick, lateness_bin
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import FUTURE_TOLERANCE_NS, Quality, Snapshot, Store, mark
+from vcu_gateway.core.snapshot import FUTURE_TOLERANCE_NS, Quality, mark
+from vcu_gateway.core.state import Snapshot, Store
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
 MS = 1_000_000

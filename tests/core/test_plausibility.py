@@ -1,13 +1,15 @@
 """What a frame says that holds only against the ones before it, at its boundaries."""
 
+from typing import Any
+
 import pytest
 
 from tests.core.safety_world import CODEC, MS, PROTOCOL, data
 from vcu_gateway.core import plausibility
 from vcu_gateway.core.plausibility import NO_DEVIATION, Plausibility
-from vcu_gateway.core.sending import SentValues
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
+from vcu_gateway.core.transmit import SentValues
 
 START_NS = 10_000 * MS
 WHEELS = "ARD2_SteeringWheel"
@@ -17,7 +19,7 @@ BIT_PCT = 0.39
 class Watch:
     """Frames in, one tick after the other."""
 
-    def __init__(self, **settings: float) -> None:
+    def __init__(self, **settings: Any) -> None:
         received = PROTOCOL.received_by("VCU")
         self.store = Store(received, {message.name: 2**62 for message in received})
         self.plausibility = Plausibility()

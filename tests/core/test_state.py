@@ -3,7 +3,8 @@
 import pytest
 
 from tests.conftest import payload
-from vcu_gateway.core.state import FUTURE_TOLERANCE_NS, Quality, Store
+from vcu_gateway.core.snapshot import FUTURE_TOLERANCE_NS, Quality
+from vcu_gateway.core.state import Store
 
 MS = 1_000_000
 STATUS = "BMS_Status"

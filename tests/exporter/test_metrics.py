@@ -24,7 +24,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import Quality
+from vcu_gateway.core.snapshot import Quality
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import UnavailableError

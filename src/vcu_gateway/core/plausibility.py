@@ -1,7 +1,7 @@
-"""What a frame says that holds only against the ones before it, or against what was commanded.
+"""Plausibility: frames held against the ones before them and against sent commands.
 
 Every frame since the tick before is looked at once, in the order of arrival; one that is older
-than the one before it is no next step of anything and is left out there. What a frame says
+than the one before it is no next step of anything and is left out there. Its verdict
 stands until the next one of its kind.
 """
 
@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from vcu_gateway.core.demand import CONTROLLERS
-from vcu_gateway.core.sending import SentValues
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import Latest, Snapshot
+from vcu_gateway.core.snapshot import LatestFrame, Snapshot
+from vcu_gateway.core.transmit import SentValues
 from vcu_gateway.units import NS_PER_MS
 
 _STATUS1 = {name: f"{name}_Status1" for name in CONTROLLERS}
@@ -40,7 +40,7 @@ class ThrottleExcess(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What one tick saw that is odd, by controller or by wheel.
+    """Deviations that one tick found, by controller or by wheel.
 
     Attributes:
         echo_above: the highest throttle that was not commanded.
@@ -65,19 +65,19 @@ class Observed:
 NO_DEVIATION = Observed()
 
 
-class _Odd(NamedTuple):
-    """What is odd of a controller's echo; nothing, 0 and 0 where it obeys."""
+class _Deviation(NamedTuple):
+    """Deviation of a controller's echo; None, 0 and 0 where it obeys."""
 
     above: ThrottleExcess | None = None
     below: int = 0
     direction: int = 0
 
-    def with_worse_of(self, other: "_Odd") -> "_Odd":
+    def with_worse_of(self, other: "_Deviation") -> "_Deviation":
         """The worse of both in each respect."""
         if not any(other):
             return self
         excesses = [one for one in (self.above, other.above) if one]
-        return _Odd(
+        return _Deviation(
             max(excesses, default=None),
             max(self.below, other.below),
             max(self.direction, other.direction),
@@ -85,14 +85,14 @@ class _Odd(NamedTuple):
 
 
 class _Echo:
-    """What one controller echoes of its commands.
+    """Echo of one controller's commands.
 
     Attributes:
-        standing: what is odd of its latest frame; one out of order never is the latest.
+        standing: deviation of its latest frame; one out of order never is the latest.
     """
 
     def __init__(self) -> None:
-        self.standing = _Odd()
+        self.standing = _Deviation()
         self._latest_ns = -math.inf
 
     def worst(
@@ -100,28 +100,28 @@ class _Echo:
         echoed: Sequence[tuple[int, float, float]],
         sent: Sequence[SentValues],
         below_max_pct: float,
-    ) -> _Odd:
+    ) -> _Deviation:
         """Take frames: arrival, throttle, direction; the worst of each."""
-        worst = _Odd()
+        worst = _Deviation()
         for at_ns, throttle_pct, direction in echoed:
             before = self.standing
             low = _too_low(sent, at_ns, throttle_pct, below_max_pct)
             wrong = _not_commanded(sent, at_ns, direction)
-            odd = _Odd(
+            deviation = _Deviation(
                 _excess(sent, at_ns, throttle_pct),
                 before.below + 1 if low else 0,
                 before.direction + 1 if wrong else 0,
             )
-            worst = worst.with_worse_of(odd)
+            worst = worst.with_worse_of(deviation)
             if at_ns >= self._latest_ns:
-                self._latest_ns, self.standing = at_ns, odd
+                self._latest_ns, self.standing = at_ns, deviation
             else:
                 worst = worst.with_worse_of(before)
         return worst
 
 
 def _commanded(sent: Sequence[SentValues], at_ns: int, window_ns: int) -> Iterator[SentValues]:
-    """What was sent within this time before, the latest first: it decides almost always."""
+    """Values sent within this time before, the latest first: it decides almost always."""
     from_ns = at_ns - window_ns
     return (one for one in reversed(sent) if from_ns <= one.at_ns <= at_ns)
 
@@ -198,7 +198,7 @@ class _Speed:
         self._plausible_left = 0
         self._step_rpm = 0.0
 
-    def doubt(self, frames: Sequence[Latest], index: int, step_max_rpm: float) -> float | None:
+    def doubt(self, frames: Sequence[LatestFrame], index: int, step_max_rpm: float) -> float | None:
         """Take these frames; the step for which one of them is not believed, None where all are.
 
         `index` is the speed's among the values of a frame.
@@ -216,7 +216,7 @@ class _Speed:
 
 
 class Plausibility:
-    """Remembers what the next frame is held against."""
+    """Plausibility of echoes, motor speeds and wheel speeds, from tick to tick."""
 
     def __init__(self) -> None:
         self._echoes = {name: _Echo() for name in CONTROLLERS}
@@ -226,33 +226,33 @@ class Plausibility:
 
     def observe(self, snapshot: Snapshot, history: History, settings: Settings) -> Observed:
         """Look at every frame since the tick before."""
-        odd = self._odd_echoes(snapshot, history, settings.echo_below_max_pct)
+        deviations = self._echo_deviations(snapshot, history, settings.echo_below_max_pct)
         speed_steps = self._speed_steps(snapshot, settings.motor_speed_step_max_rpm)
         wheel_steps, apart_ns = self._wheel_steps(snapshot, settings)
-        if not (odd or speed_steps or wheel_steps or apart_ns is not None):
+        if not (deviations or speed_steps or wheel_steps or apart_ns is not None):
             return NO_DEVIATION
         return Observed(
-            {name: one.above for name, one in odd.items() if one.above},
-            {name: one.below for name, one in odd.items() if one.below},
+            {name: one.above for name, one in deviations.items() if one.above},
+            {name: one.below for name, one in deviations.items() if one.below},
             frozenset(name for name, echo in self._echoes.items() if echo.standing.below),
-            {name: one.direction for name, one in odd.items() if one.direction},
+            {name: one.direction for name, one in deviations.items() if one.direction},
             speed_steps,
             wheel_steps,
             apart_ns,
         )
 
-    def _odd_echoes(
+    def _echo_deviations(
         self, snapshot: Snapshot, history: History, below_max_pct: float
-    ) -> Mapping[str, _Odd]:
-        odd = {}
+    ) -> Mapping[str, _Deviation]:
+        deviations = {}
         for name, echo in self._echoes.items():
             worst = echo.standing
             if snapshot.arrived(_STATUS1[name]):
                 echoed = _pairs(snapshot, _STATUS1[name], "Throttle", "MotorReverse")
                 worst = echo.worst(echoed, history.get(name, ()), below_max_pct)
             if any(worst):
-                odd[name] = worst
-        return odd
+                deviations[name] = worst
+        return deviations
 
     def _speed_steps(self, snapshot: Snapshot, step_max_rpm: float) -> Mapping[str, float]:
         steps = {}

@@ -12,8 +12,8 @@ from decimal import Decimal
 from functools import lru_cache
 
 from vcu_gateway.core.codec import Decoded
+from vcu_gateway.core.snapshot import Quality, mark
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
-from vcu_gateway.core.state import Quality, mark
 
 # Codes of one signal whose texts are kept; 16-bit noise must not fill the memory.
 _KEPT_CODES = 8192

@@ -7,7 +7,8 @@ from vcu_gateway.api import results
 from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.state import Reading, Snapshot
+from vcu_gateway.core.snapshot import Reading
+from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.units import NS_PER_MS
