@@ -125,143 +125,161 @@ def test_a_carrier_that_came_back_after_it_ends_a_bus_off():
     )
 
 
-# The book of both.
+# The monitor of error frames, carrier, opening and loss.
 
 
 @pytest.fixture
-def book() -> LinkMonitor:
+def monitor() -> LinkMonitor:
     return LinkMonitor(100)
 
 
-def test_a_fresh_book_says_up(book):
-    book.begin_tick()
-    assert book.link == LinkStatus(UP, 100)
+def test_a_fresh_book_says_up(monitor):
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(UP, 100)
 
 
-def test_error_frames_and_carrier_are_held_together(book):
-    book.take_error_frame(CONTROLLER, controller_byte(0x04), 110)
-    assert book.link == LinkStatus(WARNING, 110)
-    book.note_carrier(Carrier(False, 120))
-    assert book.link == LinkStatus(OFF, 120)
-    book.note_carrier(Carrier(True, 130))
-    assert book.link == LinkStatus(WARNING, 110)
+def test_error_frames_and_carrier_are_held_together(monitor):
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x04), 110)
+    assert monitor.link == LinkStatus(WARNING, 110)
+    monitor.change_carrier(Carrier(False, 120))
+    assert monitor.link == LinkStatus(OFF, 120)
+    monitor.change_carrier(Carrier(True, 130))
+    assert monitor.link == LinkStatus(WARNING, 110)
 
 
-def test_an_opening_ends_what_was_said_before_it_and_nothing_after_it(book):
-    book.take_error_frame(BUS_OFF, bytes(8), 110)
-    book.note_carrier(Carrier(False, 120))
-    book.begin(LinkStatus(UP, 200))
-    assert book.link == LinkStatus(UP, 200)
-    book.take_error_frame(CONTROLLER, controller_byte(0x10), 210)
-    assert book.link == LinkStatus(PASSIVE, 210), "the bus-off before it is over"
-    book.begin(LinkStatus(UP, 205))
-    assert book.link == LinkStatus(PASSIVE, 210), "told after the opening that is taken in only now"
-    book.begin(LinkStatus(WARNING, 210))
-    assert book.link == LinkStatus(PASSIVE, 210)
+def test_an_opening_ends_what_was_said_before_it_and_nothing_after_it(monitor):
+    monitor.take_error_frame(BUS_OFF, bytes(8), 110)
+    monitor.change_carrier(Carrier(False, 120))
+    monitor.open(LinkStatus(UP, 200))
+    assert monitor.link == LinkStatus(UP, 200)
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x10), 210)
+    assert monitor.link == LinkStatus(PASSIVE, 210), "the bus-off before it is over"
+    monitor.open(LinkStatus(UP, 205))
+    assert monitor.link == LinkStatus(PASSIVE, 210), "reported after that opening"
+    monitor.open(LinkStatus(WARNING, 210))
+    assert monitor.link == LinkStatus(PASSIVE, 210)
 
 
-def test_an_opening_can_begin_in_a_bad_state(book):
-    book.begin(LinkStatus(PASSIVE, 200), Carrier(True, 200))
-    assert book.link == LinkStatus(PASSIVE, 200)
-    book.begin(LinkStatus(UP, 300), Carrier(False, 300))
-    assert book.link == LinkStatus(OFF, 300)
+def test_an_opening_can_begin_in_a_bad_state(monitor):
+    monitor.open(LinkStatus(PASSIVE, 200), Carrier(True, 200))
+    assert monitor.link == LinkStatus(PASSIVE, 200)
+    monitor.open(LinkStatus(UP, 300), Carrier(False, 300))
+    assert monitor.link == LinkStatus(OFF, 300)
 
 
-def test_a_state_that_is_told_again_after_an_opening_counts_from_then(book):
-    book.take_error_frame(CONTROLLER, controller_byte(0x10), 110)
-    book.begin(LinkStatus(UP, 200))
-    book.take_error_frame(CONTROLLER, controller_byte(0x10), 250)
-    assert book.link == LinkStatus(PASSIVE, 250)
+def test_a_state_that_is_told_again_after_an_opening_counts_from_then(monitor):
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x10), 110)
+    monitor.open(LinkStatus(UP, 200))
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x10), 250)
+    assert monitor.link == LinkStatus(PASSIVE, 250)
 
 
-def test_a_bus_off_that_came_and_went_between_two_ticks_counts_in_one_of_them(book):
-    book.begin_tick()
-    book.take_error_frame(BUS_OFF, bytes(8), 110)
-    book.take_error_frame(RESTARTED, bytes(8), 120)
-    assert book.link == LinkStatus(UP, 120)
-    book.begin_tick()
-    assert book.link == LinkStatus(OFF, 110)
-    book.begin_tick()
-    assert book.link == LinkStatus(UP, 120)
+def test_a_bus_off_that_came_and_went_between_two_ticks_counts_in_one_of_them(monitor):
+    monitor.begin_tick()
+    monitor.take_error_frame(BUS_OFF, bytes(8), 110)
+    monitor.take_error_frame(RESTARTED, bytes(8), 120)
+    assert monitor.link == LinkStatus(UP, 120)
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(OFF, 110)
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(UP, 120)
 
 
-def test_a_bus_off_that_a_tick_has_seen_is_over_with_the_restart(book):
-    book.take_error_frame(BUS_OFF, bytes(8), 110)
-    book.begin_tick()
-    assert book.link == LinkStatus(OFF, 110)
-    book.take_error_frame(RESTARTED, bytes(8), 120)
-    book.begin_tick()
-    assert book.link == LinkStatus(UP, 120)
+def test_a_bus_off_that_a_tick_has_seen_is_over_with_the_restart(monitor):
+    monitor.take_error_frame(BUS_OFF, bytes(8), 110)
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(OFF, 110)
+    monitor.take_error_frame(RESTARTED, bytes(8), 120)
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(UP, 120)
 
 
-def test_bus_off_told_twice_is_one_bus_off(book):
-    book.take_error_frame(BUS_OFF, bytes(8), 110)
-    book.begin_tick()
-    book.take_error_frame(BUS_OFF, bytes(8), 115)
-    book.take_error_frame(RESTARTED, bytes(8), 120)
-    book.begin_tick()
-    assert book.link == LinkStatus(UP, 120)
+def test_bus_off_told_twice_is_one_bus_off(monitor):
+    monitor.take_error_frame(BUS_OFF, bytes(8), 110)
+    monitor.begin_tick()
+    monitor.take_error_frame(BUS_OFF, bytes(8), 115)
+    monitor.take_error_frame(RESTARTED, bytes(8), 120)
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(UP, 120)
 
 
-def test_the_last_of_several_bus_offs_between_two_ticks_is_told(book):
+def test_the_last_of_several_bus_offs_between_two_ticks_is_told(monitor):
     for at_ns in (110, 130):
-        book.take_error_frame(BUS_OFF, bytes(8), at_ns)
-        book.take_error_frame(RESTARTED, bytes(8), at_ns + 10)
-    book.begin_tick()
-    assert book.link == LinkStatus(OFF, 130)
+        monitor.take_error_frame(BUS_OFF, bytes(8), at_ns)
+        monitor.take_error_frame(RESTARTED, bytes(8), at_ns + 10)
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(OFF, 130)
 
 
-def test_a_new_bus_off_is_told_before_one_that_was_missed(book):
-    book.take_error_frame(BUS_OFF, bytes(8), 110)
-    book.take_error_frame(RESTARTED, bytes(8), 120)
-    book.begin_tick()
-    book.take_error_frame(BUS_OFF, bytes(8), 130)
-    assert book.link == LinkStatus(OFF, 130)
+def test_a_new_bus_off_is_told_before_one_that_was_missed(monitor):
+    monitor.take_error_frame(BUS_OFF, bytes(8), 110)
+    monitor.take_error_frame(RESTARTED, bytes(8), 120)
+    monitor.begin_tick()
+    monitor.take_error_frame(BUS_OFF, bytes(8), 130)
+    assert monitor.link == LinkStatus(OFF, 130)
 
 
-def test_the_intake_enters_error_frames_and_nothing_else(codec: Codec):
-    intake = Receiver(codec, {}, 0)
-    intake.receive(Frame(BUS_OFF, bytes(8), 9, extended=False))
-    assert intake.link == LinkStatus(UP, 0)
-    intake.receive(Frame(BUS_OFF, bytes(8), 10, error=True))
-    assert intake.link == LinkStatus(OFF, 10)
-    intake.link = LinkStatus(UP, 20)
-    assert intake.link == LinkStatus(UP, 20)
+def test_the_receiver_enters_error_frames_and_nothing_else(codec: Codec):
+    receiver = Receiver(codec, {}, 0)
+    receiver.receive(Frame(BUS_OFF, bytes(8), 9, extended=False))
+    assert receiver.monitor.link == LinkStatus(UP, 0)
+    receiver.receive(Frame(BUS_OFF, bytes(8), 10, error=True))
+    assert receiver.monitor.link == LinkStatus(OFF, 10)
+
+
+def test_a_lost_link_is_lost_since_the_first_report_until_it_is_opened(monitor):
+    monitor.lose(110)
+    monitor.lose(120)
+    monitor.take_error_frame(BUS_OFF, bytes(8), 130)
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(LinkState.LOST, 110)
+    monitor.open(LinkStatus(UP, 200))
+    monitor.begin_tick()
+    assert monitor.link == LinkStatus(UP, 200)
+
+
+def test_an_opening_begins_the_recent_passive_time_again(monitor):
+    assert monitor.recent_passive_ns(900) == 0
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x10), 1000)
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x40), 1500)
+    assert monitor.recent_passive_ns(1600) == 500
+    monitor.open(LinkStatus(UP, 1700))
+    assert monitor.recent_passive_ns(1800) == 0
 
 
 # Error-passive, in all.
 
 
-def test_passive_time_gathers_over_interruptions(book):
+def test_passive_time_gathers_over_interruptions(monitor):
     for at_ns in (1000, 2000):
-        book.take_error_frame(CONTROLLER, controller_byte(0x10), at_ns)
-        assert book.passive_ns(at_ns + 400) == (at_ns == 2000) * 500 + 400
-        book.take_error_frame(CONTROLLER, controller_byte(0x40), at_ns + 500)
-    assert book.passive_ns(9000) == 1000
+        monitor.take_error_frame(CONTROLLER, controller_byte(0x10), at_ns)
+        assert monitor.passive_ns(at_ns + 400) == (at_ns == 2000) * 500 + 400
+        monitor.take_error_frame(CONTROLLER, controller_byte(0x40), at_ns + 500)
+    assert monitor.passive_ns(9000) == 1000
 
 
-def test_an_error_frame_that_says_passive_again_changes_nothing(book):
+def test_an_error_frame_that_says_passive_again_changes_nothing(monitor):
     for at_ns in (1000, 1100, 1200):
-        book.take_error_frame(CONTROLLER, controller_byte(0x20), at_ns)
-    assert book.passive_ns(1300) == 300
+        monitor.take_error_frame(CONTROLLER, controller_byte(0x20), at_ns)
+    assert monitor.passive_ns(1300) == 300
 
 
-def test_a_stamp_ahead_of_the_tick_is_no_passive_time_yet(book):
-    book.take_error_frame(CONTROLLER, controller_byte(0x20), 1000)
-    assert book.passive_ns(999) == 0
+def test_a_stamp_ahead_of_the_tick_is_no_passive_time_yet(monitor):
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x20), 1000)
+    assert monitor.passive_ns(999) == 0
 
 
-def test_an_end_of_the_passive_state_stamped_before_its_beginning_gathers_nothing(book):
-    book.take_error_frame(CONTROLLER, controller_byte(0x20), 1000)
-    book.take_error_frame(CONTROLLER, controller_byte(0x40), 900)
-    assert book.passive_ns(2000) == 0
+def test_an_end_of_the_passive_state_stamped_before_its_beginning_gathers_nothing(monitor):
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x20), 1000)
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x40), 900)
+    assert monitor.passive_ns(2000) == 0
 
 
-def test_an_interface_opened_in_the_passive_state_gathers_from_then(book):
-    book.begin(LinkStatus(PASSIVE, 500))
-    assert book.passive_ns(700) == 200
-    book.take_error_frame(CONTROLLER, controller_byte(0x40), 800)
-    assert book.passive_ns(900) == 300
+def test_an_interface_opened_in_the_passive_state_gathers_from_then(monitor):
+    monitor.open(LinkStatus(PASSIVE, 500))
+    assert monitor.passive_ns(700) == 200
+    monitor.take_error_frame(CONTROLLER, controller_byte(0x40), 800)
+    assert monitor.passive_ns(900) == 300
 
 
 @pytest.mark.parametrize(("at_s", "within_s"), [(4.9, 1), (5.0, 1), (6.0, 0.0), (5.5, 0.5)])

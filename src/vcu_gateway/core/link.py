@@ -1,4 +1,4 @@
-"""What the bus itself says: error frames, the carrier, loss."""
+"""Link state: the CAN controller's, from error frames, the carrier and loss."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ _CLASS_CONTROLLER = 0x004
 _CLASS_BUS_OFF = 0x040
 _CLASS_RESTARTED = 0x100
 ERROR_CLASSES = _CLASS_CONTROLLER | _CLASS_BUS_OFF | _CLASS_RESTARTED
-"""The only ones that move the link; the others may come by the thousand."""
+"""Classes that change the link state; the others may come by the thousand."""
 
 _CONTROLLER_BYTE = 1
 _PASSIVE_WINDOW_NS = 5_000_000_000
@@ -46,7 +46,7 @@ def after_error_frame(
 ) -> LinkStatus:
     """The link after an error frame; `can_id` carries the error classes.
 
-    Bus-off ends with a restart or with the controller's word that it is active again.
+    Bus-off ends with a restart or with the controller's report that it is active again.
     """
     if can_id & _CLASS_BUS_OFF:
         return link.moved(LinkState.BUS_OFF, at_ns)
@@ -69,17 +69,17 @@ def _after_controller_byte(link: LinkStatus, bits: int, at_ns: int) -> LinkStatu
 
 
 class Carrier(NamedTuple):
-    """What the kernel says of the interface itself: a controller in bus-off has no carrier."""
+    """Carrier of the interface, from the kernel: a controller in bus-off has none."""
 
     present: bool
     since_ns: int
 
 
 def with_carrier(link: LinkStatus, carrier: Carrier | None) -> LinkStatus:
-    """The link that error frames told, held against the carrier; None is not known.
+    """The link that error frames reported, held against the carrier; None is not known.
 
     Without a carrier the bus is off, whether an error frame was seen or not. A carrier that
-    came back after a bus-off ends it: the error frame that tells of the restart may be lost.
+    came back after a bus-off ends it: the error frame that reports the restart may be lost.
     """
     if carrier is None:
         return link
@@ -91,8 +91,8 @@ def with_carrier(link: LinkStatus, carrier: Carrier | None) -> LinkStatus:
     return link
 
 
-class _Told(NamedTuple):
-    """What error frames told, and for how long they had told of error-passive before."""
+class _Reported(NamedTuple):
+    """State that error frames reported, and how long they had reported error-passive before."""
 
     link: LinkStatus
     passive_ns: int
@@ -114,36 +114,65 @@ class PassiveTime:
 
 
 class LinkMonitor:
-    """What is known of the link since it was opened.
+    """Link state from error frames, carrier, opening and loss.
 
-    Error frames are entered by the receiving thread, everything else by the ticking thread; each
-    writes pages of its own.
+    Two threads feed it without a lock, because each field has one writer and holds an immutable
+    value that is replaced whole:
+
+    | written by the receiving thread | written by the ticking thread                           |
+    |---------------------------------|---------------------------------------------------------|
+    | `_reported`: last error frame   | `_opened`: state at the last opening                    |
+    | `_last_off`: last bus-off       | `_carrier`, `_lost`: as the shell reports them           |
+    |                                 | `_last_off_seen`, `_missed`: bus-off and tick           |
+    |                                 | `_passive`: error-passive time by tick                  |
+
+    The ticking thread never resets what the receiving thread wrote: an opening is a time, and
+    what was reported before that time no longer counts. So an error frame that arrives while the
+    link is being opened is neither lost nor mistaken for one of the old link.
+
+    A controller that restarts by itself may be in bus-off for less than a tick. `begin_tick`
+    compares the last bus-off with the one of the tick before, by identity, and has a new one
+    count for the tick that begins even where the link is up again:
+
+        t =  0 ms  begin_tick()                 link: up
+        t = 12 ms  error frame: bus-off         link: bus off since 12 ms
+        t = 31 ms  error frame: restarted       link: up since 31 ms
+        t = 50 ms  begin_tick()                 link: bus off since 12 ms
+        t = 100 ms begin_tick()                 link: up since 31 ms
     """
 
     def __init__(self, now_ns: int) -> None:
         self._opened = LinkStatus(LinkState.UP, now_ns)
-        self._told = _Told(self._opened, 0)
+        self._reported = _Reported(self._opened, 0)
         self._last_off: LinkStatus | None = None
         self._carrier: Carrier | None = None
+        self._lost: LinkStatus | None = None
         self._last_off_seen: LinkStatus | None = None
         self._missed: LinkStatus | None = None
+        self._passive = PassiveTime()
 
     def take_error_frame(self, can_id: int, data: bytes | bytearray, at_ns: int) -> None:
-        """On the receiving thread."""
+        """On the receiving thread; `can_id` carries the error classes."""
         before = self._latest()
-        told = after_error_frame(before, can_id, data, at_ns)
-        if told.state is LinkState.BUS_OFF:
-            self._last_off = told
-        passive_ns = self._told.passive_ns
+        link = after_error_frame(before, can_id, data, at_ns)
+        if link.state is LinkState.BUS_OFF:
+            self._last_off = link
+        passive_ns = self._reported.passive_ns
         if before.state is LinkState.PASSIVE:
-            passive_ns += max(0, told.since_ns - before.since_ns)
-        self._told = _Told(told, passive_ns)
+            passive_ns += max(0, link.since_ns - before.since_ns)
+        self._reported = _Reported(link, passive_ns)
 
-    def begin(self, opened: LinkStatus, carrier: Carrier | None = None) -> None:
-        """The interface was opened then, in this state; what was said before is over."""
-        self._opened, self._carrier = opened, carrier
+    def open(self, opened: LinkStatus, carrier: Carrier | None = None) -> None:
+        """The interface was opened then, in this state; earlier reports no longer count."""
+        self._opened, self._carrier, self._lost = opened, carrier, None
+        self._passive = PassiveTime()
 
-    def note_carrier(self, carrier: Carrier) -> None:
+    def lose(self, now_ns: int) -> None:
+        """The interface is down or gone; since the first of several calls."""
+        if self._lost is None:
+            self._lost = LinkStatus(LinkState.LOST, now_ns)
+
+    def change_carrier(self, carrier: Carrier) -> None:
         """The carrier came or went."""
         self._carrier = carrier
 
@@ -155,22 +184,28 @@ class LinkMonitor:
 
     @property
     def link(self) -> LinkStatus:
-        """The worst that is known; any thread may ask."""
+        """The worst that is known; for any thread."""
+        if self._lost is not None:
+            return self._lost
         link = with_carrier(self._latest(), self._carrier)
         return link if link.state is LinkState.BUS_OFF else self._missed or link
 
+    def recent_passive_ns(self, now_ns: int) -> int:
+        """Error-passive time within the last 5 s; once a tick."""
+        return self._passive.within(self.passive_ns(now_ns), now_ns)
+
     def passive_ns(self, now_ns: int) -> int:
-        """For how long the controller has been error-passive in all; an opening may take some."""
-        told = self._told
-        link = self._after_opening(told.link)
+        """Error-passive time in all; that before an opening may be missing."""
+        reported = self._reported
+        link = self._after_opening(reported.link)
         if link.state is not LinkState.PASSIVE:
-            return told.passive_ns
-        return told.passive_ns + max(0, now_ns - link.since_ns)
+            return reported.passive_ns
+        return reported.passive_ns + max(0, now_ns - link.since_ns)
 
     def _latest(self) -> LinkStatus:
-        return self._after_opening(self._told.link)
+        return self._after_opening(self._reported.link)
 
-    def _after_opening(self, told: LinkStatus) -> LinkStatus:
-        """What error frames told, where they told it after the opening."""
+    def _after_opening(self, reported: LinkStatus) -> LinkStatus:
+        """The reported state where it was reported after the opening, else that of the opening."""
         opened = self._opened
-        return told if told.since_ns >= opened.since_ns else opened
+        return reported if reported.since_ns >= opened.since_ns else opened
