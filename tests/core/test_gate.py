@@ -421,23 +421,23 @@ def test_a_change_that_did_not_leave_is_still_a_change(gate):
         (POWER_CUT_REVERSE, ZERO_TORQUE_REVERSE),
     ],
 )
-@pytest.mark.parametrize("asked", [frame(0x04, power=0xFFFF), frame(0x14, power=0xFFFF)])
+@pytest.mark.parametrize("demanded", [frame(0x04, power=0xFFFF), frame(0x14, power=0xFFFF)])
 def test_instead_goes_zero_torque_in_the_direction_of_the_last_frame_sent(
-    last_sent, instead, asked
+    last_sent, instead, demanded
 ):
     gate = Gate(LIMITS)
     gate.sent(0, last_sent, 0)
-    passed = check(gate, asked, speeds=(3000.0, 3000.0))
+    passed = check(gate, demanded, speeds=(3000.0, 3000.0))
     assert passed.blocked is not None
     assert passed.data == instead
 
 
 @pytest.mark.parametrize(
-    ("asked", "instead"),
+    ("demanded", "instead"),
     [(frame(0x14, 9), ZERO_TORQUE_REVERSE), (frame(0x04, 9), ZERO_TORQUE), (b"", ZERO_TORQUE)],
 )
-def test_before_the_first_frame_the_direction_asked_for_is_kept(asked, instead):
-    passed = check(Gate(LIMITS), asked)
+def test_before_the_first_frame_the_direction_asked_for_is_kept(demanded, instead):
+    passed = check(Gate(LIMITS), demanded)
     assert (passed.data, passed.blocked is None) == (instead, False)
 
 

@@ -7,7 +7,7 @@ import pytest
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import PowerMode
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.transmit import OutFrame, Transmitter
+from vcu_gateway.core.transmit import OutFrame, SentHistory, SentValues, Transmitter
 
 MS = 1_000_000
 PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0
@@ -102,13 +102,13 @@ def test_a_frame_that_was_sent_is_what_the_next_one_is_held_against(output):
 def test_what_was_sent_is_booked_as_the_wire_carried_it(output):
     first, second = output.encoded(decided(throttle_pct=100))
     output.note_sent(first, 7)
-    history = output.sending.history
+    history = output.history.frames
     assert [(sent.at_ns, sent.throttle_pct) for sent in history["PCU1"]] == [
         (7, pytest.approx(99.45))
     ]
     assert not history["PCU2"]
     output.note_sent(second, 8)
-    assert output.sending.history["PCU2"][0].at_ns == 8
+    assert output.history.frames["PCU2"][0].at_ns == 8
 
 
 @pytest.mark.parametrize(
@@ -153,3 +153,77 @@ def test_zero_torque_of_commands_and_of_the_gate_are_the_same_bytes(output):
     frames = output.encoded(decided())
     assert {frame.data for frame in frames} == {ZERO_TORQUE}
     assert output.gate.zero_torque(reverse=False) == ZERO_TORQUE
+
+
+BOTH = ("PCU1", "PCU2")
+
+
+class Ticks:
+    """One tick after the other; each says which echoes had come back before it."""
+
+    def __init__(self) -> None:
+        self.history = SentHistory(BOTH)
+        self.confirmed = dict.fromkeys(BOTH, 0)
+
+    def tick(self, *echoes: str, emits: bool = True) -> int:
+        for name in echoes:
+            self.confirmed[name] += 1
+        missed = self.history.note_confirmed(self.confirmed)
+        self.history.note_emitted(emits)
+        return missed
+
+
+def test_the_first_tick_misses_nothing():
+    assert Ticks().tick() == 0
+
+
+def test_every_tick_without_an_echo_is_counted_until_one_comes():
+    ticks = Ticks()
+    assert [ticks.tick() for _ in range(5)] == [0, 1, 2, 3, 4]
+    assert ticks.tick(*BOTH) == 0
+    assert ticks.tick() == 1
+
+
+@pytest.mark.parametrize("name", BOTH)
+def test_the_echo_of_one_controllers_frame_does_not_confirm_the_others(name):
+    ticks = Ticks()
+    assert [ticks.tick(name) for _ in range(4)] == [0, 1, 2, 3]
+
+
+def test_several_echoes_at_once_are_as_good_as_one():
+    ticks = Ticks()
+    ticks.tick()
+    assert ticks.tick("PCU1", "PCU1", "PCU2", "PCU2") == 0
+
+
+def test_a_tick_after_one_that_sent_nothing_misses_nothing():
+    ticks = Ticks()
+    assert [ticks.tick(emits=False) for _ in range(5)] == [0] * 5
+
+
+def test_silence_of_our_own_does_not_excuse_what_was_missed_before():
+    ticks = Ticks()
+    assert [ticks.tick(), ticks.tick(), ticks.tick(emits=False)] == [0, 1, 2]
+    assert [ticks.tick(emits=False), ticks.tick()] == [2, 2]
+    assert ticks.tick(*BOTH) == 0
+
+
+def test_the_history_holds_each_controllers_throttles_oldest_first():
+    sending = SentHistory(BOTH)
+    sending.note_sent("PCU1", SentValues(1, 10.0))
+    sending.note_sent("PCU2", SentValues(2, 20.0, reverse=True))
+    sending.note_sent("PCU1", SentValues(3, 30.0))
+    assert {name: list(sent) for name, sent in sending.frames.items()} == {
+        "PCU1": [SentValues(1, 10.0), SentValues(3, 30.0)],
+        "PCU2": [SentValues(2, 20.0, reverse=True)],
+    }
+
+
+def test_the_history_reaches_over_the_echo_window_and_is_bounded():
+    """1.1 s before a Status1 of up to 1.6 s: 54 frames of 50 ms."""
+    sending = SentHistory(BOTH)
+    for number in range(1000):
+        sending.note_sent("PCU1", SentValues(number * 50_000_000, 1.0))
+    kept = sending.frames["PCU1"]
+    assert kept[-1].at_ns - kept[0].at_ns >= 2_700_000_000
+    assert len(kept) <= 100

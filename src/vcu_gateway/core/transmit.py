@@ -1,6 +1,8 @@
-"""From decided commands to frames on the bus: encoded, checked by the gate, booked."""
+"""Transmitter: commands encoded, checked by the gate, and recorded once they are sent."""
 
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from vcu_gateway.core import commands, j1939
@@ -8,7 +10,6 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.gate import Gate, GateLimits
-from vcu_gateway.core.sending import SentHistory, SentValues
 from vcu_gateway.core.settings import Settings
 
 
@@ -21,10 +22,11 @@ class OutFrame(NamedTuple):
 
 
 class Transmitter:
-    """Both controllers' frames.
+    """Encoder and gate of both controllers' frames.
 
     Attributes:
-        gate: the last check; sending: what became of the frames.
+        gate: the last check of every frame.
+        history: the frames that the bus took.
     """
 
     def __init__(self, codec: Codec, settings: Settings) -> None:
@@ -33,13 +35,13 @@ class Transmitter:
             name: j1939.with_priority(one.spec.can_id, settings.transmit_priority)
             for name, one in self._codecs.items()
         }
-        # One whole byte and one bit, the same in both: what they say needs no decoding.
+        # One whole byte and one bit, the same in both: they need no decoding.
         self._throttle = self._codecs[CONTROLLERS[0]].spec.signal("Throttle")
         self._throttle_byte = self._throttle.start_bit // 8
         direction = self._codecs[CONTROLLERS[0]].spec.signal("MotorReverse").start_bit
         self._direction_byte, self._reverse = direction // 8, 1 << direction % 8
         self.gate = Gate(self._limits(settings))
-        self.sending = SentHistory(CONTROLLERS)
+        self.history = SentHistory(CONTROLLERS)
 
     def _limits(self, settings: Settings) -> GateLimits:
         return GateLimits(
@@ -74,8 +76,9 @@ class Transmitter:
         now_ns: int,
     ) -> str | None:
         """Show every frame to the gate; the rule that one of them breaks, or None."""
-        passed = [
-            self.gate.check(
+        fault: str | None = None
+        for slot, frame in enumerate(frames):
+            passed = self.gate.check(
                 slot,
                 frame.can_id,
                 frame.data,
@@ -83,13 +86,69 @@ class Transmitter:
                 speeds_rpm=speeds_rpm,
                 now_ns=now_ns,
             )
-            for slot, frame in enumerate(frames)
-        ]
-        return next((one.blocked for one in passed if one.blocked), None)
+            fault = fault or passed.blocked
+        return fault
 
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
-        """Book a frame that the bus took."""
+        """Record a frame that the bus took."""
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
         reverse = frame.data[self._direction_byte] & self._reverse != 0
         self.gate.sent(CONTROLLERS.index(frame.controller), frame.data, now_ns)
-        self.sending.note_sent(frame.controller, SentValues(now_ns, throttle_pct, reverse))
+        self.history.note_sent(frame.controller, SentValues(now_ns, throttle_pct, reverse))
+
+
+# The echo is held against a second or so before a Status1 that may be 1.6 s old.
+_HISTORY_FRAMES = 80
+
+
+@dataclass(frozen=True, slots=True)
+class SentValues:
+    """Throttle and direction of one command frame that was sent."""
+
+    at_ns: int
+    throttle_pct: float
+    reverse: bool = False
+
+
+class SentHistory:
+    """Last frames that left for each controller, and whether they came back as echoes.
+
+    Attributes:
+        frames: values of the last 80 frames of each controller, oldest first.
+    """
+
+    def __init__(self, controllers: tuple[str, ...]) -> None:
+        self.frames: Mapping[str, deque[SentValues]] = {
+            name: deque(maxlen=_HISTORY_FRAMES) for name in controllers
+        }
+        self._confirmed_before = dict.fromkeys(controllers, 0)
+        self._missed = dict.fromkeys(controllers, 0)
+        self._emitted = False
+
+    def note_sent(self, controller: str, sent: SentValues) -> None:
+        """A frame was handed to the bus."""
+        self.frames[controller].append(sent)
+
+    @property
+    def unsent(self) -> list[str]:
+        """The controllers for which no frame has left yet."""
+        return [name for name, sent in self.frames.items() if not sent]
+
+    @property
+    def begun(self) -> bool:
+        """True once a frame has left for every controller."""
+        return all(self.frames.values())
+
+    def note_emitted(self, emitted: bool) -> None:
+        """Whether this tick gave frames to send at all."""
+        self._emitted = emitted
+
+    def note_confirmed(self, confirmed: Mapping[str, int]) -> int:
+        """Take the echo counts at the start of a tick; ticks in a row without an echo."""
+        for name, count in confirmed.items():
+            if count != self._confirmed_before[name]:
+                self._missed[name] = 0
+            elif self._emitted:
+                self._missed[name] += 1
+            self._confirmed_before[name] = count
+        return max(self._missed.values())
