@@ -11,9 +11,8 @@ from vcu_gateway.core import freshness, motor_speeds, rules, throttle, why
 from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
-from vcu_gateway.core.ending import Shutdown
 from vcu_gateway.core.events import Event
-from vcu_gateway.core.lifecycle import ListenBeforeTalk, Qualification
+from vcu_gateway.core.lifecycle import ListenBeforeTalk, Qualification, Shutdown
 from vcu_gateway.core.link import LinkState, LinkStatus, PassiveTime
 from vcu_gateway.core.operator_requests import LISTENING, OperatorRequests, Parts
 from vcu_gateway.core.plausibility import Plausibility

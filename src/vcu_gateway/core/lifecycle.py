@@ -1,15 +1,15 @@
-"""What must have happened before the gateway talks, and before it may leave STARTING."""
+"""Lifecycle: listen before talk, qualification for STANDBY, orderly shutdown."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import Snapshot
+from vcu_gateway.core.snapshot import Snapshot
 from vcu_gateway.core.why import WAITING_FOR
 from vcu_gateway.units import NS_PER_MS
 
 
 class ListenBeforeTalk:
-    """Listen before talk: silent for a while, and as long as another sender is heard.
+    """Listen before talk: silent for a while, and as long as another sender is there.
 
     Once over it is over until the next start.
     """
@@ -20,7 +20,7 @@ class ListenBeforeTalk:
         self.over = False
 
     def again(self, now_ns: int) -> None:
-        """Another sender was heard, or the bus was not there: begin the whole time again."""
+        """Begin the whole time again: there was another sender, or no bus."""
         self._quiet_until_ns = now_ns + self._listen_ns
 
     def update(self, now_ns: int) -> bool:
@@ -49,8 +49,8 @@ class Qualification:
         self._before = {message: _good_frames(snapshot, message) for message in required}
 
     def missing(self, snapshot: Snapshot, settings: Settings) -> Iterator[str]:
-        """What is still waited for, as sentences; nothing where all is there."""
-        for message in settings.required:
+        """Conditions still waited for, as sentences."""
+        for message in settings.required_messages:
             good = _good_frames(snapshot, message) - self._before.get(message, 0)
             if snapshot.stale(message):
                 yield f"{WAITING_FOR}{message}"
@@ -61,3 +61,40 @@ class Qualification:
 def _good_frames(snapshot: Snapshot, message: str) -> int:
     latest = snapshot.latest(message)
     return 0 if latest is None else latest.frame_count - latest.marked_count
+
+
+def echoed_directions(snapshot: Snapshot, controllers: Iterable[str]) -> Mapping[str, bool]:
+    """Reverse or not, of each of these controllers that echoes its last command."""
+    readings = {name: snapshot.reading(f"{name}_Status1", "MotorReverse") for name in controllers}
+    return {
+        name: bool(one.good_value) for name, one in readings.items() if one.good_value is not None
+    }
+
+
+_TICKS = 3
+_TICKS_AT_MOST = 10
+
+
+class Shutdown:
+    """Orderly end: a few ticks of safe frames in STOPPING."""
+
+    def __init__(self) -> None:
+        self._ticks = 0
+        self._unsent_ticks = 0
+        self._unsent_in_tick = False
+
+    def note_tick(self, stopping: bool) -> None:
+        """A tick begins to be sent."""
+        self._unsent_ticks += self._unsent_in_tick and self._ticks > 0
+        self._unsent_in_tick = False
+        self._ticks += stopping
+
+    def note_unsent(self) -> None:
+        """A frame of this tick was not taken by the bus."""
+        self._unsent_in_tick = True
+
+    def over(self, talking: bool) -> bool:
+        """True where the safe frames were sent, or cannot be; valid after each tick's sending."""
+        sent_ticks = self._ticks - self._unsent_ticks - self._unsent_in_tick
+        given_up = self._ticks >= _TICKS_AT_MOST or not talking
+        return self._ticks > 0 and (sent_ticks >= _TICKS or given_up)
