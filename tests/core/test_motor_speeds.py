@@ -6,6 +6,7 @@ import pytest
 
 from tests.core.safety_world import CODEC, data
 from vcu_gateway.core import motor_speeds
+from vcu_gateway.core.motor_speeds import RegenerationInterlock
 from vcu_gateway.core.plausibility import NO_DEVIATION, Observed
 from vcu_gateway.core.state import Store
 
@@ -49,3 +50,25 @@ def test_a_limit_holds_for_both_motors_or_not_at_all(speed, below, at_least):
         assert motor_speeds.all_below(pair, 30) is below
     for pair in ((speed, 60), (60, speed), (speed, speed)):
         assert motor_speeds.all_at_least(pair, 30) is at_least
+
+
+def possible(*speeds_rpm, min_rpm=100.0):
+    regeneration = RegenerationInterlock()
+    return [regeneration.possible(speeds, min_rpm) for speeds in speeds_rpm]
+
+
+@pytest.mark.parametrize("other", [150.0, 6000.0])
+def test_it_begins_50_rpm_above_and_ends_below_the_least_speed(other):
+    speeds = (149.999, 150.0, 100.0, math.nextafter(100, 0), 149.999, 150.0)
+    expected = [False, True, True, False, False, True]
+    assert possible(*((speed, other) for speed in speeds)) == expected
+    assert possible(*((other, speed) for speed in speeds)) == expected
+
+
+@pytest.mark.parametrize("unknown", [(None, 200.0), (200.0, None), (None, None)])
+def test_a_speed_that_is_not_known_ends_it(unknown):
+    assert possible(unknown, (200.0, 200.0), unknown, (120.0, 120.0)) == [False, True, False, False]
+
+
+def test_a_least_speed_of_zero_switches_it_off():
+    assert possible((None, None), (0.0, 0.0), min_rpm=0) == [True, True]

@@ -14,10 +14,10 @@ from vcu_gateway.core.commands import Command, Commander
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.lifecycle import ListenBeforeTalk, Qualification, Shutdown
 from vcu_gateway.core.link import LinkState, LinkStatus, PassiveTime
+from vcu_gateway.core.motor_speeds import RegenerationInterlock
 from vcu_gateway.core.operator_requests import LISTENING, OperatorRequests, Parts
 from vcu_gateway.core.plausibility import Plausibility
 from vcu_gateway.core.receive import OWN_NODE, Receiver
-from vcu_gateway.core.regeneration import RegenerationInterlock
 from vcu_gateway.core.rule_inputs import RuleInputs
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot

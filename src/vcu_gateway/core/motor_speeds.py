@@ -1,10 +1,10 @@
-"""How fast the motors turn, as far as that is known."""
+"""Motor speeds, as far as they are known, and the interlock of regeneration."""
 
 from typing import NamedTuple
 
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.plausibility import Observed
-from vcu_gateway.core.state import Snapshot
+from vcu_gateway.core.snapshot import Snapshot
 
 SpeedsRpm = tuple[float | None, ...]
 
@@ -51,3 +51,23 @@ def all_at_least(speeds_rpm: SpeedsRpm, limit_rpm: float) -> bool:
         if speed is None or speed < limit_rpm:
             return False
     return True
+
+
+_RETURN_RPM = 50.0
+
+
+class RegenerationInterlock:
+    """Whether the motors turn fast enough to recover energy; with hysteresis."""
+
+    def __init__(self) -> None:
+        self._possible = False
+
+    def possible(self, speeds_rpm: SpeedsRpm, min_rpm: float) -> bool:
+        """Judge the speeds of a tick, None where one is not known; `min_rpm` 0: always.
+
+        Once both are known and 50 rpm above `min_rpm` it is possible, until one is not known
+        or below `min_rpm`.
+        """
+        least_rpm = min_rpm if self._possible else min_rpm + _RETURN_RPM
+        self._possible = min_rpm == 0 or all_at_least(speeds_rpm, least_rpm)
+        return self._possible
