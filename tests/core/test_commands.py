@@ -28,17 +28,17 @@ class Drive:
         self.now_ns = 1_000 * MS
         self.step("safe")
 
-    def step(self, what="active", asked=None, *effects, slow=True, after_ns=PERIOD_NS, **both):
+    def step(self, what="active", demanded=None, *effects, slow=True, after_ns=PERIOD_NS, **both):
         """One tick; both controllers' commands where they differ, else the one command."""
         self.now_ns += after_ns
-        if asked is None:
-            asked = dict.fromkeys(CONTROLLERS, ControllerDemand(**both))
+        if demanded is None:
+            demanded = dict.fromkeys(CONTROLLERS, ControllerDemand(**both))
         args = (frozenset(effects), slow, self.settings, self.now_ns)
         speed = {"regenerates": True} if what == "active" else {}
         if what == "safe":
-            commands = self.commander.safe(asked, self.settings, False, self.now_ns)
+            commands = self.commander.safe(demanded, self.settings, False, self.now_ns)
         else:
-            commands = getattr(self.commander, what)(asked, *args, **speed)
+            commands = getattr(self.commander, what)(demanded, *args, **speed)
         first, second = commands["PCU1"], commands["PCU2"]
         return first if first == second else commands
 
@@ -53,10 +53,10 @@ class Drive:
         for name in controllers or CONTROLLERS:
             self.commander.note_sent(name)
 
-    def up_to(self, **asked):
+    def up_to(self, **demanded):
         """Ask for this until the slews have nothing left to do."""
         for _ in range(40):
-            command = self.active(**asked)
+            command = self.active(**demanded)
         return command
 
 
@@ -126,15 +126,15 @@ def test_before_the_first_tick_nothing_can_be_lost():
 
 def test_the_first_tick_earns_no_throttle():
     commander = Commander(Settings())
-    asked = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=100))
-    commands = commander.active(asked, frozenset(), True, Settings(), 10**12, regenerates=True)
+    demanded = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=100))
+    commands = commander.active(demanded, frozenset(), True, Settings(), 10**12, regenerates=True)
     assert commands["PCU1"].throttle_pct == 0
 
 
 def test_standby_carries_zero_torque_whatever_is_asked(drive):
-    asked = {"throttle_pct": 50, "brake_pct": 4, "regen_brake": True, "power_mode": TURBO}
-    assert drive.settle(**asked) == ZERO_TORQUE
-    assert drive.settle(Effect.CUT, **asked) == ZERO_TORQUE
+    demanded = {"throttle_pct": 50, "brake_pct": 4, "regen_brake": True, "power_mode": TURBO}
+    assert drive.settle(**demanded) == ZERO_TORQUE
+    assert drive.settle(Effect.CUT, **demanded) == ZERO_TORQUE
 
 
 def test_standby_without_a_demand_is_zero_torque_in_the_direction_it_had(drive):
@@ -176,9 +176,9 @@ def test_a_late_tick_earns_no_more_than_a_period(drive, after_ns, risen_pct):
 
 
 def test_each_controller_rises_from_its_own_throttle(drive):
-    asked = {"PCU1": ControllerDemand(throttle_pct=40), "PCU2": ControllerDemand(throttle_pct=2)}
+    demanded = {"PCU1": ControllerDemand(throttle_pct=40), "PCU2": ControllerDemand(throttle_pct=2)}
     for _ in range(3):
-        commands = drive.step("active", asked)
+        commands = drive.step("active", demanded)
     assert commands["PCU1"].throttle_pct == pytest.approx(15)
     assert commands["PCU2"].throttle_pct == 2
 
@@ -216,8 +216,8 @@ def test_throttle_and_brake_together_give_no_throttle_to_either(
     drive.up_to(throttle_pct=20)
     quiet = ControllerDemand(throttle_pct=20)
     both = ControllerDemand(throttle_pct=throttle_pct, brake_pct=brake_pct)
-    asked = dict.fromkeys(CONTROLLERS, quiet) | dict.fromkeys(who, both)
-    drive.step("active", asked)
+    demanded = dict.fromkeys(CONTROLLERS, quiet) | dict.fromkeys(who, both)
+    drive.step("active", demanded)
     throttles = {command.throttle_pct for command in drive.commander.last.values()}
     assert (throttles == {0.0}) is overridden
     assert (ThrottleHold.OVERRIDE in drive.commander.pedals.latched) is overridden
@@ -244,8 +244,8 @@ def test_the_override_ends_below_five_percent_brake_released_or_not(
 
 def test_the_override_ends_only_when_both_throttles_are_released(drive):
     drive.active(throttle_pct=30, brake_pct=6)
-    asked = {"PCU1": ControllerDemand(throttle_pct=0), "PCU2": ControllerDemand(throttle_pct=5)}
-    drive.step("active", asked)
+    demanded = {"PCU1": ControllerDemand(throttle_pct=0), "PCU2": ControllerDemand(throttle_pct=5)}
+    drive.step("active", demanded)
     assert drive.commander.pedals.latched == {ThrottleHold.OVERRIDE}
 
 
@@ -286,24 +286,24 @@ def test_the_direction_waits_one_frame_of_zero_throttle_even_when_slow(drive):
 
 def test_a_change_of_one_controller_holds_the_other_one_too():
     drive = Drive(independent_directions=True)
-    asked = {
+    demanded = {
         "PCU1": ControllerDemand(throttle_pct=50, motor_reverse=True),
         "PCU2": ControllerDemand(throttle_pct=50),
     }
-    drive.step("active", asked, slow=False)
+    drive.step("active", demanded, slow=False)
     last = drive.commander.last
     assert {command.throttle_pct for command in last.values()} == {0.0}
-    commands = drive.step("active", asked)
+    commands = drive.step("active", demanded)
     assert (commands["PCU1"].motor_reverse, commands["PCU2"].motor_reverse) == (True, False)
     assert {command.throttle_pct for command in commands.values()} == {0.0}
 
 
 def test_one_throttle_that_is_not_zero_keeps_both_directions(drive):
-    asked = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand(throttle_pct=50)}
-    drive.step("active", asked)
+    demanded = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand(throttle_pct=50)}
+    drive.step("active", demanded)
     for mode in ("settle", "active"):
         twin = Drive()
-        twin.step("active", asked)
+        twin.step("active", demanded)
         twin.step(mode, None, motor_reverse=True)
         assert not any(command.motor_reverse for command in twin.commander.last.values())
 
@@ -311,32 +311,32 @@ def test_one_throttle_that_is_not_zero_keeps_both_directions(drive):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_a_change_is_pending_while_one_direction_differs(name):
     drive = Drive(independent_directions=True)
-    asked = dict.fromkeys(CONTROLLERS, ControllerDemand())
-    assert not drive.commander.reverse_pending(asked)
-    asked[name] = ControllerDemand(motor_reverse=True)
-    assert drive.commander.reverse_pending(asked)
-    drive.step("settle", asked)
-    assert not drive.commander.reverse_pending(asked)
+    demanded = dict.fromkeys(CONTROLLERS, ControllerDemand())
+    assert not drive.commander.reverse_pending(demanded)
+    demanded[name] = ControllerDemand(motor_reverse=True)
+    assert drive.commander.reverse_pending(demanded)
+    drive.step("settle", demanded)
+    assert not drive.commander.reverse_pending(demanded)
 
 
 @pytest.mark.parametrize("mode", ["settle", "active"])
 def test_two_directions_that_a_reload_forbids_are_not_turned_to(drive, mode):
-    asked = dict.fromkeys(CONTROLLERS, ControllerDemand())
-    asked["PCU2"] = ControllerDemand(motor_reverse=True)
-    assert not drive.step(mode, asked).motor_reverse
-    assert drive.commander.reverse_pending(asked)
+    demanded = dict.fromkeys(CONTROLLERS, ControllerDemand())
+    demanded["PCU2"] = ControllerDemand(motor_reverse=True)
+    assert not drive.step(mode, demanded).motor_reverse
+    assert drive.commander.reverse_pending(demanded)
 
 
 # Ramps of the limits.
 
 
-def powers(drive, ticks, *effects, **asked):
-    return [drive.active(*effects, **asked).power_limit_w for _ in range(ticks)]
+def powers(drive, ticks, *effects, **demanded):
+    return [drive.active(*effects, **demanded).power_limit_w for _ in range(ticks)]
 
 
-def brakes(drive, ticks, *effects, **asked):
-    asked = {"brake_pct": 80, "regen_brake": True} | asked
-    return [drive.active(*effects, **asked).brake_pct for _ in range(ticks)]
+def brakes(drive, ticks, *effects, **demanded):
+    demanded = {"brake_pct": 80, "regen_brake": True} | demanded
+    return [drive.active(*effects, **demanded).brake_pct for _ in range(ticks)]
 
 
 def test_a_power_limit_begins_in_its_tick_and_moves_along_its_slew(drive):
@@ -365,10 +365,10 @@ def test_a_demand_below_the_derated_power_is_left_alone(drive):
 
 
 def test_each_controllers_limit_begins_at_its_own_command(drive):
-    asked = {name: ControllerDemand(power_limit_w=w) for name, w in
+    demanded = {name: ControllerDemand(power_limit_w=w) for name, w in
              zip(CONTROLLERS, (50_000, 20_000), strict=True)}  # fmt: skip
-    drive.step("active", asked)
-    commands = drive.step("active", asked, Effect.POWER_LIMIT)
+    drive.step("active", demanded)
+    commands = drive.step("active", demanded, Effect.POWER_LIMIT)
     assert [commands[name].power_limit_w for name in CONTROLLERS] == [47_000, 17_000]
 
 
@@ -493,7 +493,7 @@ def test_a_limit_never_passes_its_target_and_never_rises_above_its_step(
 
 
 @pytest.mark.parametrize(
-    ("asked", "effects", "expected"),
+    ("demanded", "effects", "expected"),
     [
         (ECO, [], ECO),
         (NORMAL, [], NORMAL),
@@ -511,21 +511,21 @@ def test_a_limit_never_passes_its_target_and_never_rises_above_its_step(
         (TURBO, [Effect.REGEN_LIMIT, Effect.REGEN_OFF, Effect.ALARM], TURBO),
     ],
 )
-def test_the_strictest_mode_wins_at_once(drive, asked, effects, expected):
-    mode = strictest_mode(asked, frozenset(effects))
+def test_the_strictest_mode_wins_at_once(drive, demanded, effects, expected):
+    mode = strictest_mode(demanded, frozenset(effects))
     assert mode is expected
     assert isinstance(mode, PowerMode)
-    drive.active(power_mode=asked)
-    assert drive.active(*effects, power_mode=asked).power_mode is expected
+    drive.active(power_mode=demanded)
+    assert drive.active(*effects, power_mode=demanded).power_mode is expected
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_there_is_no_throttle_for_a_controller_in_power_mode_safety(drive, controller):
     pushed = ControllerDemand(throttle_pct=60)
     drive.up_to(throttle_pct=60)
-    asked = dict.fromkeys(CONTROLLERS, pushed)
-    asked[controller] = dataclasses.replace(pushed, power_mode=SAFETY)
-    told = drive.step("active", asked)
+    demanded = dict.fromkeys(CONTROLLERS, pushed)
+    demanded[controller] = dataclasses.replace(pushed, power_mode=SAFETY)
+    told = drive.step("active", demanded)
     (other,) = set(CONTROLLERS) - {controller}
     assert (told[controller].throttle_pct, told[other].throttle_pct) == (0, 60)
     assert drive.active(throttle_pct=60)[controller].throttle_pct == pytest.approx(5)
@@ -535,16 +535,16 @@ def test_there_is_no_throttle_for_a_controller_in_power_mode_safety(drive, contr
 
 
 @pytest.mark.parametrize(
-    ("asked", "sent"),
+    ("demanded", "sent"),
     [(0, 500), (499.9, 500), (500.1, 500.1), (2999, 2999), (3000, 3000), (3001, 3000)],
 )
-def test_the_speed_limit_is_between_500_rpm_and_its_maximum(asked, sent):
-    assert Drive(speed_limit_max_rpm=3000).active(speed_limit_rpm=asked).speed_limit_rpm == sent
+def test_the_speed_limit_is_between_500_rpm_and_its_maximum(demanded, sent):
+    assert Drive(speed_limit_max_rpm=3000).active(speed_limit_rpm=demanded).speed_limit_rpm == sent
 
 
-@pytest.mark.parametrize(("asked", "sent"), [(0, 0), (2999, 2999), (3000, 3000), (3001, 3000)])
-def test_the_power_limit_never_exceeds_its_maximum(asked, sent):
-    assert Drive(power_limit_max_w=3000).active(power_limit_w=asked).power_limit_w == sent
+@pytest.mark.parametrize(("demanded", "sent"), [(0, 0), (2999, 2999), (3000, 3000), (3001, 3000)])
+def test_the_power_limit_never_exceeds_its_maximum(demanded, sent):
+    assert Drive(power_limit_max_w=3000).active(power_limit_w=demanded).power_limit_w == sent
 
 
 def test_a_stricter_power_maximum_is_reached_along_its_slew(drive):

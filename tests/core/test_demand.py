@@ -28,8 +28,8 @@ PRIORITIES = {"remote": 5, "driver": 5, "supervisor": 10, "guest": 1, "last": -1
 IDLE = ControllerDemand()
 
 
-def demand(source="driver", sequence=1, ttl_ms=200, controllers=None, **asked):
-    both = dict.fromkeys(CONTROLLERS, ControllerDemand(**asked))
+def demand(source="driver", sequence=1, ttl_ms=200, controllers=None, **demanded):
+    both = dict.fromkeys(CONTROLLERS, ControllerDemand(**demanded))
     return Demand(source, sequence, ttl_ms, both if controllers is None else controllers)
 
 
@@ -79,14 +79,14 @@ def test_the_range_ends_exactly_at_its_limits(desk, name, low, high):
 
 
 @given(
-    asked=st.builds(
+    demanded=st.builds(
         ControllerDemand,
         **dict.fromkeys(RANGES, st.floats() | st.integers()),
     )
 )
-def test_only_finite_values_inside_their_ranges_are_taken(asked):
-    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, asked)), DemandTerms())
-    inside = all(low <= getattr(asked, name) <= high for name, (low, high) in RANGES.items())
+def test_only_finite_values_inside_their_ranges_are_taken(demanded):
+    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, demanded)), DemandTerms())
+    inside = all(low <= getattr(demanded, name) <= high for name, (low, high) in RANGES.items())
     assert answer.granted is inside
     assert (answer.refusal is None) is inside
 

@@ -28,17 +28,17 @@ class Driver:
         self.pedals = Pedals()
         self.now_ns = NOW_NS
 
-    def asks(self, asked=None, waited_ns=0, **values):
-        asked = both(**values) if asked is None else asked
-        self.pedals.judge(asked, self.now_ns - waited_ns, self.now_ns)
+    def asks(self, demanded=None, waited_ns=0, **values):
+        demanded = both(**values) if demanded is None else demanded
+        self.pedals.judge(demanded, self.now_ns - waited_ns, self.now_ns)
         return self
 
     def after(self, duration_ns):
         self.now_ns += duration_ns
         return self
 
-    def held(self, asked=IDLE, applied=FORWARD):
-        return self.pedals.tick(asked, applied, self.now_ns)
+    def held(self, demanded=IDLE, applied=FORWARD):
+        return self.pedals.tick(demanded, applied, self.now_ns)
 
 
 @pytest.fixture
@@ -67,19 +67,19 @@ def one_of(controller, **values):
 def test_brake_over_throttle_begins_beyond_25_and_5_pct(
     driver, controller, throttle_pct, brake_pct, held
 ):
-    asked = one_of(controller, throttle_pct=throttle_pct, brake_pct=brake_pct)
-    driver.asks(asked)
+    demanded = one_of(controller, throttle_pct=throttle_pct, brake_pct=brake_pct)
+    driver.asks(demanded)
     assert (ThrottleHold.OVERRIDE in driver.pedals.latched) is held
-    assert driver.held(asked) is held
+    assert driver.held(demanded) is held
 
 
 @pytest.mark.parametrize(("throttle_pct", "held"), [(5.0, True), (4.999999, False), (0.0, False)])
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_brake_over_throttle_ends_below_5_pct_of_both(driver, controller, throttle_pct, held):
-    asked = one_of(controller, throttle_pct=throttle_pct, brake_pct=100)
-    driver.asks(throttle_pct=40, brake_pct=10).held(asked)
-    driver.asks(asked)
-    assert driver.held(asked) is held
+    demanded = one_of(controller, throttle_pct=throttle_pct, brake_pct=100)
+    driver.asks(throttle_pct=40, brake_pct=10).held(demanded)
+    driver.asks(demanded)
+    assert driver.held(demanded) is held
 
 
 def test_a_latch_that_was_set_and_released_between_two_ticks_holds_one_tick(driver):
@@ -137,9 +137,9 @@ def test_who_takes_over_is_held_until_less_than_5_pct_is_asked_for(driver):
 )
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_tracks_differ_by_more_than_10_pct(driver, controller, throttle_pct, track2_pct, differ):
-    asked = one_of(controller, throttle_pct=throttle_pct, track2_pct=track2_pct)
-    driver.asks(asked).after(100 * MS + 1)
-    assert driver.held(asked) is differ
+    demanded = one_of(controller, throttle_pct=throttle_pct, track2_pct=track2_pct)
+    driver.asks(demanded).after(100 * MS + 1)
+    assert driver.held(demanded) is differ
 
 
 @pytest.mark.parametrize(("lasted_ns", "held"), [(100 * MS, False), (100 * MS + 1, True)])
@@ -147,10 +147,10 @@ def test_tracks_differ_by_more_than_10_pct(driver, controller, throttle_pct, tra
 def test_tracks_may_differ_for_100_ms(driver, lasted_ns, held, judged):
     apart, together = both(40, track2_pct=20), both(40, track2_pct=40)
     driver.asks(apart).after(lasted_ns)
-    asked = apart if judged == "at a tick" else together
-    if asked is together:
+    demanded = apart if judged == "at a tick" else together
+    if demanded is together:
         driver.asks(together)
-    assert driver.held(asked) is held
+    assert driver.held(demanded) is held
 
 
 def test_tracks_that_agree_for_a_moment_begin_the_100_ms_anew(driver):
@@ -185,10 +185,10 @@ def test_the_tracks_latch_ends_with_both_tracks_of_both_below_5_pct(
 ):
     apart = both(40, track2_pct=20)
     driver.asks(apart).after(101 * MS).held(apart)
-    asked = one_of(controller, throttle_pct=throttle_pct, track2_pct=track2_pct)
-    driver.asks(asked)
-    driver.held(asked)
-    assert driver.held(asked) is held
+    demanded = one_of(controller, throttle_pct=throttle_pct, track2_pct=track2_pct)
+    driver.asks(demanded)
+    driver.held(demanded)
+    assert driver.held(demanded) is held
 
 
 # Directions.
@@ -231,3 +231,30 @@ def test_any_throttle_of_either_controller_ends_it(driver, controller):
 def test_a_tick_without_a_fresh_demand_ends_it(driver):
     driver.asks(IDLE).after(100).held(None)
     assert driver.pedals.zero_for_ns(driver.now_ns) is None
+
+
+# A demand that lasts: judged when it is granted, and met again by every tick.
+
+
+def test_a_direction_that_is_waited_for_holds_in_every_tick(driver):
+    reverse = both(throttle_pct=20.0, reverse=True)
+    driver.asks(reverse)
+    assert [driver.held(reverse) for _ in range(3)] == [True, True, True]
+
+
+def test_a_demand_that_nobody_granted_is_judged_by_the_tick(driver):
+    driver.asks(IDLE)
+    assert driver.held(both(throttle_pct=30.0, brake_pct=10.0))
+
+
+def test_the_released_time_begins_anew_with_the_first_fresh_demand(driver):
+    driver.asks(IDLE)
+    driver.after(50 * MS).held(None)
+    driver.after(50 * MS).held(IDLE)
+    assert driver.pedals.zero_for_ns(driver.now_ns + 10 * MS) == 10 * MS
+
+
+def test_a_released_demand_ends_a_take_over_also_where_it_is_the_same(driver):
+    driver.asks(IDLE)
+    driver.pedals.taken_over()
+    assert [driver.held(IDLE), driver.held(IDLE)] == [True, False]

@@ -1,4 +1,4 @@
-"""Demand and limits -> the physical values of each command frame.
+"""Commands: demand and limits to the physical values of each command frame.
 
 Torque is earned: every command starts from ZERO_TORQUE, and `Commander.active` alone turns a
 permission into a number.
@@ -9,7 +9,14 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.causes import Effect
-from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode, directions_differ
+from vcu_gateway.core.demand import (
+    CONTROLLERS,
+    SPEED_LIMIT_HIGHEST_RPM,
+    ControllerDemand,
+    ControllerDemands,
+    PowerMode,
+    directions_differ,
+)
 from vcu_gateway.core.pedals import Pedals
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.units import NS_PER_S
@@ -20,7 +27,7 @@ _HIGHEST_RPM = math.inf
 
 
 class Command(NamedTuple):
-    """One command frame in physical values; the defaults are SAFETY.md's ZERO_TORQUE.
+    """One command frame in physical values, by default ZERO_TORQUE (docs/safety.md, Safe frames).
 
     The speed limit's default is the protocol's maximum: a limit of 0 could brake hard.
     """
@@ -31,7 +38,7 @@ class Command(NamedTuple):
     power_cut: bool = False
     throttle_pct: float = 0.0
     brake_pct: float = 0.0
-    speed_limit_rpm: float = 12000.0
+    speed_limit_rpm: float = float(SPEED_LIMIT_HIGHEST_RPM)
     power_limit_w: float = 0.0
 
     def signals(self) -> Mapping[str, float]:
@@ -54,7 +61,7 @@ def message_name(controller: str) -> str:
 
 
 class Ramps(NamedTuple):
-    """The limits of one controller on their way: power in W, brake in %."""
+    """Ramped limits of one controller: power in W, brake in %."""
 
     power_w: float
     brake_pct: float
@@ -65,7 +72,7 @@ class Commander:
 
     Attributes:
         last: the commands of the tick before.
-        pedals: what the demands since the tick before hold the throttle for.
+        pedals: throttle holds, from the demands since the tick before.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -80,27 +87,28 @@ class Commander:
         self._ramps = dict.fromkeys(CONTROLLERS, Ramps(settings.power_limit_max_w, _FULL_PCT))
 
     def take_over(self, reverse: Mapping[str, bool]) -> None:
-        """Begin in these directions, by controller: what a gateway before this one applied."""
+        """Begin in these directions, by controller: those applied by a gateway before this one."""
         self.last = {
             name: last._replace(motor_reverse=reverse.get(name, last.motor_reverse))
             for name, last in self.last.items()
         }
 
-    def reverse_pending(self, asked: Mapping[str, ControllerDemand]) -> bool:
-        """True where a controller's asked direction is not the applied one."""
+    def reverse_pending(self, demanded: ControllerDemands) -> bool:
+        """True where a controller's demanded direction is not the applied one."""
         return any(
-            asked[name].motor_reverse is not self.last[name].motor_reverse for name in CONTROLLERS
+            demanded[name].motor_reverse is not self.last[name].motor_reverse
+            for name in CONTROLLERS
         )
 
     def safe(
         self,
-        asked: Mapping[str, ControllerDemand] | None,
+        demanded: ControllerDemands | None,
         settings: Settings,
         power_cut: bool,
         now_ns: int,
     ) -> Mapping[str, Command]:
         """Command ZERO_TORQUE or POWER_CUT to both; the pedals are watched all the same."""
-        self._step(settings, asked, now_ns)
+        self._step(settings, demanded, now_ns)
         return self._decided(self.zero_torque(settings, power_cut))
 
     def zero_torque(self, settings: Settings, power_cut: bool) -> dict[str, Command]:
@@ -119,7 +127,7 @@ class Commander:
 
     def settle(
         self,
-        asked: Mapping[str, ControllerDemand] | None,
+        demanded: ControllerDemands | None,
         effects: frozenset[Effect],
         slow: bool,
         settings: Settings,
@@ -127,26 +135,26 @@ class Commander:
     ) -> Mapping[str, Command]:
         """ZERO_TORQUE in STANDBY: a direction may change, and limits move on meanwhile.
 
-        `asked` is None without a fresh demand. `slow` is True where both motors' speeds are
+        `demanded` is None without a fresh demand. `slow` is True where both motors' speeds are
         known, fresh and below the change speed.
         """
-        self._step(settings, asked, now_ns)
+        self._step(settings, demanded, now_ns)
         self._move_ramps(effects, settings)
         commands = self.zero_torque(settings, power_cut=False)
-        if asked is not None and slow and self._standing() and not _differ(asked, settings):
+        if demanded is not None and slow and self._standing() and not _differ(demanded, settings):
             commands = {
-                name: command._replace(motor_reverse=asked[name].motor_reverse)
+                name: command._replace(motor_reverse=demanded[name].motor_reverse)
                 for name, command in commands.items()
             }
         return self._decided(commands)
 
     def _standing(self) -> bool:
-        """True where neither motor was given throttle last."""
+        """True where neither motor's last command had throttle."""
         return all(last.throttle_pct == 0 for last in self.last.values())
 
     def active(
         self,
-        asked: Mapping[str, ControllerDemand],
+        demanded: ControllerDemands,
         effects: frozenset[Effect],
         slow: bool,
         settings: Settings,
@@ -158,18 +166,18 @@ class Commander:
 
         `regenerates` is True where both motors turn fast enough for regeneration.
         """
-        held = self._step(settings, asked, now_ns)
+        held = self._step(settings, demanded, now_ns)
         self._move_ramps(effects, settings)
-        change = slow and self._standing() and not _differ(asked, settings)
+        change = slow and self._standing() and not _differ(demanded, settings)
         rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s
         return self._decided(
             {
                 name: self._granted(
                     name,
-                    asked[name],
+                    demanded[name],
                     effects,
                     settings,
-                    reverse=asked[name].motor_reverse if change else last.motor_reverse,
+                    reverse=demanded[name].motor_reverse if change else last.motor_reverse,
                     throttle_max_pct=0.0 if held else last.throttle_pct + rise_pct,
                     regenerates=regenerates and Effect.REGEN_OFF not in effects,
                 )
@@ -180,7 +188,7 @@ class Commander:
     def _granted(
         self,
         name: str,
-        asked: ControllerDemand,
+        demanded: ControllerDemand,
         effects: frozenset[Effect],
         settings: Settings,
         *,
@@ -189,28 +197,26 @@ class Commander:
         regenerates: bool,
     ) -> Command:
         ramps = self._ramps[name]
-        if asked.power_mode is PowerMode.SAFETY:
+        if demanded.power_mode is PowerMode.SAFETY:
             throttle_max_pct = 0.0
         return Command(
-            power_mode=strictest_mode(asked.power_mode, effects),
+            power_mode=strictest_mode(demanded.power_mode, effects),
             motor_reverse=reverse,
-            regen_brake=asked.regen_brake and regenerates,
-            throttle_pct=min(asked.throttle_pct, throttle_max_pct),
-            brake_pct=min(asked.brake_pct, ramps.brake_pct),
-            speed_limit_rpm=self._speed_limit_rpm(name, asked.speed_limit_rpm, settings),
-            power_limit_w=min(asked.power_limit_w, ramps.power_w),
+            regen_brake=demanded.regen_brake and regenerates,
+            throttle_pct=min(demanded.throttle_pct, throttle_max_pct),
+            brake_pct=min(demanded.brake_pct, ramps.brake_pct),
+            speed_limit_rpm=self._speed_limit_rpm(name, demanded.speed_limit_rpm, settings),
+            power_limit_w=min(demanded.power_limit_w, ramps.power_w),
         )
 
-    def _speed_limit_rpm(self, name: str, asked_rpm: float, settings: Settings) -> float:
-        """It rises at once and falls from what was sent last; a first frame has nothing to keep."""
-        target_rpm = max(_SPEED_LIMIT_MIN_RPM, min(asked_rpm, settings.speed_limit_max_rpm))
+    def _speed_limit_rpm(self, name: str, demanded_rpm: float, settings: Settings) -> float:
+        """SpeedLimit: it rises at once, and falls along its slew from the one sent last."""
+        target_rpm = max(_SPEED_LIMIT_MIN_RPM, min(demanded_rpm, settings.speed_limit_max_rpm))
         sent_rpm = self._sent_speed_limit_rpm.get(name, target_rpm)
         return max(target_rpm, sent_rpm - settings.speed_slew_rpm_per_s * self._elapsed_s)
 
-    def _step(
-        self, settings: Settings, asked: Mapping[str, ControllerDemand] | None, now_ns: int
-    ) -> bool:
-        """Begin a tick; whether the pedals hold the throttle at 0.
+    def _step(self, settings: Settings, demanded: ControllerDemands | None, now_ns: int) -> bool:
+        """Begin a tick; True where the pedals hold the throttle at 0.
 
         Time since the last command counts up to one period: a late tick earns no more.
         """
@@ -219,7 +225,7 @@ class Commander:
             self._elapsed_s = elapsed_ns / NS_PER_S
         self._last_ns = now_ns
         applied = {name: last.motor_reverse for name, last in self.last.items()}
-        return self.pedals.tick(asked, applied, now_ns)
+        return self.pedals.tick(demanded, applied, now_ns)
 
     def _decided(self, commands: dict[str, Command]) -> Mapping[str, Command]:
         self._before, self.last = self.last, commands
@@ -250,8 +256,13 @@ class Commander:
             power_w = min(settings.derated_power_w, power_max_w)
         if Effect.REGEN_LIMIT in effects:
             brake_pct = settings.regen_limit_pct
+        if Effect.REGEN_OFF in effects:
+            brake_pct = 0.0
+        targets = Ramps(power_w, brake_pct)
         for name, last in self.last.items():
             ramps = self._ramps[name]
+            if ramps == targets:
+                continue
             self._ramps[name] = Ramps(
                 moved(ramps.power_w, last.power_limit_w, power_w,
                       settings.power_slew_w_per_s * self._elapsed_s),
@@ -261,24 +272,24 @@ class Commander:
             )  # fmt: skip
 
 
-def _differ(asked: Mapping[str, ControllerDemand], settings: Settings) -> bool:
-    """True where two directions are asked for that must not be: a reload may have forbidden it."""
-    return not settings.independent_directions and directions_differ(asked)
+def _differ(demanded: ControllerDemands, settings: Settings) -> bool:
+    """True where different directions are demanded and not allowed, since a reload perhaps."""
+    return not settings.independent_directions and directions_differ(demanded)
 
 
 def moved(limit: float, commanded: float, target: float, step: float) -> float:
-    """A limit one step nearer to its target; it falls from what is commanded at the most."""
+    """Limit one step nearer to its target; it falls from the commanded value at the most."""
     if target >= limit:
         return min(target, limit + step)
     return max(target, min(limit, commanded) - step)
 
 
-def strictest_mode(asked: PowerMode, effects: frozenset[Effect]) -> PowerMode:
-    """The asked mode as far as the effects allow; SAFETY is the strictest of all."""
-    if asked is PowerMode.SAFETY:
-        return asked
+def strictest_mode(demanded: PowerMode, effects: frozenset[Effect]) -> PowerMode:
+    """Demanded power mode as far as the effects allow; SAFETY is the strictest of all."""
+    if demanded is PowerMode.SAFETY:
+        return demanded
     if Effect.POWER_LIMIT in effects:
         return PowerMode.ECO
     if Effect.TURBO_OFF in effects:
-        return min(asked, PowerMode.NORMAL)
-    return asked
+        return min(demanded, PowerMode.NORMAL)
+    return demanded

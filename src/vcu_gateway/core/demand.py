@@ -1,4 +1,4 @@
-"""What the operator asks of the motors: bounded, finite, with a time to live and one owner."""
+"""Demand of the operator: bounded, finite, with a time to live and one owner."""
 
 import math
 from collections.abc import Mapping
@@ -16,6 +16,12 @@ BENCH_SOURCE = "bench"
 MOST_SOURCES = 64
 """Sources whose last sequence number is kept, for as long as the gateway runs."""
 
+SPEED_LIMIT_HIGHEST_RPM = 12_000
+"""Largest SpeedLimit of the command (docs/protocol.md); a test compares it with the definition."""
+
+POWER_LIMIT_HIGHEST_W = 60_000
+"""Largest PowerLimit of the command (docs/protocol.md); a test compares it with the definition."""
+
 
 class PowerMode(IntEnum):
     """The command's power modes; the numbers are the codes on the wire."""
@@ -28,10 +34,10 @@ class PowerMode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ControllerDemand:
-    """What is asked of one controller.
+    """Demand of one controller.
 
-    throttle_pct and brake_pct 0..100, speed_limit_rpm 0..12000, power_limit_w 0..60000;
-    throttle_track2_pct 0..100 is what the pedal's second track says, None where it has none.
+    Every quantity is within its entry in `RANGES`; throttle_track2_pct is what the pedal's second
+    track says, None where it has none.
     """
 
     throttle_pct: float = 0.0
@@ -39,42 +45,46 @@ class ControllerDemand:
     power_mode: PowerMode = PowerMode.ECO
     motor_reverse: bool = False
     regen_brake: bool = False
-    speed_limit_rpm: float = 12000.0
-    power_limit_w: float = 60000.0
+    speed_limit_rpm: float = float(SPEED_LIMIT_HIGHEST_RPM)
+    power_limit_w: float = float(POWER_LIMIT_HIGHEST_W)
     throttle_track2_pct: float | None = None
 
 
 RANGES: Mapping[str, tuple[float, float]] = {
-    "throttle_pct": (0.0, 100.0),
-    "brake_pct": (0.0, 100.0),
-    "speed_limit_rpm": (0.0, 12000.0),
-    "power_limit_w": (0.0, 60000.0),
-    "throttle_track2_pct": (0.0, 100.0),
+    "throttle_pct": (0, 100),
+    "brake_pct": (0, 100),
+    "speed_limit_rpm": (0, SPEED_LIMIT_HIGHEST_RPM),
+    "power_limit_w": (0, POWER_LIMIT_HIGHEST_W),
+    "throttle_track2_pct": (0, 100),
 }
 """Lowest and highest value of each quantity of a demand."""
 
 
+ControllerDemands = Mapping[str, ControllerDemand]
+"""Demand of each controller, by name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """One request of one source for both controllers.
+    """Demand of one source for both controllers.
 
     Attributes:
-        source: who asks, a name.
+        source: name of the sender.
         sequence: number of the request, rising within a source.
         ttl_ms: how long it counts; None for ever (the bench demand alone).
-        controllers: what is asked of each controller, by name.
+        controllers: demand of each controller, by name.
         made_ns: when it was made, from where its time to live counts; None when it is offered.
     """
 
     source: str
     sequence: int
     ttl_ms: int | None
-    controllers: Mapping[str, ControllerDemand]
+    controllers: ControllerDemands
     made_ns: int | None = None
 
 
 class Refusal(Enum):
-    """Why a request was refused; the values are stable words for machines."""
+    """Reason for refusing a request; the values are stable words for machines."""
 
     NOT_FINITE = "not_finite"
     OUT_OF_RANGE = "out_of_range"
@@ -92,7 +102,7 @@ class Refusal(Enum):
 
 
 class RequestResult(NamedTuple):
-    """The answer to a request: granted, or why not, as a code and a sentence."""
+    """Result of a request: granted, or the refusal as a code and a sentence."""
 
     granted: bool
     refusal: Refusal | None = None
@@ -103,17 +113,17 @@ GRANTED = RequestResult(granted=True)
 
 
 def refused(refusal: Refusal, sentence: str) -> RequestResult:
-    """An answer that says no."""
+    """Result of a refused request."""
     return RequestResult(False, refusal, sentence)
 
 
 @dataclass(frozen=True, slots=True)
 class DemandTerms:
-    """Configuration of the arbiter: what a demand has to be, and who comes first.
+    """Configuration of the arbiter: conditions of a demand, and priorities of sources.
 
     Attributes:
         ttl_max_ms: longest time to live; priorities: by source, 0 where it is not listed.
-        independent_directions: the controllers may be asked for two directions.
+        independent_directions: the controllers may have different directions.
         second_track_required: the pedal's second track must be there.
     """
 
@@ -124,7 +134,7 @@ class DemandTerms:
 
 
 def fault_of(demand: Demand, terms: DemandTerms) -> RequestResult:
-    """Whether the values can be meant at all; the encoder never meets one that cannot."""
+    """First fault of the demand's values, as a refusal; GRANTED where there is none."""
     for controller in CONTROLLERS:
         if controller not in demand.controllers:
             sentence = f"the demand says nothing of {controller}"
@@ -141,17 +151,19 @@ def fault_of(demand: Demand, terms: DemandTerms) -> RequestResult:
     return GRANTED
 
 
-def directions_differ(asked: Mapping[str, ControllerDemand]) -> bool:
-    """True where the controllers are asked for two directions."""
-    return len({one.motor_reverse for one in asked.values()}) > 1
+def directions_differ(demanded: ControllerDemands) -> bool:
+    """True where the controllers are to have different directions."""
+    return len({one.motor_reverse for one in demanded.values()}) > 1
 
 
-def _fault_of_values(controller: str, asked: ControllerDemand, terms: DemandTerms) -> RequestResult:
-    if terms.second_track_required and asked.throttle_track2_pct is None:
+def _fault_of_values(
+    controller: str, demanded: ControllerDemand, terms: DemandTerms
+) -> RequestResult:
+    if terms.second_track_required and demanded.throttle_track2_pct is None:
         sentence = f"{controller} throttle_track2_pct is missing; the configuration requires it"
         return refused(Refusal.SECOND_TRACK_MISSING, sentence)
     for name, (low, high) in RANGES.items():
-        given = getattr(asked, name)
+        given = getattr(demanded, name)
         if given is None:
             continue
         value = _as_float(given)
@@ -164,7 +176,7 @@ def _fault_of_values(controller: str, asked: ControllerDemand, terms: DemandTerm
 
 
 def _as_float(value: float) -> float:
-    """The value, or infinity for an int beyond every float."""
+    """Value as a float; infinity for an int beyond every float."""
     try:
         return float(value)
     except OverflowError:
@@ -172,7 +184,7 @@ def _as_float(value: float) -> float:
 
 
 def _fault_of_time(ttl_ms: int, made_ns: int, now_ns: int) -> RequestResult:
-    """Whether a demand made then still counts now: it may have waited in buffers."""
+    """Refusal of a demand that is too old, or from the future, when it arrives; else GRANTED."""
     age_ns = now_ns - made_ns
     if age_ns < 0:
         sentence = f"made_ns is {-age_ns} ns ahead of this machine's monotonic clock"
@@ -184,11 +196,11 @@ def _fault_of_time(ttl_ms: int, made_ns: int, now_ns: int) -> RequestResult:
 
 
 class DemandArbiter:
-    """Takes demands in and knows the one that counts.
+    """Arbiter of demands: the one that counts, and which source owns it.
 
-    A source owns the desk while its demand is fresh; meanwhile only a source of higher
+    A source owns the demand while its own is fresh; meanwhile only a source of higher
     priority takes it over. The last sequence number of every source is kept, so that an old
-    request cannot come back, whoever had the demand meanwhile.
+    request cannot come back, whichever source had the demand meanwhile.
     """
 
     def __init__(self, bench_demand: ControllerDemand | None) -> None:
@@ -201,7 +213,7 @@ class DemandArbiter:
             self._current = Demand(BENCH_SOURCE, 0, None, both)
 
     def offer(self, demand: Demand, terms: DemandTerms, now_ns: int) -> RequestResult:
-        """Take a demand, or say why not; a refused one changes nothing."""
+        """Take a demand or refuse it; a refused one changes nothing."""
         if demand.source == BENCH_SOURCE or demand.ttl_ms is None:
             return refused(Refusal.NAME_RESERVED, f"{BENCH_SOURCE} is the configured bench demand")
         made_ns = now_ns if demand.made_ns is None else demand.made_ns
@@ -250,7 +262,7 @@ class DemandArbiter:
 
     @property
     def taken(self) -> bool:
-        """True once somebody asked: the bench demand counts no more."""
+        """True once a source made a demand: the bench demand counts no more."""
         return self._current is not None and self._current.ttl_ms is not None
 
     def age_ns(self, now_ns: int) -> int | None:

@@ -1,4 +1,4 @@
-"""What the pedals said between two ticks, and what holds the throttle at 0 because of it.
+"""Pedals: latches that hold the throttle at 0, judged from every demand between two ticks.
 
 Every demand is judged when it is granted, not only the one that a tick finds: a pedal that was
 wrong for a millisecond was wrong.
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import NamedTuple
 
-from vcu_gateway.core.demand import ControllerDemand
+from vcu_gateway.core.demand import ControllerDemands
 
 _OVERRIDE_THROTTLE_PCT = 25.0
 _OVERRIDE_BRAKE_PCT = 5.0
@@ -16,22 +16,20 @@ _RELEASED_PCT = 5.0
 _TRACKS_DIFFERENCE_PCT = 10.0
 _TRACKS_DIFFER_MAX_NS = 100_000_000
 
-Asked = Mapping[str, ControllerDemand]
-
 
 class ThrottleHold(Enum):
-    """Why the throttle of both controllers stays 0 until the pedal is released."""
+    """Reason for holding both throttles at 0 until the pedal is released."""
 
     OVERRIDE = "brake over throttle"
     TRACKS = "the pedal's tracks differ"
     TAKEN_OVER = "another source took over"
 
 
-class _Said(NamedTuple):
-    """A demand's pedals: any controller's for what begins something, every one's for what ends it.
+class _PedalState(NamedTuple):
+    """Pedals of one demand: any controller's begin a hold, those of every one end it.
 
     Attributes:
-        drives: throttle is asked for.
+        drives: throttle is demanded.
         overrides: brake over throttle.
         differs: the tracks of one controller are too far apart.
         released, track2_released: the track is below 5 %; true where there is no second one.
@@ -45,7 +43,7 @@ class _Said(NamedTuple):
 
 
 class Pedals:
-    """Latches of the throttle pedal and the directions asked for, from one tick to the next.
+    """Latches of the throttle pedal and demanded directions, from one tick to the next.
 
     A latch ends with a demand whose throttle is below 5 % for every controller, on both tracks
     for the tracks' latch; the tick after a demand that set it has throttle 0 in any case.
@@ -61,72 +59,82 @@ class Pedals:
         self._directions: set[tuple[str, bool]] = set()
         self._differ_since_ns: int | None = None
         self._zero_since_ns: int | None = None
-        self._heard: tuple[Asked, _Said] | None = None
+        self._judged: tuple[ControllerDemands, _PedalState] | None = None
 
-    def judge(self, asked: Asked, made_ns: int, now_ns: int) -> None:
+    def judge(self, demanded: ControllerDemands, made_ns: int, now_ns: int) -> None:
         """Take a demand that was made then and is granted now."""
-        self._directions.update([(name, one.motor_reverse) for name, one in asked.items()])
-        said = self._said(asked)
-        self._judge_zero(said, now_ns)
-        self._judge_tracks(said, made_ns, now_ns)
-        self._judge_override(said)
+        self._note_directions(demanded)
+        state = self._state_of(demanded)
+        self._judge_zero(state, now_ns)
+        self._judge_tracks(state, made_ns, now_ns)
+        self._judge_override(state)
 
     def interrupted(self) -> None:
         """No demand is fresh: what has to last without interruption begins anew."""
         self._differ_since_ns = self._zero_since_ns = None
+        self._judged = None
 
     def taken_over(self) -> None:
         """Another source's demand is next, in the middle of a drive."""
         self._latch(ThrottleHold.TAKEN_OVER)
+        self._judged = None
 
     def zero_for_ns(self, now_ns: int) -> int | None:
-        """How long nothing but a throttle of 0 was asked for; None where it is not asked for."""
+        """How long every demand had a throttle of 0; None where the last one has not."""
         return None if self._zero_since_ns is None else now_ns - self._zero_since_ns
 
-    def tick(self, asked: Asked | None, applied: Mapping[str, bool], now_ns: int) -> bool:
+    def tick(
+        self, demanded: ControllerDemands | None, applied: Mapping[str, bool], now_ns: int
+    ) -> bool:
         """Whether the throttle stays 0 in this tick; the next interval begins.
 
-        `asked` is what counts now, None without a fresh demand; `applied` holds whether each
-        controller turns in reverse. A direction that any demand of the interval asked for and
+        `demanded` is what counts now, None without a fresh demand; `applied` holds whether each
+        controller turns in reverse. A direction that any demand of the interval has and
         that is not the applied one holds the throttle too.
         """
-        if asked is None:
+        judged_before = self._judged is not None and self._judged[0] is demanded
+        if demanded is None:
             self.interrupted()
+        elif judged_before and self._differ_since_ns is None:
+            self._note_directions(demanded)
         else:
-            self.judge(asked, now_ns, now_ns)  # its tracks last; nobody granted a bench demand
+            self.judge(demanded, now_ns, now_ns)  # its tracks last; a bench demand is never granted
         turning = not applied.items() >= self._directions
         held = turning or bool(self.latched or self._this_interval)
         self._this_interval.clear()
         self._directions.clear()
         return held
 
-    def _said(self, asked: Asked) -> _Said:
-        """What a demand says; a tick meets the one again that was judged last."""
-        if self._heard is None or self._heard[0] is not asked:
-            self._heard = asked, _heard(asked)
-        return self._heard[1]
+    def _note_directions(self, demanded: ControllerDemands) -> None:
+        self._directions.update([(name, one.motor_reverse) for name, one in demanded.items()])
 
-    def _judge_zero(self, said: _Said, now_ns: int) -> None:
-        if said.drives:
+    def _state_of(self, demanded: ControllerDemands) -> _PedalState:
+        """Pedals of a demand; kept, because a tick meets the one again that was judged last."""
+        if self._judged is None or self._judged[0] is not demanded:
+            self._judged = demanded, _pedal_state(demanded)
+        return self._judged[1]
+
+    def _judge_zero(self, state: _PedalState, now_ns: int) -> None:
+        if state.drives:
             self._zero_since_ns = None
         elif self._zero_since_ns is None:
             self._zero_since_ns = now_ns
 
-    def _judge_tracks(self, said: _Said, made_ns: int, now_ns: int) -> None:
+    def _judge_tracks(self, state: _PedalState, made_ns: int, now_ns: int) -> None:
         since_ns = self._differ_since_ns
         if since_ns is not None and now_ns - since_ns > _TRACKS_DIFFER_MAX_NS:
             self._latch(ThrottleHold.TRACKS)  # also where this demand ends the difference
-        if not said.differs:
+        if not state.differs:
             self._differ_since_ns = None
         elif since_ns is None:
             self._differ_since_ns = made_ns
-        if said.released and said.track2_released:
+        if state.released and state.track2_released:
             self.latched.discard(ThrottleHold.TRACKS)
 
-    def _judge_override(self, said: _Said) -> None:
-        if said.overrides:
+    def _judge_override(self, state: _PedalState) -> None:
+        if state.overrides:
             self._latch(ThrottleHold.OVERRIDE)
-        elif said.released:
+        elif state.released:
             self.latched -= {ThrottleHold.OVERRIDE, ThrottleHold.TAKEN_OVER}
 
     def _latch(self, hold: ThrottleHold) -> None:
@@ -134,11 +142,11 @@ class Pedals:
         self._this_interval.add(hold)
 
 
-def _heard(asked: Asked) -> _Said:
-    """What the pedals of both controllers say together."""
+def _pedal_state(demanded: ControllerDemands) -> _PedalState:
+    """Pedals of both controllers together."""
     drives = differs = overrides = False
     released = track2_released = True
-    for one in asked.values():
+    for one in demanded.values():
         throttle_pct, track2_pct = one.throttle_pct, one.throttle_track2_pct
         drives |= throttle_pct > 0
         released &= throttle_pct < _RELEASED_PCT
@@ -146,4 +154,4 @@ def _heard(asked: Asked) -> _Said:
         if track2_pct is not None:
             differs |= abs(throttle_pct - track2_pct) > _TRACKS_DIFFERENCE_PCT
             track2_released &= track2_pct < _RELEASED_PCT
-    return _Said(drives, overrides, differs, released, track2_released)
+    return _PedalState(drives, overrides, differs, released, track2_released)
