@@ -193,10 +193,8 @@ def test_every_comment_in_the_example_states_the_range(name: str) -> None:
     stated = re.search(r"(\w+: )?minimum (\w+); maximum (\w+)\.", FACTS[name])
     assert stated, FACTS[name]
     wrappers: dict[str | None, Callable[[int], object]] = {
-        "ages: ": lambda number: {"BMS_Status": number},
-        "codes: ": lambda number: {number: "a name"},
-        "priorities: ": lambda number: {"remote_stop": number},
-        "identifiers: ": lambda number: {number: "IMU_Attitude"},
+        "keys: ": lambda number: {number: "IMU_Attitude"},
+        "values: ": lambda number: {"BMS_Status": number},
         None: lambda number: number,
     }
     wrap = wrappers[stated[1]]
@@ -321,11 +319,20 @@ _PLAIN = "write the plain number, without quotes, unit or leading zeros"
 _COLON = "write `key: value`, with a space after the colon"
 _SECTIONS = "the keys here are bus, protocol, freshness, limits, safety, demand, api, bench, log"
 _AT_LEAST = "write at least one section, such as `bus:` with `channel: can0` below it"
+_EXPORTER = (
+    "remove it: the metrics are served by a program of their own,"
+    " vcu-gateway-exporter.service or `vcu-gateway exporter`"
+)
 _WHEELS = "it confirms that the wheels are off the ground"
 
 BROKEN = [
     # unknown keys
     ("  channel: can0", "  chanel: can0", '3: bus.chanel: unknown key; did you mean "channel"?'),
+    (
+        "log:",
+        "api: {metrics_port: 9464}\nlog:",
+        f"26: api.metrics_port: unknown key; {_EXPORTER}",
+    ),
     ("log:", "lgo:", '26: lgo: unknown key; did you mean "log"?'),
     ("log:", "channel: can1\nlog:", '26: channel: unknown key; did you mean "bus.channel"?'),
     ("log:", "colour: red\nlog:", f"26: colour: unknown key; {_SECTIONS}"),
@@ -592,17 +599,20 @@ BROKEN = [
     (
         "  channel: can0",
         "  channel: can0\n  channel: can1",
-        "4: bus.channel: stands twice, first in line 3; remove one of them",
+        "4: bus.channel: duplicate key, first defined in line 3; remove one of them",
     ),
     (
         "    0x08F02DE2: IMU_Attitude",
         "    0x08F02DE2: IMU_Attitude\n    149958114: IMU_AngularRate",
-        "11: protocol.aliases.0x08F02DE2: stands twice, first in line 10; remove one of them",
+        (
+            "11: protocol.aliases.0x08F02DE2: duplicate key, first defined in line 10;"
+            " remove one of them"
+        ),
     ),
     (
         "bus:",
         "bus: {}\nbus:",
-        "2: bus: stands twice, first in line 1; remove one of them",
+        "2: bus: duplicate key, first defined in line 1; remove one of them",
     ),
     (
         "  channel: can0",
@@ -652,7 +662,7 @@ BROKEN = [
     (
         "  level: info",
         "  level: info\n---\nbus: {}",
-        "28: a second document begins here (---); a configuration is one document",
+        "28: a second document begins here (---); only one is read",
     ),
     ("  level: info", "  level: " + "[" * 9999, "27: is nested too deeply"),
     (
@@ -761,7 +771,7 @@ def test_a_file_that_the_user_may_not_read_is_refused(
     file = tmp_path / "gateway.yaml"
     file.write_text(HEALTHY)
 
-    def refuse(*_: object, **__: object) -> None:
+    def refuse(*_: object, **__: Any) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", str(file))
 
     monkeypatch.setattr(Path, "open", refuse)  # root may read everything
@@ -784,7 +794,7 @@ def test_a_name_that_no_file_can_have_is_refused() -> None:
         (b"\x7fELF\0\0", ": is binary, not text"),
         (HEALTHY.encode("utf-16"), ": is UTF-16 text; save it as UTF-8"),
         (b"bus:\n  channel: \xff\n", ":2: is not UTF-8 text: byte 0xFF; save it as UTF-8"),
-        (b"#" * (1 << 20) + b"\n", ": is larger than 1 MiB: no configuration"),
+        (b"#" * (1 << 20) + b"\n", ": is larger than 1 MiB"),
     ],
 )
 def test_contents_that_are_no_text_are_refused(

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.doctor.judged import complaints, only, well
+from vcu_gateway.api.results import Protocol
 from vcu_gateway.api.rights import Policy
-from vcu_gateway.config import Api, Config, Protocol
+from vcu_gateway.config import Api, Config
 from vcu_gateway.doctor import permissions
 from vcu_gateway.doctor.permissions import Account, PermissionFacts, ResourcePermissions, judge
 from vcu_gateway.doctor.procfs import Unreadable

@@ -1,14 +1,14 @@
-"""`vcu-gateway check-config`: is this file a configuration, and what does it mean?"""
+"""`vcu-gateway check-config`: check a configuration file and show its values."""
 
 import json
 from pathlib import Path
 
 import click
 
-from vcu_gateway import app
 from vcu_gateway import config as configuration
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config import BenchDemandSection, Config
+from vcu_gateway.config.protocol import check_protocol, load_protocol
 from vcu_gateway.errors import ConfigError
 
 
@@ -23,8 +23,8 @@ def command(config_path: Path | None, as_json: bool) -> None:
     """
     path = resolve_config(config_path)
     config = configuration.load(path)
-    protocol = app.load_protocol(config)
-    app.check_protocol(config, protocol)
+    protocol = load_protocol(config)
+    check_protocol(config, protocol)
     if problems := configuration.check_against(config, protocol):
         raise ConfigError(*problems)
     if as_json:

@@ -1,11 +1,16 @@
-"""The configuration file: read whole or refused, with a reason for each thing wrong."""
+"""Configuration file: read whole, or refused with a problem for each mistake."""
 
-from vcu_gateway.config.accounts import check_accounts, group_number, user_number
-from vcu_gateway.config.checks import check_against
+from vcu_gateway.config.checks import check_accounts, check_against, group_number, user_number
 from vcu_gateway.config.effective import digest, effective, schema
 from vcu_gateway.config.load import load, parse
-from vcu_gateway.config.machine import Api, Bus, Freshness, Log, Protocol
-from vcu_gateway.config.model import Config
+from vcu_gateway.config.model import (
+    ApiSection,
+    BusSection,
+    Config,
+    FreshnessSection,
+    LogSection,
+    ProtocolSection,
+)
 from vcu_gateway.config.vehicle import (
     BenchDemandSection,
     BenchSection,
@@ -15,16 +20,16 @@ from vcu_gateway.config.vehicle import (
 )
 
 __all__ = [
-    "Api",
+    "ApiSection",
     "BenchDemandSection",
     "BenchSection",
-    "Bus",
+    "BusSection",
     "Config",
     "DemandSection",
-    "Freshness",
+    "FreshnessSection",
     "LimitsSection",
-    "Log",
-    "Protocol",
+    "LogSection",
+    "ProtocolSection",
     "SafetySection",
     "check_accounts",
     "check_against",

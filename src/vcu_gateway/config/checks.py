@@ -1,15 +1,16 @@
-"""Do the configuration's messages exist in the protocol?"""
+"""Checks of a configuration against the protocol and this machine's accounts."""
 
-from collections.abc import Iterator
+import grp
+import pwd
+from collections.abc import Callable, Iterator
 
-from vcu_gateway.config.model import Config
+from vcu_gateway.config.model import IDENTIFIER_KEYS, Config
 from vcu_gateway.core import j1939
 from vcu_gateway.core.freshness import deadlines
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.errors import Problem
+from vcu_gateway.errors import Problem, did_you_mean
 from vcu_gateway.strict_yaml.problems import FileProblem, problems
-from vcu_gateway.strict_yaml.validation import did_you_mean
 from vcu_gateway.units import NS_PER_MS
 
 _PATIENCE = 2  # times its default, for a required message
@@ -17,14 +18,14 @@ _SWITCH_OFF = "this alias is the default; write `aliases: {}` for none"
 
 
 def check_against(config: Config, protocol: ProtocolSpec) -> list[Problem]:
-    """What the configuration says of messages that the protocol does not have; empty if good."""
+    """Problems of the messages that the configuration names; empty where there are none."""
     found = [
         *_aliases(config, protocol),
         *_freshness(config, protocol),
         *_patience(config, protocol),
         *_required(config, protocol),
     ]
-    return problems(found, config.source.file, config.source.lines)
+    return problems(found, config.source.file, config.source.lines, IDENTIFIER_KEYS)
 
 
 def _aliases(config: Config, protocol: ProtocolSpec) -> Iterator[FileProblem]:
@@ -92,3 +93,40 @@ def _no_message(name: str) -> str:
 
 def _nearest(name: str, names: list[str]) -> str:
     return did_you_mean(name, names) or f"its messages are {', '.join(names)}"
+
+
+_USERS = ("operator_users", "service_users", "socket_owner")
+_GROUPS = ("operator_groups", "service_groups", "socket_group")
+
+
+def check_accounts(config: Config) -> list[Problem]:
+    """Problems of users and groups that this machine does not have; empty where there are none."""
+    found = [
+        *_unknown(config, _USERS, user_number, "user"),
+        *_unknown(config, _GROUPS, group_number, "group"),
+    ]
+    return problems(found, config.source.file, config.source.lines, IDENTIFIER_KEYS)
+
+
+def user_number(name: str) -> int:
+    """User number of a name, or of a number in digits; KeyError where there is none."""
+    return int(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
+
+
+def group_number(name: str) -> int:
+    """Group number of a name, or of a number in digits; KeyError where there is none."""
+    return int(name) if name.isdecimal() else grp.getgrnam(name).gr_gid
+
+
+def _unknown(
+    config: Config, keys: tuple[str, ...], number_of: Callable[[str], int], kind: str
+) -> Iterator[FileProblem]:
+    for key in keys:
+        value = getattr(config.api, key)
+        names = (value,) if isinstance(value, str) else value or ()
+        for name in names:
+            try:
+                number_of(name)
+            except KeyError:
+                remedy = f"correct it, or create it: sudo add{kind} --system {name}"
+                yield FileProblem(("api", key), f"this machine has no {kind} {name}", remedy)

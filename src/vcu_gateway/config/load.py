@@ -1,10 +1,10 @@
-"""A configuration file -> Config, or every reason why not."""
+"""Loader: a configuration file -> Config, or a ConfigError with every problem."""
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from vcu_gateway.config.model import Config, ConfigSource
+from vcu_gateway.config.model import IDENTIFIER_KEYS, Config, ConfigSource
 from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.problems import FileProblem, problems
@@ -27,23 +27,14 @@ def parse(contents: str, where: str) -> Config:
     if read.is_yaml and read.value is None and not read.findings:
         remedy = "write at least one section, such as `bus:` with `channel: can0` below it"
         raise ConfigError(Problem("is empty", where, remedy))
-    config, findings = _config(read)
+    config, findings = validation.validated_document(Config, read)
     if config is not None and not findings:
         config = _resolved(config, Path(where).parent)
         findings += _contradictions(config)
     if config is None or findings:
-        raise ConfigError(*problems(findings, where, read.lines))
+        raise ConfigError(*problems(findings, where, read.lines, IDENTIFIER_KEYS))
     config.remember_source(ConfigSource(where, read.lines))
     return config
-
-
-def _config(read: parser.YamlDocument) -> tuple[Config | None, list[FileProblem]]:
-    findings = list(read.findings)
-    if not read.is_yaml:
-        return None, findings
-    known = {finding.path for finding in findings}
-    config, refused = validation.validated(Config, read.value)
-    return config, findings + [finding for finding in refused if finding.path not in known]
 
 
 def _resolved(config: Config, folder: Path) -> Config:
@@ -66,7 +57,7 @@ def _resolved(config: Config, folder: Path) -> Config:
 
 
 def _contradictions(config: Config) -> Iterator[FileProblem]:
-    """What each key allows and two of them, or the files on disk, do not."""
+    """Problems of two keys together, and of files that are not there."""
     ttl_ms, longest_ms = config.demand.ttl_default_ms, config.demand.ttl_max_ms
     if ttl_ms > longest_ms:
         what = f"must be at most {longest_ms} ms, not {ttl_ms}"

@@ -1,18 +1,31 @@
-"""Every key of the configuration: its unit, default and range, each written once.
+"""Sections about the gateway itself, and the whole configuration.
 
-The last word of a number's name is its unit. The ranges, defaults and descriptions in
-`vehicle` and `machine` are what `vcu-gateway schema` prints; a test holds config/gateway.yaml
-to them.
+Unit, range, default and text of a key stand once: those of the bus, API and log here, those of
+the vehicle in `core.settings`. `vcu-gateway schema` and config/gateway.yaml are made from both.
 """
 
+import ipaddress
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
-from pydantic import PrivateAttr
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
-from vcu_gateway.config.machine import Api, Bus, Freshness, Log, Protocol
-from vcu_gateway.config.value_types import Section
+from vcu_gateway.config.settings_section import SettingsSection, with_settings
+from vcu_gateway.config.value_types import (
+    File,
+    FileMode,
+    Identifier,
+    SocketPath,
+    StatusCode,
+    UserName,
+)
 from vcu_gateway.config.vehicle import BenchSection, DemandSection, LimitsSection, SafetySection
+from vcu_gateway.core.settings import MessageName
+from vcu_gateway.protocol import DEFAULT_ALIASES
 from vcu_gateway.strict_yaml.lines import LineMap
+from vcu_gateway.strict_yaml.section import Section, refusal
 
 
 @dataclass(frozen=True)
@@ -23,18 +36,184 @@ class ConfigSource:
     lines: LineMap = field(default_factory=LineMap, compare=False)
 
 
+IDENTIFIER_KEYS = ("protocol", "aliases")
+"""The mapping whose keys are identifiers: problems show them in hexadecimal."""
+
+_INTERFACE_NAME = re.compile(r"[^\s/:]{1,15}")
+
+
+class BusSection(Section):
+    """The CAN bus and how it is read."""
+
+    interface: Literal["socketcan", "virtual", "udp_multicast"] = Field(
+        default="socketcan",
+        description="Kind of bus; virtual exists inside one process, for tests.",
+    )
+    channel: str = Field(
+        default="can0",
+        description="Which bus: a network interface, or for udp_multicast a multicast address"
+        " (239.74.163.2).",
+    )
+    bit_rate_bit_s: int = Field(
+        default=250_000,
+        ge=10_000,
+        le=1_000_000,
+        description="What the interface is expected to run at. The system sets it, not the gateway;"
+        " the vehicle's documents do not state it, 250 kbit/s is J1939's.",
+    )
+    kernel_filters: bool = Field(
+        default=True,
+        description="Let the kernel drop frames that nobody here decodes. Off, they are counted as"
+        " unknown.",
+    )
+    gather_ms: float = Field(
+        default=17.0,
+        ge=0,
+        le=18,
+        description="How long received frames may gather before one wake-up handles them all:"
+        " longer costs less processor time. Before every tick they are read in any case. On a"
+        " saturated bus of 1 Mbit/s half of the kernel's usual receive buffer gathers in 18 ms.",
+    )
+    receive_buffer_bytes: int | None = Field(
+        default=None,
+        ge=4096,
+        le=16_777_216,
+        description="The socket's receive buffer; without this key it is as the kernel has it. A"
+        " warning tells where the kernel gives less (net.core.rmem_max limits it).",
+        examples=[1_048_576],
+    )
+    reopen_ms: int = Field(
+        default=200,
+        ge=50,
+        le=1000,
+        description="First pause before an interface that keeps failing is opened again; it"
+        " doubles up to 800 ms. One that was steady is opened again as soon as it is seen.",
+    )
+
+    @field_validator("channel")
+    @classmethod
+    def _channel_of_interface(cls, channel: str, info: ValidationInfo) -> str:
+        interface = info.data.get("interface")
+        if interface == "udp_multicast" and not _is_multicast(channel):
+            raise refusal("must be a multicast address for udp_multicast", "such as 239.74.163.2")
+        if interface == "socketcan" and not _INTERFACE_NAME.fullmatch(channel):
+            raise refusal("must be the name of a network interface", "such as can0")
+        if not channel:
+            raise refusal("must be a name")
+        return channel
+
+
+def _is_multicast(channel: str) -> bool:
+    try:
+        return ipaddress.ip_address(channel).is_multicast
+    except ValueError:
+        return False
+
+
+@with_settings("protocol")
+class ProtocolSection(SettingsSection):
+    """Messages on the bus: their DBC, aliases and priority."""
+
+    dbc: File | None = Field(
+        default=None,
+        description="DBC file, relative to this file; without this key it is the packaged one.",
+        examples=["vcu.dbc"],
+    )
+    aliases: Mapping[Identifier, MessageName] = Field(
+        default=dict(DEFAULT_ALIASES),
+        description="Further identifiers that are received as a message: the vehicle's documents"
+        " print a second one beside the IMU's attitude (errata E3). {} is none.",
+    )
+    status_code_names: Mapping[StatusCode, str] = Field(
+        default={},
+        description="Names of the motor controllers' StatusCode, as in {3: overvoltage}; from"
+        " their vendor.",
+    )
+
+
+@with_settings("freshness")
+class FreshnessSection(SettingsSection):
+    """When a message is too old, where its period in the protocol does not say it well."""
+
+
+class ApiSection(Section):
+    """The local API for operators and other programs: docs/api.md."""
+
+    removed: ClassVar[Mapping[str, str]] = {
+        "metrics_port": "remove it: the metrics are served by a program of their own,"
+        " vcu-gateway-exporter.service or `vcu-gateway exporter`"
+    }
+
+    enabled: bool = Field(
+        default=True,
+        description="Offer the API on a Unix socket. Without it only a bench demand can drive.",
+    )
+    socket_path: SocketPath = Field(
+        default="/run/vcu-gateway/control.sock",
+        description="The Unix socket, an absolute path of at most 107 bytes; its folder exists.",
+    )
+    socket_owner: UserName | None = Field(
+        default=None,
+        description="User who owns the socket, by name or number; without this key it is the"
+        " gateway's own. The installed service may not give files away: leave this key and the"
+        " next out there.",
+        examples=["vcu-gateway"],
+    )
+    socket_group: UserName | None = Field(
+        default=None,
+        description="Group of the socket. With the mode it says who may read the state, and stop"
+        " the vehicle (estop, disarm); without this key it is the gateway's own.",
+        examples=["vcu-gateway"],
+    )
+    socket_mode: FileMode = Field(
+        default="0660", description="Permissions of the socket, octal digits in quotes."
+    )
+    operator_users: tuple[UserName, ...] = Field(
+        default=(),
+        strict=False,
+        description="Users who may also demand, arm and reset at driver level, by name or number."
+        " The gateway's own user and root always may.",
+    )
+    operator_groups: tuple[UserName, ...] = Field(
+        default=(), strict=False, description="Groups that may do the same."
+    )
+    service_users: tuple[UserName, ...] = Field(
+        default=(),
+        strict=False,
+        description="Users who may also reset at service level and reload the configuration.",
+    )
+    service_groups: tuple[UserName, ...] = Field(
+        default=(), strict=False, description="Groups that may do the same."
+    )
+
+
+class LogSection(Section):
+    """The log, on stderr, and so in the journal."""
+
+    level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="The least severe event that is written."
+    )
+    format: Literal["auto", "json", "console"] = Field(
+        default="auto",
+        description="console is for a person, json for machines, a line an event; auto is console"
+        " on a terminal, else json.",
+    )
+
+
 class Config(Section):
     """Configuration of vcu-gateway."""
 
-    bus: Bus = Bus()
-    protocol: Protocol = Protocol()
-    freshness: Freshness = Freshness()
+    outline: ClassVar[str] = "must hold sections such as `bus:`"
+
+    bus: BusSection = BusSection()
+    protocol: ProtocolSection = ProtocolSection()
+    freshness: FreshnessSection = FreshnessSection()
     limits: LimitsSection = LimitsSection()
     safety: SafetySection = SafetySection()
     demand: DemandSection = DemandSection()
-    api: Api = Api()
+    api: ApiSection = ApiSection()
     bench: BenchSection = BenchSection()
-    log: Log = Log()
+    log: LogSection = LogSection()
 
     _source: ConfigSource = PrivateAttr(default_factory=ConfigSource)
 

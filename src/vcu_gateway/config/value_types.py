@@ -1,24 +1,16 @@
-"""Kinds of value in the configuration, and what every section has in common."""
+"""Value types of the configuration's keys: identifiers, paths, modes and names."""
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
-from pydantic_core import PydanticCustomError
+from annotated_types import Interval, Len
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from vcu_gateway.core.j1939 import ID_MASK
+from vcu_gateway.strict_yaml.section import refusal
 
 _SOCKET_PATH_BYTES = 107
-
-REFUSED = "refused"
-"""The error type of our own refusals; their context holds `requirement` and `remedy`."""
-
-
-def refusal(requirement: str, remedy: str = "") -> PydanticCustomError:
-    """The error of a key that does not meet this requirement ("must be ...")."""
-    context: dict[str, Any] = {"requirement": requirement, "remedy": remedy}
-    return PydanticCustomError(REFUSED, "{requirement}", context)
 
 
 def _fits_29_bits(identifier: int) -> int:
@@ -54,32 +46,13 @@ def _octal(mode: str) -> str:
 
 Identifier = Annotated[
     int,
-    Field(ge=0),
+    Field(ge=0, json_schema_extra={"maximum": ID_MASK}),
     AfterValidator(_fits_29_bits),
     PlainSerializer(_as_hexadecimal, return_type=str, when_used="json"),
 ]
+StatusCode = Annotated[int, Interval(ge=0, le=0xFFFF)]
 Confirmation = Annotated[bool, BeforeValidator(_confirmed)]
-MessageName = Annotated[str, Field(min_length=1)]
-StatusCode = Annotated[int, Field(ge=0, le=0xFFFF)]
-AgeMs = Annotated[int, Field(ge=1, le=60_000)]
-SourceName = Annotated[str, Field(min_length=1, max_length=64)]
-Priority = Annotated[int, Field(ge=0, le=100)]
 File = Annotated[Path, Field(strict=False)]
-
-
 SocketPath = Annotated[str, AfterValidator(_absolute)]
 FileMode = Annotated[str, AfterValidator(_octal)]
-UserName = Annotated[str, Field(min_length=1, max_length=64)]
-
-
-class Section(BaseModel):
-    """Nothing unknown, nothing coerced, nothing infinite, nothing changed afterwards."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        strict=True,
-        allow_inf_nan=False,
-        validate_default=True,
-        field_title_generator=lambda name, _: name,
-    )
+UserName = Annotated[str, Len(1, 64)]

@@ -1,118 +1,350 @@
-"""What the configuration tells the core."""
+"""Limits, times and lists of the core: each one's default, range, text and reload rule, once.
+
+A field of `Settings` is a key of the configuration file. Its annotation holds what the file may
+say, `Key` the section that it stands in, when a changed value is taken, and the text for people.
+The configuration's sections, its JSON Schema, config/gateway.yaml and the rules of a reload are
+made from these fields. The last word of a number's name is its unit.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from enum import Enum
+from typing import Annotated, get_type_hints
 
-from vcu_gateway.core.demand import ControllerDemand
+from annotated_types import Interval, Len, MinLen
+
+from vcu_gateway.core.demand import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM, ControllerDemand
 
 REQUIRED_MESSAGES = ("BMS_Status", "PCU1_Status2", "PCU2_Status2")
+"""Messages that are always required; the configuration may add others."""
 
-# How a limit may change while the vehicle can move: a smaller value is the stricter one,
-# except for the holding times.
-_STRICTER_IS_SMALLER = (
-    "speed_limit_max_rpm",
-    "power_limit_max_w",
-    "derated_power_w",
-    "regen_limit_pct",
-    "throttle_slew_pct_per_s",
-    "direction_change_rpm",
-    "echo_below_max_pct",
-    "motor_speed_step_max_rpm",
-    "wheel_speed_step_max_kmh",
-    "wheel_speed_difference_max_kmh",
-    "ttl_max_ms",
-    "ttl_default_ms",
-)
-_STRICTER_IS_LARGER = ("clear_hold_ms", "regen_min_rpm")
+MessageName = Annotated[str, MinLen(1)]
+SourceName = Annotated[str, Len(1, 64)]
+AgeMs = Annotated[int, Interval(ge=1, le=60_000)]
+Priority = Annotated[int, Interval(ge=0, le=100)]
 
-RESTART_ONLY = (
-    "late_after_ms",
-    "stale_after_ms",
-    "transmit_priority",
-    "period_ns",
-    "listen_before_talk_ms",
-    "bench_demand",
-    "auto_arm",
-)
-"""What is read once, at the start."""
+
+class Reload(Enum):
+    """When a running gateway takes a changed value."""
+
+    NEVER = "at the next start only"
+    LIVE = "in any mode but ACTIVE"
+    SMALLER = "in any mode but ACTIVE; while ACTIVE a smaller value, the stricter one"
+    LARGER = "in any mode but ACTIVE; while ACTIVE a larger value, the stricter one"
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """Key of the configuration file; its name is that of the field.
+
+    Attributes:
+        section: the section of the file that it stands in.
+        reload: when a changed value is taken.
+        text: what it means, for the schema and for config/gateway.yaml.
+    """
+
+    section: str
+    reload: Reload
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Limits, times and lists; every default is SAFETY.md's.
+    """Settings of the core; every default is that of docs/safety.md.
 
     Attributes:
-        late_after_ms, stale_after_ms: overrides by message name.
-        transmit_priority: J1939 priority of the command frames, 0..7.
-        period_ns: of the command frames.
-        required: messages without which nothing moves.
-        qualify_frames: good frames of each required message before STANDBY.
-        derated_power_w: PowerLimit under a POWER_LIMIT effect.
-        regen_limit_pct: Brake under a REGEN_LIMIT effect.
-        speed_slew_rpm_per_s: steepest fall of SpeedLimit.
-        regen_min_rpm: both motors' least speed for regeneration; 0 switches this off.
-        echo_below_max_pct: throttle echoed below the lowest commanded that still is obeying.
-        motor_speed_step_max_rpm: largest change between two Status2 that is plausible.
-        wheel_speed_step_max_kmh: largest change between two ARD2 frames without an alarm.
-        wheel_speed_difference_max_kmh: largest difference of both wheels without an alarm.
-        ttl_max_ms: longest time to live that a demand may ask for.
-        ttl_default_ms: time to live of a demand that names none.
-        priorities: priority by source name; a source that is not listed has 0.
-        independent_directions: a demand may ask for two directions.
-        second_track_required: a demand must carry the pedal's second track.
+        period_ns: of the command frames; in no file.
         bench_demand: static demand for both controllers on a test bench; None on a vehicle.
-        auto_arm: arm once by itself, with a bench demand only.
     """
 
-    late_after_ms: Mapping[str, int] = field(default_factory=dict)
-    stale_after_ms: Mapping[str, int] = field(default_factory=dict)
-    transmit_priority: int = 0
-    required: tuple[str, ...] = REQUIRED_MESSAGES
+    stale_after_ms: Annotated[
+        Mapping[MessageName, AgeMs],
+        Key(
+            "freshness",
+            Reload.NEVER,
+            "Age by message name from which a message counts as missing, as in {IMU_Attitude: 250}."
+            " Without an entry: 3.2 periods of 500 ms, 3 of 100 ms, 4 of 50 ms, 10 of 10 ms."
+            " For one of safety.required_messages at most twice that.",
+        ),
+    ] = field(default_factory=dict)
+    late_after_ms: Annotated[
+        Mapping[MessageName, AgeMs],
+        Key(
+            "freshness",
+            Reload.NEVER,
+            "Age by message name from which a message counts as late. Without an entry: 2.2"
+            " periods. For one of safety.required_messages at most twice that.",
+        ),
+    ] = field(default_factory=dict)
+    transmit_priority: Annotated[
+        int,
+        Interval(ge=0, le=7),
+        Key(
+            "protocol",
+            Reload.NEVER,
+            "J1939 priority of the command frames; 0 wins over all others (errata E1).",
+        ),
+    ] = 0
     period_ns: int = 50_000_000
-    listen_before_talk_ms: int = 1000
-    qualify_frames: int = 3
-    clear_hold_ms: int = 1000
-    speed_limit_max_rpm: float = 12000.0
-    power_limit_max_w: float = 60000.0
-    derated_power_w: float = 10000.0
-    regen_limit_pct: float = 20.0
-    throttle_slew_pct_per_s: float = 100.0
-    power_slew_w_per_s: float = 60000.0
-    regen_slew_pct_per_s: float = 100.0
-    speed_slew_rpm_per_s: float = 4000.0
-    direction_change_rpm: float = 50.0
-    regen_min_rpm: float = 100.0
-    echo_below_max_pct: float = 15.0
-    motor_speed_step_max_rpm: float = 2000.0
-    wheel_speed_step_max_kmh: float = 20.0
-    wheel_speed_difference_max_kmh: float = 15.0
-    ttl_max_ms: int = 1000
-    ttl_default_ms: int = 200
-    priorities: Mapping[str, int] = field(default_factory=dict)
-    independent_directions: bool = False
-    second_track_required: bool = False
+
+    speed_limit_max_rpm: Annotated[
+        int,
+        Interval(ge=500, le=SPEED_LIMIT_HIGHEST_RPM),
+        Key(
+            "limits",
+            Reload.SMALLER,
+            "Largest SpeedLimit that is ever sent to a motor controller.",
+        ),
+    ] = SPEED_LIMIT_HIGHEST_RPM
+    power_limit_max_w: Annotated[
+        int,
+        Interval(ge=0, le=POWER_LIMIT_HIGHEST_W),
+        Key(
+            "limits",
+            Reload.SMALLER,
+            "Largest PowerLimit that is ever sent to a motor controller.",
+        ),
+    ] = POWER_LIMIT_HIGHEST_W
+    derated_power_w: Annotated[
+        int,
+        Interval(ge=0, le=30_000),
+        Key(
+            "limits",
+            Reload.SMALLER,
+            "PowerLimit while a cause limits the power (the battery is low, a controller protects"
+            " itself).",
+        ),
+    ] = 10_000
+    regen_limit_pct: Annotated[
+        float,
+        Interval(ge=0, le=50),
+        Key(
+            "limits",
+            Reload.SMALLER,
+            "Brake while a cause limits regeneration (the battery is full).",
+        ),
+    ] = 20.0
+    throttle_slew_pct_per_s: Annotated[
+        float,
+        Interval(ge=10, le=200),
+        Key("limits", Reload.SMALLER, "Steepest rise of the throttle; it falls at once."),
+    ] = 100.0
+    power_slew_w_per_s: Annotated[
+        float,
+        Interval(ge=6_000, le=120_000),
+        Key(
+            "limits",
+            Reload.LIVE,
+            "How fast a power limit comes and goes: a sudden one throws riders.",
+        ),
+    ] = 60_000.0
+    regen_slew_pct_per_s: Annotated[
+        float,
+        Interval(ge=10, le=200),
+        Key("limits", Reload.LIVE, "How fast a regeneration limit comes and goes."),
+    ] = 100.0
+    speed_slew_rpm_per_s: Annotated[
+        float,
+        Interval(ge=500, le=20_000),
+        Key(
+            "limits",
+            Reload.LIVE,
+            "Steepest fall of the SpeedLimit, which is never below 500 rpm; it rises at once."
+            " A sudden limit could brake hard.",
+        ),
+    ] = 4_000.0
+    direction_change_rpm: Annotated[
+        float,
+        Interval(ge=0, le=100),
+        Key(
+            "limits",
+            Reload.SMALLER,
+            "The direction changes only while both motors turn slower than this.",
+        ),
+    ] = 50.0
+    regen_min_rpm: Annotated[
+        float,
+        Interval(ge=0, le=1_000),
+        Key(
+            "limits",
+            Reload.LARGER,
+            "Both motors turn at least this fast for regeneration; it returns 50 rpm above."
+            " 0 switches this off.",
+        ),
+    ] = 100.0
+
+    required_messages: Annotated[
+        tuple[MessageName, ...],
+        Key(
+            "safety",
+            Reload.LIVE,
+            "Messages without which nothing moves. The three defaults always belong; others are"
+            " added.",
+        ),
+    ] = REQUIRED_MESSAGES
+    listen_before_talk_ms: Annotated[
+        int,
+        Interval(ge=1_000, le=10_000),
+        Key(
+            "safety",
+            Reload.NEVER,
+            "Silence at the start, to hear another sender of the command frames before talking.",
+        ),
+    ] = 1_000
+    qualify_frames: Annotated[
+        int,
+        Interval(ge=3, le=100),
+        Key(
+            "safety",
+            Reload.LIVE,
+            "Good frames of each required message before the vehicle may be armed.",
+        ),
+    ] = 3
+    clear_hold_ms: Annotated[
+        int,
+        Interval(ge=1_000, le=60_000),
+        Key(
+            "safety",
+            Reload.LARGER,
+            "How long a cause must be gone before its effect ends, or a fault can be reset.",
+        ),
+    ] = 1_000
+    echo_below_max_pct: Annotated[
+        float,
+        Interval(ge=5, le=50),
+        Key(
+            "safety",
+            Reload.NEVER,
+            "Throttle that a controller may echo below the lowest commanded in the second before,"
+            " until it counts as not obeying.",
+        ),
+    ] = 15.0
+    motor_speed_step_max_rpm: Annotated[
+        float,
+        Interval(ge=500, le=12_000),
+        Key(
+            "safety",
+            Reload.NEVER,
+            "Largest change of a motor's speed between two frames that is believed; after a larger"
+            " one the speed is unknown until three plausible ones in a row.",
+        ),
+    ] = 2_000.0
+    wheel_speed_step_max_kmh: Annotated[
+        float,
+        Interval(ge=5, le=200),
+        Key(
+            "safety",
+            Reload.NEVER,
+            "Largest change of a wheel's speed between two frames that raises no alarm.",
+        ),
+    ] = 20.0
+    wheel_speed_difference_max_kmh: Annotated[
+        float,
+        Interval(ge=1, le=200),
+        Key(
+            "safety",
+            Reload.NEVER,
+            "Largest difference of both wheels' speeds, for a second, that raises no alarm.",
+        ),
+    ] = 15.0
+
+    ttl_max_ms: Annotated[
+        int,
+        Interval(ge=50, le=1_000),
+        Key(
+            "demand",
+            Reload.SMALLER,
+            "Longest time to live that a demand may carry: the dead-man's time.",
+        ),
+    ] = 1_000
+    ttl_default_ms: Annotated[
+        int,
+        Interval(ge=50, le=1_000),
+        Key(
+            "demand",
+            Reload.SMALLER,
+            "Time to live of a demand that carries none; at most demand.ttl_max_ms, which is also"
+            " the default where that is lower.",
+        ),
+    ] = 200
+    priorities: Annotated[
+        Mapping[SourceName, Priority],
+        Key(
+            "demand",
+            Reload.LIVE,
+            "Priority by source, as in {remote_stop: 10}: a source that is not listed has 0. While"
+            " a demand is fresh, only a source of higher priority takes over.",
+        ),
+    ] = field(default_factory=dict)
+    independent_directions: Annotated[
+        bool,
+        Key(
+            "demand",
+            Reload.LIVE,
+            "Let a demand ask the motor controllers for different directions.",
+        ),
+    ] = False
+    second_track_required: Annotated[
+        bool,
+        Key(
+            "demand",
+            Reload.LIVE,
+            "Refuse a demand that does not carry the pedal's second track.",
+        ),
+    ] = False
+
     bench_demand: ControllerDemand | None = None
-    auto_arm: bool = False
+    auto_arm: Annotated[
+        bool,
+        Key(
+            "bench",
+            Reload.NEVER,
+            "Arm once by itself, as soon as everything is healthy; otherwise the demand waits for"
+            " `arm`.",
+        ),
+    ] = False
+
+
+def keys(settings: type) -> dict[str, Key]:
+    """The `Key` of each field that has one, by the field's name, of this class of settings."""
+    hints = get_type_hints(settings, include_extras=True)
+    found = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {
+        name: marker
+        for name, metadata in found.items()
+        for marker in metadata
+        if isinstance(marker, Key)
+    }
+
+
+KEYS: Mapping[str, Key] = keys(Settings)
+"""The configuration's key of each field; a field that is not here is in no file."""
+
+RESTART_ONLY = tuple(
+    item.name
+    for item in fields(Settings)
+    if item.name not in KEYS or KEYS[item.name].reload is Reload.NEVER
+)
+"""Fields that are read once, at the start."""
 
 
 def changed(before: Settings, after: Settings) -> tuple[str, ...]:
-    """Names of what differs."""
+    """Names of the fields that differ."""
     names = [item.name for item in fields(Settings)]
     return tuple(name for name in names if getattr(before, name) != getattr(after, name))
 
 
 def loosened(before: Settings, after: Settings) -> tuple[str, ...]:
-    """Names of what `after` changes otherwise than towards a stricter limit."""
+    """Names of the fields that `after` changes otherwise than towards a stricter value."""
     return tuple(
-        item.name
-        for item in fields(Settings)
-        if not _as_strict(item.name, getattr(before, item.name), getattr(after, item.name))
+        name
+        for name in changed(before, after)
+        if not _is_stricter(name, getattr(before, name), getattr(after, name))
     )
 
 
-def _as_strict(name: str, before: object, after: object) -> bool:
-    if name in _STRICTER_IS_SMALLER:
-        return float(str(after)) <= float(str(before))
-    if name in _STRICTER_IS_LARGER:
-        return float(str(after)) >= float(str(before))
-    return before == after
+def _is_stricter(name: str, before: float, after: float) -> bool:
+    reload = KEYS[name].reload if name in KEYS else Reload.NEVER
+    if reload is Reload.SMALLER:
+        return after < before
+    return reload is Reload.LARGER and after > before

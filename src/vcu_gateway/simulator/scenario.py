@@ -7,7 +7,6 @@ from typing import Any
 
 from pydantic import Field
 
-from vcu_gateway.config.value_types import Section
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, Problem
@@ -17,6 +16,7 @@ from vcu_gateway.simulator.steps import FAULTS, Step
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.lines import Path as KeyPath
 from vcu_gateway.strict_yaml.problems import FileProblem, problems, shown
+from vcu_gateway.strict_yaml.section import Section
 from vcu_gateway.units import NS_PER_S
 
 _EXAMPLE = "{at_s: 10, fault: silence, of: BMS}"

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from vcu_gateway.config.value_types import Section, refusal
+from vcu_gateway.config.value_types import refusal
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import message_name
 from vcu_gateway.core.demand import CONTROLLERS, PowerMode
@@ -19,6 +19,7 @@ from vcu_gateway.simulator.names import (
     signal_spec,
 )
 from vcu_gateway.simulator.nodes import Transform
+from vcu_gateway.strict_yaml.section import Section
 from vcu_gateway.units import NS_PER_MS
 
 _LONGEST_S = 86_400

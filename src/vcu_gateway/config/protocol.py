@@ -1,0 +1,32 @@
+"""Protocol that a configuration names: the packaged DBC, or another one that agrees with it."""
+
+import dataclasses
+from pathlib import Path
+
+from vcu_gateway.config.model import Config
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.protocol import compatibility, dbc, packaged
+
+_MOST_DIFFERENCES = 20
+
+
+def load_protocol(config: Config) -> ProtocolSpec:
+    """The configured DBC, or the packaged one, with the configured aliases."""
+    return dataclasses.replace(dbc.load(dbc_path(config)), aliases=config.protocol.aliases)
+
+
+def dbc_path(config: Config) -> Path:
+    """The DBC in use."""
+    return packaged("vcu.dbc") if config.protocol.dbc is None else config.protocol.dbc
+
+
+def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
+    """DataError where a DBC contradicts the protocol that the safety rules were written for."""
+    if config.protocol.dbc is None:
+        return
+    found = list(compatibility.differences(protocol, dbc.load(packaged("vcu.dbc"))))
+    if found:
+        remedy = "the safety rules are written for dbc/vcu.yaml; change it, and the rules with it"
+        where = str(config.protocol.dbc)
+        raise DataError(*[Problem(what, where, remedy) for what in found[:_MOST_DIFFERENCES]])
