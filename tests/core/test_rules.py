@@ -1,6 +1,6 @@
 """Every rule healthy, at its limit, one step beyond, unknown, stale and missing.
 
-The rows repeat SAFETY.md's table of causes to the number; they take nothing from the rules.
+The rows repeat docs/safety.md, Causes, to the number; they take nothing from the rules.
 """
 
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.safety_world import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, world
+from tests.core.safety_world import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, rule_inputs
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.plausibility import Observed, ThrottleExcess
 from vcu_gateway.core.rules import RULES, findings
@@ -197,7 +197,7 @@ SILENCE = {
 
 
 def silence_rows(name: str, deadline_ms: int, effects: str) -> list[Row]:
-    finds, required = every(name, effects), Settings(required=(name,))
+    finds, required = every(name, effects), Settings(required_messages=(name,))
     stops = finds if "STOP" in effects else f"{finds}, {name} STOP"
     deadline_ns = deadline_ms * MS
     return [
@@ -237,10 +237,10 @@ RANGE_ROWS = [
         codes={"BMS_Temperatures.PackTemperature1": 251}),
     row("out_of_range", BEYOND, "BMS_Temperatures.PackTemperature1 ALARM", "the same, required",
         codes={"BMS_Temperatures.PackTemperature1": 251},
-        settings=Settings(required=("BMS_Temperatures",))),
+        settings=Settings(required_messages=("BMS_Temperatures",))),
     row("out_of_range", AT, "", "the same, required",
         codes={"BMS_Temperatures.PackTemperature1": 250},
-        settings=Settings(required=("BMS_Temperatures",))),
+        settings=Settings(required_messages=("BMS_Temperatures",))),
     row("out_of_range", STALE, "BMS_Status.SOC ALARM", "the last known value",
         codes={"BMS_Status.SOC": 101}, ages_ns={"BMS_Status": 60_000 * MS}),
     row("out_of_range", MISSING, never=["BMS_Status", "PCU1_Status2", "PCU2_Status2"]),
@@ -262,7 +262,8 @@ def runs_of(rule: str, runs: str, subject: str, alone: str, both: str) -> list[R
 
     def observed(*, obeys: str = "", **counts: int) -> dict[str, Any]:
         odd = {name: n for name, n in counts.items() if n}
-        return {"observed": Observed(**{runs: odd, "echoes_below": frozenset(odd) - {obeys}})}
+        facts: dict[str, Any] = {runs: odd, "echoes_below": frozenset(odd) - {obeys}}
+        return {"observed": Observed(**facts)}
 
     one, other = (f"{name}_Status1.{subject}" for name in ("PCU1", "PCU2"))
     status1 = ("PCU1_Status1", "PCU2_Status1")
@@ -350,7 +351,7 @@ ROWS = [
 
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_a_rule_finds_exactly_what_the_safety_page_says(row):
-    found = list(BY_NAME[row.rule](world(**row.broken)))
+    found = list(BY_NAME[row.rule](rule_inputs(**row.broken)))
     assert {f"{one.subject} {one.effect.name}" for one in found} == row.finds
     assert len(found) == len(row.finds), "nothing is found twice"
 
@@ -377,11 +378,11 @@ def test_every_code_that_a_coded_signal_can_carry_has_a_row():
 
 
 def test_a_healthy_world_has_no_findings():
-    assert findings(world()) == ()
+    assert findings(rule_inputs()) == ()
 
 
 def test_all_findings_are_those_of_every_rule():
-    broken = world(
+    broken = rule_inputs(
         codes={"BMS_Status.CellUndervoltage": 2}, unconfirmed_ticks=3, never=["IMU_Attitude"]
     )
     assert {(one.subject, one.effect.name) for one in findings(broken)} == {
@@ -395,7 +396,7 @@ def test_only_overcharge_of_level_3_is_held_until_restart():
     kept = {
         (one.subject, one.detail)
         for each in ROWS
-        for one in findings(world(**each.broken))
+        for one in findings(rule_inputs(**each.broken))
         if one.until_restart
     }
     assert kept == {("BMS_Status.CellOvervoltage", "3 (level3)")}
@@ -403,7 +404,7 @@ def test_only_overcharge_of_level_3_is_held_until_restart():
 
 def test_only_another_sender_and_the_gate_latch_from_every_mode_without_a_cut():
     latching = {
-        one.subject for each in ROWS for one in findings(world(**each.broken)) if one.latches
+        one.subject for each in ROWS for one in findings(rule_inputs(**each.broken)) if one.latches
     }
     assert latching == {"command", "gate"}
 
@@ -440,4 +441,4 @@ def test_only_another_sender_and_the_gate_latch_from_every_mode_without_a_cut():
     ],
 )  # fmt: skip
 def test_a_finding_names_its_subject_and_its_value(broken, detail):
-    assert {str(one).rsplit(":", 1)[0] for one in findings(world(**broken))} == {detail}
+    assert {str(one).rsplit(":", 1)[0] for one in findings(rule_inputs(**broken))} == {detail}

@@ -1,4 +1,4 @@
-"""Causes and effects: what a rule finds, and how long it counts."""
+"""Causes and effects: the findings of the rules, and how long each counts."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ from vcu_gateway.core.events import Event, Severity
 
 
 class Effect(Enum):
-    """What a cause does to the command (SAFETY.md, Effects)."""
+    """Effect of a cause on the command (docs/safety.md, Effects)."""
 
     ALARM = "alarm"
     TURBO_OFF = "turbo off"
@@ -29,7 +29,7 @@ _NO_EFFECTS: frozenset[Effect] = frozenset()
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One cause with one of its effects.
+    """Finding of a rule: one cause with one of its effects.
 
     Attributes:
         cause: stable word for machines.
@@ -48,7 +48,7 @@ class Finding:
 
     @property
     def key(self) -> tuple[str, str, Effect]:
-        """What makes two findings the same, whatever their detail."""
+        """Identity of a finding: cause, subject and effect, without its detail."""
         return self.cause, self.subject, self.effect
 
     def __str__(self) -> str:
@@ -58,7 +58,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class HeldCause:
-    """A finding that counts, since when, and when it was last seen.
+    """Finding that counts, with the times of its first and last sighting.
 
     Attributes:
         absent_since_ns: the first tick that did not see it any more; None while it is seen.
@@ -82,11 +82,11 @@ class Causes:
 
     @property
     def held(self) -> tuple[HeldCause, ...]:
-        """All that counts, in the order of its appearance."""
+        """Every cause that counts, in the order of its appearance."""
         return tuple(self._held.values())
 
     def update(self, findings: Iterable[Finding], hold_ns: int, now_ns: int) -> list[Event]:
-        """Take in what was found now; events for what began and what ended."""
+        """Take in the findings of a tick; events for causes that began and that ended."""
         events = []
         for finding in findings:
             events += self.note(finding, now_ns)
@@ -102,7 +102,7 @@ class Causes:
         return events
 
     def note(self, finding: Finding, now_ns: int) -> list[Event]:
-        """Take in one thing that was found, also between two ticks; an event where it began."""
+        """Take in one finding, also between two ticks; an event where its cause began."""
         before = self._held.get(finding.key)
         if before is None:
             self._held[finding.key] = HeldCause(finding, now_ns, now_ns)
@@ -121,7 +121,9 @@ class Causes:
         return frozenset(held.finding.effect for held in self._held.values())
 
     def having(self, effects: frozenset[Effect]) -> tuple[HeldCause, ...]:
-        """What counts with one of these effects."""
+        """Causes that count with one of these effects."""
+        if not self._held:
+            return ()
         return tuple(held for held in self._held.values() if held.finding.effect in effects)
 
 

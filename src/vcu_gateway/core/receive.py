@@ -1,20 +1,40 @@
-"""What comes from the bus, sorted as it is received.
+"""Receiver: frames from the bus, sorted into messages, echoes, foreign commands and rejects.
 
 Frames come from the receiving thread, and right before a tick from the ticking thread: never from
-both at once. Any thread may read; what the ticking thread knows of the link stands apart
-(`LinkMonitor`).
+both at once. Any thread may read; what the ticking thread knows of the link is in `LinkMonitor`.
 """
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.link import LinkMonitor, LinkStatus
+from vcu_gateway.core.link import LinkMonitor
 from vcu_gateway.core.state import Store
 
 OWN_NODE = "VCU"
+
+
+class FrameCounters(NamedTuple):
+    """Frames since the start that are no messages, or of which not all counts.
+
+    Attributes:
+        rejected: not decoded, by reason.
+        out_of_order: older than the frame of their message before them.
+        unjudged: too many of one message for a tick to judge.
+        confirmed: own commands that came back because they had left, by controller.
+        foreign_commands: commands of another sender, by controller.
+        blocked_by_gate: own commands that never left, by the rule that they broke.
+    """
+
+    rejected: Mapping[Reason, int]
+    out_of_order: int
+    unjudged: int
+    confirmed: Mapping[str, int]
+    foreign_commands: Mapping[str, int]
+    blocked_by_gate: Mapping[str, int]
 
 
 class Receiver:
@@ -28,7 +48,7 @@ class Receiver:
             each.
         command_groups: controllers by the `j1939.group_key` of what commands them.
         foreign_id: identifier of the last one of them.
-        book: what error frames and carrier say of the bus; `link` is the result.
+        monitor: state of the link, from error frames and from what the shell knows.
     """
 
     def __init__(self, codec: Codec, stale_after_ns: Mapping[str, int], now_ns: int) -> None:
@@ -44,17 +64,7 @@ class Receiver:
         self.confirmed = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_commands = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_id: int | None = None
-        self.book = LinkMonitor(now_ns)
-
-    @property
-    def link(self) -> LinkStatus:
-        """What error frames and carrier say of the bus."""
-        return self.book.link
-
-    @link.setter
-    def link(self, opened: LinkStatus) -> None:
-        """The interface was opened: what was said before no longer counts."""
-        self.book.begin(opened)
+        self.monitor = LinkMonitor(now_ns)
 
     def receive(self, frame: Frame) -> None:
         """Take in one frame; one that is not decoded is counted and changes no message."""
@@ -71,7 +81,7 @@ class Receiver:
     def _reject(self, reason: Reason, frame: Frame) -> None:
         self.rejected[reason] += 1
         if reason is Reason.ERROR:
-            self.book.take_error_frame(frame.can_id, frame.data, frame.arrival_ns)
+            self.monitor.take_error_frame(frame.can_id, frame.data, frame.arrival_ns)
         elif frame.extended and not frame.own_echo:
             # Whoever commands a controller is another sender, whatever address it gives and
             # whatever it sends.
@@ -84,6 +94,17 @@ class Receiver:
         else:
             self.foreign_id = frame.can_id
             self.foreign_commands[controller] += 1
+
+    def counters(self, blocked_by_gate: Mapping[str, int]) -> FrameCounters:
+        """Counts so far, copied, beside those of the gate."""
+        return FrameCounters(
+            rejected=dict(self.rejected),
+            out_of_order=self.store.out_of_order,
+            unjudged=self.store.unjudged,
+            confirmed=dict(self.confirmed),
+            foreign_commands=dict(self.foreign_commands),
+            blocked_by_gate=dict(blocked_by_gate),
+        )
 
     @property
     def foreign_count(self) -> int:

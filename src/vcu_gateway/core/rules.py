@@ -1,27 +1,27 @@
-"""One rule for each reason not to move, or to move less: SAFETY.md's causes.
+"""Rules: one function for each reason not to move, or to move less (docs/safety.md, Causes).
 
-A rule sees the world and returns what it found; it does not log, remember or command. The
+A rule sees its inputs and returns its findings; it does not log, remember or command. The
 tuple at the bottom is the whole list.
 """
 
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.link import LinkState
-from vcu_gateway.core.plausibility import WHEELS_MESSAGE
+from vcu_gateway.core.plausibility import NO_DEVIATION, WHEELS_MESSAGE
 from vcu_gateway.core.rule_inputs import RuleInputs
+from vcu_gateway.units import NS_PER_MS
 
 _ALARM, _STOP, _CUT = (Effect.ALARM,), (Effect.STOP,), (Effect.CUT,)
 _LIMITS = (Effect.REGEN_LIMIT, Effect.POWER_LIMIT)
 _NONE: tuple[Effect, ...] = ()
 
 _STATUS = "BMS_Status"
-_MS = 1_000_000
-_PASSIVE_MAX_NS = 1_000 * _MS
+_PASSIVE_MAX_NS = 1_000 * NS_PER_MS
 _ECHO_FRAMES = 2
-_WHEELS_APART_NS = 1_000 * _MS
+_WHEELS_APART_NS = 1_000 * NS_PER_MS
 _UNCONFIRMED_MAX_TICKS = 3
 _LATE_MAX_PERIODS = 4
 _LIFE_LIMIT_REPEATS = 1
@@ -37,7 +37,7 @@ BATTERY_EFFECTS: Mapping[str, tuple[tuple[Effect, ...], ...]] = {
     "VoltageImbalance": (_NONE, _ALARM),
     "InternalFault": (_NONE, _CUT),
 }
-"""Effects of each code of BMS_Status; a reserved code is the worst (PROTOCOL.md E13)."""
+"""Effects of each code of BMS_Status; a reserved code is the worst (docs/protocol.md E13)."""
 
 UNTIL_RESTART = {("CellOvervoltage", 3)}
 
@@ -56,37 +56,44 @@ CONTROLLER_EFFECTS: Mapping[str, tuple[tuple[Effect, ...], ...]] = {
 }
 """Effects of each code of a controller's Status1."""
 
+_CONTROLLER_STATUS = tuple(f"{controller}_Status1" for controller in CONTROLLERS)
 _EFFECTS = {
     _STATUS: BATTERY_EFFECTS,
-    **{f"{controller}_Status1": CONTROLLER_EFFECTS for controller in CONTROLLERS},
+    **dict.fromkeys(_CONTROLLER_STATUS, CONTROLLER_EFFECTS),
 }
 _CODED = {message: tuple(effects) for message, effects in _EFFECTS.items()}
 
-Rule = Callable[[RuleInputs], Iterator[Finding]]
+Rule = Callable[[RuleInputs], Sequence[Finding]]
 
 
-def battery_codes(world: RuleInputs) -> Iterator[Finding]:
+def battery_codes(inputs: RuleInputs) -> Sequence[Finding]:
     """Fault levels of the battery; the last known level counts until another is known."""
-    yield from _coded(world, _STATUS)
+    return _coded(inputs, _STATUS)
 
 
-def controller_codes(world: RuleInputs) -> Iterator[Finding]:
+def controller_codes(inputs: RuleInputs) -> Sequence[Finding]:
     """Protection levels of either controller, for both: one driven wheel turns the vehicle."""
-    for controller in CONTROLLERS:
-        yield from _coded(world, f"{controller}_Status1")
+    found: list[Finding] = []
+    for message in _CONTROLLER_STATUS:
+        found += _coded(inputs, message)
+    return found
 
 
-def _coded(world: RuleInputs, message: str) -> Iterator[Finding]:
-    for codes in world.snapshot.codes(message, _CODED[message]):
+def _coded(inputs: RuleInputs, message: str) -> Sequence[Finding]:
+    found: list[Finding] = []
+    for codes in inputs.snapshot.codes(message, _CODED[message]):
         for signal, raw, effect in _effects_of(message, codes):
-            name = world.snapshot.code_name(message, signal, raw)
-            yield Finding(
-                "code",
-                f"{message}.{signal}",
-                effect,
-                f"{raw} ({name or 'reserved'})",
-                until_restart=(signal, raw) in UNTIL_RESTART,
+            name = inputs.snapshot.code_name(message, signal, raw)
+            found.append(
+                Finding(
+                    "code",
+                    f"{message}.{signal}",
+                    effect,
+                    f"{raw} ({name or 'reserved'})",
+                    until_restart=(signal, raw) in UNTIL_RESTART,
+                )
             )
+    return found
 
 
 # The same few rows come again and again.
@@ -97,158 +104,177 @@ def _effects_of(message: str, codes: tuple[int, ...]) -> tuple[tuple[str, int, E
     return tuple((name, raw, effect) for (name, by), raw in coded for effect in by[raw])
 
 
-def battery_late(world: RuleInputs) -> Iterator[Finding]:
-    """The battery's word is overdue: less of everything until it speaks or is stale."""
-    age_ns = world.snapshot.age_ns(_STATUS)
-    if age_ns is None or age_ns <= world.late_after_ns[_STATUS]:
-        return
-    for effect in _LIMITS:
-        yield Finding("late", _STATUS, effect, _milliseconds(age_ns))
+def battery_late(inputs: RuleInputs) -> Sequence[Finding]:
+    """Battery status overdue: limits until the next one comes or it is stale."""
+    age_ns = inputs.snapshot.age_ns(_STATUS)
+    if age_ns is None or age_ns <= inputs.late_after_ns[_STATUS]:
+        return ()
+    return [Finding("late", _STATUS, effect, _milliseconds(age_ns)) for effect in _LIMITS]
 
 
-def battery_life(world: RuleInputs) -> Iterator[Finding]:
-    """The life signal stands still: frames arrive, but nobody may be alive behind them."""
-    repeats = max([frame.life_repeats for frame in world.snapshot.judged(_STATUS)], default=0)
+def battery_life(inputs: RuleInputs) -> Sequence[Finding]:
+    """Life signal unchanged: frames arrive, but their sender may have stopped."""
+    repeats = 0
+    for frame in inputs.snapshot.judged(_STATUS):
+        repeats = max(repeats, frame.life_repeats)
     if repeats < _LIFE_LIMIT_REPEATS:
-        return
+        return ()
     detail = f"unchanged in {repeats + 1} frames"
-    for effect in _LIMITS:
-        yield Finding("life_signal", f"{_STATUS}.LifeSignal", effect, detail)
-    if repeats >= _LIFE_STOP_REPEATS:
-        yield Finding("life_signal", f"{_STATUS}.LifeSignal", Effect.STOP, detail)
+    effects = _LIMITS if repeats < _LIFE_STOP_REPEATS else (*_LIMITS, Effect.STOP)
+    subject = f"{_STATUS}.LifeSignal"
+    return [Finding("life_signal", subject, effect, detail) for effect in effects]
 
 
-def stale(world: RuleInputs) -> Iterator[Finding]:
-    """A message that is too old, or never came."""
-    for message in world.snapshot.stale_messages():
-        age_ns = world.snapshot.age_ns(message)
+def stale(inputs: RuleInputs) -> Sequence[Finding]:
+    """Message too old, or never received."""
+    found: list[Finding] = []
+    for message in inputs.snapshot.stale_messages():
+        age_ns = inputs.snapshot.age_ns(message)
         detail = "never received" if age_ns is None else _milliseconds(age_ns)
-        for effect in _effects_of_silence(world, message):
-            yield Finding("stale", message, effect, detail)
+        effects = _effects_of_silence(inputs, message)
+        found += [Finding("stale", message, effect, detail) for effect in effects]
+    return found
 
 
-def _effects_of_silence(world: RuleInputs, message: str) -> tuple[Effect, ...]:
+def _effects_of_silence(inputs: RuleInputs, message: str) -> tuple[Effect, ...]:
     kind = message.partition("_")[2]
     found: tuple[Effect, ...] = _ALARM
     if message == _STATUS or kind == "Status2":
         found = _STOP
     elif kind == "Status1":
         found = (Effect.TURBO_OFF, Effect.POWER_LIMIT)
-    if message in world.settings.required and Effect.STOP not in found:
+    if message in inputs.settings.required_messages and Effect.STOP not in found:
         found = (*found, Effect.STOP)
     return found
 
 
-def out_of_range(world: RuleInputs) -> Iterator[Finding]:
-    """A signal of a required message cannot be what it says."""
-    for message in world.settings.required:
-        for signal, raw in world.snapshot.marked(message):
-            yield Finding("out_of_range", f"{message}.{signal}", Effect.ALARM, f"raw {raw}")
+def out_of_range(inputs: RuleInputs) -> Sequence[Finding]:
+    """Signal of a required message outside its range."""
+    found: list[Finding] = []
+    for message in inputs.settings.required_messages:
+        for signal, raw in inputs.snapshot.marked(message):
+            subject, detail = f"{message}.{signal}", f"raw {raw}"
+            found.append(Finding("out_of_range", subject, Effect.ALARM, detail))
+    return found
 
 
-def throttle_echo(world: RuleInputs) -> Iterator[Finding]:
-    """A controller obeys a throttle that it was not told."""
-    for controller, excess in world.observed.echo_above.items():
+def throttle_echo(inputs: RuleInputs) -> Sequence[Finding]:
+    """Controller echoes more throttle than was commanded."""
+    found: list[Finding] = []
+    for controller, excess in inputs.observed.echo_above.items():
         message = f"{controller}_Status1"
-        if not world.snapshot.stale(message):
+        if not inputs.snapshot.stale(message):
             detail = f"{excess.echoed_pct:.1f} %, commanded {excess.commanded_pct:.1f} %"
-            yield Finding("throttle_echo", f"{message}.Throttle", Effect.STOP, detail)
+            found.append(Finding("throttle_echo", f"{message}.Throttle", Effect.STOP, detail))
+    return found
 
 
-def echo_below(world: RuleInputs) -> Iterator[Finding]:
-    """A controller does less than it was told; where both do, nothing turns the vehicle."""
-    runs = _runs(world, world.observed.echo_below)
+def echo_below(inputs: RuleInputs) -> Sequence[Finding]:
+    """Controller echoes less throttle than was commanded; both alike do not turn the vehicle."""
+    found: list[Finding] = []
+    runs = _runs(inputs, inputs.observed.echo_below)
     for controller, run in runs.items():
         if run >= _ECHO_FRAMES:
             # The other one's last frame counts: what it obeys now it drives with.
             others = set(CONTROLLERS) - {controller}
-            both = others <= world.observed.echoes_below & runs.keys()
+            both = others <= inputs.observed.echoes_below & runs.keys()
             effect = Effect.ALARM if both else Effect.STOP
-            detail = f"does not obey, in {run} frames"
-            yield Finding("echo_below", f"{controller}_Status1.Throttle", effect, detail)
+            subject, detail = f"{controller}_Status1.Throttle", f"does not obey, in {run} frames"
+            found.append(Finding("echo_below", subject, effect, detail))
+    return found
 
 
-def echo_direction(world: RuleInputs) -> Iterator[Finding]:
-    """A controller turns the other way round."""
-    for controller, run in _runs(world, world.observed.echo_direction).items():
+def echo_direction(inputs: RuleInputs) -> Sequence[Finding]:
+    """Controller echoes another direction than the commanded one."""
+    found: list[Finding] = []
+    for controller, run in _runs(inputs, inputs.observed.echo_direction).items():
         if run >= _ECHO_FRAMES:
             subject = f"{controller}_Status1.MotorReverse"
             detail = f"not as commanded, in {run} frames"
-            yield Finding("echo_direction", subject, Effect.STOP, detail)
+            found.append(Finding("echo_direction", subject, Effect.STOP, detail))
+    return found
 
 
-def _runs(world: RuleInputs, runs: Mapping[str, int]) -> Mapping[str, int]:
-    """Frames in a row, of each controller whose word is not stale."""
-    stale = world.snapshot.stale
+def _runs(inputs: RuleInputs, runs: Mapping[str, int]) -> Mapping[str, int]:
+    """Frames in a row, of each controller whose status is not stale."""
+    stale = inputs.snapshot.stale
     return {name: run for name, run in runs.items() if not stale(f"{name}_Status1")}
 
 
-def speed_steps(world: RuleInputs) -> Iterator[Finding]:
-    """A motor's speed changed as no motor does: it is not believed for a while."""
-    for controller, step_rpm in world.observed.speed_steps_rpm.items():
-        subject = f"{controller}_Status2.MotorSpeed"
-        yield Finding("speed_step", subject, Effect.ALARM, f"changed by {step_rpm:.0f} rpm")
+def speed_steps(inputs: RuleInputs) -> Sequence[Finding]:
+    """Implausible change of a motor's speed, which does not count for a while."""
+    found: list[Finding] = []
+    for controller, step_rpm in inputs.observed.speed_steps_rpm.items():
+        subject, detail = f"{controller}_Status2.MotorSpeed", f"changed by {step_rpm:.0f} rpm"
+        found.append(Finding("speed_step", subject, Effect.ALARM, detail))
+    return found
 
 
-def wheel_speeds(world: RuleInputs) -> Iterator[Finding]:
-    """A wheel's speed changed as no wheel's does, or both wheels disagree for long."""
-    for wheel, step_kmh in world.observed.wheel_steps_kmh.items():
+def wheel_speeds(inputs: RuleInputs) -> Sequence[Finding]:
+    """Implausible change of a wheel's speed, or wheels that differ for long."""
+    found: list[Finding] = []
+    for wheel, step_kmh in inputs.observed.wheel_steps_kmh.items():
         subject, detail = f"{WHEELS_MESSAGE}.{wheel}", f"changed by {step_kmh:.1f} km/h"
-        yield Finding("wheel_speed_step", subject, Effect.ALARM, detail)
-    apart_ns = world.observed.wheels_apart_ns
-    if apart_ns is None or world.snapshot.stale(WHEELS_MESSAGE):
-        return
+        found.append(Finding("wheel_speed_step", subject, Effect.ALARM, detail))
+    apart_ns = inputs.observed.wheels_apart_ns
+    if apart_ns is None or inputs.snapshot.stale(WHEELS_MESSAGE):
+        return found
     if apart_ns >= _WHEELS_APART_NS:
         detail = f"wheels differ for {_milliseconds(apart_ns)}"
-        yield Finding("wheel_speed_difference", WHEELS_MESSAGE, Effect.ALARM, detail)
+        found.append(Finding("wheel_speed_difference", WHEELS_MESSAGE, Effect.ALARM, detail))
+    return found
 
 
-def unconfirmed(world: RuleInputs) -> Iterator[Finding]:
-    """Our frames do not leave: what we decide does not reach the motors."""
-    if world.unconfirmed_ticks >= _UNCONFIRMED_MAX_TICKS:
-        detail = f"for {world.unconfirmed_ticks} ticks"
-        yield Finding("unconfirmed", "own frames", Effect.STOP, detail)
+def unconfirmed(inputs: RuleInputs) -> Sequence[Finding]:
+    """Own frames not confirmed: no decision reaches the motors."""
+    if inputs.unconfirmed_ticks < _UNCONFIRMED_MAX_TICKS:
+        return ()
+    detail = f"for {inputs.unconfirmed_ticks} ticks"
+    return [Finding("unconfirmed", "own frames", Effect.STOP, detail)]
 
 
-def link_down(world: RuleInputs) -> Iterator[Finding]:
-    """The bus does not carry frames, or hardly."""
-    state = world.link.state
+def link_down(inputs: RuleInputs) -> Sequence[Finding]:
+    """Bus that carries no frames, or hardly any."""
+    state = inputs.link.state
     if state in (LinkState.BUS_OFF, LinkState.LOST):
-        yield Finding("link", "link", Effect.STOP, state.value)
-    elif world.passive_ns > _PASSIVE_MAX_NS:
-        detail = f"{LinkState.PASSIVE.value} for {_milliseconds(world.passive_ns)} of 5 s"
-        yield Finding("link", "link", Effect.STOP, detail)
+        return [Finding("link", "link", Effect.STOP, state.value)]
+    if inputs.passive_ns <= _PASSIVE_MAX_NS:
+        return ()
+    detail = f"{LinkState.PASSIVE.value} for {_milliseconds(inputs.passive_ns)} of 5 s"
+    return [Finding("link", "link", Effect.STOP, detail)]
 
 
-def foreign_sender(world: RuleInputs) -> Iterator[Finding]:
-    """Somebody else commands the motors."""
-    if world.foreign_sender is not None:
-        # The identifier is no part of the cause's key: there are thousands of them.
-        detail = f"{world.foreign_sender:08X}"
-        yield Finding("foreign_sender", "command", Effect.STOP, detail, latches=True)
+def foreign_sender(inputs: RuleInputs) -> Sequence[Finding]:
+    """Commands from another sender."""
+    if inputs.foreign_sender is None:
+        return ()
+    # The identifier is no part of the cause's key: there are thousands of them.
+    detail = f"{inputs.foreign_sender:08X}"
+    return [Finding("foreign_sender", "command", Effect.STOP, detail, latches=True)]
 
 
-def tick_late(world: RuleInputs) -> Iterator[Finding]:
-    """The gateway itself was away."""
-    yield from late(world.tick_late_ns, world.period_ns)
+def tick_late(inputs: RuleInputs) -> Sequence[Finding]:
+    """Tick too late: the gateway itself was held up."""
+    return late(inputs.tick_late_ns, inputs.period_ns)
 
 
-def late(late_ns: int, period_ns: int) -> Iterator[Finding]:
+def late(late_ns: int, period_ns: int) -> Sequence[Finding]:
     """The finding of a tick that comes so long after its period, where that is too long."""
-    if late_ns > _LATE_MAX_PERIODS * period_ns:
-        yield Finding("tick_late", "tick", Effect.STOP, _milliseconds(late_ns))
+    if late_ns <= _LATE_MAX_PERIODS * period_ns:
+        return ()
+    return [Finding("tick_late", "tick", Effect.STOP, _milliseconds(late_ns))]
 
 
-def emergency_stop(world: RuleInputs) -> Iterator[Finding]:
-    """Somebody pressed it."""
-    if world.emergency_stop:
-        yield Finding("emergency_stop", "emergency stop", Effect.CUT, "requested")
+def emergency_stop(inputs: RuleInputs) -> Sequence[Finding]:
+    """Emergency stop requested."""
+    if not inputs.emergency_stop:
+        return ()
+    return [Finding("emergency_stop", "emergency stop", Effect.CUT, "requested")]
 
 
-def gate_blocked(world: RuleInputs) -> Iterator[Finding]:
-    """The gate stopped a frame that the rest of the core wanted to send: a bug."""
-    if world.blocked_by_gate is not None:
-        yield blocked(world.blocked_by_gate)
+def gate_blocked(inputs: RuleInputs) -> Sequence[Finding]:
+    """Frame blocked by the gate: a bug in the rest of the core."""
+    return () if inputs.blocked_by_gate is None else [blocked(inputs.blocked_by_gate)]
 
 
 def blocked(rule: str) -> Finding:
@@ -257,8 +283,16 @@ def blocked(rule: str) -> Finding:
 
 
 def _milliseconds(duration_ns: int) -> str:
-    return f"{duration_ns // _MS} ms"
+    return f"{duration_ns // NS_PER_MS} ms"
 
+
+_OF_WHAT_IS_ODD: tuple[Rule, ...] = (
+    throttle_echo,
+    echo_below,
+    echo_direction,
+    speed_steps,
+    wheel_speeds,
+)
 
 RULES: tuple[Rule, ...] = (
     battery_codes,
@@ -267,11 +301,7 @@ RULES: tuple[Rule, ...] = (
     battery_life,
     stale,
     out_of_range,
-    throttle_echo,
-    echo_below,
-    echo_direction,
-    speed_steps,
-    wheel_speeds,
+    *_OF_WHAT_IS_ODD,
     unconfirmed,
     link_down,
     foreign_sender,
@@ -280,10 +310,12 @@ RULES: tuple[Rule, ...] = (
     gate_blocked,
 )
 
+_OF_AN_ORDINARY_TICK = tuple(rule for rule in RULES if rule not in _OF_WHAT_IS_ODD)
 
-def findings(world: RuleInputs) -> tuple[Finding, ...]:
-    """Everything that every rule finds."""
+
+def findings(inputs: RuleInputs) -> tuple[Finding, ...]:
+    """Findings of every rule."""
     found: list[Finding] = []
-    for rule in RULES:
-        found.extend(rule(world))
+    for rule in _OF_AN_ORDINARY_TICK if inputs.observed is NO_DEVIATION else RULES:
+        found += rule(inputs)
     return tuple(found)
