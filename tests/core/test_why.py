@@ -1,6 +1,7 @@
 """`why` answers in one line what a person needs at three in the morning."""
 
 import itertools
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -24,7 +25,7 @@ from vcu_gateway.core.why import LONGEST_CHARACTERS, Explanation, next_step
 def test_while_listening():
     drive = Drive()
     drive.silent |= {"BMS_Status", "PCU1_Status1", "PCU2_Status1", "BMS_Temperatures"}
-    drive.asked = None
+    drive.demanded = None
     drive.tick()
     assert drive.sentence == (
         "starting; listening for another sender of our frames; "
@@ -46,7 +47,7 @@ def test_in_a_healthy_standby():
 
 def test_in_standby_it_says_what_speaks_against_arming():
     drive = standby()
-    drive.asked = ControllerDemand(throttle_pct=5)
+    drive.demanded = ControllerDemand(throttle_pct=5)
     drive.tick()
     assert drive.sentence == (
         "standby; demand of driver 0 ms old; before arming: the demanded throttle is not 0"
@@ -55,7 +56,7 @@ def test_in_standby_it_says_what_speaks_against_arming():
 
 def test_an_expired_demand_is_told_with_its_age():
     drive = standby()
-    drive.asked = None
+    drive.demanded = None
     drive.run(300)
     assert drive.sentence == (
         "standby; demand of driver 300 ms old, expired; before arming: there is no fresh demand"
@@ -64,7 +65,7 @@ def test_an_expired_demand_is_told_with_its_age():
 
 def test_a_bench_demand_has_no_age():
     drive = Drive(bench_demand=ControllerDemand())
-    drive.asked = None
+    drive.demanded = None
     drive.until(Mode.STANDBY).run(1500)
     assert drive.sentence == "standby; demand of bench; arm"
 
@@ -217,9 +218,9 @@ def test_the_headline_of_a_fault_names_what_latched():
 # Of many causes the sentence names what matters most, and counts the rest.
 
 
-def told(**parts: object) -> str:
+def told(**parts: Any) -> str:
     """The sentence of a drive one second old with these parts."""
-    bare = {
+    bare: dict[str, Any] = {
         "now_ns": 1_000 * MS,
         "judged_ns": 1_000 * MS,
         "mode": Mode.STARTING,
@@ -243,9 +244,9 @@ def held(*subjects: str, effect: Effect = Effect.STOP, detail: str = "old", seen
 
 
 def test_a_fresh_start_on_a_silent_bus_is_told_in_a_short_sentence():
-    drive = Drive(required=RECEIVED)
+    drive = Drive(required_messages=RECEIVED)
     drive.silent |= set(RECEIVED)
-    drive.asked = None
+    drive.demanded = None
     for _ in range(100):
         drive.tick()
         assert len(drive.sentence) <= LONGEST_CHARACTERS

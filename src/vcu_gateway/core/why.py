@@ -1,12 +1,15 @@
-"""Why the gateway does what it does, as a value and as a line."""
+"""Explanation of the gateway's state, as a value and as one line."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, HeldCause
-from vcu_gateway.core.demand import DemandArbiter
+from vcu_gateway.core.commands import Commander
+from vcu_gateway.core.demand import ControllerDemands, DemandArbiter, PowerMode
+from vcu_gateway.core.pedals import ThrottleHold
+from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Supervisor
-from vcu_gateway.units import NS_PER_MS
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 LONGEST_CHARACTERS = 200
 """Of a sentence."""
@@ -51,7 +54,7 @@ class Explanation:
     next_step: str
 
     def sentence(self) -> str:
-        """What matters most of it in one line of at most 200 characters."""
+        """Most important part of it in one line of at most 200 characters."""
         forms = self._forms()
         for part in _SHORTENED:
             if len(_joined(forms)) <= LONGEST_CHARACTERS:
@@ -90,26 +93,28 @@ class Explanation:
     def _causes(self, what: str, held: tuple[HeldCause, ...]) -> list[str]:
         """Causes but those of messages that are waited for anyhow."""
         waited = {_message(wait) for wait in self.waits}
-        told = [one for one in held if one.finding.subject not in waited]
-        if not told:
+        shown = [one for one in held if one.finding.subject not in waited]
+        if not shown:
             return [""] * (len(_NAMED) + 2)
-        count = f"{what} {len(told)} cause" + ("s" if len(told) > 1 else "")
-        return [*(self._told(what, told, most) for most in _NAMED), count, ""]
+        count = f"{what} {len(shown)} cause" + ("s" if len(shown) > 1 else "")
+        return [*(self._grouped(what, shown, most) for most in _NAMED), count, ""]
 
-    def _told(self, what: str, held: list[HeldCause], most: int) -> str:
-        """Causes of which the same is to be said in one group, the most severe group first."""
+    def _grouped(self, what: str, held: list[HeldCause], most: int) -> str:
+        """Causes with the same description in one group, the most severe group first."""
         groups: dict[str, list[str]] = {}
         for one in sorted(held, key=self._rank):
-            groups.setdefault(self._said(one), []).append(one.finding.subject)
-        told = [f"{_listed(subjects, most)}{said}" for said, subjects in groups.items()]
+            groups.setdefault(self._description(one), []).append(one.finding.subject)
+        shown = [
+            f"{_listed(subjects, most)}{description}" for description, subjects in groups.items()
+        ]
         left = sum(len(subjects) for subjects in list(groups.values())[most:])
-        return f"{what} {', '.join(told[:most])}" + (f" and {left} more" if left else "")
+        return f"{what} {', '.join(shown[:most])}" + (f" and {left} more" if left else "")
 
     def _rank(self, held: HeldCause) -> tuple[bool, bool]:
         return held.finding.effect is not Effect.CUT, not held.stands(self.judged_ns)
 
-    def _said(self, held: HeldCause) -> str:
-        since = f"for {(self.now_ns - held.since_ns) / 1e9:.1f} s"
+    def _description(self, held: HeldCause) -> str:
+        since = f"for {(self.now_ns - held.since_ns) / NS_PER_S:.1f} s"
         gone = "" if held.stands(self.judged_ns) else ", gone and held"
         return f"{str(held.finding).removeprefix(held.finding.subject)} ({since}{gone})"
 
@@ -122,7 +127,7 @@ class Explanation:
         return f"demand of {self.demand_source} {self.demand_age_ns // NS_PER_MS} ms old{state}"
 
     def signature(self) -> tuple[object, ...]:
-        """What a person would call the same answer: all but ages and values."""
+        """Key of answers that are the same to a person: all but ages and values."""
         keys = tuple(held.finding.key for held in self.blocks + self.limits + self.alarms)
         return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
 
@@ -161,38 +166,38 @@ def _first(what: str, held: tuple[HeldCause, ...]) -> str:
 
 
 class ExplanationInputs(NamedTuple):
-    """Where the answer comes from; `judged_ns` is the tick that last judged the causes."""
+    """Inputs of an explanation; `judged_ns` is the tick that last judged the causes."""
 
     judged_ns: int
     supervisor: Supervisor
     causes: Causes
-    desk: DemandArbiter
+    arbiter: DemandArbiter
 
 
 def explained(
-    facts: ExplanationInputs, waits: tuple[str, ...], refusal: str, now_ns: int
+    inputs: ExplanationInputs, waits: tuple[str, ...], refusal: str, now_ns: int
 ) -> Explanation:
     """The answer now; `refusal` is why arming or resetting would be refused, or empty."""
-    mode, latch, demand = facts.supervisor.mode, facts.supervisor.latch, facts.desk.current
+    mode, latch, demand = inputs.supervisor.mode, inputs.supervisor.latch, inputs.arbiter.current
     return Explanation(
         now_ns=now_ns,
-        judged_ns=facts.judged_ns,
+        judged_ns=inputs.judged_ns,
         mode=mode,
         latch=latch,
-        blocks=facts.causes.having(BLOCKING),
-        limits=facts.causes.having(LIMITING),
-        alarms=facts.causes.having(frozenset({Effect.ALARM})),
+        blocks=inputs.causes.having(BLOCKING),
+        limits=inputs.causes.having(LIMITING),
+        alarms=inputs.causes.having(frozenset({Effect.ALARM})),
         waits=waits,
         demand_source=None if demand is None else demand.source,
-        demand_age_ns=facts.desk.age_ns(now_ns),
+        demand_age_ns=inputs.arbiter.age_ns(now_ns),
         demand_ttl_ms=None if demand is None else demand.ttl_ms,
-        demand_fresh=facts.desk.fresh(now_ns),
+        demand_fresh=inputs.arbiter.fresh(now_ns),
         next_step=next_step(mode, latch, refusal),
     )
 
 
 def next_step(mode: Mode, latch: LatchedFault | None, refusal: str) -> str:
-    """What to do now; `refusal` is why arming or resetting would be refused, or empty."""
+    """Next step of the operator; `refusal` is the reason against arming or resetting, or empty."""
     if mode is Mode.FAULT:
         level = "service " if latch and latch.fault_class is FaultClass.SERVICE else ""
         return f"first: {refusal}; then {level}reset" if refusal else f"{level}reset"
@@ -203,3 +208,39 @@ def next_step(mode: Mode, latch: LatchedFault | None, refusal: str) -> str:
         Mode.ACTIVE: "drive; disarm to end",
         Mode.STOPPING: "the gateway is ending",
     }[mode]
+
+
+def waits(
+    commander: Commander,
+    demanded: ControllerDemands | None,
+    speeds_rpm: tuple[float | None, ...],
+    settings: Settings,
+) -> list[str]:
+    """Reasons for a throttle of 0 against the demand; `demanded` is None without a fresh one."""
+    found = []
+    if latched := commander.pedals.latched:
+        reasons = ", ".join(hold.value for hold in ThrottleHold if hold in latched)
+        found.append(f"throttle 0 until released below 5 %: {reasons}")
+    if demanded is None:
+        return found
+    if commander.reverse_pending(demanded):
+        found.append(_turning(demanded, speeds_rpm, settings.direction_change_rpm))
+    safety = [name for name, one in demanded.items() if one.power_mode is PowerMode.SAFETY]
+    if safety:
+        found.append(f"throttle 0 in power mode safety ({' and '.join(safety)})")
+    return found
+
+
+def _turning(
+    demanded: ControllerDemands, speeds_rpm: tuple[float | None, ...], limit_rpm: float
+) -> str:
+    """What a change of direction waits for; after it nothing but the next tick is missing."""
+    speeds = dict(zip(demanded, speeds_rpm, strict=True))
+    unknown = [name for name, speed in speeds.items() if speed is None]
+    fast = [name for name, speed in speeds.items() if speed is not None and speed >= limit_rpm]
+    sentence = "throttle 0 until the direction changes"
+    if unknown:
+        sentence += f"; speed unknown of {' and '.join(unknown)}"
+    if fast:
+        sentence += f"; not below {limit_rpm:g} rpm: {' and '.join(fast)}"
+    return sentence
