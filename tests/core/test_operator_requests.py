@@ -1,15 +1,22 @@
-"""Why a request is refused: the first reason against it, as a sentence."""
+"""Requests: when they are refused and why, their events, and what a reload reaches."""
+
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from tests.core.safety_world import MS
+from tests.core.safety_world import MS, PERIOD_NS, active, standby
 from vcu_gateway.core.causes import Causes, Effect, Finding
-from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.permission import Pedal, against_arming, against_resetting
+from vcu_gateway.core.demand import ControllerDemand, Demand
+from vcu_gateway.core.operator_requests import (
+    LISTENING,
+    RequestInputs,
+    arming_refusal,
+    reset_refusal,
+)
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 
-NOTHING_ASKED = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand()}
-RELEASED = Pedal(NOTHING_ASKED, zero_for_ns=200 * MS)
+NOTHING_DEMANDED = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand()}
 DRIVER, SERVICE = FaultClass.DRIVER, FaultClass.SERVICE
 
 
@@ -38,8 +45,14 @@ STOPPED = (Stimulus.LATCHING_STOP,)
 CUT = (Stimulus.CUT,)
 
 
+def inputs(*stimuli: Stimulus, found: Causes | None = None, **changes: Any) -> RequestInputs:
+    """A released throttle without a cause, after these stimuli, but for the changes."""
+    healthy = RequestInputs(supervisor(*stimuli), found or causes(), NOTHING_DEMANDED, 200 * MS)
+    return healthy._replace(**changes)
+
+
 def test_a_healthy_standby_with_a_fresh_demand_of_nothing_may_be_armed():
-    assert against_arming(supervisor(*STANDBY), causes(), RELEASED) == ""
+    assert arming_refusal(inputs(*STANDBY)) == ""
 
 
 @pytest.mark.parametrize(
@@ -52,14 +65,13 @@ def test_a_healthy_standby_with_a_fresh_demand_of_nothing_may_be_armed():
     ],
 )
 def test_arming_needs_standby(stimuli, mode):
-    sentence = against_arming(supervisor(*stimuli), causes(), RELEASED)
+    sentence = arming_refusal(inputs(*stimuli))
     assert sentence == f"arming needs standby, the mode is {mode}"
 
 
 @pytest.mark.parametrize("zero_for_ns", [None, 0, 200 * MS - 1])
 def test_a_throttle_that_was_not_zero_for_200_ms_refuses_arming(zero_for_ns):
-    pedal = RELEASED._replace(zero_for_ns=zero_for_ns)
-    sentence = against_arming(supervisor(*STANDBY), causes(), pedal)
+    sentence = arming_refusal(inputs(*STANDBY, zero_for_ns=zero_for_ns))
     assert sentence == "the demanded throttle has not been 0 for 200 ms"
 
 
@@ -68,16 +80,16 @@ def test_a_throttle_that_was_not_zero_for_200_ms_refuses_arming(zero_for_ns):
     [(False, "both controllers must have the same direction"), (True, "")],
 )
 def test_two_directions_refuse_arming_unless_they_are_configured(independent, sentence):
-    asked = NOTHING_ASKED | {"PCU2": ControllerDemand(motor_reverse=True)}
-    pedal = RELEASED._replace(asked=asked, independent_directions=independent)
-    assert against_arming(supervisor(*STANDBY), causes(), pedal) == sentence
+    demanded = NOTHING_DEMANDED | {"PCU2": ControllerDemand(motor_reverse=True)}
+    two = inputs(*STANDBY, demanded=demanded, independent_directions=independent)
+    assert arming_refusal(two) == sentence
 
 
 @pytest.mark.parametrize("absent_ms", [0, 1, 999])
 @pytest.mark.parametrize("effect", [Effect.STOP, Effect.CUT])
 def test_a_violation_that_stands_or_stood_a_moment_ago_refuses_arming(effect, absent_ms):
     found = causes(effect, absent_ms=absent_ms)
-    sentence = against_arming(supervisor(*STANDBY), found, RELEASED)
+    sentence = arming_refusal(inputs(*STANDBY, found=found))
     assert sentence == f"BMS_Status.X 2: {effect.value} stands or stood a moment ago"
 
 
@@ -86,42 +98,41 @@ def test_a_violation_that_stands_or_stood_a_moment_ago_refuses_arming(effect, ab
     [Effect.ALARM, Effect.TURBO_OFF, Effect.POWER_LIMIT, Effect.REGEN_LIMIT, Effect.REGEN_OFF],
 )
 def test_alarms_and_limits_do_not_refuse_arming(effect):
-    assert against_arming(supervisor(*STANDBY), causes(effect), RELEASED) == ""
+    assert arming_refusal(inputs(*STANDBY, found=causes(effect))) == ""
 
 
 def test_a_violation_absent_for_the_hold_no_longer_refuses_arming():
     found = causes(Effect.STOP, absent_ms=1000)
-    assert against_arming(supervisor(*STANDBY), found, RELEASED) == ""
+    assert arming_refusal(inputs(*STANDBY, found=found)) == ""
 
 
 def test_without_a_fresh_demand_arming_is_refused():
-    sentence = against_arming(supervisor(*STANDBY), causes(), Pedal(None, None))
+    sentence = arming_refusal(inputs(*STANDBY, demanded=None, zero_for_ns=None))
     assert sentence == "there is no fresh demand"
 
 
-@pytest.mark.parametrize("asked", [(0.39, 0), (0, 0.39), (1e-9, 0), (100, 100)])
-def test_arming_is_refused_while_either_throttle_is_asked(asked):
-    sentence = against_arming(supervisor(*STANDBY), causes(), Pedal(throttle(*asked), None))
+@pytest.mark.parametrize("demanded", [(0.39, 0), (0, 0.39), (1e-9, 0), (100, 100)])
+def test_arming_is_refused_while_either_throttle_is_demanded(demanded):
+    pressed = inputs(*STANDBY, demanded=throttle(*demanded), zero_for_ns=None)
+    sentence = arming_refusal(pressed)
     assert sentence == "the demanded throttle is not 0"
 
 
 def test_arming_is_refused_while_a_change_of_direction_is_pending():
-    sentence = against_arming(
-        supervisor(*STANDBY), causes(), RELEASED._replace(reverse_pending=True)
-    )
+    sentence = arming_refusal(inputs(*STANDBY, reverse_pending=True))
     assert sentence == "a change of direction is pending"
 
 
 @pytest.mark.parametrize("stimuli", [(), STANDBY, (*STANDBY, Stimulus.ARM), (Stimulus.TERMINATE,)])
 def test_outside_fault_there_is_nothing_to_reset(stimuli):
-    sentence = against_resetting(supervisor(*stimuli), causes(), None, SERVICE)
+    sentence = reset_refusal(inputs(*stimuli, demanded=None), SERVICE)
     assert sentence == "nothing is latched"
 
 
 def test_a_latch_that_is_kept_while_ending_cannot_be_reset():
-    ending = supervisor(*CUT, Stimulus.TERMINATE)
-    assert ending.latch is not None
-    assert against_resetting(ending, causes(), None, SERVICE) == "nothing is latched"
+    ending = inputs(*CUT, Stimulus.TERMINATE, demanded=None)
+    assert ending.supervisor.latch is not None
+    assert reset_refusal(ending, SERVICE) == "nothing is latched"
 
 
 @pytest.mark.parametrize(
@@ -135,22 +146,103 @@ def test_a_latch_that_is_kept_while_ending_cannot_be_reset():
     ],
 )
 def test_a_cut_needs_a_reset_at_service_level(stimuli, level, granted):
-    stopped = supervisor(*stimuli)
-    sentence = against_resetting(stopped, causes(), NOTHING_ASKED, level)
+    stopped = inputs(*stimuli)
+    sentence = reset_refusal(stopped, level)
     needs = "BMS_Status.InternalFault 1 (level2): cut needs a reset at service level"
     assert sentence == ("" if granted else needs)
-    assert stopped.mode is Mode.FAULT
+    assert stopped.supervisor.mode is Mode.FAULT
 
 
 @pytest.mark.parametrize(("absent_ms", "granted"), [(0, False), (999, False), (1000, True)])
 def test_a_reset_is_refused_while_the_cause_stands_or_was_seen_in_the_hold(absent_ms, granted):
     found = causes(Effect.STOP, absent_ms=absent_ms)
-    sentence = against_resetting(supervisor(*STOPPED), found, NOTHING_ASKED, DRIVER)
+    sentence = reset_refusal(inputs(*STOPPED, found=found), DRIVER)
     assert sentence == ("" if granted else "BMS_Status.X 2: stop stands or stood a moment ago")
 
 
-def test_a_reset_is_refused_while_throttle_is_asked_and_not_for_want_of_a_demand():
-    stopped = supervisor(*STOPPED)
-    asked = throttle(0, 1)
-    assert against_resetting(stopped, causes(), asked, DRIVER) == "the demanded throttle is not 0"
-    assert against_resetting(stopped, causes(), None, DRIVER) == ""
+def test_a_reset_is_refused_while_throttle_is_demanded_and_not_for_want_of_a_demand():
+    pressed = inputs(*STOPPED, demanded=throttle(0, 1))
+    assert reset_refusal(pressed, DRIVER) == "the demanded throttle is not 0"
+    assert reset_refusal(pressed._replace(demanded=None), DRIVER) == ""
+
+
+def test_too_many_restarts_refuse_arming_and_not_resetting():
+    assert arming_refusal(inputs(*STANDBY, restarts=2)) == ""
+    assert "was restarted 3 times" in arming_refusal(inputs(*STANDBY, restarts=3))
+    assert reset_refusal(inputs(*STOPPED, restarts=3), DRIVER) == ""
+
+
+def test_while_listening_nothing_is_armed_or_reset():
+    assert arming_refusal(inputs(*STANDBY, listening=True)) == LISTENING
+    assert reset_refusal(inputs(*STOPPED, listening=True), DRIVER) == LISTENING
+
+
+def owners(drive) -> list[object]:
+    drive.tick()
+    return [event.fields["source"] for event in drive.events if event.name == "demand_owner"]
+
+
+def demand_of(source: str, sequence: int = 1, ttl_ms: int = 200) -> Demand:
+    both = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand()}
+    return Demand(source, sequence, ttl_ms, both)
+
+
+def test_a_new_owner_of_the_demand_is_told_once():
+    drive = standby()
+    drive.demanded = None
+    drive.run(400)
+    for sequence in (1, 2):
+        drive.gateway.requests.offer(demand_of("remote", sequence), drive.now_ns)
+    assert owners(drive) == ["driver", "remote"]
+
+
+def test_a_refused_source_is_no_owner():
+    drive = standby()
+    assert not drive.gateway.requests.offer(demand_of("remote"), drive.now_ns).granted
+    assert owners(drive) == ["driver"]
+
+
+def test_the_time_that_a_demand_waited_counts_for_the_tracks_of_the_pedal():
+    drive = active()
+    drive.demanded = None
+    apart = ControllerDemand(20.0, throttle_track2_pct=40.0)
+    assert drive.offer(apart, made_ns=drive.now_ns - 60 * MS).granted
+    drive.tick()
+    assert "the pedal's tracks differ" in drive.sentence
+
+
+def test_a_request_to_arm_that_comes_too_late_finds_the_fault_of_the_late_tick():
+    drive = active()
+    drive.now_ns += 5 * PERIOD_NS + 1
+    assert drive.arm().sentence == "arming needs standby, the mode is fault"
+
+
+def test_a_drive_armed_while_the_tick_is_late_is_latched_by_the_next_request():
+    drive = standby()
+    drive.ttl_ms = 1000
+    drive.tick()
+    drive.now_ns += 5 * PERIOD_NS + 1
+    assert drive.arm().granted
+    assert drive.gateway.requests.disarm(drive.now_ns).granted
+    assert drive.mode is Mode.FAULT
+
+
+def test_a_reload_reaches_the_gate():
+    drive = active()
+    settings = replace(drive.gateway.settings, power_limit_max_w=1000)
+    assert drive.gateway.reload(settings).granted
+    assert drive.gateway.transmitter.gate.limits.power_limit_max_w == 1000.0
+
+
+def test_the_bench_demand_asks_for_no_throttle_before_it_is_armed():
+    bench = ControllerDemand(throttle_pct=30)
+    drive = standby(bench_demand=bench)
+    assert drive.mode is Mode.STANDBY
+    demanded = drive.gateway.requests.demanded(drive.now_ns)
+    assert {one.throttle_pct for one in demanded.values()} == {0.0}
+
+
+def test_without_any_demand_nothing_is_asked():
+    drive = standby()
+    drive.gateway.requests.arbiter.end("driver")
+    assert drive.gateway.requests.demanded(drive.now_ns) is None

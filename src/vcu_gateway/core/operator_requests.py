@@ -1,121 +1,138 @@
-"""What people and programs may ask for: demand, arming, resetting, new settings.
+"""Requests of operators: demand, arming, resetting, emergency stop; granted or refused.
 
 Before a request may change the mode the lateness of the tick is judged: a gateway that was away
-in ACTIVE has latched its fault before anybody ends the drive in another way.
+in ACTIVE has latched its fault before a request ends the drive in another way.
 """
 
 import dataclasses
-from collections.abc import Callable
+from typing import NamedTuple
 
-from vcu_gateway.core import permission
-from vcu_gateway.core.causes import Causes
+from vcu_gateway.core.causes import BLOCKING, Causes
 from vcu_gateway.core.commands import Commander
 from vcu_gateway.core.demand import (
     BENCH_SOURCE,
     GRANTED,
+    ControllerDemands,
     Demand,
     DemandArbiter,
     DemandTerms,
     Refusal,
     RequestResult,
+    directions_differ,
     refused,
 )
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.lifecycle import ListenBeforeTalk
-from vcu_gateway.core.permission import Asked, Pedal
+from vcu_gateway.core.mode_manager import ModeManager
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
-from vcu_gateway.core.transmit import Transmitter
+from vcu_gateway.units import NS_PER_MS
 
-# With this many unexpected starts in one drive nobody knows what the next minute brings.
-_RESTARTS_AT_MOST = 2
+RELEASED_MS = 200
+"""How long the demanded throttle has to be 0 before arming."""
+
+# After this many unexpected restarts in one drive another one is to be expected.
+_RESTARTS_MAX = 2
 
 LISTENING = "listening for another sender of our frames"
 
-Apply = Callable[[Stimulus, int, str], None]
-"""Gives the supervisor a stimulus, at a time, with its reason."""
 
+class RequestInputs(NamedTuple):
+    """Conditions that arming and resetting are judged by, at one instant.
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Parts:
-    """What a request is judged by and may change."""
+    Attributes:
+        zero_for_ns: how long every demand had a throttle of 0; None where the last has not.
+        reverse_pending: the demanded direction is not the applied one.
+        independent_directions: the controllers may have two directions.
+        listening: another sender of the gateway's frames may still be heard.
+        restarts: unexpected restarts of the gateway in this drive.
+    """
 
     supervisor: Supervisor
     causes: Causes
-    commander: Commander
-    listening: ListenBeforeTalk
-    output: Transmitter
-    apply: Apply
-    judge_lateness: Callable[[int], None]
-    tell: Callable[[Event], None]
+    demanded: ControllerDemands | None
+    zero_for_ns: int | None
+    reverse_pending: bool = False
+    independent_directions: bool = False
+    listening: bool = False
+    restarts: int = 0
 
 
 class OperatorRequests:
-    """Grants or refuses, on the ticking thread, with a sentence.
+    """Requests as they come, on the ticking thread; each is answered with a `RequestResult`.
 
     Attributes:
-        settings: what is in effect.
-        desk: whose demand counts.
-        emergency_stop_asked: since the last tick; terminating: asked to end.
-        restarts: unexpected starts of this gateway in this drive.
+        arbiter: takes demands and knows the one that counts.
+        terms: what a demand has to be.
+        emergency_stop_requested: since the last tick.
+        terminating: the gateway is to send safe frames and end.
+        restarts: unexpected restarts of this gateway in this drive.
     """
 
-    def __init__(self, settings: Settings, parts: Parts) -> None:
-        self.settings = settings
-        self.desk = DemandArbiter(settings.bench_demand)
-        self.emergency_stop_asked = False
+    def __init__(
+        self,
+        settings: Settings,
+        modes: ModeManager,
+        commander: Commander,
+        listening: ListenBeforeTalk,
+    ) -> None:
+        self.arbiter = DemandArbiter(settings.bench_demand)
+        self.terms = demand_terms(settings)
+        self.emergency_stop_requested = False
         self.terminating = False
         self.restarts = 0
-        self._parts = parts
+        self._modes = modes
+        self._commander = commander
+        self._listening = listening
 
     def offer(self, demand: Demand, now_ns: int) -> RequestResult:
-        """Take a demand of a source, or say why not."""
-        self._parts.judge_lateness(now_ns)
-        before = self.desk.current
-        if not self.desk.fresh(now_ns):
+        """Take a demand of a source, or refuse it."""
+        self._modes.judge_lateness(now_ns)
+        before = self.arbiter.current
+        if not self.arbiter.fresh(now_ns):
             # It expired between two ticks: a new one does not continue the drive.
-            self._parts.apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
-            self._parts.commander.pedals.interrupted()
-        answer = self.desk.offer(demand, _terms(self.settings), now_ns)
-        if answer.granted:
+            self._modes.apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
+            self._commander.pedals.interrupted()
+        result = self.arbiter.offer(demand, self.terms, now_ns)
+        if result.granted:
             self._judge(demand, before, now_ns)
-        return answer
+        return result
 
     def _judge(self, demand: Demand, before: Demand | None, now_ns: int) -> None:
         """A granted demand counts from now on, also where another follows before the tick."""
-        pedals = self._parts.commander.pedals
+        pedals = self._commander.pedals
         if before is None or before.source != demand.source:
-            self._parts.tell(Event("demand_owner", Severity.INFO, {"source": demand.source}))
-            if self._parts.supervisor.mode is Mode.ACTIVE:
+            self._modes.emit(Event("demand_owner", Severity.INFO, {"source": demand.source}))
+            if self._modes.supervisor.mode is Mode.ACTIVE:
                 pedals.taken_over()
         made_ns = now_ns if demand.made_ns is None else demand.made_ns
         pedals.judge(demand.controllers, made_ns, now_ns)
 
     def end_demand(self, source: str, now_ns: int) -> RequestResult:
-        """The owner's demand counts no more, and the drive ends; refused for any other source."""
-        self._parts.judge_lateness(now_ns)
-        answer = self.desk.end(source)
-        if answer.granted:
-            self._parts.apply(Stimulus.DEMAND_EXPIRED, now_ns, f"{source} ended its demand")
-        return answer
+        """End the owner's demand, and the drive with it; refused for any other source."""
+        self._modes.judge_lateness(now_ns)
+        result = self.arbiter.end(source)
+        if result.granted:
+            self._modes.apply(Stimulus.DEMAND_EXPIRED, now_ns, f"{source} ended its demand")
+        return result
 
     def arm(self, now_ns: int) -> RequestResult:
-        """Ask for ACTIVE; granted in STANDBY where nothing speaks against it."""
-        self._parts.judge_lateness(now_ns)
-        if why_not := self.against_arming(now_ns):
-            return self._refuse("arm", why_not)
-        self._parts.apply(Stimulus.ARM, now_ns, "armed on request")
+        """Enter ACTIVE from STANDBY; refused where `against_arming` has a reason."""
+        self._modes.judge_lateness(now_ns)
+        if reason := self.against_arming(now_ns):
+            return self.refuse("arm", reason)
+        self._modes.apply(Stimulus.ARM, now_ns, "armed on request")
         return GRANTED
 
     def disarm(self, now_ns: int) -> RequestResult:
         """Leave ACTIVE for STANDBY; always granted."""
-        self._parts.judge_lateness(now_ns)
-        self._parts.apply(Stimulus.DISARM, now_ns, "disarmed on request")
+        self._modes.judge_lateness(now_ns)
+        self._modes.apply(Stimulus.DISARM, now_ns, "disarmed on request")
         return GRANTED
 
     def emergency_stop(self) -> RequestResult:
         """Cut the power in the next tick; always granted."""
-        self.emergency_stop_asked = True
+        self.emergency_stop_requested = True
         return GRANTED
 
     def terminate(self) -> None:
@@ -123,71 +140,58 @@ class OperatorRequests:
         self.terminating = True
 
     def reset(self, level: FaultClass, now_ns: int) -> RequestResult:
-        """Leave FAULT for STANDBY; refused while anything speaks against it."""
-        if why_not := self.against_resetting(level, now_ns):
-            return self._refuse("reset", why_not)
-        self._parts.apply(Stimulus.RESET, now_ns, f"reset at {level.value} level")
+        """Leave FAULT for STARTING; refused where `against_resetting` has a reason."""
+        if reason := self.against_resetting(level, now_ns):
+            return self.refuse("reset", reason)
+        self._modes.apply(Stimulus.RESET, now_ns, f"reset at {level.value} level")
         return GRANTED
 
-    def reload(self, settings: Settings) -> RequestResult:
-        """Take new settings whole or not at all; while ACTIVE only stricter limits."""
-        if names := [name for name in changed(self.settings, settings) if name in RESTART_ONLY]:
-            return self._refuse("reload", f"these need a restart: {', '.join(names)}")
-        active = self._parts.supervisor.mode is Mode.ACTIVE
-        if active and (looser := loosened(self.settings, settings)):
-            sentence = f"while active, limits may only become stricter: {', '.join(looser)}"
-            return self._refuse("reload", sentence)
-        self.settings = settings
-        self._parts.output.reload(settings)
-        return GRANTED
-
-    def _refuse(self, request: str, sentence: str) -> RequestResult:
-        fields = {"request": request, "sentence": sentence}
-        self._parts.tell(Event("request_refused", Severity.WARNING, fields))
-        return refused(Refusal.NOT_ALLOWED_NOW, sentence)
+    def refuse(self, request: str, reason: str) -> RequestResult:
+        """Refuse a request, with an event."""
+        fields = {"request": request, "sentence": reason}
+        self._modes.emit(Event("request_refused", Severity.WARNING, fields))
+        return refused(Refusal.NOT_ALLOWED_NOW, reason)
 
     def against_arming(self, now_ns: int) -> str:
-        """Why ACTIVE cannot be entered now; empty where nothing speaks against it."""
-        parts = self._parts
-        if self.restarts > _RESTARTS_AT_MOST:
-            return _restarted_too_often(self.restarts)
-        if not parts.listening.over:
-            return LISTENING
-        asked = self.asked(now_ns)
-        pedal = Pedal(
-            asked=asked,
-            zero_for_ns=parts.commander.pedals.zero_for_ns(now_ns),
-            reverse_pending=asked is not None and parts.commander.reverse_pending(asked),
-            independent_directions=self.settings.independent_directions,
-        )
-        return permission.against_arming(parts.supervisor, parts.causes, pedal)
+        """First reason against entering ACTIVE now; empty where there is none."""
+        return arming_refusal(self._inputs(now_ns))
 
     def against_resetting(self, level: FaultClass, now_ns: int) -> str:
-        """Why FAULT cannot be left now; empty where nothing speaks against it."""
-        parts = self._parts
-        if not parts.listening.over:
-            return LISTENING
-        asked = self.asked(now_ns)
-        return permission.against_resetting(parts.supervisor, parts.causes, asked, level)
+        """First reason against leaving FAULT now at this level; empty where there is none."""
+        return reset_refusal(self._inputs(now_ns), level)
 
-    def asked(self, now_ns: int) -> Asked:
-        """What is asked of each controller; None without a fresh demand.
+    def _inputs(self, now_ns: int) -> RequestInputs:
+        demanded = self.demanded(now_ns)
+        return RequestInputs(
+            supervisor=self._modes.supervisor,
+            causes=self._modes.causes,
+            demanded=demanded,
+            zero_for_ns=self._commander.pedals.zero_for_ns(now_ns),
+            reverse_pending=demanded is not None and self._commander.reverse_pending(demanded),
+            independent_directions=self.terms.independent_directions,
+            listening=not self._listening.over,
+            restarts=self.restarts,
+        )
+
+    def demanded(self, now_ns: int) -> ControllerDemands | None:
+        """Demand of each controller; None without a fresh demand.
 
         The bench demand's throttle counts in ACTIVE only: it never changes, so it could
         otherwise never be armed with a throttle of 0.
         """
-        demand = self.desk.current
-        if demand is None or not self.desk.fresh(now_ns):
+        demand = self.arbiter.current
+        if demand is None or not self.arbiter.fresh(now_ns):
             return None
-        if demand.source != BENCH_SOURCE or self._parts.supervisor.mode is Mode.ACTIVE:
+        if demand.source != BENCH_SOURCE or self._modes.supervisor.mode is Mode.ACTIVE:
             return demand.controllers
         return {
-            name: dataclasses.replace(asked, throttle_pct=0.0)
-            for name, asked in demand.controllers.items()
+            name: dataclasses.replace(one, throttle_pct=0.0)
+            for name, one in demand.controllers.items()
         }
 
 
-def _terms(settings: Settings) -> DemandTerms:
+def demand_terms(settings: Settings) -> DemandTerms:
+    """Terms of a demand, from the settings."""
     return DemandTerms(
         ttl_max_ms=settings.ttl_max_ms,
         priorities=settings.priorities,
@@ -196,8 +200,67 @@ def _terms(settings: Settings) -> DemandTerms:
     )
 
 
+def arming_refusal(inputs: RequestInputs) -> str:
+    """First reason against entering ACTIVE; empty where there is none."""
+    if inputs.restarts > _RESTARTS_MAX:
+        return _restarted_too_often(inputs.restarts)
+    if inputs.listening:
+        return LISTENING
+    if inputs.supervisor.mode is not Mode.STANDBY:
+        return f"arming needs standby, the mode is {inputs.supervisor.mode.value}"
+    return _blocking_cause(inputs.causes) or _against_demand(inputs)
+
+
 def _restarted_too_often(times: int) -> str:
     return (
         f"the gateway was restarted {times} times in this drive; find out why, then restart"
         " the service"
     )
+
+
+def _against_demand(inputs: RequestInputs) -> str:
+    if inputs.demanded is None:
+        return "there is no fresh demand"
+    if _throttle_demanded(inputs.demanded):
+        return "the demanded throttle is not 0"
+    if inputs.zero_for_ns is None or inputs.zero_for_ns < RELEASED_MS * NS_PER_MS:
+        return f"the demanded throttle has not been 0 for {RELEASED_MS} ms"
+    if not inputs.independent_directions and directions_differ(inputs.demanded):
+        return "both controllers must have the same direction"
+    if inputs.reverse_pending:
+        return "a change of direction is pending"
+    return ""
+
+
+def reset_refusal(inputs: RequestInputs, level: FaultClass) -> str:
+    """First reason against leaving FAULT at this level; empty where there is none."""
+    if inputs.listening:
+        return LISTENING
+    latch = inputs.supervisor.latch
+    if latch is None or inputs.supervisor.mode is not Mode.FAULT:
+        return "nothing is latched"
+    if latch.fault_class is FaultClass.SERVICE and level is not FaultClass.SERVICE:
+        return f"{latch.reason} needs a reset at service level"
+    if reason := _blocking_cause(inputs.causes):
+        return reason
+    if _throttle_demanded(inputs.demanded):
+        return "the demanded throttle is not 0"
+    return ""
+
+
+def reload_refusal(before: Settings, after: Settings, mode: Mode) -> str:
+    """First reason against taking new settings; while ACTIVE limits only become stricter."""
+    if names := [name for name in changed(before, after) if name in RESTART_ONLY]:
+        return f"these need a restart: {', '.join(names)}"
+    if mode is Mode.ACTIVE and (looser := loosened(before, after)):
+        return f"while active, limits may only become stricter: {', '.join(looser)}"
+    return ""
+
+
+def _blocking_cause(causes: Causes) -> str:
+    blocking = causes.having(BLOCKING)
+    return f"{blocking[0].finding} stands or stood a moment ago" if blocking else ""
+
+
+def _throttle_demanded(demanded: ControllerDemands | None) -> bool:
+    return demanded is not None and any(one.throttle_pct > 0 for one in demanded.values())
