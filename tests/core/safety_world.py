@@ -57,7 +57,7 @@ def raws_of(message: str, codes: Mapping[str, int]) -> dict[str, int]:
     return {signal: raw for (owner, signal), raw in split if owner == message}
 
 
-def world(
+def rule_inputs(
     *,
     codes: Mapping[str, int] | None = None,
     ages_ns: Mapping[str, int] | None = None,
@@ -96,7 +96,7 @@ class Drive:
         codes: codes by 'Message.Signal' in every frame from now on.
         silent: messages that do not come.
         echo: our frames come back; accepted: the bus takes them.
-        asked: what the driver asks of both controllers every tick; None: nobody asks.
+        demanded: the driver's demand for both controllers every tick; None: no demand.
         ttl_ms: of these demands.
     """
 
@@ -106,7 +106,7 @@ class Drive:
         self.codes: dict[str, int] = {}
         self.silent: set[str] = set()
         self.echo = self.accepted = True
-        self.asked: ControllerDemand | None = ControllerDemand()
+        self.demanded: ControllerDemand | None = ControllerDemand()
         self.ttl_ms = 200
         self.events: list[Event] = []
         self.result: TickResult | None = None
@@ -137,12 +137,17 @@ class Drive:
             raws = {"Throttle": self._throttles[name[:4]]} | raws
         at_ns = self.now_ns if at_ns is None else at_ns
         frame = Frame(CODEC.by_name[name].spec.can_id, data(name, raws), at_ns)
-        self.gateway.intake.receive(frame)
+        self.gateway.receive(frame)
 
     def receive_foreign(self, controller: str = "PCU1") -> None:
         """Somebody else's command to a controller."""
         frame = Frame(COMMAND_IDS[controller], ZERO_TORQUE, self.now_ns)
-        self.gateway.intake.receive(frame)
+        self.gateway.receive(frame)
+
+    def open_link(self, at_ns: int | None = None) -> None:
+        """The interface was opened then, or now, without a word on its carrier."""
+        at_ns = self.now_ns if at_ns is None else at_ns
+        self.gateway.link_opened(LinkStatus(LinkState.UP, at_ns), None, at_ns)
 
     def tick(self, after_ns: int = PERIOD_NS) -> TickResult:
         """Let time go by, the nodes speak and the gateway decide; then send."""
@@ -150,8 +155,8 @@ class Drive:
         for message in PROTOCOL.received_by("VCU"):
             if message.name not in self.silent:
                 self._speak(message.name, (message.period_ms or 0) * MS, before_ns)
-        if self.asked is not None:
-            self.offer(self.asked)
+        if self.demanded is not None:
+            self.offer(self.demanded)
         self.result = result = self.gateway.tick(self.now_ns)
         self.events += result.events
         for frame in result.frames:
@@ -160,7 +165,7 @@ class Drive:
                 self._throttles[frame.controller] = frame.data[1]
             if self.accepted and self.echo:
                 echo = Frame(frame.can_id, frame.data, self.now_ns, own_echo=True)
-                self.gateway.intake.receive(echo)
+                self.gateway.receive(echo)
         return result
 
     def _speak(self, name: str, period_ns: int, before_ns: int) -> None:
@@ -192,10 +197,10 @@ class Drive:
             self.tick()
         raise AssertionError(f"no {mode.value} within {within_ms} ms: {self.sentence}")
 
-    def offer(self, asked: ControllerDemand, **changes: Any) -> RequestResult:
+    def offer(self, demanded: ControllerDemand, **changes: Any) -> RequestResult:
         """One demand of the driver for both controllers."""
         self._sequence += 1
-        demand = Demand("driver", self._sequence, self.ttl_ms, dict.fromkeys(CONTROLLERS, asked))
+        demand = Demand("driver", self._sequence, self.ttl_ms, dict.fromkeys(CONTROLLERS, demanded))
         return self.gateway.requests.offer(replace(demand, **changes), self.now_ns)
 
     def arm(self) -> RequestResult:

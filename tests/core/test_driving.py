@@ -1,4 +1,4 @@
-"""The demand end to end: what SAFETY.md says of it, also between two ticks."""
+"""The demand end to end (docs/safety.md, Demand), also between two ticks."""
 
 from dataclasses import replace
 from typing import Any
@@ -22,7 +22,7 @@ def throttles(drive: Drive) -> list[int]:
 
 def test_arming_needs_a_throttle_that_was_zero_for_200_ms():
     drive = standby()
-    drive.asked = None
+    drive.demanded = None
     for pct in (50, 0):
         assert drive.offer(ControllerDemand(throttle_pct=pct), ttl_ms=1000).granted
     drive.now_ns += 200 * MS - 1
@@ -46,7 +46,7 @@ def test_a_throttle_for_a_moment_begins_the_200_ms_anew():
 @pytest.mark.parametrize("how", ["expires", "ends", "is not ticked"])
 def test_a_demand_that_was_not_fresh_begins_the_200_ms_anew(how):
     drive = standby()
-    drive.asked = None
+    drive.demanded = None
     if how == "ends":
         assert drive.gateway.requests.end_demand("driver", drive.now_ns).granted
     elif how == "expires":
@@ -61,11 +61,11 @@ def test_a_demand_that_was_not_fresh_begins_the_200_ms_anew(how):
 
 def test_zero_arm_and_fifty_in_one_breath_do_not_drive():
     drive = standby()
-    drive.asked = None
+    drive.demanded = None
     drive.run(300)
     drive.offer(ControllerDemand())
     assert not drive.arm().granted
-    drive.asked = ControllerDemand(throttle_pct=50)
+    drive.demanded = ControllerDemand(throttle_pct=50)
     drive.run(500)
     assert drive.mode is Mode.STANDBY
     assert throttles(drive) == [0, 0]
@@ -78,7 +78,7 @@ PUSHED = ControllerDemand(throttle_pct=40)
 
 def driving(**settings: Any) -> Drive:
     drive = active(**settings)
-    drive.asked = PUSHED
+    drive.demanded = PUSHED
     drive.run(1000)
     assert throttles(drive) == [103, 103]
     return drive
@@ -111,7 +111,7 @@ def test_brake_over_throttle_latches_in_every_mode(mode):
     drive = in_mode(mode)
     drive.offer(ControllerDemand(throttle_pct=40, brake_pct=10))
     drive.offer(PUSHED)
-    drive.asked = PUSHED
+    drive.demanded = PUSHED
     drive.tick()
     assert drive.gateway._commander.pedals.latched == {ThrottleHold.OVERRIDE}
 
@@ -130,14 +130,14 @@ def test_the_direction_of_the_last_demand_is_what_is_changed_to():
     drive = active()
     for reverse in (True, False):
         drive.offer(ControllerDemand(motor_reverse=reverse))
-    drive.asked = ControllerDemand(motor_reverse=True)
+    drive.demanded = ControllerDemand(motor_reverse=True)
     drive.tick()
     assert drive.commands[0][0] & 0x10
 
 
 def test_two_tracks_that_differed_between_two_ticks_hold_both_controllers():
     drive = driving()
-    drive.asked = None
+    drive.demanded = None
     apart = {"PCU1": PUSHED, "PCU2": replace(PUSHED, throttle_track2_pct=29.9)}
     drive.offer(PUSHED, controllers=apart)
     drive.tick(60 * MS)
@@ -152,11 +152,11 @@ def test_two_tracks_that_differed_between_two_ticks_hold_both_controllers():
 # Authority.
 
 
-def taken_over(**asked: float) -> Drive:
+def taken_over(**demanded: Any) -> Drive:
     """A drive in which the chief has just taken over from the driver."""
     drive = driving(priorities={"chief": 1})
-    drive.asked = None
-    drive.offer(ControllerDemand(**asked), source="chief")
+    drive.demanded = None
+    drive.offer(ControllerDemand(**demanded), source="chief")
     return drive
 
 
@@ -201,7 +201,7 @@ def test_an_old_number_is_refused_after_another_source_had_the_demand():
 
 def test_why_tells_that_the_throttle_waits_for_the_pedal():
     drive = driving()
-    drive.asked = ControllerDemand(throttle_pct=40, brake_pct=10)
+    drive.demanded = ControllerDemand(throttle_pct=40, brake_pct=10)
     drive.tick()
     sentence = "throttle 0 until released below 5 %: brake over throttle"
     assert drive.gateway.why(drive.now_ns).waits == (sentence,)
@@ -210,7 +210,7 @@ def test_why_tells_that_the_throttle_waits_for_the_pedal():
 def test_why_tells_what_a_change_of_direction_waits_for():
     drive = driving()
     drive.turn(50, 49)
-    drive.asked = replace(PUSHED, motor_reverse=True)
+    drive.demanded = replace(PUSHED, motor_reverse=True)
     drive.tick()
     waits = "throttle 0 until the direction changes; not below 50 rpm: PCU1"
     assert drive.gateway.why(drive.now_ns).waits == (waits,)
@@ -225,7 +225,7 @@ def test_why_tells_what_a_change_of_direction_waits_for():
 
 def test_why_tells_that_there_is_no_throttle_in_power_mode_safety():
     drive = driving()
-    drive.asked = None
+    drive.demanded = None
     safety = replace(PUSHED, power_mode=PowerMode.SAFETY)
     drive.offer(PUSHED, controllers={"PCU1": PUSHED, "PCU2": safety})
     drive.tick()
@@ -239,7 +239,7 @@ def test_why_tells_that_there_is_no_throttle_in_power_mode_safety():
 
 def test_regeneration_needs_both_motors_speeds_and_returns_50_rpm_above():
     drive = active()
-    drive.asked = ControllerDemand(brake_pct=50, regen_brake=True)
+    drive.demanded = ControllerDemand(brake_pct=50, regen_brake=True)
 
     def regenerates(*speeds: int) -> bool:
         drive.turn(*speeds)
@@ -260,7 +260,7 @@ def test_regeneration_needs_both_motors_speeds_and_returns_50_rpm_above():
 
 def test_regeneration_at_any_speed_where_the_least_speed_is_zero():
     drive = active(regen_min_rpm=0.0)
-    drive.asked = ControllerDemand(brake_pct=50, regen_brake=True)
+    drive.demanded = ControllerDemand(brake_pct=50, regen_brake=True)
     drive.turn(0, 6001)
     drive.tick()
     assert [(frame[0] & 0x20, frame[2]) for frame in drive.commands] == [(0x20, 128)] * 2

@@ -1,4 +1,4 @@
-"""The machine without a bus, end to end: SAFETY.md's sentences on modes and requests."""
+"""The machine without a bus, end to end: modes and requests (docs/safety.md, Modes)."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -19,10 +19,12 @@ from tests.core.safety_world import (
     in_mode,
     standby,
 )
+from vcu_gateway.core import j1939
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
 from vcu_gateway.core.events import Severity
 from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.link import Carrier, LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.snapshot import Quality
 from vcu_gateway.core.supervisor import FaultClass, Mode
@@ -33,6 +35,7 @@ EVERY_MODE = pytest.mark.parametrize("mode", Mode, ids=lambda mode: mode.name)
 NOT_ENDING = pytest.mark.parametrize(
     "mode", [mode for mode in Mode if mode is not Mode.STOPPING], ids=lambda mode: mode.name
 )
+BUS_OFF, RESTARTED = 0x040, 0x100
 BENCH = ControllerDemand(throttle_pct=30, power_mode=PowerMode.NORMAL)
 
 
@@ -46,7 +49,42 @@ def named(drive: Drive, name: str) -> list[dict[str, object]]:
 
 def error_frame(drive: Drive, can_id: int, bits: int = 0) -> None:
     payload = bytes([0, bits, 0, 0, 0, 0, 0, 0])
-    drive.gateway.intake.receive(Frame(can_id, payload, drive.now_ns, error=True))
+    drive.gateway.receive(Frame(can_id, payload, drive.now_ns, error=True))
+
+
+# What the shell reads.
+
+
+def test_the_gateway_gives_its_mode_and_what_latched_it():
+    drive = active()
+    assert (drive.gateway.mode, drive.gateway.latch) == (Mode.ACTIVE, None)
+    drive.gateway.requests.emergency_stop()
+    drive.tick()
+    assert drive.gateway.mode is Mode.FAULT
+    assert drive.gateway.latch is not None
+    assert drive.gateway.latch.fault_class is SERVICE
+
+
+def test_counters_are_those_of_their_instant():
+    drive = active()
+    before = drive.gateway.counters
+    drive.receive_foreign("PCU2")
+    drive.receive("BMS_Status", drive.now_ns - 10_000 * MS)
+    drive.gateway.receive(Frame(0x123, bytes(8), drive.now_ns, extended=False))
+    after = drive.gateway.counters
+    assert before.foreign_commands == {"PCU1": 0, "PCU2": 0}
+    assert after.foreign_commands == {"PCU1": 0, "PCU2": 1}
+    assert after.out_of_order == before.out_of_order + 1
+    assert sum(after.rejected.values()) == sum(before.rejected.values()) + 1
+    assert after.confirmed == before.confirmed
+    assert after.confirmed["PCU1"] > 0
+    assert (after.unjudged, after.blocked_by_gate) == (0, {})
+
+
+def test_the_frames_that_command_a_controller_are_known_by_their_group():
+    groups = Drive().gateway.command_groups
+    assert {name for names in groups.values() for name in names} == {"PCU1", "PCU2"}
+    assert groups[j1939.group_key(COMMAND_IDS["PCU1"])] == ("PCU1",)
 
 
 # What is received.
@@ -55,9 +93,9 @@ def error_frame(drive: Drive, can_id: int, bits: int = 0) -> None:
 def test_a_good_frame_reaches_the_store():
     drive = Drive()
     drive.receive("BMS_Status", NOW_NS)
-    reading = drive.gateway.intake.store.snapshot(NOW_NS + MS).reading("BMS_Status", "SOC")
+    reading = drive.gateway.snapshot(NOW_NS + MS).reading("BMS_Status", "SOC")
     assert (reading.value, reading.quality, reading.age_ns) == (80, Quality.GOOD, MS)
-    assert sum(drive.gateway.intake.rejected.values()) == 0
+    assert sum(drive.gateway.receiver.rejected.values()) == 0
 
 
 @pytest.mark.parametrize(
@@ -74,19 +112,19 @@ def test_a_good_frame_reaches_the_store():
     ],
 )
 def test_a_rejected_frame_is_counted_by_its_reason_and_changes_nothing(changes, reason):
-    intake = Drive().gateway.intake
-    intake.receive(replace(Frame(0x1808D0F4, data("BMS_Status"), NOW_NS), **changes))
-    assert {r: n for r, n in intake.rejected.items() if n} == {reason: 1}
-    assert intake.store.snapshot(NOW_NS).latest("BMS_Status") is None
-    assert intake.foreign_count == 0
+    receiver = Drive().gateway.receiver
+    receiver.receive(replace(Frame(0x1808D0F4, data("BMS_Status"), NOW_NS), **changes))
+    assert {r: n for r, n in receiver.rejected.items() if n} == {reason: 1}
+    assert receiver.store.snapshot(NOW_NS).latest("BMS_Status") is None
+    assert receiver.foreign_count == 0
 
 
 def test_our_own_echo_confirms_the_sending_and_is_no_state():
-    intake = Drive().gateway.intake
+    receiver = Drive().gateway.receiver
     for name in ("PCU1", "PCU2", "PCU2"):
-        intake.receive(Frame(COMMAND_IDS[name], ZERO_TORQUE, 0, own_echo=True))
-    assert intake.confirmed == {"PCU1": 1, "PCU2": 2}
-    assert intake.foreign_count == 0
+        receiver.receive(Frame(COMMAND_IDS[name], ZERO_TORQUE, 0, own_echo=True))
+    assert receiver.confirmed == {"PCU1": 1, "PCU2": 2}
+    assert receiver.foreign_count == 0
 
 
 @pytest.mark.parametrize(
@@ -96,9 +134,9 @@ def test_our_own_echo_confirms_the_sending_and_is_no_state():
 def test_a_command_of_another_sender_is_one_whatever_its_priority_and_content(changes):
     drive = standby()
     frame = replace(Frame(COMMAND_IDS["PCU1"], ZERO_TORQUE, drive.now_ns), **changes)
-    drive.gateway.intake.receive(frame)
+    drive.gateway.receive(frame)
     drive.tick()
-    assert drive.gateway.intake.foreign_commands == {"PCU1": 1, "PCU2": 0}
+    assert drive.gateway.receiver.foreign_commands == {"PCU1": 1, "PCU2": 0}
     assert drive.mode is Mode.FAULT
 
 
@@ -115,11 +153,11 @@ def test_a_command_of_another_sender_is_one_whatever_its_priority_and_content(ch
 @pytest.mark.parametrize("changes", [{}, {"data": b""}, {"data": bytes(12)}, {"remote": True}])
 def test_whoever_commands_a_controller_or_all_is_another_sender(can_id, commanded, changes):
     drive = standby()
-    drive.gateway.intake.receive(replace(Frame(can_id, ZERO_TORQUE, drive.now_ns), **changes))
+    drive.gateway.receive(replace(Frame(can_id, ZERO_TORQUE, drive.now_ns), **changes))
     drive.tick()
-    told = {name for name, count in drive.gateway.intake.foreign_commands.items() if count == 1}
+    told = {name for name, count in drive.gateway.receiver.foreign_commands.items() if count == 1}
     assert told == set(commanded)
-    assert drive.gateway.intake.foreign_id == can_id
+    assert drive.gateway.receiver.foreign_id == can_id
     assert drive.mode is Mode.FAULT
 
 
@@ -137,9 +175,9 @@ def test_whoever_commands_a_controller_or_all_is_another_sender(can_id, commande
 )
 def test_what_commands_no_controller_of_ours_is_no_other_sender(frame):
     drive = standby()
-    drive.gateway.intake.receive(frame)
+    drive.gateway.receive(frame)
     drive.tick()
-    assert drive.gateway.intake.foreign_count == 0
+    assert drive.gateway.receiver.foreign_count == 0
     assert drive.mode is Mode.STANDBY
 
 
@@ -149,7 +187,7 @@ def test_a_controllers_status_is_no_command_though_its_pf_is_the_commands():
     assert status >> 16 & 0xFF == COMMAND_IDS["PCU1"] >> 16 & 0xFF
     for changes in ({}, {"can_id": status & ~0xFF | 0x55}, {"data": b""}, {"remote": True}):
         frame = Frame(status, data("PCU1_Status1"), drive.now_ns)
-        drive.gateway.intake.receive(replace(frame, **changes))
+        drive.gateway.receive(replace(frame, **changes))
     drive.tick()
     assert drive.mode is Mode.STANDBY
 
@@ -218,7 +256,7 @@ def test_without_a_bus_nobody_can_be_heard_so_the_listening_begins_again():
     drive.gateway.link_lost(drive.now_ns)
     drive.run(2000)
     assert drive.commands == []
-    drive.gateway.link_opened(drive.now_ns)
+    drive.open_link()
     opened_ns = drive.now_ns
     while not drive.tick().frames:
         pass
@@ -229,8 +267,27 @@ def test_a_lost_link_later_needs_no_new_listening():
     drive = standby()
     drive.gateway.link_lost(drive.now_ns)
     assert len(drive.tick().frames) == 2
-    drive.gateway.link_opened(drive.now_ns)
+    drive.open_link()
     assert len(drive.tick().frames) == 2
+
+
+def test_a_carrier_that_goes_latches_a_fault_which_outlasts_its_return():
+    drive = active()
+    drive.gateway.carrier_changed(Carrier(False, drive.now_ns))
+    assert drive.tick().mode is Mode.FAULT
+    assert drive.gateway.latch.reason == "link bus off: stop"
+    drive.gateway.carrier_changed(Carrier(True, drive.now_ns))
+    assert drive.gateway.link.state is LinkState.UP
+    assert drive.tick().mode is Mode.FAULT
+
+
+def test_a_bus_off_that_came_and_went_between_two_ticks_latches_a_fault():
+    drive = active()
+    error_frame(drive, BUS_OFF)
+    error_frame(drive, RESTARTED)
+    assert drive.gateway.link.state is LinkState.UP
+    assert drive.tick().mode is Mode.FAULT
+    assert drive.gateway.latch.reason == "link bus off: stop"
 
 
 def test_nothing_is_granted_while_listening():
@@ -277,7 +334,7 @@ def test_frames_out_of_range_do_not_qualify():
 
 
 def test_which_messages_are_required_is_configuration():
-    drive = Drive(required=("BMS_Temperatures",))
+    drive = Drive(required_messages=("BMS_Temperatures",))
     drive.silent.add("BMS_Temperatures")
     drive.run(5000)
     assert drive.mode is Mode.STARTING
@@ -326,13 +383,13 @@ def throttle_asked(drive: Drive) -> None:
 
 
 def nobody_asks(drive: Drive) -> None:
-    drive.asked = None
+    drive.demanded = None
     drive.run(500)
 
 
 def reverse_while_rolling(drive: Drive) -> None:
     drive.codes |= {"PCU1_Status2.MotorSpeed": 300, "PCU2_Status2.MotorSpeed": 300}
-    drive.asked = ControllerDemand(motor_reverse=True)
+    drive.demanded = ControllerDemand(motor_reverse=True)
     drive.run(200)
 
 
@@ -400,7 +457,7 @@ def test_a_stop_outside_active_does_not_latch_and_blocks_arming_for_the_hold():
 
 def test_a_direction_is_taken_over_while_standing_so_that_arming_is_granted():
     drive = standby()
-    drive.asked = ControllerDemand(motor_reverse=True)
+    drive.demanded = ControllerDemand(motor_reverse=True)
     drive.tick()
     assert drive.commands == [bytes.fromhex("1c000000e02e0000")] * 2
     assert drive.arm().granted
@@ -411,19 +468,19 @@ def test_a_direction_is_taken_over_while_standing_so_that_arming_is_granted():
 
 def test_the_throttle_rises_along_its_slew_and_falls_at_once():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=20)
+    drive.demanded = ControllerDemand(throttle_pct=20)
     rising = [throttle_raw(drive) for _ in range(6) if drive.tick()]
     assert rising == [[round(pct / 0.39)] * 2 for pct in (5, 10, 15, 20, 20, 20)]
-    drive.asked = ControllerDemand()
+    drive.demanded = ControllerDemand()
     drive.tick()
     assert throttle_raw(drive) == [0, 0]
 
 
 def test_an_expired_demand_gives_throttle_0_and_standby_in_the_next_tick():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=20)
+    drive.demanded = ControllerDemand(throttle_pct=20)
     drive.run(1000)
-    drive.asked = None
+    drive.demanded = None
     drive.run(200)
     assert (drive.mode, throttle_raw(drive)) == (Mode.ACTIVE, [51, 51]), "200 ms old is fresh"
     drive.tick()
@@ -432,7 +489,7 @@ def test_an_expired_demand_gives_throttle_0_and_standby_in_the_next_tick():
     assert {"before": "active", "after": "standby", "reason": "the demand expired"} in named(
         drive, "mode_changed"
     )
-    drive.asked = ControllerDemand(throttle_pct=20)
+    drive.demanded = ControllerDemand(throttle_pct=20)
     drive.run(1000)
     assert drive.mode is Mode.STANDBY, "a new arm is needed"
 
@@ -447,7 +504,7 @@ def test_a_demand_that_expired_between_two_ticks_is_not_continued_by_a_new_one()
 
 def test_disarming_leads_to_standby_and_zero_torque():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=20)
+    drive.demanded = ControllerDemand(throttle_pct=20)
     drive.run(1000)
     assert drive.gateway.requests.disarm(drive.now_ns).granted
     drive.tick()
@@ -467,7 +524,7 @@ def test_disarming_leads_to_standby_and_zero_torque():
 )
 def test_a_stop_of_a_node_ends_the_drive_in_the_tick_that_sees_it(codes, within_ms):
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=20)
+    drive.demanded = ControllerDemand(throttle_pct=20)
     drive.run(1000)
     drive.codes |= codes
     while drive.tick().mode is Mode.ACTIVE:
@@ -483,7 +540,7 @@ def test_a_stop_of_a_node_ends_the_drive_in_the_tick_that_sees_it(codes, within_
 )
 def test_silence_stops_the_motors_within_one_tick_of_its_deadline(name, deadline_ms):
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=20)
+    drive.demanded = ControllerDemand(throttle_pct=20)
     drive.run(1000)
     drive.silent.add(name)
     arrival_ns = drive.result.snapshot.latest(name).arrival_ns
@@ -494,7 +551,7 @@ def test_silence_stops_the_motors_within_one_tick_of_its_deadline(name, deadline
 
 def test_a_late_battery_limits_before_a_silent_one_stops():
     drive = active()
-    drive.asked = ControllerDemand(power_mode=PowerMode.TURBO)
+    drive.demanded = ControllerDemand(power_mode=PowerMode.TURBO)
     drive.run(500)
     drive.silent.add("BMS_Status")
     drive.run(1300)
@@ -514,7 +571,7 @@ def power_w(drive: Drive) -> list[int]:
 def test_limits_come_and_go_along_their_slews_never_in_a_jump():
     drive = active()
     drive.turn(3000)
-    drive.asked = ControllerDemand(brake_pct=80, regen_brake=True)
+    drive.demanded = ControllerDemand(brake_pct=80, regen_brake=True)
     drive.run(1000)
     assert (power_w(drive), drive.commands[0][2]) == ([60000] * 2, round(80 / 0.39))
     drive.codes["BMS_Status.DischargeOvercurrent"] = 1
@@ -643,17 +700,17 @@ def test_a_reset_waits_until_the_cause_was_absent_for_the_hold():
 
 def test_a_reset_is_refused_while_throttle_is_asked():
     drive = fault()
-    drive.asked = ControllerDemand(throttle_pct=1)
+    drive.demanded = ControllerDemand(throttle_pct=1)
     drive.run(2000)
     assert drive.reset(DRIVER).sentence == "the demanded throttle is not 0"
-    drive.asked = ControllerDemand()
+    drive.demanded = ControllerDemand()
     drive.tick()
     assert drive.reset(DRIVER).granted
 
 
 def test_a_reset_needs_no_demand_at_all():
     drive = fault()
-    drive.asked = None
+    drive.demanded = None
     drive.run(2000)
     assert drive.reset(DRIVER).granted
 
@@ -664,7 +721,7 @@ def test_outside_fault_there_is_nothing_to_reset():
 
 def test_a_fault_gives_safe_frames_until_the_reset_whatever_is_asked():
     drive = fault()
-    drive.asked = ControllerDemand(throttle_pct=50, power_mode=PowerMode.TURBO, regen_brake=True)
+    drive.demanded = ControllerDemand(throttle_pct=50, power_mode=PowerMode.TURBO, regen_brake=True)
     for _ in range(100):
         drive.arm()
         assert [frame.data for frame in drive.tick().frames] == [ZERO_TORQUE] * 2
@@ -682,7 +739,7 @@ def test_an_emergency_stop_counts_as_seen_in_one_tick_and_is_held_like_any_cause
 
 def test_overcharge_forbids_regeneration_until_restart():
     drive = active()
-    drive.asked = ControllerDemand(brake_pct=50, regen_brake=True)
+    drive.demanded = ControllerDemand(brake_pct=50, regen_brake=True)
     for code in (3, 2, 1, 0):
         drive.codes["BMS_Status.CellOvervoltage"] = code
         drive.run(5000)
@@ -703,7 +760,7 @@ def test_the_lost_link_stops_in_the_next_tick():
     assert drive.gateway.supervisor.latch.reason == "link lost: stop"
     drive.run(2000)
     assert drive.reset(DRIVER).sentence == "link lost: stop stands or stood a moment ago"
-    drive.gateway.link_opened(drive.now_ns)
+    drive.open_link()
     drive.run(1050)
     assert drive.reset(DRIVER).granted
 
@@ -733,7 +790,7 @@ def test_frames_that_are_not_confirmed_for_three_ticks_stop():
 
 def test_a_frame_that_the_bus_did_not_take_earns_no_throttle():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=50)
+    drive.demanded = ControllerDemand(throttle_pct=50)
     drive.tick()
     assert throttle_raw(drive) == [13, 13]
     drive.accepted = False
@@ -743,7 +800,7 @@ def test_a_frame_that_the_bus_did_not_take_earns_no_throttle():
     drive.tick()
     assert throttle_raw(drive) == [26, 26], "5 % above what was sent last"
     assert drive.mode is Mode.ACTIVE
-    assert drive.gateway.output.gate.blocked == {}
+    assert drive.gateway.transmitter.gate.blocked == {}
 
 
 @pytest.mark.parametrize(("late_ns", "mode"), [(0, Mode.ACTIVE), (1, Mode.FAULT)])
@@ -765,7 +822,7 @@ def test_a_tick_late_by_more_than_four_periods_stops(late_ns, mode):
 
 def test_a_frame_that_the_gate_blocks_stops_both_controllers():
     drive = active()
-    gate = drive.gateway.output.gate
+    gate = drive.gateway.transmitter.gate
     gate.limits = replace(gate.limits, power_limit_max_w=100)  # as if the rest were wrong
     drive.tick()
     assert (drive.mode, drive.commands) == (Mode.FAULT, [ZERO_TORQUE] * 2)
@@ -779,7 +836,7 @@ def test_a_frame_that_the_gate_blocks_stops_both_controllers():
 
 def test_the_gate_does_not_take_a_power_cut_away():
     drive = in_mode(Mode.STANDBY)
-    gate = drive.gateway.output.gate
+    gate = drive.gateway.transmitter.gate
     gate.limits = replace(gate.limits, speed_limit_max_rpm=100)
     drive.gateway.requests.emergency_stop()
     for _ in range(3):
@@ -856,7 +913,7 @@ def test_nothing_is_granted_while_ending():
 
 def bench(**settings) -> Drive:
     drive = Drive(bench_demand=BENCH, **settings)
-    drive.asked = None
+    drive.demanded = None
     drive.until(Mode.STANDBY)
     return drive
 
@@ -887,7 +944,7 @@ def test_auto_arm_arms_once_and_by_itself():
 
 def test_auto_arm_waits_until_nothing_speaks_against_it():
     drive = Drive(bench_demand=BENCH, auto_arm=True)
-    drive.asked = None
+    drive.demanded = None
     drive.codes["BMS_Status.CellUndervoltage"] = 2
     drive.until(Mode.STANDBY)
     drive.run(3000)
@@ -899,7 +956,7 @@ def test_auto_arm_waits_until_nothing_speaks_against_it():
 def test_auto_arm_never_arms_the_demand_of_somebody_who_took_over():
     drive = Drive(bench_demand=BENCH, auto_arm=True, priorities={"driver": 5})
     drive.run(200)
-    drive.asked = None
+    drive.demanded = None
     drive.run(5000)
     assert drive.mode is Mode.STANDBY
 
@@ -913,7 +970,7 @@ def test_auto_arm_without_a_bench_demand_does_nothing():
 @pytest.mark.parametrize("end", ["fault", "disarm"])
 def test_neither_a_reset_nor_a_request_to_disarm_is_answered_with_auto_arm(end):
     drive = Drive(bench_demand=BENCH, auto_arm=True)
-    drive.asked = None
+    drive.demanded = None
     if end == "fault":
         drive.gateway.requests.emergency_stop()
         drive.run(3000)
@@ -944,7 +1001,7 @@ def test_neither_a_reset_nor_a_request_to_disarm_is_answered_with_auto_arm(end):
 def test_what_is_read_at_the_start_needs_a_restart(change):
     drive = standby()
     before = drive.gateway.settings
-    answer = drive.gateway.requests.reload(replace(before, regen_limit_pct=10, **change))
+    answer = drive.gateway.reload(replace(before, regen_limit_pct=10, **change))
     assert answer.sentence == f"these need a restart: {next(iter(change))}"
     assert drive.gateway.settings is before, "whole or not at all"
 
@@ -962,7 +1019,7 @@ def test_what_is_read_at_the_start_needs_a_restart(change):
         ({"direction_change_rpm": 51}, False),
         ({"clear_hold_ms": 2000}, True),
         ({"clear_hold_ms": 999}, False),
-        ({"required": ("BMS_Status",)}, False),
+        ({"required_messages": ("BMS_Status",)}, False),
         ({"qualify_frames": 4}, False),
         ({"priorities": {"driver": 1}}, False),
     ],
@@ -970,9 +1027,9 @@ def test_what_is_read_at_the_start_needs_a_restart(change):
 )
 def test_while_active_limits_may_only_become_stricter(change, stricter):
     settings = replace(Settings(), **change)
-    assert standby().gateway.requests.reload(settings).granted
+    assert standby().gateway.reload(settings).granted
     drive = active()
-    answer = drive.gateway.requests.reload(settings)
+    answer = drive.gateway.reload(settings)
     assert answer.granted is stricter
     assert drive.gateway.settings == (settings if stricter else Settings())
     if not stricter:
@@ -982,8 +1039,8 @@ def test_while_active_limits_may_only_become_stricter(change, stricter):
 
 def test_a_stricter_maximum_is_reached_along_its_slew_in_the_drive():
     drive = active()
-    stricter = replace(drive.gateway.settings, power_limit_max_w=1000.0, speed_limit_max_rpm=3000.0)
-    assert drive.gateway.requests.reload(stricter).granted
+    stricter = replace(drive.gateway.settings, power_limit_max_w=1000, speed_limit_max_rpm=3000)
+    assert drive.gateway.reload(stricter).granted
     seen = []
     for _ in range(60):
         drive.tick()
@@ -999,8 +1056,8 @@ def test_a_stricter_maximum_is_reached_along_its_slew_in_the_drive():
 @pytest.mark.parametrize("mode", Mode)
 def test_every_safe_frame_follows_the_speed_limits_ramp(mode):
     drive = in_mode(mode)
-    stricter = replace(drive.gateway.settings, speed_limit_max_rpm=11_000.0)
-    assert drive.gateway.requests.reload(stricter).granted
+    stricter = replace(drive.gateway.settings, speed_limit_max_rpm=11_000)
+    assert drive.gateway.reload(stricter).granted
     seen = []
     for _ in range(6):
         drive.tick()
@@ -1064,7 +1121,7 @@ def test_a_healthy_drive_is_silent():
 
 def test_a_refused_demand_changes_nothing():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=20)
+    drive.demanded = ControllerDemand(throttle_pct=20)
     drive.run(500)
     assert not drive.offer(ControllerDemand(throttle_pct=float("nan"))).granted
     assert not drive.offer(ControllerDemand(throttle_pct=90), sequence=1).granted
@@ -1076,13 +1133,13 @@ def test_a_refused_demand_changes_nothing():
 def test_a_healthy_vehicle_is_not_armed_before_our_first_frames_have_left():
     demand = ControllerDemand(throttle_pct=20)
     drive = Drive(bench_demand=demand, auto_arm=True)
-    drive.asked = None
+    drive.demanded = None
     while not drive.commands:
         drive.tick()
     assert (drive.mode, drive.commands) == (Mode.STARTING, [ZERO_TORQUE] * 2)
     drive.run(3000)
     assert drive.mode is Mode.ACTIVE
-    assert drive.gateway.output.gate.blocked == {}
+    assert drive.gateway.transmitter.gate.blocked == {}
 
 
 # The demand ends.
@@ -1090,12 +1147,12 @@ def test_a_healthy_vehicle_is_not_armed_before_our_first_frames_have_left():
 
 def test_ending_the_demand_ends_the_drive_at_once():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=30)
+    drive.demanded = ControllerDemand(throttle_pct=30)
     drive.run(500)
     assert drive.commands[0] != ZERO_TORQUE
     assert drive.gateway.requests.end_demand("driver", drive.now_ns).granted
     assert drive.mode is Mode.STANDBY
-    drive.asked = None
+    drive.demanded = None
     drive.tick()
     assert drive.commands == [ZERO_TORQUE, ZERO_TORQUE]
     assert not drive.arm().granted
@@ -1103,7 +1160,7 @@ def test_ending_the_demand_ends_the_drive_at_once():
 
 def test_another_source_cannot_end_the_demand():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=30)
+    drive.demanded = ControllerDemand(throttle_pct=30)
     drive.run(500)
     assert drive.commands[0] != ZERO_TORQUE
     assert not drive.gateway.requests.end_demand("remote", drive.now_ns).granted
@@ -1144,7 +1201,7 @@ def test_a_bench_does_not_arm_itself_after_three_restarts():
 @pytest.mark.parametrize("mode", [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE])
 def test_the_safe_frames_of_any_mode_are_zero_torque(mode):
     drive = in_mode(mode)
-    drive.asked = ControllerDemand(throttle_pct=50)
+    drive.demanded = ControllerDemand(throttle_pct=50)
     drive.run(300)
     frames = drive.gateway.safe_frames()
     assert {frame.controller: frame.data for frame in frames} == dict.fromkeys(
@@ -1155,7 +1212,7 @@ def test_the_safe_frames_of_any_mode_are_zero_torque(mode):
 
 def test_the_safe_frames_keep_a_power_cut_and_the_direction():
     drive = standby()
-    drive.asked = ControllerDemand(motor_reverse=True)
+    drive.demanded = ControllerDemand(motor_reverse=True)
     drive.tick()
     drive.gateway.requests.emergency_stop()
     drive.tick()
@@ -1164,7 +1221,7 @@ def test_the_safe_frames_keep_a_power_cut_and_the_direction():
 
 def test_asking_for_the_safe_frames_changes_nothing():
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=10)
+    drive.demanded = ControllerDemand(throttle_pct=10)
     drive.run(500)
     before = drive.commands
     drive.gateway.safe_frames()
@@ -1175,7 +1232,7 @@ def test_asking_for_the_safe_frames_changes_nothing():
 def test_the_first_frames_keep_the_direction_that_each_controller_echoes():
     drive = Drive()
     drive.codes = {"PCU1_Status1.MotorReverse": 1}
-    drive.asked = None
+    drive.demanded = None
     drive.until(Mode.STANDBY)
     assert [command[0] & 0x10 for command in drive.commands] == [0x10, 0]
 
@@ -1200,6 +1257,6 @@ def test_an_echo_turns_no_controller_that_was_sent_a_direction_though_the_other_
 def test_an_echo_after_the_first_frames_changes_no_direction():
     drive = standby()
     drive.codes = {f"PCU{n}_Status1.MotorReverse": 1 for n in (1, 2)}
-    drive.asked = None
+    drive.demanded = None
     drive.run(2000)
     assert drive.commands == [ZERO_TORQUE] * 2

@@ -1,34 +1,72 @@
-"""The machine without a bus: frames, requests and time in, command frames and events out.
+"""Gateway core: frames, requests and time in; command frames and events out.
 
-`Gateway.intake` belongs to whoever hands on frames, the reader or the ticking thread right before a
-tick, one at a time; everything else belongs to the ticking thread.
+Theory of operation
+-------------------
+The shell owns sockets, clocks and threads; `Gateway` owns every decision. Time is an argument, in
+monotonic nanoseconds: the same calls in the same order give the same bytes again.
+
+    gateway = Gateway(codec, settings, now_ns)
+    gateway.link_opened(LinkStatus(LinkState.UP, now_ns), carrier, now_ns)
+    gateway.receive(frame)                            # as often as frames come
+    gateway.requests.offer(demand, now_ns)            # demands, arming, resetting
+    result = gateway.tick(now_ns)                     # every 50 ms
+    for frame in result.frames:                       # PCU1 0008A7D0  0c000000e02e0000
+        gateway.sent(frame, bus.send(frame), now_ns)  # PCU2 0008A8D0  0c000000e02e0000
+
+A tick decides in these steps, all of them on one snapshot:
+
+1. A tick that comes too late in ACTIVE latches a fault before anything else of it counts.
+2. `InputCollector`: snapshot, link, echoes of own frames, what plausibility remembers.
+3. Rules give findings; `Causes` holds each until it was absent for `clear_hold_ms`.
+4. Every cause that blocks is a stimulus of the supervisor; so are an expired demand, a missing
+   message, and the end of qualification.
+5. `Commander`: in ACTIVE the demand within limits and slews, otherwise zero torque.
+6. Frames are encoded and checked by the gate; one that it blocks replaces both by safe ones.
+
+`frames` is empty while the gateway listens before it talks. `sent` reports what the bus did with
+each frame before the next tick: slews start from what was really sent.
+
+`receive` is called by the thread that reads the bus, and right before a tick by the ticking
+thread, never by both at once. Any thread may read `snapshot`, `counters` and `link`; everything
+else belongs to the ticking thread.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
-from vcu_gateway.core import freshness, motor_speeds, rules, throttle, why
-from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Finding
+from vcu_gateway.core import freshness, motor_speeds, rules, why
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
+from vcu_gateway.core.demand import GRANTED, RequestResult
 from vcu_gateway.core.events import Event
-from vcu_gateway.core.lifecycle import ListenBeforeTalk, Qualification, Shutdown
-from vcu_gateway.core.link import LinkState, LinkStatus, PassiveTime
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.lifecycle import (
+    ListenBeforeTalk,
+    Qualification,
+    Shutdown,
+    echoed_directions,
+)
+from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
+from vcu_gateway.core.mode_manager import ModeManager
 from vcu_gateway.core.motor_speeds import RegenerationInterlock
-from vcu_gateway.core.operator_requests import LISTENING, OperatorRequests, Parts
-from vcu_gateway.core.plausibility import Plausibility
-from vcu_gateway.core.receive import OWN_NODE, Receiver
-from vcu_gateway.core.rule_inputs import RuleInputs
+from vcu_gateway.core.operator_requests import (
+    LISTENING,
+    OperatorRequests,
+    demand_terms,
+    reload_refusal,
+)
+from vcu_gateway.core.receive import OWN_NODE, FrameCounters, Receiver
+from vcu_gateway.core.rule_inputs import InputCollector
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import Snapshot
-from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
+from vcu_gateway.core.snapshot import Snapshot
+from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Stimulus
 from vcu_gateway.core.transmit import OutFrame, Transmitter
 from vcu_gateway.core.why import Explanation
 from vcu_gateway.units import NS_PER_MS
 
 
 class TickResult(NamedTuple):
-    """What one tick decided, all of it from one snapshot.
+    """Decisions of one tick, all of them from one snapshot.
 
     Attributes:
         frames: one for each controller; none while listening before talking.
@@ -42,273 +80,219 @@ class TickResult(NamedTuple):
 
 
 class Gateway:
-    """Receives through `intake`; ticks and answers `requests` on the ticking thread."""
+    """Gateway core of two motor controllers; all that the shell talks to.
+
+    Attributes:
+        settings: those in effect.
+        requests: demands, arming, resetting, emergency stop, the end.
+        receiver, transmitter, supervisor, causes: the parts, for tests and explanations.
+    """
 
     def __init__(self, codec: Codec, settings: Settings, now_ns: int) -> None:
-        self.codec = codec
+        self.settings = settings
         deadlines = {
             message.name: freshness.deadlines(
                 message, settings.late_after_ms, settings.stale_after_ms
             )
             for message in codec.protocol.received_by(OWN_NODE)
         }
-        self._late_after_ns = {name: d.late_after_ns for name, d in deadlines.items()}
+        late_after_ns = {name: d.late_after_ns for name, d in deadlines.items()}
         stale_after_ns = {name: d.stale_after_ns for name, d in deadlines.items()}
-        self.intake = Receiver(codec, stale_after_ns, now_ns)
-        self.output = Transmitter(codec, settings)
-        self.causes = Causes()
-        self.supervisor = Supervisor(now_ns)
+        self.receiver = Receiver(codec, stale_after_ns, now_ns)
+        self.transmitter = Transmitter(codec, settings)
+        self._collector = InputCollector(self.receiver, self.transmitter.history, late_after_ns)
+        self._modes = ModeManager(settings, now_ns)
+        self.supervisor, self.causes = self._modes.supervisor, self._modes.causes
         self._commander = Commander(settings)
+        self._listening = ListenBeforeTalk(now_ns, settings.listen_before_talk_ms)
+        self.requests = OperatorRequests(settings, self._modes, self._commander, self._listening)
         self._regeneration = RegenerationInterlock()
         self._speeds = motor_speeds.UNKNOWN
-        self._listening = ListenBeforeTalk(now_ns, settings.listen_before_talk_ms)
         self._qualification = Qualification()
-        self._plausibility = Plausibility()
-        self._passive = PassiveTime()
-        self._lost: LinkStatus | None = None
-        self._foreign_before = 0
-        self._blocked_by_gate: str | None = None
-        self._auto_arm_left = settings.auto_arm and settings.bench_demand is not None
-        self._last_tick_ns: int | None = None
-        self._was_active = False
-        self._ending = Shutdown()
-        self._events: list[Event] = []
-        self._snapshot = self.intake.store.snapshot(now_ns)
-        parts = Parts(
-            supervisor=self.supervisor,
-            causes=self.causes,
-            commander=self._commander,
-            listening=self._listening,
-            output=self.output,
-            apply=self._apply,
-            judge_lateness=self.judge_lateness,
-            tell=self._events.append,
-        )
-        self.requests = OperatorRequests(settings, parts)
+        self._shutdown = Shutdown()
+        self._snapshot = self.snapshot(now_ns)
 
-    @property
-    def settings(self) -> Settings:
-        """What is in effect."""
-        return self.requests.settings
-
-    # What the shell tells.
+    def receive(self, frame: Frame) -> None:
+        """Take in one frame; one that is not decoded is counted and changes no message."""
+        self.receiver.receive(frame)
 
     def link_lost(self, now_ns: int) -> None:
         """The interface is down or gone."""
-        if self._lost is None:
-            self._lost = LinkStatus(LinkState.LOST, now_ns)
+        self.receiver.monitor.lose(now_ns)
 
-    def link_opened(self, now_ns: int) -> None:
-        """The interface was opened, again or for the first time; nothing is received yet."""
-        self._lost = None
-        self.intake.link = LinkStatus(LinkState.UP, now_ns)
-        self._passive = PassiveTime()
+    def link_opened(self, link: LinkStatus, carrier: Carrier | None, now_ns: int) -> None:
+        """The interface was opened in this state; `carrier` is None where it is not known."""
+        self.receiver.monitor.open(link, carrier)
         self._listening.again(now_ns)
-        snapshot = self.intake.store.snapshot(now_ns)
-        self._qualification.begin(snapshot, self.settings.required)
+        self._qualification.begin(self.snapshot(now_ns), self.settings.required_messages)
         if self.supervisor.mode is Mode.STANDBY:
-            self._apply(Stimulus.REQUIRED_LOST, now_ns, "the link was opened anew")
+            self._modes.apply(Stimulus.REQUIRED_LOST, now_ns, "the link was opened anew")
+
+    def carrier_changed(self, carrier: Carrier) -> None:
+        """The carrier of the open interface came or went."""
+        self.receiver.monitor.change_carrier(carrier)
 
     def restarted(self, unexpectedly: int) -> None:
         """How often the gateway was started in this drive without having ended in order."""
         self.requests.restarts = unexpectedly
 
     def begin_from(self, cut_reason: str | None, reverse: Mapping[str, bool]) -> None:
-        """What the process before this one left; before the first tick.
+        """State that the process before this one left; before the first tick.
 
         A CUT that it had latched is latched again, with this reason. The directions that it
         applied hold unless the controllers echo others before the first frame.
         """
         self._commander.take_over(reverse)
         if cut_reason is not None:
-            self._apply(Stimulus.CUT, self._snapshot.now_ns, cut_reason)
-
-    @property
-    def link(self) -> LinkStatus:
-        """What is known of the bus."""
-        return self._lost or self.intake.link
+            self._modes.apply(Stimulus.CUT, self._snapshot.now_ns, cut_reason)
 
     def sent(self, frame: OutFrame, ok: bool, now_ns: int) -> None:
         """Whether the bus took a frame of the last tick."""
         if ok:
-            self.output.note_sent(frame, now_ns)
+            self.transmitter.note_sent(frame, now_ns)
             self._commander.note_sent(frame.controller)
         else:
             self._commander.not_sent(frame.controller)
-            self._ending.note_unsent()
+            self._shutdown.note_unsent()
+
+    def reload(self, settings: Settings) -> RequestResult:
+        """Take new settings whole or not at all; while ACTIVE only stricter limits."""
+        if reason := reload_refusal(self.settings, settings, self.supervisor.mode):
+            return self.requests.refuse("reload", reason)
+        self.settings = settings
+        self.requests.terms = demand_terms(settings)
+        self.transmitter.reload(settings)
+        return GRANTED
+
+    @property
+    def mode(self) -> Mode:
+        """Operating mode now."""
+        return self.supervisor.mode
+
+    @property
+    def latch(self) -> LatchedFault | None:
+        """The latched fault; None where nothing is latched."""
+        return self.supervisor.latch
+
+    @property
+    def link(self) -> LinkStatus:
+        """State of the bus as far as it is known."""
+        return self.receiver.monitor.link
+
+    @property
+    def counters(self) -> FrameCounters:
+        """Counts so far, copied."""
+        return self.receiver.counters(self.transmitter.gate.blocked)
+
+    @property
+    def command_groups(self) -> Mapping[int, tuple[str, ...]]:
+        """Controllers by the `j1939.group_key` of the frames that command them."""
+        return self.receiver.command_groups
 
     @property
     def finished(self) -> bool:
-        """STOPPING has sent what it must, or cannot send; asked after each tick's sending."""
-        return self._ending.over(self._listening.over)
+        """STOPPING has sent what it must, or cannot send; valid after each tick's sending."""
+        return self._shutdown.over(self._listening.over)
+
+    def snapshot(self, now_ns: int) -> Snapshot:
+        """Every message as it is known now; frames that a tick has to judge stay for it."""
+        return self.receiver.store.snapshot(now_ns)
 
     def safe_frames(self) -> tuple[OutFrame, ...]:
-        """What is to be sent instead of this process, should it not be there to send."""
-        return self.output.encoded(self._commander.zero_torque(self.settings, self._power_is_cut))
-
-    # The tick.
-
-    def judge_lateness(self, now_ns: int) -> None:
-        """Latch a tick that is too late in ACTIVE, before anything else of it is applied.
-
-        It was ACTIVE that had to be ticked where only a request since the tick before ended it.
-        """
-        if self._was_active or self.supervisor.mode is Mode.ACTIVE:
-            for finding in rules.late(self._late_ns(now_ns), self.settings.period_ns):
-                self._events += self.causes.note(finding, now_ns)
-                self._apply(Stimulus.LATCHING_STOP, now_ns, str(finding))
-
-    def _late_ns(self, now_ns: int) -> int:
-        """How long after its period a tick now would come."""
-        last_ns = self._last_tick_ns
-        return 0 if last_ns is None else now_ns - last_ns - self.settings.period_ns
+        """Frames to send in place of this process, should it not be there to send."""
+        safe = self._commander.zero_torque(self.settings, self._modes.power_is_cut)
+        return self.transmitter.encoded(safe)
 
     def tick(self, now_ns: int) -> TickResult:
-        """Decide what each controller is told now; both frames come from one snapshot."""
-        self.judge_lateness(now_ns)
-        snapshot = self._snapshot = self.intake.store.take(now_ns)
-        world = self._world(snapshot)
-        if world.foreign_sender is not None or self._lost is not None:
-            self._listening.again(now_ns)  # without a bus nobody can be heard
+        """Decide both controllers' frames; they come from one snapshot."""
+        modes, requests, settings = self._modes, self.requests, self.settings
+        sent = self.transmitter.history
+        modes.judge_lateness(now_ns)
+        snapshot = self._snapshot = self.receiver.store.take(now_ns)
+        emergency_stop, requests.emergency_stop_requested = requests.emergency_stop_requested, False
+        late_ns = modes.late_ns(now_ns)
+        inputs = self._collector.collect(snapshot, settings, late_ns, emergency_stop)
+        if inputs.foreign_sender is not None or inputs.link.state is LinkState.LOST:
+            self._listening.again(now_ns)  # without a bus no other sender is heard
         talking = self._listening.update(now_ns)
-        if not self.output.sending.begun:
-            unsent = self.output.sending.unsent
-            self._commander.take_over(_echoed_directions(snapshot, unsent))
-        hold_ns = self.settings.clear_hold_ms * NS_PER_MS
-        self._events += self.causes.update(rules.findings(world), hold_ns, now_ns)
-        self._supervise(snapshot)
-        self._speeds = motor_speeds.of(snapshot, world.observed)
-        decided = self._decide(snapshot)
-        frames = self._frames(decided, now_ns) if talking else ()
-        self.output.sending.note_emitted(bool(frames))
-        self._last_tick_ns = now_ns
-        self._was_active = self.supervisor.mode is Mode.ACTIVE
-        return self._result(snapshot, frames)
+        if not sent.begun:
+            self._commander.take_over(echoed_directions(snapshot, sent.unsent))
+        modes.update(rules.findings(inputs), settings.clear_hold_ms * NS_PER_MS, now_ns)
+        self._supervise(snapshot, settings)
+        self._speeds = motor_speeds.of(snapshot, inputs.observed)
+        commands = self._decide(settings, now_ns)
+        frames = self._frames(commands, now_ns) if talking else ()
+        sent.note_emitted(bool(frames))
+        mode, events = self.supervisor.mode, modes.end_tick(now_ns)
+        self._shutdown.note_tick(mode is Mode.STOPPING)
+        return TickResult(snapshot, mode, dict(self._commander.last), frames, events)
 
-    def _world(self, snapshot: Snapshot) -> RuleInputs:
-        settings, now_ns = self.settings, snapshot.now_ns
-        requests = self.requests
-        emergency_stop, requests.emergency_stop_asked = requests.emergency_stop_asked, False
-        blocked, self._blocked_by_gate = self._blocked_by_gate, None
-        foreign, before = self.intake.foreign_count, self._foreign_before
-        self._foreign_before = foreign
-        return RuleInputs(
-            snapshot=snapshot,
-            settings=settings,
-            late_after_ns=self._late_after_ns,
-            link=self.link,
-            history=self.output.sending.history,
-            observed=self._plausibility.observe(snapshot, self.output.sending.history, settings),
-            passive_ns=self._passive.within(self.intake.book.passive_ns(now_ns), now_ns),
-            tick_late_ns=self._late_ns(now_ns),
-            period_ns=settings.period_ns,
-            unconfirmed_ticks=self.output.sending.note_confirmed(self.intake.confirmed),
-            foreign_sender=self.intake.foreign_id if foreign > before else None,
-            emergency_stop=emergency_stop,
-            blocked_by_gate=blocked,
-        )
-
-    def _supervise(self, snapshot: Snapshot) -> None:
+    def _supervise(self, snapshot: Snapshot, settings: Settings) -> None:
         """Give the supervisor every stimulus of this tick, the most urgent first."""
-        now_ns, required = snapshot.now_ns, self.settings.required
-        if self.requests.terminating:
-            self._apply(Stimulus.TERMINATE, now_ns, "asked to end")
-        for held in self.causes.having(BLOCKING):
-            self._apply(_stimulus_of(held.finding), now_ns, str(held.finding))
-        if not self.requests.desk.fresh(now_ns):
-            self._apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
-        if not self._qualification.observe(snapshot, required):
-            self._apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
+        modes, requests, now_ns = self._modes, self.requests, snapshot.now_ns
+        if requests.terminating:
+            modes.apply(Stimulus.TERMINATE, now_ns, "asked to end")
+        modes.apply_causes(now_ns)
+        if not requests.arbiter.fresh(now_ns):
+            modes.apply(Stimulus.DEMAND_EXPIRED, now_ns, "the demand expired")
+        if not self._qualification.observe(snapshot, settings.required_messages):
+            modes.apply(Stimulus.REQUIRED_LOST, now_ns, "a required message is missing")
         elif self.supervisor.mode is Mode.STARTING and self._qualified(snapshot):
-            self._apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
-        if self._auto_arm_left and self.requests.desk.taken:
-            self._auto_arm_left = False  # a driver arms on purpose
-        if self._auto_arm_left and not self.requests.against_arming(now_ns):
-            self._auto_arm_left = False
-            self._apply(Stimulus.ARM, now_ns, "armed by auto_arm on a test bench")
+            modes.apply(Stimulus.QUALIFIED, now_ns, "every required message is there")
+        if modes.auto_arm_pending and requests.arbiter.taken:
+            modes.auto_arm_pending = False  # a driver arms on purpose
+        if modes.auto_arm_pending and not requests.against_arming(now_ns):
+            modes.auto_arm_pending = False
+            modes.apply(Stimulus.ARM, now_ns, "armed by auto_arm on a test bench")
 
     def _qualified(self, snapshot: Snapshot) -> bool:
         missing = self._qualification.missing(snapshot, self.settings)
-        return self.output.sending.begun and not any(missing)
+        return self.transmitter.history.begun and not any(missing)
 
-    def _apply(self, stimulus: Stimulus, now_ns: int, reason: str) -> None:
-        self._events += self.supervisor.apply(stimulus, now_ns, reason)
-        if stimulus is Stimulus.DISARM or self.supervisor.mode is Mode.FAULT:
-            self._auto_arm_left = False  # a reset never leads to ACTIVE by itself
-
-    def _decide(self, snapshot: Snapshot) -> Mapping[str, Command]:
-        settings, now_ns, mode = self.settings, snapshot.now_ns, self.supervisor.mode
-        effects, asked = self.causes.effects(), self.requests.asked(now_ns)
+    def _decide(self, settings: Settings, now_ns: int) -> Mapping[str, Command]:
+        mode = self.supervisor.mode
+        effects, demanded = self.causes.effects(), self.requests.demanded(now_ns)
         regenerates = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
         slow = motor_speeds.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
-        if mode is Mode.ACTIVE and asked is not None:
+        if mode is Mode.ACTIVE and demanded is not None:
             return self._commander.active(
-                asked, effects, slow, settings, now_ns, regenerates=regenerates
+                demanded, effects, slow, settings, now_ns, regenerates=regenerates
             )
         if mode is Mode.STANDBY:
-            return self._commander.settle(asked, effects, slow, settings, now_ns)
-        return self._commander.safe(asked, settings, self._power_is_cut, now_ns)
+            return self._commander.settle(demanded, effects, slow, settings, now_ns)
+        return self._commander.safe(demanded, settings, self._modes.power_is_cut, now_ns)
 
-    @property
-    def _power_is_cut(self) -> bool:
-        return self.supervisor.power_is_cut or Effect.CUT in self.causes.effects()
-
-    def _frames(self, decided: Mapping[str, Command], now_ns: int) -> tuple[OutFrame, ...]:
-        """Encode, and let the gate look at every frame; one blocked frame stops both."""
+    def _frames(self, commands: Mapping[str, Command], now_ns: int) -> tuple[OutFrame, ...]:
+        """Encode, and show every frame to the gate; one blocked frame stops both."""
         armed = self.supervisor.mode is Mode.ACTIVE
-        frames = self.output.encoded(decided)
-        rule = self.output.fault_of(frames, armed, self._speeds.highest_rpm, now_ns)
+        frames = self.transmitter.encoded(commands)
+        rule = self.transmitter.fault_of(frames, armed, self._speeds.highest_rpm, now_ns)
         if rule is None:
             return frames
-        self._blocked_by_gate = rule
-        self._events += self.causes.note(rules.blocked(rule), now_ns)
-        self._apply(Stimulus.LATCHING_STOP, now_ns, f"the gate blocked a frame: {rule}")
-        return self.output.encoded(self._commander.replaced(self.settings, self._power_is_cut))
-
-    def _result(self, snapshot: Snapshot, frames: tuple[OutFrame, ...]) -> TickResult:
-        events = tuple(self._events)
-        self._events.clear()
-        self._ending.note_tick(self.supervisor.mode is Mode.STOPPING)
-        return TickResult(
-            snapshot=snapshot,
-            mode=self.supervisor.mode,
-            commands=dict(self._commander.last),
-            frames=frames,
-            events=events,
-        )
+        self._collector.blocked_by_gate = rule
+        self._modes.latch(rules.blocked(rule), now_ns, f"the gate blocked a frame: {rule}")
+        safe = self._commander.replaced(self.settings, self._modes.power_is_cut)
+        return self.transmitter.encoded(safe)
 
     def why(self, now_ns: int) -> Explanation:
-        """Mode, what blocks, what limits, the demand and what to do next."""
+        """Mode, blocking and limiting causes, the demand and the next step."""
         mode, refusal = self.supervisor.mode, ""
         if mode is Mode.STANDBY:
             refusal = self.requests.against_arming(now_ns)
         elif mode is Mode.FAULT:
             refusal = self.requests.against_resetting(FaultClass.SERVICE, now_ns)
-        judged_ns = self._snapshot.now_ns
-        facts = why.ExplanationInputs(judged_ns, self.supervisor, self.causes, self.requests.desk)
-        return why.explained(facts, tuple(self._waits(now_ns)), refusal, now_ns)
+        inputs = why.ExplanationInputs(
+            self._snapshot.now_ns, self.supervisor, self.causes, self.requests.arbiter
+        )
+        return why.explained(inputs, tuple(self._waits(now_ns)), refusal, now_ns)
 
     def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:
             return [LISTENING]
         if self.supervisor.mode in (Mode.STANDBY, Mode.ACTIVE):
-            asked = self.requests.asked(now_ns)
-            return throttle.waits(self._commander, asked, self._speeds.highest_rpm, self.settings)
+            demanded = self.requests.demanded(now_ns)
+            return why.waits(self._commander, demanded, self._speeds.highest_rpm, self.settings)
         if self.supervisor.mode is not Mode.STARTING:
             return []
         waits = list(self._qualification.missing(self._snapshot, self.settings))
-        return waits if self.output.sending.begun else ["sending our first frames", *waits]
-
-
-def _stimulus_of(finding: Finding) -> Stimulus:
-    if finding.effect is Effect.CUT:
-        return Stimulus.CUT
-    return Stimulus.LATCHING_STOP if finding.latches else Stimulus.STOP
-
-
-def _echoed_directions(snapshot: Snapshot, controllers: Iterable[str]) -> Mapping[str, bool]:
-    """Reverse or not, of each of these controllers that says what it was told last."""
-    readings = {name: snapshot.reading(f"{name}_Status1", "MotorReverse") for name in controllers}
-    return {
-        name: bool(one.good_value) for name, one in readings.items() if one.good_value is not None
-    }
+        return waits if self.transmitter.history.begun else ["sending our first frames", *waits]
