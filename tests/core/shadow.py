@@ -1,10 +1,11 @@
-"""SAFETY.md a second time, from the bytes of the frames alone: what the gateway is held against.
+"""docs/safety.md once more, from the frames' bytes alone: what the gateway is held against.
 
 Nothing of the core's decisions is used here: no codec, no rules, no modes but their names.
 """
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
 MS = 1_000_000
 PERCENT_PER_BIT = 0.39
@@ -49,7 +50,7 @@ class Seen:
 class Shadow:
     """What a second reader of the bus knows."""
 
-    settings: object
+    settings: Any
     received: dict = field(default_factory=dict)
     rejected: Counter = field(default_factory=Counter)
     taken: Counter = field(default_factory=Counter)
@@ -319,7 +320,7 @@ class Shadow:
         for slot in SLOTS:
             data = self.sent[slot][0] if slot in self.sent else bytes(8)
             told_w = int.from_bytes(data[6:8], "little")
-            # The highest code stands for everything up to 100 % (PROTOCOL.md E10).
+            # The highest code stands for everything up to 100 % (docs/protocol.md E10).
             told_pct = 100.0 if data[2] == 255 else data[2] * PERCENT_PER_BIT
             target_w, target_pct = settings.power_limit_max_w, None
             if "power" in effects:
@@ -339,16 +340,16 @@ class Shadow:
 
     # Pedals.
 
-    def note_granted(self, asked, made_ns, now_ns, took_over):
-        self.granted.append((asked, made_ns, now_ns, took_over))
+    def note_granted(self, demanded, made_ns, now_ns, took_over):
+        self.granted.append((demanded, made_ns, now_ns, took_over))
 
     def note_gap(self):
         """No demand was fresh."""
         self.granted.append(None)
 
-    def throttle_waits(self, asked, now_ns):
+    def throttle_waits(self, demanded, now_ns):
         """Whether any demand since the tick before, or the one that counts now, forbids it."""
-        last = [] if asked is None else [(asked, now_ns, now_ns, False)]
+        last = [] if demanded is None else [(demanded, now_ns, now_ns, False)]
         found = set()
         for one in [*self.granted, *(last or [None])]:
             if one is None:
@@ -358,8 +359,8 @@ class Shadow:
         self.granted = []
         return bool(found | self.waiting)
 
-    def _waits_after(self, asked, made_ns, now_ns, took_over):
-        values = asked.values()
+    def _waits_after(self, demanded, made_ns, now_ns, took_over):
+        values = demanded.values()
         begun = {"taken over"} if took_over else set()
         if [one for one in values if one.throttle_pct > 25 and one.brake_pct > 5]:
             begun.add("override")
@@ -378,7 +379,7 @@ class Shadow:
             if max(second) < 5:
                 self.waiting.discard("tracks")
         turned = {
-            slot for slot, one in asked.items() if one.motor_reverse is not self.reverse(slot)
+            slot for slot, one in demanded.items() if one.motor_reverse is not self.reverse(slot)
         }
         return begun | turned
 

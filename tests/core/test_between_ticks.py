@@ -19,6 +19,7 @@ from tests.core.safety_world import (
     standby,
 )
 from vcu_gateway.core.causes import Effect
+from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.state import Store
@@ -129,12 +130,12 @@ def test_every_value_out_of_range_is_told_though_a_good_one_followed():
 def test_a_direction_changes_only_where_every_speed_of_the_tick_allows_it(rpm, order):
     drive = standby()
     drive.silent.add("PCU1_Status2")
-    drive.asked = ControllerDemand(motor_reverse=True)
+    drive.demanded = ControllerDemand(motor_reverse=True)
     speeds = (0, rpm, 0)
     for number, index in enumerate(order):
         frame = data("PCU1_Status2", {"MotorSpeed": speeds[index]})
         can_id = CODEC.by_name["PCU1_Status2"].spec.can_id
-        drive.gateway.intake.receive(Frame(can_id, frame, drive.now_ns + number))
+        drive.gateway.receive(Frame(can_id, frame, drive.now_ns + number))
     drive.tick()
     assert drive.commands == [ZERO_TORQUE] * 2
 
@@ -154,7 +155,7 @@ def test_a_frame_that_came_out_of_order_is_judged_and_replaces_nothing():
 # The book of arrivals.
 
 
-def store_and_frame() -> tuple[Store, object]:
+def store_and_frame() -> tuple[Store, Decoded]:
     received = PROTOCOL.received_by("VCU")
     store = Store(received, {message.name: 10**9 for message in received})
     return store, CODEC.by_name[STATUS].decode(data(STATUS))
@@ -219,7 +220,7 @@ REQUESTS = {
 def test_a_late_tick_latches_whatever_was_asked_meanwhile(request_of, beyond_ns, mode):
     drive = active()
     drive.ttl_ms = 200
-    drive.asked = None
+    drive.demanded = None
     drive.now_ns += LATE_NS + beyond_ns
     REQUESTS[request_of](drive)
     drive.gateway.tick(drive.now_ns)
@@ -261,7 +262,7 @@ def test_a_late_tick_cannot_be_reset_before_it_was_ticked(request_of):
     REQUESTS[request_of](drive)
     assert drive.mode is Mode.FAULT
     assert drive.reset().sentence == "tick 200 ms: stop stands or stood a moment ago"
-    drive.asked = ControllerDemand()
+    drive.demanded = ControllerDemand()
     drive.tick()
     drive.run(950)
     assert not drive.reset(FaultClass.DRIVER).granted
@@ -315,7 +316,7 @@ def test_what_is_lost_in_a_fault_has_to_qualify_again_after_the_reset(how):
     else:
         drive.gateway.link_lost(drive.now_ns)
         drive.run(100)
-        drive.gateway.link_opened(drive.now_ns)
+        drive.open_link()
     drive.run(1100)
     assert drive.reset(FaultClass.DRIVER).granted
     drive.tick()
@@ -326,7 +327,7 @@ def test_what_is_lost_in_a_fault_has_to_qualify_again_after_the_reset(how):
 def test_a_link_lost_for_a_moment_in_standby_begins_the_qualification_anew():
     drive = standby()
     drive.gateway.link_lost(drive.now_ns)
-    drive.gateway.link_opened(drive.now_ns)
+    drive.open_link()
     drive.tick()
     assert drive.mode is Mode.STARTING
     assert not drive.arm().granted
@@ -347,13 +348,13 @@ def test_arming_is_refused_until_the_tick_after_a_reset():
 def test_regeneration_ends_where_one_speed_of_the_tick_is_too_low(order, slow_rpm, regenerates):
     drive = active(throttle_slew_pct_per_s=200.0)
     drive.codes = {f"{name}_Status2.MotorSpeed": 1000 for name in CONTROLLERS}
-    drive.asked = ControllerDemand(brake_pct=40, regen_brake=True)
+    drive.demanded = ControllerDemand(brake_pct=40, regen_brake=True)
     drive.run(1000)
     assert drive.commands[0][0] & 0x20
     for number, index in enumerate(order):
         frame = data("PCU1_Status2", {"MotorSpeed": (1000, slow_rpm, 1000)[index]})
         can_id = CODEC.by_name["PCU1_Status2"].spec.can_id
-        drive.gateway.intake.receive(Frame(can_id, frame, drive.now_ns + number))
+        drive.gateway.receive(Frame(can_id, frame, drive.now_ns + number))
     drive.tick()
     assert (drive.commands[0][0] & 0x20 > 0) is regenerates
 
@@ -362,7 +363,7 @@ def test_senders_of_any_identifier_are_one_cause():
     """Its memory is bounded, however many source addresses somebody tries."""
     drive = standby()
     for source in range(30):
-        drive.gateway.intake.receive(Frame(0x0008A700 + source, ZERO_TORQUE, drive.now_ns))
+        drive.gateway.receive(Frame(0x0008A700 + source, ZERO_TORQUE, drive.now_ns))
         drive.tick()
     (found,) = [held.finding for held in drive.gateway.causes.held if held.finding.latches]
     assert str(found) == "command 0008A71D: stop"

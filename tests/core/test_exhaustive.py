@@ -1,6 +1,6 @@
 """Every word of the battery and of the controllers, in every mode, against an oracle.
 
-The oracle is SAFETY.md, written down once more as text and read here; it imports nothing of
+The oracle is docs/safety.md, written down once more as text and read here; it imports nothing of
 the rules, the supervisor's table or the commands. Each case is one whole tick of a gateway
 that is put back, before the case, into the state in which it was prepared:
 
@@ -170,13 +170,13 @@ class Prepared:
         drive = in_mode(mode)
         if mode is Mode.ACTIVE:
             drive.turn(3000)
-            drive.asked = ASKED
+            drive.demanded = ASKED
             drive.run(2000)
             assert drive.commands == [expected_frame("ACTIVE", frozenset())] * 2
         assert drive.mode is mode
         assert drive.gateway.causes.held == ()
         self.mode, self.gateway, self.now_ns = mode.name, drive.gateway, drive.now_ns + PERIOD_NS
-        last = drive.gateway.intake.store.snapshot(0).reading("BMS_Status", "LifeSignal").raw
+        last = drive.gateway.snapshot(0).reading("BMS_Status", "LifeSignal").raw
         self.life = (last or 0) ^ 1
         self._checkpoint = Checkpoint(self.gateway)
 
@@ -184,7 +184,7 @@ class Prepared:
         self._checkpoint.restore()
         for name, content in frames:
             can_id = CODEC.by_name[name].spec.can_id
-            self.gateway.intake.receive(Frame(can_id, content, self.now_ns))
+            self.gateway.receive(Frame(can_id, content, self.now_ns))
         return self.gateway.tick(self.now_ns)
 
     def battery(self, byte6: int, byte7: int, number: int = 0) -> tuple[str, bytes]:

@@ -1,4 +1,4 @@
-"""SAFETY.md's invariants, after every step of a gateway to which anything may happen.
+"""The invariants of docs/safety.md, after every step of a gateway to which anything may happen.
 
 HYPOTHESIS_PROFILE=nightly walks at least 100,000 steps; see tests/conftest.py.
 """
@@ -33,6 +33,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
@@ -131,10 +132,10 @@ class GatewayMachine(RuleBasedStateMachine):
     # Frames in.
 
     def _receive(self, frame):
-        store = self.gateway.intake.store
+        store = self.gateway.receiver.store
         before = store._latest.copy()
         kind = self.shadow.receive(frame)
-        self.gateway.intake.receive(frame)  # I14: never raises
+        self.gateway.receive(frame)  # I14: never raises
         if kind != "stored":
             assert store._latest == before, "I14: a frame that is not taken changes nothing"
         COUNTS["frames"] += 1
@@ -223,8 +224,8 @@ class GatewayMachine(RuleBasedStateMachine):
             self.released_ns = self.now_ns
 
     def _throttle_is_asked(self):
-        asked = self.demand.controllers.values() if self._fresh() else ()
-        return any(one.throttle_pct > 0 for one in asked)
+        demanded = self.demand.controllers.values() if self._fresh() else ()
+        return any(one.throttle_pct > 0 for one in demanded)
 
     def _arm(self):
         before = self.gateway.supervisor.mode
@@ -264,7 +265,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     # The tick and its checks.
 
-    def _step(self, asked=None, after_ns=None, *, speak=True, **offer):
+    def _step(self, demanded=None, after_ns=None, *, speak=True, **offer):
         """One turn of the loop, at the next grid point or after a given time."""
         if after_ns is None:
             self.now_ns = max(self.now_ns, self.schedule.next_deadline_ns)
@@ -272,8 +273,8 @@ class GatewayMachine(RuleBasedStateMachine):
             self.now_ns += after_ns
         if speak:
             self._vehicle_speaks()
-        if asked is not None:
-            self._offer(asked, **offer)
+        if demanded is not None:
+            self._offer(demanded, **offer)
         if self.schedule.due(self.now_ns) is None:
             return None
         return self._tick()
@@ -303,9 +304,9 @@ class GatewayMachine(RuleBasedStateMachine):
         self.shadow.note_speeds(self.now_ns)
         if result.mode in (Mode.STANDBY, Mode.ACTIVE):
             self.shadow.move_limits(effects, elapsed_ns)
-        asked = self.demand.controllers if self._fresh() else None
-        self.throttle_waits = self.shadow.throttle_waits(asked, self.now_ns)
-        if asked is None:
+        demanded = self.demand.controllers if self._fresh() else None
+        self.throttle_waits = self.shadow.throttle_waits(demanded, self.now_ns)
+        if demanded is None:
             self.released_ns = None
         self.elapsed_ns = elapsed_ns
         self._check_frames(result, effects, found)
@@ -350,7 +351,7 @@ class GatewayMachine(RuleBasedStateMachine):
         frames = result.frames
         assert [frame.controller for frame in frames] == list(SLOTS if self.talking else ()), "I13"
         assert result.snapshot.now_ns == self.now_ns, "I5"
-        assert self.gateway.output.gate.blocked == {}, "the gate never has to act"
+        assert self.gateway.transmitter.gate.blocked == {}, "the gate never has to act"
         for frame in frames:
             slot, data = frame.controller, frame.data
             assert COMMAND_IDS[frame.can_id] == slot
@@ -398,23 +399,23 @@ class GatewayMachine(RuleBasedStateMachine):
         """I1, I3, I10, I11 in ACTIVE."""
         first, throttle, brake = data[:3]
         power = data[6] | data[7] << 8
-        asked = self.demand.controllers[slot]
+        demanded = self.demand.controllers[slot]
         COUNTS["with throttle"] += throttle > 0
         assert throttle <= self.shadow.throttle_max_raw(slot, self.now_ns) + 1e-6, "I3"
-        assert throttle <= asked.throttle_pct / PERCENT_PER_BIT + 0.501, "I3: falls at once"
+        assert throttle <= demanded.throttle_pct / PERCENT_PER_BIT + 0.501, "I3: falls at once"
         if self.throttle_waits:
             assert throttle == 0, "a pedal or a direction is waited for"
             COUNTS["throttle waits"] += 1
-        if asked.power_mode is PowerMode.SAFETY:
+        if demanded.power_mode is PowerMode.SAFETY:
             assert throttle == 0, "PowerMode safety means throttle 0"
-        if bool(first & 0x10) is not asked.motor_reverse:
+        if bool(first & 0x10) is not demanded.motor_reverse:
             assert throttle == 0, "a change of direction waits with throttle 0"
         assert not (throttle * PERCENT_PER_BIT > 25.2 and brake * PERCENT_PER_BIT > 5.2), "I11"
-        self._check_speed_limit(slot, data, asked.speed_limit_rpm)
-        assert power <= min(asked.power_limit_w, self.shadow.power_w[slot]) + 1, "I1"
-        highest_pct = min(asked.brake_pct, self.shadow.brake_pct[slot])
+        self._check_speed_limit(slot, data, demanded.speed_limit_rpm)
+        assert power <= min(demanded.power_limit_w, self.shadow.power_w[slot]) + 1, "I1"
+        highest_pct = min(demanded.brake_pct, self.shadow.brake_pct[slot])
         assert brake * PERCENT_PER_BIT <= highest_pct + PERCENT_PER_BIT, "I1"
-        assert asked.regen_brake or not first & 0x20, "I10: only where demanded"
+        assert demanded.regen_brake or not first & 0x20, "I10: only where demanded"
         COUNTS["braking"] += brake > 0
         assert self.shadow.regenerates or not first & 0x20, "too slow to regenerate"
         if "regen_off" in effects:
@@ -440,38 +441,38 @@ class GatewayMachine(RuleBasedStateMachine):
 
     # Ordinary life.
 
-    @rule(asked=BOTH, ticks=st.integers(1, 12))
-    def drive(self, asked, ticks):
+    @rule(demanded=BOTH, ticks=st.integers(1, 12))
+    def drive(self, demanded, ticks):
         for _ in range(ticks):
-            self._step(asked)
+            self._step(demanded)
 
     @rule(legs=st.lists(BOTH, min_size=1, max_size=4), ticks=st.integers(5, 25))
     def set_off(self, legs, ticks):
         """Make everything well, reset, arm and drive."""
         self._make_well()
         self._settle()
-        for asked in legs:
-            self.drive(asked, ticks)
+        for demanded in legs:
+            self.drive(demanded, ticks)
 
     @rule(legs=st.lists(BOTH, min_size=1, max_size=4), ticks=st.integers(5, 25))
     def drive_on(self, legs, ticks):
         """As set_off, and with what the vehicle tells where that stops nothing."""
         if self.gateway.supervisor.mode is not Mode.ACTIVE:
             self.set_off(legs, ticks)
-        for asked in legs:
+        for demanded in legs:
             self.drive(IDLE, 1)  # a released pedal ends what the leg before it latched
-            self.drive(asked, ticks)
+            self.drive(demanded, ticks)
 
-    @rule(asked=BOTH, slot=st.sampled_from(SLOTS), other=ASKED, ticks=st.integers(5, 25))
-    def steer(self, asked, slot, other, ticks):
+    @rule(demanded=BOTH, slot=st.sampled_from(SLOTS), other=ASKED, ticks=st.integers(5, 25))
+    def steer(self, demanded, slot, other, ticks):
         """Drive, then ask something else of one controller."""
-        self.drive_on([asked, asked | {slot: other}, asked], ticks)
+        self.drive_on([demanded, demanded | {slot: other}, demanded], ticks)
 
     def _make_well(self):
         self._well()
         self.bus_off = False
         self.link_lost = False
-        self.gateway.link_opened(self.now_ns)
+        self.gateway.link_opened(LinkStatus(LinkState.UP, self.now_ns), None, self.now_ns)
         self.quiet_until_ns = self.now_ns + self.settings.listen_before_talk_ms * MS
 
     def _settle(self):
@@ -520,40 +521,40 @@ class GatewayMachine(RuleBasedStateMachine):
 
     # What the vehicle tells.
 
-    @rule(byte6=st.integers(0, 255), asked=BOTH, ticks=st.integers(1, 8))
-    def battery_tells(self, byte6, asked, ticks):
+    @rule(byte6=st.integers(0, 255), demanded=BOTH, ticks=st.integers(1, 8))
+    def battery_tells(self, byte6, demanded, ticks):
         self.bms[0] = byte6
-        self.drive(asked, ticks)
+        self.drive(demanded, ticks)
 
-    @rule(byte6=st.sampled_from([0x01, 0x02, 0x03, 0x04, 0x40]), asked=BOTH)
-    def battery_limits(self, byte6, asked):
+    @rule(byte6=st.sampled_from([0x01, 0x02, 0x03, 0x04, 0x40]), demanded=BOTH)
+    def battery_limits(self, byte6, demanded):
         """Level 1 for a while and then no more: limits come and go."""
         self.bms[0] = byte6
         for _ in range(12):
-            self._step(asked)
+            self._step(demanded)
         self.bms[0] = 0
         for _ in range(25):
-            self._step(asked)
+            self._step(demanded)
 
     @rule(byte7=st.integers(0, 255) | st.sampled_from([0x04, 0x10, 0x40]), ticks=st.integers(1, 4))
     def battery_feels(self, byte7, ticks):
         self.bms[1] = byte7
         self.nobody_asks(ticks)
 
-    @rule(slot=st.sampled_from(SLOTS), level=st.integers(0, 255), asked=BOTH)
-    def controller_tells(self, slot, level, asked):
+    @rule(slot=st.sampled_from(SLOTS), level=st.integers(0, 255), demanded=BOTH)
+    def controller_tells(self, slot, level, demanded):
         self.levels[slot] = level
-        self.drive(asked, 4)
+        self.drive(demanded, 4)
 
-    @rule(names=st.sets(st.sampled_from(sorted(ID_OF)), max_size=3), asked=BOTH)
-    def fall_silent(self, names, asked):
+    @rule(names=st.sets(st.sampled_from(sorted(ID_OF)), max_size=3), demanded=BOTH)
+    def fall_silent(self, names, demanded):
         self.silent = names
-        self.drive(asked, 5)
+        self.drive(demanded, 5)
 
-    @rule(asked=BOTH, ticks=st.integers(1, 8))
-    def life_stands_still(self, asked, ticks):
+    @rule(demanded=BOTH, ticks=st.integers(1, 8))
+    def life_stands_still(self, demanded, ticks):
         self.life_stands = True
-        self.drive(asked, ticks)
+        self.drive(demanded, ticks)
         self.life_stands = False
 
     @rule(throttle=st.integers(0, 255))
@@ -614,16 +615,16 @@ class GatewayMachine(RuleBasedStateMachine):
         elif bits & 0x100 or (bits == 0x004 and second & 0x4C == 0x40):
             self.bus_off = False
 
-    @rule(refuse=st.sets(st.sampled_from(SLOTS)), asked=BOTH, ticks=st.integers(1, 6))
-    def bus_does_not_take(self, refuse, asked, ticks):
+    @rule(refuse=st.sets(st.sampled_from(SLOTS)), demanded=BOTH, ticks=st.integers(1, 6))
+    def bus_does_not_take(self, refuse, demanded, ticks):
         self.refuse = refuse
-        self.drive(asked, ticks)
+        self.drive(demanded, ticks)
         self.refuse = set()
 
-    @rule(mute=st.sets(st.sampled_from(SLOTS)), asked=BOTH, ticks=st.integers(1, 5))
-    def frames_do_not_come_back(self, mute, asked, ticks):
+    @rule(mute=st.sets(st.sampled_from(SLOTS)), demanded=BOTH, ticks=st.integers(1, 5))
+    def frames_do_not_come_back(self, mute, demanded, ticks):
         self.mute = mute
-        self.drive(asked, ticks)
+        self.drive(demanded, ticks)
         self.mute = set()
 
     @rule(ticks=st.integers(0, 5))
@@ -634,44 +635,44 @@ class GatewayMachine(RuleBasedStateMachine):
 
     # Time.
 
-    @rule(after_ns=st.integers(0, 60 * MS), asked=BOTH)
-    def some_time_passes(self, after_ns, asked):
-        self._step(asked, after_ns=after_ns)
+    @rule(after_ns=st.integers(0, 60 * MS), demanded=BOTH)
+    def some_time_passes(self, after_ns, demanded):
+        self._step(demanded, after_ns=after_ns)
 
     @rule(periods=st.sampled_from([1, 2, 4, 5, 6, 40, 10_000]), jitter_ns=st.integers(0, 49 * MS))
     def the_tick_is_late(self, periods, jitter_ns):
         self._step(None, after_ns=periods * self.settings.period_ns + jitter_ns)
 
-    @rule(asked=BOTH, lateness_ns=st.lists(st.integers(0, 26 * MS), max_size=8))
-    def ticks_jitter(self, asked, lateness_ns):
+    @rule(demanded=BOTH, lateness_ns=st.lists(st.integers(0, 26 * MS), max_size=8))
+    def ticks_jitter(self, demanded, lateness_ns):
         for one in lateness_ns:
             after_ns = max(self.schedule.next_deadline_ns - self.now_ns, 0) + one
-            self._step(asked, after_ns=after_ns)
+            self._step(demanded, after_ns=after_ns)
 
     # What the operators do.
 
     @rule(
-        asked=BOTH,
+        demanded=BOTH,
         slot=st.sampled_from(SLOTS),
         name=st.sampled_from(["throttle_pct", "brake_pct", "speed_limit_rpm", "power_limit_w"]),
         value=WRONG,
     )
-    def ask_the_impossible(self, asked, slot, name, value):
-        wrong = asked | {slot: dataclasses.replace(asked[slot], **{name: value})}
+    def ask_the_impossible(self, demanded, slot, name, value):
+        wrong = demanded | {slot: dataclasses.replace(demanded[slot], **{name: value})}
         assert not self._offer(wrong).granted
 
-    @rule(asked=BOTH, ttl_ms=st.sampled_from([-1, 0, 1, 20, 50, 1000, 1001]))
-    def ask_for_a_time(self, asked, ttl_ms):
-        self._step(asked, ttl_ms=ttl_ms)
+    @rule(demanded=BOTH, ttl_ms=st.sampled_from([-1, 0, 1, 20, 50, 1000, 1001]))
+    def ask_for_a_time(self, demanded, ttl_ms):
+        self._step(demanded, ttl_ms=ttl_ms)
         self._step()
 
-    @rule(asked=BOTH, back=st.integers(0, 3))
-    def ask_with_an_old_number(self, asked, back):
-        self._offer(asked, sequence=self.sequences["driver"] - back)
+    @rule(demanded=BOTH, back=st.integers(0, 3))
+    def ask_with_an_old_number(self, demanded, back):
+        self._offer(demanded, sequence=self.sequences["driver"] - back)
 
-    @rule(asked=BOTH, waited_ns=st.integers(-5 * MS, 400 * MS), ticks=st.integers(1, 8))
-    def ask_with_a_demand_that_waited(self, asked, waited_ns, ticks):
-        self._offer(asked, made_ns=self.now_ns - waited_ns)
+    @rule(demanded=BOTH, waited_ns=st.integers(-5 * MS, 400 * MS), ticks=st.integers(1, 8))
+    def ask_with_a_demand_that_waited(self, demanded, waited_ns, ticks):
+        self._offer(demanded, made_ns=self.now_ns - waited_ns)
         for _ in range(ticks):
             self._step()
 
@@ -684,10 +685,10 @@ class GatewayMachine(RuleBasedStateMachine):
             self.demand_ended, self.may_be_active = True, False
             assert self.gateway.supervisor.mode is not Mode.ACTIVE
 
-    @rule(asked=BOTH, source=st.sampled_from(sorted(PRIORITIES)), ticks=st.integers(1, 4))
-    def another_source_asks(self, asked, source, ticks):
+    @rule(demanded=BOTH, source=st.sampled_from(sorted(PRIORITIES)), ticks=st.integers(1, 4))
+    def another_source_asks(self, demanded, source, ticks):
         for _ in range(ticks):
-            self._step(asked, source=source)
+            self._step(demanded, source=source)
 
     @rule(
         name=st.sampled_from(
@@ -712,7 +713,7 @@ class GatewayMachine(RuleBasedStateMachine):
         assume(name != "clear_hold_ms" or new < 3000)
         after = dataclasses.replace(self.settings, **{name: new})
         active = self.gateway.supervisor.mode is Mode.ACTIVE
-        answer = self.gateway.requests.reload(after)
+        answer = self.gateway.reload(after)
         assert answer.granted is (stricter or not active or new == value)
         if answer.granted:
             self.settings = self.shadow.settings = after
@@ -720,9 +721,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     @rule(change=st.sampled_from([{"period_ns": 1}, {"auto_arm": True}, {"transmit_priority": 7}]))
     def reload_what_needs_a_restart(self, change):
-        assert not self.gateway.requests.reload(
-            dataclasses.replace(self.settings, **change)
-        ).granted
+        assert not self.gateway.reload(dataclasses.replace(self.settings, **change)).granted
         assert self.gateway.settings == self.settings
 
     # Always.
@@ -731,19 +730,19 @@ class GatewayMachine(RuleBasedStateMachine):
     @invariant()
     def everything_is_counted_and_bounded(self):
         COUNTS["steps"] += 1
-        intake, shadow = self.gateway.intake, self.shadow
-        rejected = {reason.value: n for reason, n in intake.rejected.items() if n}
+        receiver, shadow = self.gateway.receiver, self.shadow
+        rejected = {reason.value: n for reason, n in receiver.rejected.items() if n}
         assert rejected == dict(shadow.rejected), "I8"
-        assert intake.foreign_count == shadow.taken["foreign"]
-        assert sum(intake.confirmed.values()) == shadow.taken["confirmed"]
-        assert intake.store.out_of_order == shadow.taken["out_of_order"]
-        stored = sum(latest.frame_count for latest in intake.store._latest.values())
+        assert receiver.foreign_count == shadow.taken["foreign"]
+        assert sum(receiver.confirmed.values()) == shadow.taken["confirmed"]
+        assert receiver.store.out_of_order == shadow.taken["out_of_order"]
+        stored = sum(latest.frame_count for latest in receiver.store._latest.values())
         assert stored == shadow.taken["stored"]
-        assert len(intake.store._latest) <= len(ID_OF), "I9"
+        assert len(receiver.store._latest) <= len(ID_OF), "I9"
         assert len(self.gateway.causes.held) <= 100, "I9: as many as there are"
-        assert len(self.gateway._events) <= 60, "I9"
-        for history in self.gateway.output.sending._history.values():
-            assert len(history) <= 80, "I9"
+        assert len(self.gateway._modes._events) <= 60, "I9"
+        for frames in self.gateway.transmitter.history.frames.values():
+            assert len(frames) <= 80, "I9"
 
     @precondition(lambda self: self.gateway is not None)
     @invariant()
@@ -818,13 +817,13 @@ FRAMES = st.builds(
 
 @given(frames=st.lists(FRAMES, max_size=20))
 def test_receiving_never_raises_and_counts_every_frame(frames):
-    intake = Gateway(CODEC, Settings(), 0).intake
+    receiver = Gateway(CODEC, Settings(), 0).receiver
     shadow = Shadow(Settings())
     for frame in frames:
         shadow.receive(frame)
-        intake.receive(frame)
-    assert {reason.value: n for reason, n in intake.rejected.items() if n} == shadow.rejected
-    assert {name: latest.arrival_ns for name, latest in intake.store._latest.items()} == {
+        receiver.receive(frame)
+    assert {reason.value: n for reason, n in receiver.rejected.items() if n} == shadow.rejected
+    assert {name: latest.arrival_ns for name, latest in receiver.store._latest.items()} == {
         name: arrival_ns for name, (_, arrival_ns) in shadow.received.items()
     }
 

@@ -8,8 +8,8 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, Tick, lateness_bin
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.snapshot import FUTURE_TOLERANCE_NS, Quality, mark
-from vcu_gateway.core.state import Snapshot, Store
+from vcu_gateway.core.snapshot import FUTURE_TOLERANCE_NS, Quality, Snapshot, mark
+from vcu_gateway.core.state import Store
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
 MS = 1_000_000
@@ -136,7 +136,7 @@ def test_one_nanosecond_early_is_early_and_counts_nothing():
 def test_neither_arm_nor_reset_is_granted_before_the_listening_is_over(codec):
     """A fault may clear sooner than the listening ends; nothing was sent then yet."""
     gateway = Gateway(codec, Settings(listen_before_talk_ms=1000, clear_hold_ms=0), 0)
-    gateway.intake.receive(Frame(0x0008A7D0, bytes(8), 0))
+    gateway.receive(Frame(0x0008A7D0, bytes(8), 0))
     assert gateway.tick(0).mode is Mode.FAULT
     for request in (
         gateway.requests.reset(FaultClass.SERVICE, 50 * MS),
@@ -151,8 +151,8 @@ def test_neither_arm_nor_reset_is_granted_before_the_listening_is_over(codec):
 @pytest.mark.parametrize("length", [0, 7, 9])
 def test_a_foreign_command_of_any_length_is_a_foreign_sender(codec, length):
     gateway = Gateway(codec, Settings(), 0)
-    gateway.intake.receive(Frame(0x0008A8D0, bytes(length), 0))
-    assert gateway.intake.foreign_commands == {"PCU1": 0, "PCU2": 1}
+    gateway.receive(Frame(0x0008A8D0, bytes(length), 0))
+    assert gateway.receiver.foreign_commands == {"PCU1": 0, "PCU2": 1}
     assert gateway.tick(0).mode is Mode.FAULT
 
 
