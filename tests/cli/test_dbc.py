@@ -104,7 +104,7 @@ def test_the_mode_of_a_file_stays(tree):
     assert (tree / "docs/protocol.md").stat().st_mode & 0o777 == 0o644
 
 
-def test_a_bad_definition_is_told_by_line_and_nothing_is_written(tree):
+def test_a_bad_definition_is_reported_by_line_and_nothing_is_written(tree):
     path = tree / "dbc/vcu.yaml"
     text = path.read_text(encoding="utf-8").replace("id: 0x040AD079", "id: 0x240AD079")
     path.write_text(text, encoding="utf-8")
@@ -122,10 +122,13 @@ def test_outside_the_source_tree_it_says_where_to_go(tmp_path, monkeypatch):
     remedy = "run this in the source tree, or name the file with --definition"
     assert run() == Ran(os.EX_NOINPUT, "", f"dbc/vcu.yaml: is not here; {remedy}")
     ran = run("--definition", "other.yaml")
-    assert (ran.code, ran.err.split(": ")[:2]) == (os.EX_NOINPUT, ["other.yaml", "cannot be read"])
+    assert (ran.code, ran.err.split(": ")[:2]) == (
+        os.EX_NOINPUT,
+        ["other.yaml", "there is no such file"],
+    )
 
 
-def test_a_place_that_cannot_be_written_is_told(tree):
+def test_a_place_that_cannot_be_written_is_reported(tree):
     (tree / "file").write_text("")
     ran = run("--output", "file/vcu.dbc")
     assert ran.code in {os.EX_NOINPUT, os.EX_UNAVAILABLE}

@@ -29,6 +29,7 @@ def line_of(text: str, beginning: str) -> int:
     return lines[-1]
 
 
+PLAIN = "write the plain number, without quotes, unit or leading zeros"
 SOC = 'SOC: {bits: B5, unit: "%", minimum: 0, maximum: 100,'
 COMMAND_ID = 'for_each: [PCU1, PCU2]\n    id: "0x0008{address}D0"'
 MOTOR_SPEED = "{bits: B7-B8, unit: rpm, minimum: 0, maximum: 6000,"
@@ -57,6 +58,12 @@ ONE_THING_BROKEN = {
         "id: 0x1809D0F5",
         "BMS_Temperatures.id: 0x1809D0F5 does not end in the address of BMS",
         "id: 0x1809D0F5",
+    ),
+    "a printed identifier of a node that the message is not made for": (
+        "source_ids: {PCU2: PS is 168}",
+        "source_ids: {PCU3: PS is 169}",
+        "VCU_{node}_Command.source_ids.PCU3: PCU3 is not in for_each",
+        "source_ids: {PCU3: PS is 169}",
     ),
     "an identifier addressed to another node": (
         "id: 0x1809D0F4",
@@ -202,7 +209,7 @@ ONE_THING_BROKEN = {
     "an address that stands for all nodes": (
         "  IMU: {address: 0x79,",
         "  GHOST: {address: 0xFF}\n  IMU: {address: 0x79,",
-        "nodes.GHOST.address: Input should be less than or equal to 253",
+        "nodes.GHOST.address: must be at most 253, not 255",
         "GHOST:",
     ),
     "an alias of an unknown message": (
@@ -226,67 +233,82 @@ ONE_THING_BROKEN = {
     "an unknown key": (
         SOC,
         SOC.replace("unit", "unti"),
-        "messages.BMS_Status.signals.SOC.unti: unknown key",
+        'messages.BMS_Status.signals.SOC.unti: unknown key; did you mean "unit"?',
         "SOC:",
     ),
     "a missing key": (
         "    sender: ARD2\n",
         "",
-        "messages.ARD2_SteeringWheel.sender: this key is missing",
+        "messages.ARD2_SteeringWheel.sender: is missing",
         "ARD2_SteeringWheel:",
     ),
     "a period of 0": (
         "period_ms: 100",
         "period_ms: 0",
-        "messages.ARD2_SteeringWheel.period_ms: Input should be greater than 0",
+        "messages.ARD2_SteeringWheel.period_ms: must be more than 0 ms, not 0",
         "period_ms: 0",
     ),
     "a number in quotes": (
         "period_ms: 100",
         'period_ms: "100"',
-        "messages.ARD2_SteeringWheel.period_ms: Input should be a valid integer",
+        (
+            'messages.ARD2_SteeringWheel.period_ms: must be a whole number in ms, not "100"; '
+            + PLAIN
+        ),
         'period_ms: "100"',
     ),
     "text for a factor": (
         "factor: 0.0078125, unit: V",
         "factor: 1/128, unit: V",
-        "messages.{node}_Status2.signals.BatteryVoltage.factor: Input should be a valid number",
+        (
+            'messages.{node}_Status2.signals.BatteryVoltage.factor: must be a number, not "1/128"; '
+            + PLAIN
+        ),
         "BatteryVoltage:",
     ),
     "a limit that is no number": (
         MOTOR_SPEED,
         MOTOR_SPEED.replace("6000", ".nan"),
-        "messages.{node}_Status2.signals.MotorSpeed.maximum: Input should be a finite number",
+        "messages.{node}_Status2.signals.MotorSpeed.maximum: must be a finite number, not .nan",
         "{bits: B7-B8, unit: rpm",
     ),
-    "a bare word that YAML takes for a truth": (
+    "a truth where a name is meant": (
         '0: ["off", no regenerative braking]',
-        "0: [off, no regenerative braking]",
-        "signal_groups.control_mode.RegenBrake.values.0.0: Input should be a valid string",
-        "values: {0: [off, no regenerative braking]",
+        "0: [true, no regenerative braking]",
+        (
+            "signal_groups.control_mode.RegenBrake.values.0.0: must be text, not true;"
+            " put it in quotes"
+        ),
+        "values: {0: [true, no regenerative braking]",
     ),
     "a list for a message": (
         "  BMS_Temperatures:\n    id: 0x1809D0F4",
         "  Extra: []\n  BMS_Temperatures:\n    id: 0x1809D0F4",
-        "messages.Extra: is no mapping",
+        "messages.Extra: must be a section with keys below it, not a list",
         "Extra: []",
     ),
     "an unknown byte order": (
         'byte_order: little\n    comment: "Steering',
         'byte_order: middle\n    comment: "Steering',
-        "messages.ARD2_SteeringWheel.byte_order: Input should be 'little' or 'big'",
+        'messages.ARD2_SteeringWheel.byte_order: must be one of little, big, not "middle"',
         "byte_order: middle",
     ),
     "the same key twice": (
         SOC,
         "SOC: {bits: B8}\n      " + SOC,
-        "is not YAML: line <line>: the key 'SOC' stands twice",
+        (
+            "messages.BMS_Status.signals.SOC: duplicate key, first defined in line <line before>;"
+            " remove one of them"
+        ),
         "SOC: {bits: B5",
     ),
     "no YAML at all": (
         "nodes:\n  VCU:",
         "nodes: [\n  VCU:",
-        "is not YAML: expected ',' or ']', but got '<scalar>'",
+        (
+            "is not valid YAML: while parsing a flow sequence,"
+            " expected ',' or ']', but got '<scalar>'"
+        ),
         "BMS: {address",
     ),
 }
@@ -298,7 +320,13 @@ ONE_THING_BROKEN = {
 def test_one_broken_row_is_one_line_that_names_it(old, new, message, at):
     text = broken(old, new)
     line = str(line_of(text, at))
-    assert refusals(text) == [f"vcu.yaml:{line}: {message.replace('<line>', line)}"]
+    message = message.replace("<line before>", str(int(line) - 1))
+    assert refusals(text) == [f"vcu.yaml:{line}: {message}"]
+
+
+def test_unquoted_off_is_a_name_as_in_the_configuration():
+    text = broken('0: ["off", no regenerative', "0: [off, no regenerative")
+    assert definition.parse(text).spec == definition.parse(TEXT).spec
 
 
 @pytest.mark.parametrize("bits", ["B9", "B0", "B2-B1", "B5[0-8]", "B5[]", "5", "", "B5-B6[0-1]"])
@@ -333,9 +361,12 @@ def test_a_row_used_by_several_messages_is_refused_once():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"the file: is no mapping$"),
-        ("[1, 2]", r"the file: is no mapping$"),
-        ("name: 2024-13-45", r": is not YAML: month must be in 1\.\.12"),
+        ("", r"vcu.yaml: must be a mapping, key: value in each line, not empty$"),
+        ("[1, 2]", r"vcu.yaml: must be a mapping, key: value in each line, not a list$"),
+        (
+            "name: &a x\nversion: *a",
+            r"vcu.yaml:2: aliases \(\*a\) are not read here; write the value",
+        ),
     ],
 )
 def test_a_file_that_is_something_else_is_refused(text, message):
@@ -345,8 +376,12 @@ def test_a_file_that_is_something_else_is_refused(text, message):
 def test_a_file_that_cannot_be_read_is_missing_input(tmp_path):
     latin = tmp_path / "latin.yaml"
     latin.write_bytes(b"name: \xe9\xff")
-    for path in (tmp_path / "none.yaml", tmp_path, latin):
-        with pytest.raises(MissingInputError, match=f"^{path}: cannot be read: "):
+    for path, why in (
+        (tmp_path / "none.yaml", ": there is no such file"),
+        (tmp_path, ": is a directory, not a file"),
+        (latin, ":1: is not UTF-8 text: byte 0xE9; save it as UTF-8"),
+    ):
+        with pytest.raises(MissingInputError, match=f"^{path}{why}$"):
             definition.load(path)
 
 
@@ -378,6 +413,11 @@ def test_the_aliases_and_notes_are_read():
     read = definition.parse(TEXT)
     assert read.spec.aliases == {0x08F02DE2: "IMU_Attitude"}
     assert read.notes["IMU_Attitude"].source_id == "0x240CD079 (0x08f02de2)"
+    assert read.notes["PCU1_Status1"].source_id == ""
+    assert read.notes["PCU2_Status1"].source_id == "the same as controller 1, SA 168"
+    assert read.notes["VCU_PCU2_Command"].source_id == "PS is 168"
+    assert read.notes["PCU2_Status1"].note.startswith("B1 to B3 are laid out as in the command")
+    assert "(LSB)" in read.readings[0]
     assert read.notes["PCU2_Status1"].signals["PowerMode"].meanings[3] == "Safety Mode"
     assert read.errata["E2"][0] == "30-bit identifiers"
 

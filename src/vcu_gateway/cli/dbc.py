@@ -1,22 +1,17 @@
 """`vcu-gateway dbc`: the DBC and the protocol page, from the definition."""
 
-import contextlib
-import difflib
-import os
 import shlex
-import tempfile
-from itertools import islice
 from pathlib import Path
 
 import click
 
-from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
+from vcu_gateway.cli import generated as files
+from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.protocol import dbc, definition, docs_page
 
 _DEFINITION = Path("dbc/vcu.yaml")
 _OUTPUT = Path("dbc/vcu.dbc")
 _PAGE = Path("docs/protocol.md")
-_SHOWN_LINES = 20
 
 _HELP = """Generate the DBC and the protocol page from the definition.
 
@@ -58,29 +53,17 @@ def command(check: bool, source: Path, output: Path, page_path: Path) -> None:
         raise MissingInputError(Problem("is not here", str(source), remedy))
     defined = definition.load(source)
     generated = {output: dbc.write(defined), page_path: docs_page.write(defined)}
-    stale = {path: text for path, text in generated.items() if _current(path) != text}
     if check:
-        _report_stale(stale, _mending(source, output, page_path))
+        files.check(generated, "the definition", _command_line(source, output, page_path))
         return
-    for path in generated:
-        if path in stale:
-            _replace(path, stale[path])
-        click.echo(f"{path} {'written' if path in stale else 'is current'}")
+    for path, text in generated.items():
+        is_stale = files.current(path) != text
+        if is_stale:
+            files.replace(path, text)
+        click.echo(f"{path} {'written' if is_stale else 'is current'}")
 
 
-def _current(path: Path) -> str | None:
-    """The file's text; None where there is none, or none that could be ours."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            return file.read()
-    except (FileNotFoundError, UnicodeDecodeError):
-        return None
-    except OSError as error:
-        problem = Problem(f"cannot be read: {error.strerror or error}", str(path))
-        raise MissingInputError(problem) from error
-
-
-def _mending(source: Path, output: Path, page_path: Path) -> str:
+def _command_line(source: Path, output: Path, page_path: Path) -> str:
     chosen = (
         ("--definition", source, _DEFINITION),
         ("--output", output, _OUTPUT),
@@ -88,42 +71,3 @@ def _mending(source: Path, output: Path, page_path: Path) -> str:
     )
     named = [part for name, path, usual in chosen if path != usual for part in (name, str(path))]
     return shlex.join(["vcu-gateway", "dbc", *named])
-
-
-def _report_stale(stale: dict[Path, str], mending: str) -> None:
-    for path, text in stale.items():
-        there = _current(path)
-        what = "is missing" if there is None else "is not what the definition says"
-        click.echo(f"{path} {what}: run `{mending}`", err=True)
-        difference = difflib.unified_diff(
-            (there or "").splitlines(),
-            text.splitlines(),
-            f"{path} as it is",
-            "generated",
-            lineterm="",
-        )
-        for line in islice(difference, _SHOWN_LINES):
-            click.echo(f"  {line}", err=True)
-    if stale:
-        raise SystemExit(1)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write the whole file or nothing, also through a symbolic link."""
-    target = path.resolve()
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        mode = target.stat().st_mode & 0o777 if target.exists() else 0o644
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-                file.write(text)
-            os.chmod(name, mode)
-            os.replace(name, target)
-        except BaseException:
-            with contextlib.suppress(FileNotFoundError):
-                os.unlink(name)
-            raise
-    except OSError as error:
-        problem = Problem(f"cannot be written: {error.strerror or error}", str(path))
-        raise UnavailableError(problem) from error

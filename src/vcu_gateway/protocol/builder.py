@@ -1,4 +1,4 @@
-"""Rows to messages and signals, refusing what cannot be meant."""
+"""Builder: rows of the definition -> messages and signals, or problems."""
 
 import math
 import re
@@ -28,7 +28,8 @@ class Builder:
 
     Attributes:
         problems: each bad row once, with its name and line.
-        rows: the row of each message that was built, by the message's name.
+        rows: the row of each message that was built, by the message's name, and the node that it
+            was built for; empty where it is not one for each node.
     """
 
     def __init__(self, file: DefinitionFile, where: str, lines: LineMap) -> None:
@@ -37,17 +38,18 @@ class Builder:
         self._lines = lines
         self._addresses = {name: node.address for name, node in file.nodes.items()}
         self.problems: list[Problem] = []
-        self.rows: dict[str, MessageRow] = {}
+        self.rows: dict[str, tuple[MessageRow, str]] = {}
 
     def build(self) -> ProtocolSpec:
         """The protocol; to be used only if `problems` stays empty."""
         self._check_nodes()
         messages: list[MessageSpec] = []
         for key, row in self._file.messages.items():
-            for message in self._instances(key, row):
+            self._check_source_ids(key, row)
+            for node, message in self._instances(key, row):
                 self._check_unique(message, messages, key)
                 messages.append(message)
-                self.rows[message.name] = row
+                self.rows[message.name] = row, node
         return ProtocolSpec(tuple(messages), self._addresses, self._aliases(messages))
 
     def _refuse(self, what: str, *row: str | int) -> None:
@@ -67,12 +69,19 @@ class Builder:
                 self._refuse(what, "nodes", name, "address")
             owners.setdefault(address, name)
 
-    def _instances(self, key: str, row: MessageRow) -> Iterator[MessageSpec]:
+    def _check_source_ids(self, key: str, row: MessageRow) -> None:
+        if any(node not in self._addresses for node in row.for_each):
+            return  # that is told already, and this comes of it
+        for node in row.source_ids:
+            if node not in row.for_each:
+                self._refuse(f"{node} is not in for_each", "messages", key, "source_ids", node)
+
+    def _instances(self, key: str, row: MessageRow) -> Iterator[tuple[str, MessageSpec]]:
         for node in row.for_each or [""]:
             if node and node not in self._addresses:
                 self._refuse(f"unknown node {node}", "messages", key, "for_each")
                 continue
-            yield self._message(key, row, node)
+            yield node, self._message(key, row, node)
 
     def _message(self, key: str, row: MessageRow, node: str) -> MessageSpec:
         name = key.replace("{node}", node)
@@ -190,7 +199,7 @@ class Builder:
             self._refuse(what, *at, "minimum")
 
     def _check_codes(self, signal: SignalSpec, at: _At) -> None:
-        rows: list[tuple[_At, int]] = [(("values", str(code)), code) for code in signal.names]
+        rows: list[tuple[_At, int]] = [(("values", code), code) for code in signal.names]
         if signal.saturated_raw is not None:
             rows.append((("saturated_raw",), signal.saturated_raw))
         for key, code in rows:

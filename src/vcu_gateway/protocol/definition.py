@@ -1,30 +1,20 @@
-"""dbc/vcu.yaml, read and checked: the protocol and what the documentation says of it."""
+"""Definition file dbc/vcu.yaml, read and checked: the protocol and its documentation."""
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-from pydantic import ValidationError
-
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.protocol.builder import Builder
 from vcu_gateway.protocol.definition_model import DefinitionFile, MessageRow, SignalRow
-from vcu_gateway.strict_yaml.lines import LineMap, load_with_lines
-
-_PLAINER = {
-    "extra_forbidden": "unknown key",
-    "missing": "this key is missing",
-    "model_type": "is no mapping",
-}
-"""What pydantic calls a problem -> what we call it."""
+from vcu_gateway.strict_yaml import file_text, parser, validation
+from vcu_gateway.strict_yaml.problems import problems
 
 
 @dataclass(frozen=True)
 class SignalNote:
-    """What the documentation says of a signal beyond its numbers."""
+    """Documentation of a signal beyond its numbers."""
 
     bits: str
     source_term: str
@@ -33,9 +23,10 @@ class SignalNote:
 
 @dataclass(frozen=True)
 class MessageNote:
-    """What the documentation says of a message beyond its numbers."""
+    """Documentation of a message beyond its numbers."""
 
     source_id: str
+    note: str
     signals: Mapping[str, SignalNote]
     reserved: Mapping[str, str]
 
@@ -45,6 +36,7 @@ class Definition:
     """The definition file, read and checked.
 
     Attributes:
+        source: what the protocol was read from; readings: how that is to be read.
         spec: the protocol as the core knows it.
         notes: per message, for the documentation.
         errata: number -> (title, decision).
@@ -53,6 +45,7 @@ class Definition:
     name: str
     version: str
     source: str
+    readings: tuple[str, ...]
     bit_rate_default_bit_s: int
     spec: ProtocolSpec
     notes: Mapping[str, MessageNote]
@@ -66,24 +59,16 @@ def load(path: Path) -> Definition:
 
     Raises MissingInputError where it cannot be read, DataError naming every bad row.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise MissingInputError(Problem(f"cannot be read: {error}", str(path))) from error
-    return parse(text, str(path))
+    return parse(file_text.read(path, MissingInputError), str(path))
 
 
 def parse(text: str, where: str = "definition") -> Definition:
     """As `load`, from text; `where` is the file name that errors show."""
-    try:
-        content, lines = load_with_lines(text)
-    except (yaml.YAMLError, ValueError) as error:
-        raise DataError(_yaml_problem(error, where)) from error
-    try:
-        file = DefinitionFile.model_validate(content)
-    except ValidationError as error:
-        raise DataError(*_shape_problems(error, where, lines)) from error
-    builder = Builder(file, where, lines)
+    document = parser.read(text)
+    file, findings = validation.validated_document(DefinitionFile, document)
+    if file is None or findings:
+        raise DataError(*problems(findings, where, document.lines))
+    builder = Builder(file, where, document.lines)
     spec = builder.build()
     if builder.problems:
         raise DataError(*builder.problems)
@@ -91,36 +76,24 @@ def parse(text: str, where: str = "definition") -> Definition:
         name=file.name,
         version=file.version,
         source=file.source,
+        readings=tuple(file.readings),
         bit_rate_default_bit_s=file.bit_rate_default_bit_s,
         spec=spec,
-        notes={name: _note(file, row) for name, row in builder.rows.items()},
+        notes={name: _note(file, row, node) for name, (row, node) in builder.rows.items()},
         node_comments={name: node.comment for name, node in file.nodes.items()},
         alias_comments={alias.id: alias.comment for alias in file.aliases},
         errata=file.errata,
     )
 
 
-def _yaml_problem(error: Exception, where: str) -> Problem:
-    lines = re.findall(r"line (\d+)", str(error))
-    what = getattr(error, "problem", None) or " ".join(str(error).split())
-    return Problem(f"is not YAML: {what}", f"{where}:{lines[-1]}" if lines else where)
-
-
-def _shape_problems(error: ValidationError, where: str, lines: LineMap) -> Iterator[Problem]:
-    for item in error.errors():
-        path = tuple(item["loc"])
-        row = ".".join(map(str, path)) or "the file"
-        what = _PLAINER.get(item["type"], item["msg"])
-        yield Problem(f"{row}: {what}", lines.where(where, path))
-
-
-def _note(file: DefinitionFile, row: MessageRow) -> MessageNote:
+def _note(file: DefinitionFile, row: MessageRow, node: str) -> MessageNote:
     signals: dict[str, SignalRow] = {}
     for group in row.use:
         signals |= file.signal_groups[group]
     signals |= row.signals
     return MessageNote(
-        source_id=row.source_id,
+        source_id=row.source_ids.get(node, row.source_id),
+        note=row.note,
         signals={
             name: SignalNote(
                 signal.bits,

@@ -1,9 +1,11 @@
-"""The rows of dbc/vcu.yaml: their shape, before anybody asks whether they fit together."""
+"""Models of the rows of dbc/vcu.yaml; whether they fit together is for `builder`."""
 
 import re
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
+
+from vcu_gateway.strict_yaml.section import Section
 
 ByteOrder = Literal["little", "big"]
 
@@ -21,13 +23,7 @@ _Identifier = Annotated[str, BeforeValidator(_hexadecimal)]
 _Pair = Annotated[tuple[str, str], Field(strict=False)]
 
 
-class Row(BaseModel):
-    """Nothing unknown, nothing coerced, nothing infinite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class SignalRow(Row):
+class SignalRow(Section):
     """One signal; `values` is raw code -> (name, meaning)."""
 
     bits: str
@@ -38,35 +34,40 @@ class SignalRow(Row):
     maximum: float | None = None
     signed: bool = False
     saturated_raw: int | None = None
-    values: dict[int, _Pair] = {}
+    values: dict[int, _Pair] = Field(default={})
     source_term: str = ""
     comment: str = ""
 
 
-class MessageRow(Row):
-    """One message, or one for each node of `for_each`; `reserved` is bits -> why."""
+class MessageRow(Section):
+    """One message, or one for each node of `for_each`.
+
+    `source_ids` is node -> `source_id`, `reserved` is bits -> why.
+    """
 
     id: _Identifier
-    for_each: list[str] = []
+    for_each: list[str] = Field(default=[])
     source_id: str = ""
+    source_ids: dict[str, str] = Field(default={})
     sender: str
     receivers: list[str]
     period_ms: Annotated[int, Field(gt=0)] | None = None
     byte_order: ByteOrder = "little"
     comment: str = ""
-    use: list[str] = []
+    note: str = ""
+    use: list[str] = Field(default=[])
     signals: dict[str, SignalRow]
-    reserved: dict[str, str] = {}
+    reserved: dict[str, str] = Field(default={})
 
 
-class NodeRow(Row):
+class NodeRow(Section):
     """One node; 254 and 255 are no addresses (J1939: none and all)."""
 
     address: Annotated[int, Field(ge=0, le=0xFD)]
     comment: str = ""
 
 
-class AliasRow(Row):
+class AliasRow(Section):
     """A further identifier of a message."""
 
     id: int
@@ -74,18 +75,19 @@ class AliasRow(Row):
     comment: str = ""
 
 
-class DefinitionFile(Row):
+class DefinitionFile(Section):
     """The whole file; `errata` is number -> (title, decision)."""
 
     name: str
     version: str
     source: str
+    readings: list[str] = Field(default=[])
     bit_rate_default_bit_s: Annotated[int, Field(gt=0)]
     nodes: dict[str, NodeRow]
-    aliases: list[AliasRow] = []
-    signal_groups: dict[str, dict[str, SignalRow]] = {}
+    aliases: list[AliasRow] = Field(default=[])
+    signal_groups: dict[str, dict[str, SignalRow]] = Field(default={})
     messages: dict[str, MessageRow]
-    errata: dict[str, _Pair] = {}
+    errata: dict[str, _Pair] = Field(default={})
 
 
 def parse_bits(text: str, byte_order: ByteOrder) -> tuple[int, int] | None:

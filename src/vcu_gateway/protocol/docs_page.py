@@ -1,9 +1,9 @@
-"""The protocol as a page that a technician reads: docs/protocol.md."""
+"""Protocol page, docs/protocol.md: the specification, for a technician."""
 
 from collections.abc import Iterator
 
 from vcu_gateway.core import j1939
-from vcu_gateway.core.spec import MessageSpec, SignalSpec
+from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.protocol.definition import Definition, MessageNote, SignalNote
 
 
@@ -17,17 +17,17 @@ def _lines(definition: Definition) -> Iterator[str]:
     yield "# The vehicle's CAN protocol"
     yield ""
     yield "Generated from `dbc/vcu.yaml` by `vcu-gateway dbc`; edit that file, not this page."
-    yield ""
-    yield (
-        "CAN 2.0B, 29-bit identifiers in the manner of J1939, 8 data bytes. The bit rate is not in "
-        f"the source: {definition.bit_rate_default_bit_s // 1000} kbit/s unless configured. "
-        "B1 to B8 are BYTE1 to BYTE8, bit 0 is a byte's least significant bit. "
-        "Physical = raw × factor + offset."
-    )
+    yield from _source(definition)
+    yield from _bus(definition)
+    yield from _identifiers(spec)
     yield from ("", "## Nodes", "", "| node | address | |", "| --- | --- | --- |")
     for name, address in spec.nodes.items():
         yield _row(name, f"0x{address:02X} ({address})", definition.node_comments[name])
     yield from ("", "## Messages", "")
+    yield _how_to_read(spec)
+    for reading in definition.readings:
+        yield from ("", reading)
+    yield ""
     yield "| message | identifier | in the source | priority | PGN | from → to | period ms |"
     yield "| --- | --- | --- | --- | --- | --- | --- |"
     for message in spec.messages:
@@ -41,7 +41,64 @@ def _lines(definition: Definition) -> Iterator[str]:
         yield from _message_section(message, definition.notes[message.name])
     yield from ("", "## Errata and decisions", "")
     for number, (title, decision) in definition.errata.items():
-        yield f"- **{number} {title}.** {decision}"
+        yield f'- <a id="{number.lower()}"></a>**{number} {title}.** {decision}'
+
+
+def _source(definition: Definition) -> Iterator[str]:
+    """Where the page comes from, and what counts where that is in doubt."""
+    yield ""
+    yield (
+        f"Source: {definition.source}. This page is the specification: the reading of the source "
+        "that the gateway implements. Where the source contradicts itself or is silent, "
+        "[Errata and decisions](#errata-and-decisions) says what was decided and why. Where the "
+        "source is found to say otherwise than this page, the source wins."
+    )
+
+
+def _bus(definition: Definition) -> Iterator[str]:
+    yield from ("", "## Bus", "")
+    yield (
+        "CAN 2.0B, classic CAN in the manner of J1939: 29-bit extended identifiers, 8 data bytes. "
+        "The bit rate is not in the source, it is configuration: "
+        f"{definition.bit_rate_default_bit_s // 1000} kbit/s by default; J1939-11 has 250."
+    )
+
+
+def _identifiers(spec: ProtocolSpec) -> Iterator[str]:
+    """The layout of an identifier, and which of them have no receiver in it."""
+    yield from ("", "## Identifiers", "")
+    yield "| | P | R (EDP) | DP | PF | PS | SA |"
+    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    yield "| bits | 28-26 | 25 | 24 | 23-16 | 15-8 | 7-0 |"
+    yield ""
+    to_all = [
+        f"0x{can_id:08X}"
+        for can_id in (*(message.can_id for message in spec.messages), *spec.aliases)
+        if j1939.parse(can_id).destination_address is None
+    ]
+    yield (
+        "P is the priority, SA the sender's address. A PF below 240 (PDU1) makes PS the receiver's "
+        f"address; so it is in all identifiers here{_but(to_all)}."
+    )
+
+
+def _but(exceptions: list[str]) -> str:
+    return f" but {', '.join(exceptions)}" if exceptions else ""
+
+
+def _how_to_read(spec: ProtocolSpec) -> str:
+    """What the tables of the messages mean."""
+    big = [
+        message.name
+        for message in spec.messages
+        if any(signal.byte_order == "big" for signal in message.signals)
+    ]
+    return (
+        "B1 to B8 are BYTE1 to BYTE8 of the source, bit 0 is a byte's least significant bit. "
+        f"Two-byte values are little-endian, their first byte is the low one (E5){_but(big)}. "
+        "Physical = raw × factor + offset. The names are those used everywhere: DBC, state store, "
+        "API, logs."
+    )
 
 
 def _row(*cells: str) -> str:
@@ -64,8 +121,8 @@ def _message_row(message: MessageSpec, note: MessageNote) -> str:
 
 def _message_section(message: MessageSpec, note: MessageNote) -> Iterator[str]:
     yield from ("", f"## {message.name}", "")
-    if message.comment:
-        yield from (message.comment + ".", "")
+    if texts := [text for text in (message.comment, note.note) if text]:
+        yield from (" ".join(f"{text}." for text in texts), "")
     yield "| signal | bits | factor | offset | unit | range | in the source | meaning |"
     yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
     for signal in message.signals:
