@@ -1,4 +1,4 @@
-"""The bus door on python-can's virtual bus: frames in, frames out, failures told once."""
+"""The bus connection on python-can's virtual bus: frames in, frames out, failures reported once."""
 
 import errno
 import threading
@@ -9,6 +9,7 @@ from collections.abc import Callable
 import can
 import pytest
 
+from vcu_gateway.bus.adapters import PlainBus
 from vcu_gateway.bus.connection import BusConnection, BusSettings, kernel_filters
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.transmit import OutFrame
@@ -28,7 +29,7 @@ def quickest_ns(call: Callable[[], object]) -> int:
     return min(took_ns)
 
 
-class Inbox:
+class Received:
     """Collects frames and wakes whoever waits for a number of them."""
 
     def __init__(self) -> None:
@@ -48,34 +49,34 @@ class Inbox:
 
 @pytest.fixture
 def channel():
-    return f"door-{uuid.uuid4()}"
+    return f"connection-{uuid.uuid4()}"
 
 
 @pytest.fixture
-def inbox():
-    return Inbox()
+def received():
+    return Received()
 
 
 @pytest.fixture
-def door(channel, inbox):
+def connection(channel, received):
     settings = BusSettings("virtual", channel)
-    door = BusConnection(settings, [0x1808D0F4, 0x0008A7D0], inbox)
-    door.open()
-    door.admit()
-    yield door
-    door.close()
+    connection = BusConnection(settings, [0x1808D0F4, 0x0008A7D0], received)
+    connection.open()
+    connection.start_sending()
+    yield connection
+    connection.close()
 
 
 @pytest.fixture
-def other(channel, door):
+def other(channel, connection):
     with can.Bus(interface="virtual", channel=channel) as bus:
         yield bus
 
 
-def test_a_frame_of_ours_arrives_with_a_monotonic_stamp(door, other, inbox):
+def test_a_frame_of_ours_arrives_with_a_monotonic_stamp(connection, other, received):
     before_ns = time.monotonic_ns()
     other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(range(8))))
-    (frame,) = inbox.wait_for(1)
+    (frame,) = received.wait_for(1)
     assert (frame.can_id, bytes(frame.data)) == (0x1808D0F4, bytes(range(8)))
     assert frame.extended
     assert (frame.remote, frame.error, frame.own_echo) == (False, False, False)
@@ -83,12 +84,12 @@ def test_a_frame_of_ours_arrives_with_a_monotonic_stamp(door, other, inbox):
     assert before_ns - 1_000_000 <= frame.arrival_ns <= time.monotonic_ns()
 
 
-def test_only_our_identifiers_pass_the_filters_at_any_priority(door, other, inbox):
+def test_only_our_identifiers_pass_the_filters_at_any_priority(connection, other, received):
     for can_id in (0x18FECA15, 0x0808D0F4, 0x1808D0F5, 0x1808D0F4):
         other.send(can.Message(arbitration_id=can_id, data=bytes(8)))
     other.send(can.Message(arbitration_id=0x0F4, is_extended_id=False, data=bytes(8)))
     other.send(can.Message(arbitration_id=0x0008A7D0, data=bytes(8)))
-    frames = inbox.wait_for(3)
+    frames = received.wait_for(3)
     assert [frame.can_id for frame in frames] == [0x0808D0F4, 0x1808D0F4, 0x0008A7D0]
 
 
@@ -106,69 +107,69 @@ def test_a_group_passes_the_filters_whoever_sends_and_takes_its_messages_filters
     ]
 
 
-def test_a_sent_frame_is_on_the_bus_and_comes_back_as_our_own_echo(door, other, inbox):
-    assert door.send(COMMAND)
+def test_a_sent_frame_is_on_the_bus_and_comes_back_as_our_own_echo(connection, other, received):
+    assert connection.send(COMMAND)
     seen = other.recv(PATIENCE_S)
     assert (seen.arbitration_id, bytes(seen.data), seen.is_extended_id) == (
         COMMAND.can_id,
         COMMAND.data,
         True,
     )
-    (frame,) = inbox.wait_for(1)
+    (frame,) = received.wait_for(1)
     assert frame.own_echo
-    assert door.counters.sent == 1
+    assert connection.counters.sent == 1
 
 
-def test_the_same_frame_of_another_node_is_no_echo(door, other, inbox):
+def test_the_same_frame_of_another_node_is_no_echo(connection, other, received):
     other.send(can.Message(arbitration_id=COMMAND.can_id, data=COMMAND.data))
-    (frame,) = inbox.wait_for(1)
+    (frame,) = received.wait_for(1)
     assert not frame.own_echo
 
 
-def test_sending_on_a_closed_door_is_refused_and_counted(door):
-    door.close()
-    assert not door.send(COMMAND)
-    assert not door.is_open
-    assert door.counters.refused == {"closed": 1}
-    door.close()  # a second time does nothing
+def test_sending_on_a_closed_connection_is_refused_and_counted(connection):
+    connection.close()
+    assert not connection.send(COMMAND)
+    assert not connection.is_open
+    assert connection.counters.refused == {"closed": 1}
+    connection.close()  # a second time does nothing
 
 
-def test_a_door_can_be_opened_again(door, other, inbox):
-    door.close()
-    door.open()
-    assert door.is_open
+def test_a_connection_can_be_opened_again(connection, other, received):
+    connection.close()
+    connection.open()
+    assert connection.is_open
     other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
-    inbox.wait_for(1)
+    received.wait_for(1)
 
 
 def test_a_bug_in_the_receiver_costs_its_frame_and_nothing_else(channel):
-    inbox, bugs = Inbox(), [RuntimeError("bug"), None]
+    received, bugs = Received(), [RuntimeError("bug"), None]
 
     def receive(frame: Frame) -> None:
         if error := bugs.pop(0):
             raise error
-        inbox(frame)
+        received(frame)
 
-    door = BusConnection(BusSettings("virtual", channel), [0x1808D0F4], receive)
-    door.open()
+    connection = BusConnection(BusSettings("virtual", channel), [0x1808D0F4], receive)
+    connection.open()
     with can.Bus(interface="virtual", channel=channel) as other:
         for _ in range(2):
             other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
-        inbox.wait_for(1)
-    assert door.is_open
-    assert (door.counters.received, door.counters.receiver_bugs) == (2, 1)
-    assert door.counters.last_bug == "RuntimeError('bug')"
-    door.close()
+        received.wait_for(1)
+    assert connection.is_open
+    assert (connection.counters.received, connection.counters.receiver_bugs) == (2, 1)
+    assert connection.counters.last_bug == "RuntimeError('bug')"
+    connection.close()
 
 
-def test_nothing_is_sent_on_a_door_that_the_ticking_thread_has_not_admitted(door, other, inbox):
-    door.open()
-    assert not door.send(COMMAND)
-    assert door.counters.refused == {"closed": 1}
+def test_nothing_is_sent_before_the_ticking_thread_starts_sending(connection, other, received):
+    connection.open()
+    assert not connection.send(COMMAND)
+    assert connection.counters.refused == {"closed": 1}
     other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
-    inbox.wait_for(1)  # but it receives
-    door.admit()
-    assert door.send(COMMAND)
+    received.wait_for(1)  # but it receives
+    connection.start_sending()
+    assert connection.send(COMMAND)
 
 
 class BrokenBus(can.BusABC):
@@ -189,31 +190,33 @@ class BrokenBus(can.BusABC):
         raise can.CanOperationError("Transmit buffer full")
 
 
-def test_a_failed_bus_is_told_as_lost_and_nothing_is_raised(door, monkeypatch):
+def test_a_failed_bus_is_reported_as_lost_and_nothing_is_raised(connection, monkeypatch):
     told = threading.Semaphore(0)
-    door.on_lost = told.release
+    connection.on_lost = told.release
     failure = can.CanOperationError("Failed to receive: Network is down", 100)
-    monkeypatch.setattr(door, "_open_bus", lambda: BrokenBus(failure))
-    door.open()
+    monkeypatch.setattr(
+        "vcu_gateway.bus.connection.open_bus", lambda *_: PlainBus(BrokenBus(failure))
+    )
+    connection.open()
     assert told.acquire(timeout=PATIENCE_S)
-    assert door.lost == "Failed to receive: Network is down [Error Code 100]"
-    door.admit()
-    assert not door.send(COMMAND)
-    door.close()
+    assert connection.lost == "Failed to receive: Network is down [Error Code 100]"
+    connection.start_sending()
+    assert not connection.send(COMMAND)
+    connection.close()
     assert not told.acquire(blocking=False), "told once, however often the reader failed"
 
 
-def test_what_the_reader_of_an_earlier_opening_says_does_not_count(door):
-    listener = door._listener(BrokenBus(OSError()))
+def test_what_the_reader_of_an_earlier_opening_says_does_not_count(connection):
+    listener = connection._listener(PlainBus(BrokenBus(OSError())))
     listener.on_error(can.CanOperationError("Failed to receive: Network is down", 100))
-    assert door.is_open
+    assert connection.is_open
 
 
-def test_a_full_queue_without_an_errno_is_counted_as_one_with(door, channel, monkeypatch):
-    monkeypatch.setattr(door, "_admitted", BrokenBus(OSError()))
-    assert not door.send(COMMAND)
-    assert door.counters.refused == {"ENOBUFS": 1}
-    assert quickest_ns(lambda: door.send(COMMAND)) < 5_000_000
+def test_a_full_queue_without_an_errno_is_counted_as_one_with(connection, channel, monkeypatch):
+    monkeypatch.setattr(connection, "_sending_bus", PlainBus(BrokenBus(OSError())))
+    assert not connection.send(COMMAND)
+    assert connection.counters.refused == {"ENOBUFS": 1}
+    assert quickest_ns(lambda: connection.send(COMMAND)) < 5_000_000
 
 
 @pytest.mark.parametrize(
@@ -230,40 +233,40 @@ def test_a_full_queue_without_an_errno_is_counted_as_one_with(door, channel, mon
     ],
 )
 def test_a_frame_that_is_not_taken_is_counted_by_its_errno_and_may_tell_of_a_loss(
-    door, monkeypatch, number, name, lost
+    connection, monkeypatch, number, name, lost
 ):
     refusing = BrokenBus(OSError())
     monkeypatch.setattr(refusing, "send", lambda message: refuse(OSError(number, "no")))
-    monkeypatch.setattr(door, "_admitted", refusing)
-    assert not door.send(COMMAND)
-    assert door.counters.refused == {name: 1}
-    assert door.is_open is not lost
+    monkeypatch.setattr(connection, "_sending_bus", PlainBus(refusing))
+    assert not connection.send(COMMAND)
+    assert connection.counters.refused == {name: 1}
+    assert connection.is_open is not lost
 
 
 def refuse(error: Exception) -> None:
     raise error
 
 
-def test_sending_never_waits_for_a_door_that_is_being_closed(door):
-    with door._sending:
-        assert not door.send(COMMAND)
-        assert door.counters.refused == {"closed": 1}
-        assert quickest_ns(lambda: door.send(COMMAND)) < 5_000_000
-    assert door.send(COMMAND)
+def test_sending_never_waits_for_a_connection_that_is_being_closed(connection):
+    with connection._send_lock:
+        assert not connection.send(COMMAND)
+        assert connection.counters.refused == {"closed": 1}
+        assert quickest_ns(lambda: connection.send(COMMAND)) < 5_000_000
+    assert connection.send(COMMAND)
 
 
-def test_an_interface_that_is_not_there_is_explained_with_what_to_do(inbox):
-    door = BusConnection(BusSettings("socketcan", "nocan9"), [0x1808D0F4], inbox)
+def test_an_interface_that_is_not_there_is_explained_with_what_to_do(received):
+    connection = BusConnection(BusSettings("socketcan", "nocan9"), [0x1808D0F4], received)
     with pytest.raises(UnavailableError, match="cannot open socketcan nocan9") as caught:
-        door.open()
+        connection.open()
     (problem,) = caught.value.problems
     assert problem.remedy.startswith(("this kernel has no CAN", "for a bench: ip link add"))
-    assert not door.is_open
+    assert not connection.is_open
 
 
-def test_the_report_has_every_counter_as_plain_data(door):
-    door.send(COMMAND)
-    report = door.report()
+def test_the_report_has_every_counter_as_plain_data(connection):
+    connection.send(COMMAND)
+    report = connection.report()
     assert report["sent"] == 1
     assert set(report) == {
         "received", "sent", "refused", "receiver_bugs", "last_bug", "dropped", "lost",

@@ -150,7 +150,10 @@ def test_a_hundred_refusals_do_not_wear_it_out(channel):
 
 
 def test_a_gateway_that_was_killed_leaves_no_lock_behind(channel):
-    program = f"from vcu_gateway.bus.instance_lock import Claim; c = Claim({channel!r});print(flush=True); input()"
+    program = (
+        "from vcu_gateway.bus.instance_lock import InstanceLock;"
+        f" c = InstanceLock({channel!r});print(flush=True); input()"
+    )
     child = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -197,10 +200,10 @@ ONLY_ROOT = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be someb
 @ONLY_ROOT
 def test_a_name_that_another_user_holds_is_passed_by_and_says_who(channel):
     with holder(channel, "listens", NOBODY) as pid:
-        claim = InstanceLock(channel)
-        assert claim.passed_by == f"process {pid} of user {NOBODY}"
-        claim.answer()
-        claim.release()
+        lock = InstanceLock(channel)
+        assert lock.passed_by == f"process {pid} of user {NOBODY}"
+        lock.answer()
+        lock.release()
 
 
 @ONLY_ROOT
@@ -230,26 +233,26 @@ def test_a_holder_that_ends_while_it_is_asked_leaves_the_name_to_us(channel):
 
 
 def test_a_gateway_answers_however_many_ask(channel):
-    door = BusConnection(BusSettings("socketcan", channel), (), lambda frame: None)
-    door.claim()
+    connection = BusConnection(BusSettings("socketcan", channel), (), lambda frame: None)
+    connection.acquire_lock()
     for _ in range(5):
         for _ in range(100):
             with pytest.raises(UnavailableError, match="another gateway"):
                 InstanceLock(channel)
-        door.answer_claims()
-    assert door.lock_held_by is None
-    door.release()
-    door.answer_claims()
+        connection.answer_lock_queries()
+    assert connection.lock_held_by is None
+    connection.release_lock()
+    connection.answer_lock_queries()
 
 
-def test_only_a_network_interface_is_claimed_and_a_door_claims_once(channel):
-    door = BusConnection(BusSettings("socketcan", channel), (), lambda frame: None)
-    door.claim()
-    door.claim()
+def test_only_a_network_interface_is_locked_and_only_once(channel):
+    connection = BusConnection(BusSettings("socketcan", channel), (), lambda frame: None)
+    connection.acquire_lock()
+    connection.acquire_lock()
     virtual = BusConnection(BusSettings("virtual", channel), (), lambda frame: None)
-    virtual.claim()
-    virtual.release()
+    virtual.acquire_lock()
+    virtual.release_lock()
     with pytest.raises(UnavailableError):
         InstanceLock(channel)
-    door.release()
+    connection.release_lock()
     InstanceLock(channel).release()

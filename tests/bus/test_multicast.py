@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 
 import can
 import pytest
-from can.interfaces.udp_multicast import utils
+from can.interfaces.udp_multicast import UdpMulticastBus, utils
 
 from vcu_gateway.bus.connection import BusConnection, BusSettings
-from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.multicast import _REMEMBERED, EchoingMulticastBus
+from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
@@ -44,18 +44,18 @@ def frames() -> list[Frame]:
 
 
 @pytest.fixture
-def door(group: str, frames: list[Frame]) -> Iterator[BusConnection]:
-    door = BusConnection(
+def connection(group: str, frames: list[Frame]) -> Iterator[BusConnection]:
+    connection = BusConnection(
         BusSettings("udp_multicast", group), [COMMAND.can_id, 0x1808D0F4], frames.append
     )
-    door.open()
-    door.admit()
-    yield door
-    door.close()
+    connection.open()
+    connection.start_sending()
+    yield connection
+    connection.close()
 
 
 @pytest.fixture
-def other(group: str, door: BusConnection) -> Iterator[can.BusABC]:
+def other(group: str, connection: BusConnection) -> Iterator[can.BusABC]:
     with can.Bus(interface="udp_multicast", channel=group) as bus:
         yield bus
 
@@ -67,30 +67,30 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def test_a_sent_frame_comes_back_as_our_own_echo_and_reaches_others(door, other, frames):
+def test_a_sent_frame_comes_back_as_our_own_echo_and_reaches_others(connection, other, frames):
     for _ in range(3):
-        assert door.send(COMMAND)
+        assert connection.send(COMMAND)
     until(lambda: len(frames) == 3)
     assert all(frame.own_echo for frame in frames)
     seen = other.recv(PATIENCE_S)
     assert (seen.arbitration_id, bytes(seen.data)) == (COMMAND.can_id, COMMAND.data)
 
 
-def test_the_same_frame_of_another_node_is_no_echo(door, other, frames):
-    assert door.send(COMMAND)
+def test_the_same_frame_of_another_node_is_no_echo(connection, other, frames):
+    assert connection.send(COMMAND)
     other.send(can.Message(arbitration_id=COMMAND.can_id, data=COMMAND.data))
-    assert door.send(COMMAND)
+    assert connection.send(COMMAND)
     until(lambda: len(frames) == 3)
     assert [frame.own_echo for frame in frames] == [True, False, True]
 
 
-def test_two_gateways_tell_their_frames_apart(door, group, frames):
+def test_two_gateways_tell_their_frames_apart(connection, group, frames):
     others: list[Frame] = []
     second = BusConnection(BusSettings("udp_multicast", group), [COMMAND.can_id], others.append)
     second.open()
-    second.admit()
+    second.start_sending()
     for _ in range(50):
-        assert door.send(COMMAND)
+        assert connection.send(COMMAND)
         assert second.send(COMMAND)
     until(lambda: len(frames) == len(others) == 100)
     second.close()
@@ -100,7 +100,7 @@ def test_two_gateways_tell_their_frames_apart(door, group, frames):
 
 def test_a_datagram_of_ours_that_somebody_repeats_is_another_senders(group):
     bus = EchoingMulticastBus(group, None, BusCounters())
-    with can.Bus(interface="udp_multicast", channel=group) as listener:
+    with UdpMulticastBus(group) as listener:
         bus.send(can.Message(arbitration_id=COMMAND.can_id, data=COMMAND.data))
         datagram, _, _ = listener._multicast.recv(PATIENCE_S)
     assert not bus.recv(PATIENCE_S).is_rx
@@ -110,7 +110,7 @@ def test_a_datagram_of_ours_that_somebody_repeats_is_another_senders(group):
     bus.shutdown()
 
 
-def test_a_frame_cannot_say_of_itself_that_it_is_ours(door, group, frames):
+def test_a_frame_cannot_say_of_itself_that_it_is_ours(connection, group, frames):
     import msgpack
 
     datagram = utils.pack_message(can.Message(arbitration_id=COMMAND.can_id, data=COMMAND.data))
@@ -121,14 +121,14 @@ def test_a_frame_cannot_say_of_itself_that_it_is_ours(door, group, frames):
     assert not frames[0].own_echo
 
 
-def test_what_holds_no_frame_is_counted_and_the_bus_goes_on(door, other, group, frames):
+def test_what_holds_no_frame_is_counted_and_the_bus_goes_on(connection, other, group, frames):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         for junk in (b"", b"\x00", b"hello", b"\x81\xa1x\x01", b"\xc1" * 100):
             stranger.sendto(junk, (group, PORT))
     other.send(can.Message(arbitration_id=0x1808D0F4, data=bytes(8)))
     until(lambda: len(frames) == 1)
-    assert door.is_open
-    assert door.counters.undecodable == 5
+    assert connection.is_open
+    assert connection.counters.undecodable == 5
 
 
 def test_what_never_comes_back_is_forgotten_but_for_the_last(group):
@@ -141,8 +141,8 @@ def test_what_never_comes_back_is_forgotten_but_for_the_last(group):
 
 def test_without_msgpack_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setattr(utils, "msgpack", None)
-    door = BusConnection(
+    connection = BusConnection(
         BusSettings("udp_multicast", "239.192.1.1"), [COMMAND.can_id], lambda frame: None
     )
     with pytest.raises(UnavailableError, match=r"pip install 'vcu-gateway\[multicast\]'"):
-        door.open()
+        connection.open()

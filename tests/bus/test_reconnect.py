@@ -1,10 +1,11 @@
-"""The keeper of the link, look by look, with a scripted clock, interface and door."""
+"""The reconnector, look by look, with a scripted clock, interface and connection."""
 
 import itertools
+from typing import Any, cast
 
 import pytest
 
-from vcu_gateway.bus.connection import BusSettings
+from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.interface import Interface
 from vcu_gateway.bus.netlink import InterfaceDetails
 from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
@@ -15,7 +16,7 @@ UP = Interface(number=3, is_can=True, up=True, carrier=True, tx_queue_frames=4)
 DOWN = UP._replace(up=False, carrier=False)
 
 
-class FakeDoor:
+class FakeConnection:
     """Opens when it is told to, and counts."""
 
     def __init__(self) -> None:
@@ -36,7 +37,7 @@ class FakeDoor:
             raise UnavailableError(Problem(self.refusal))
         self.lost = None
 
-    def lose(self, why: str) -> None:
+    def mark_lost(self, why: str) -> None:
         self.lost = self.lost or why
 
     def close(self) -> None:
@@ -44,29 +45,29 @@ class FakeDoor:
 
 
 class Stage:
-    """A keeper that looks every 100 ms of simulated time at what the test puts there."""
+    """A reconnector that looks every 100 ms of simulated time at what the test puts there."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000 * MS
-        self.door = FakeDoor()
+        self.connection = FakeConnection()
         self.found: Interface | None = UP
         self.names = {3: "can0"}
-        self.keeper = Reconnector(
-            self.door,
+        self.reconnector = Reconnector(
+            cast(BusConnection, self.connection),
             200,
             look=lambda: self.found,
             name_of=self.names.get,
             details=lambda channel: InterfaceDetails(),
         )
 
-    def look(self, times: int = 1) -> list[object]:
-        """The news of so many looks."""
+    def look(self, times: int = 1) -> list[Any]:
+        """The changes that this many looks found."""
         for _ in range(times):
-            self.keeper.step(self.now_ns)
+            self.reconnector.step(self.now_ns)
             self.now_ns += 100 * MS
-        news = list(self.keeper.news)
-        self.keeper.news.clear()
-        return news
+        changes = list(self.reconnector.changes)
+        self.reconnector.changes.clear()
+        return changes
 
 
 @pytest.fixture
@@ -83,15 +84,15 @@ def steady(stage: Stage) -> Stage:
     return stage
 
 
-def kinds(news: list[object]) -> list[type]:
-    return [type(one) for one in news]
+def kinds(changes: list[object]) -> list[type]:
+    return [type(one) for one in changes]
 
 
 def test_an_interface_that_is_there_is_opened_at_once(stage: Stage):
     (opened,) = stage.look()
     assert (opened.interface, opened.receive_buffer_bytes) == (UP, 212_992)
     assert stage.look(100) == [], "and then left alone"
-    assert stage.door.openings == 1
+    assert stage.connection.openings == 1
 
 
 @pytest.mark.parametrize(
@@ -105,12 +106,12 @@ def test_an_interface_that_is_there_is_opened_at_once(stage: Stage):
         ),
     ],
 )
-def test_an_interface_that_cannot_be_used_is_told_of_once_and_waited_for(stage, found, sentence):
+def test_an_interface_that_cannot_be_used_is_reported_once_and_waited_for(stage, found, sentence):
     stage.found = found
     (unavailable,) = stage.look(50)
     assert unavailable.why.startswith(sentence)
-    assert stage.door.lost == unavailable.why
-    assert stage.door.openings == 0, "nothing is tried in vain"
+    assert stage.connection.lost == unavailable.why
+    assert stage.connection.openings == 0, "nothing is tried in vain"
     stage.found = UP
     assert kinds(stage.look()) == [LinkOpened]
 
@@ -131,14 +132,14 @@ def test_an_interface_that_changes_under_us_is_lost_even_if_the_socket_is_silent
     steady.found = found
     steady.names.clear()
     steady.names.update(names)
-    news = steady.look()
-    assert news[0] == LinkLost(steady.now_ns - 100 * MS, why)
-    assert steady.door.closings == 1
+    changes = steady.look()
+    assert changes[0] == LinkLost(steady.now_ns - 100 * MS, why)
+    assert steady.connection.closings == 1
     is_there_again = found is not None and found.up
-    assert kinds(news[1:]) == [LinkOpened if is_there_again else Unavailable]
+    assert kinds(changes[1:]) == [LinkOpened if is_there_again else Unavailable]
 
 
-def test_an_interface_that_is_down_and_then_renamed_is_told_with_its_new_name(steady: Stage):
+def test_an_interface_that_is_down_and_then_renamed_is_reported_with_its_new_name(steady: Stage):
     steady.found = DOWN
     assert kinds(steady.look()) == [LinkLost, Unavailable]
     steady.found = None
@@ -150,8 +151,8 @@ def test_an_interface_that_is_down_and_then_renamed_is_told_with_its_new_name(st
     assert "no such interface" in gone.why
 
 
-def test_what_the_reader_told_is_the_reason_where_the_interface_looks_well(steady: Stage):
-    steady.door.lose("Failed to receive: Network is down")
+def test_what_the_reader_reported_is_the_reason_where_the_interface_looks_well(steady: Stage):
+    steady.connection.mark_lost("Failed to receive: Network is down")
     lost, opened = steady.look()
     assert lost.why == "Failed to receive: Network is down"
     assert isinstance(opened, LinkOpened), "at once: it was steady"
@@ -168,7 +169,7 @@ def test_a_flickering_link_is_opened_with_growing_pauses_and_always_within_a_sec
     opened_ns = []
     for _ in range(400):
         opened_ns += [stage.now_ns for one in stage.look() if isinstance(one, LinkOpened)]
-        stage.door.lose("flickers")
+        stage.connection.mark_lost("flickers")
     pauses_ms = [(b - a) // MS for a, b in itertools.pairwise(opened_ns)]
     assert pauses_ms[:4] == [200, 400, 800, 800]
     assert set(pauses_ms[2:]) == {800}
@@ -177,38 +178,38 @@ def test_a_flickering_link_is_opened_with_growing_pauses_and_always_within_a_sec
 def test_after_a_steady_time_the_pauses_begin_anew(stage: Stage):
     stage.look()
     for _ in range(50):
-        stage.door.lose("flickers")
+        stage.connection.mark_lost("flickers")
         stage.look()
     stage.look(8)
     stage.look(50)
-    stage.door.lose("once")
+    stage.connection.mark_lost("once")
     assert kinds(stage.look()) == [LinkLost, LinkOpened]
-    stage.door.lose("twice")
+    stage.connection.mark_lost("twice")
     assert kinds(stage.look(3)) == [LinkLost, LinkOpened], "after 200 ms, no longer after 800"
 
 
-def test_an_opening_that_fails_is_told_once_for_each_reason_and_tried_again(stage: Stage):
-    stage.door.refusal = "no file descriptors"
+def test_an_opening_that_fails_is_reported_once_for_each_reason_and_tried_again(stage: Stage):
+    stage.connection.refusal = "no file descriptors"
     assert stage.look(30) == [Unavailable("no file descriptors")]
-    assert 3 <= stage.door.openings <= 6, "with pauses"
-    stage.door.refusal = "no memory"
+    assert 3 <= stage.connection.openings <= 6, "with pauses"
+    stage.connection.refusal = "no memory"
     assert stage.look(30) == [Unavailable("no memory")]
-    stage.door.refusal = None
+    stage.connection.refusal = None
     assert kinds(stage.look(8)) == [LinkOpened]
 
 
-def test_the_carrier_is_told_when_it_changes_and_never_as_there_before_it_was(steady: Stage):
+def test_the_carrier_is_reported_when_it_changes_and_never_as_there_before_it_was(steady: Stage):
     steady.found, gone_ns = UP._replace(carrier=False), steady.now_ns
     assert steady.look(5) == [CarrierChanged(gone_ns, False)]
     steady.found, still_gone_ns = UP, steady.now_ns - 100 * MS
     assert steady.look(5) == [CarrierChanged(still_gone_ns, True)]
-    assert steady.door.openings == 1
+    assert steady.connection.openings == 1
 
 
 def test_the_carrier_at_the_opening_is_the_better_of_both_words(stage: Stage):
     stage.found = UP._replace(carrier=False)  # the flag follows up to a second later
-    stage.keeper._details = lambda channel: InterfaceDetails(carrier=True)
+    stage.reconnector._details = lambda channel: InterfaceDetails(carrier=True)
     (opened,) = stage.look()
     assert opened.carrier
-    stage.keeper._details = lambda channel: InterfaceDetails()
+    stage.reconnector._details = lambda channel: InterfaceDetails()
     assert not opened._replace(details=InterfaceDetails()).carrier

@@ -1,8 +1,8 @@
-"""Opening, receiving, sending, closing: frames in and out, whatever the interface.
+"""Bus connection: opens, receives, sends and closes, whatever the interface.
 
 Received frames go to one callable on the Notifier's thread, and right before a tick on the ticking
-thread: never on both at once. A failed interface is told once
-through `lost`; opening again is the keeper's decision, sending again the ticking thread's.
+thread: never on both at once. A failed interface is reported once through `on_lost`; the
+reconnector opens it again, the ticking thread starts sending again.
 """
 
 import dataclasses
@@ -11,12 +11,11 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from vcu_gateway.bus.counters import BusCounters
+from vcu_gateway.bus.adapters import Bus, open_bus
 from vcu_gateway.bus.diagnostics import unopened
 from vcu_gateway.bus.instance_lock import InstanceLock
 from vcu_gateway.bus.receiver import FrameListener
-from vcu_gateway.bus.settings import BusSettings
-from vcu_gateway.bus.socketcan import DrainingSocketcanBus
+from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.transmit import OutFrame
@@ -25,7 +24,7 @@ from vcu_gateway.python_can import can
 
 __all__ = ["BusConnection", "BusCounters", "BusSettings", "kernel_filters"]
 
-# The reader wakes this often without frames, so that its life can be told from its counter.
+# The reader wakes this often without frames, so that its counter shows that it lives.
 _NOTIFIER_TIMEOUT_S = 0.1
 
 # The interface is down or gone, whatever the next attempt would give.
@@ -35,20 +34,18 @@ _GONE = {"ENETDOWN", "ENODEV", "ENXIO"}
 class _Opening:
     """One bus and its reader, from an opening to its close."""
 
-    def __init__(self, bus: can.BusABC, listener: FrameListener) -> None:
+    def __init__(self, bus: Bus, listener: FrameListener) -> None:
         self.bus = bus
         self._listener = listener
-        self._notifier = can.Notifier(bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
+        self._notifier = can.Notifier(bus.library_bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
 
     def read_waiting(self, until_ns: int) -> bool:
         """Hand on what waits in a socket, on the calling thread; it never raises."""
-        bus = self.bus
-        if isinstance(bus, DrainingSocketcanBus) and bus.may_wait():
-            try:
-                return bus.read_waiting(until_ns, self._hand_on)
-            except (OSError, can.CanError) as error:
-                self._listener.on_error(error)
-        return True
+        try:
+            return self.bus.read_waiting(until_ns, self._hand_on)
+        except (OSError, can.CanError) as error:
+            self._listener.on_error(error)
+            return True
 
     def _hand_on(self, message: can.Message) -> None:
         try:
@@ -59,16 +56,15 @@ class _Opening:
     def close(self) -> None:
         """Stop the reader, then close; it takes as long as a wake-up of the reader."""
         self._notifier.stop()
-        if isinstance(self.bus, DrainingSocketcanBus):
-            self.bus.finish()
-        self.bus.shutdown()
+        self.bus.finish()
+        self.bus.library_bus.shutdown()
 
 
 class BusConnection:
-    """One bus, open or lost.
+    """Connection to one bus, open or lost.
 
     Opening, closing and their waiting belong to one thread at a time; `read_waiting`, `send` and
-    `admit` to the ticking thread; `lose` may come from any.
+    `start_sending` to the ticking thread; `mark_lost` may come from any.
 
     Attributes:
         lost: why the interface cannot be used, as a sentence; None while it is open.
@@ -86,13 +82,13 @@ class BusConnection:
         self._filters = kernel_filters(identifiers, groups) if settings.kernel_filters else None
         self._receive = receive
         self._opening: _Opening | None = None
-        self._admitted: can.BusABC | None = None
-        self._sending = threading.Lock()
+        self._sending_bus: Bus | None = None
+        self._send_lock = threading.Lock()
         self._grid: tuple[int, int] | None = None
-        self._claim: InstanceLock | None = None
+        self._instance_lock: InstanceLock | None = None
         self.counters = BusCounters()
         self.lost: str | None = "not opened yet"
-        self.on_lost: Callable[[], None] = _nobody_asked
+        self.on_lost: Callable[[], None] = _ignore_loss
 
     @property
     def is_open(self) -> bool:
@@ -106,92 +102,69 @@ class BusConnection:
 
     @property
     def receive_buffer_bytes(self) -> int | None:
-        """What the kernel gave, in the measure of what is asked; None where it has none."""
-        bus = self._opening and self._opening.bus
-        return bus.receive_buffer_bytes if isinstance(bus, DrainingSocketcanBus) else None
+        """Receive buffer that the kernel granted; None where the bus has none."""
+        return None if self._opening is None else self._opening.bus.receive_buffer_bytes
 
     @property
     def reader_wakes(self) -> int | None:
-        """Counts on while the reader lives; None where nothing is open or the bus cannot tell."""
-        bus = self._opening and self._opening.bus
-        return bus.wakes if self.is_open and isinstance(bus, DrainingSocketcanBus) else None
+        """Times that the reader woke; None where nothing is open or the bus does not count them."""
+        opening = self._opening
+        return opening.bus.wakes if opening is not None and self.is_open else None
 
     def report(self) -> dict[str, Any]:
         """The counters as plain data."""
         return {**dataclasses.asdict(self.counters), "dropped": self.dropped, "lost": self.lost}
 
-    def claim(self) -> None:
-        """Be the only gateway on this interface of the machine, until `release`.
+    def acquire_lock(self) -> None:
+        """Become the only gateway on this interface of the machine, until `release_lock`.
 
         Raises UnavailableError where another gateway is.
         """
-        if self._claim is None and self.settings.interface == "socketcan":
-            self._claim = InstanceLock(self.settings.channel)
+        if self._instance_lock is None and self.settings.interface == "socketcan":
+            self._instance_lock = InstanceLock(self.settings.channel)
 
     @property
     def lock_held_by(self) -> str | None:
-        """Who has the interface's lock without a right to it; None where nobody is in the way."""
-        return None if self._claim is None else self._claim.passed_by
+        """Process that holds the interface's lock without a right to it; None: there is none."""
+        return None if self._instance_lock is None else self._instance_lock.passed_by
 
-    def answer_claims(self) -> None:
-        """Let others ask who has the lock; called now and then."""
-        if self._claim is not None:
-            self._claim.answer()
+    def answer_lock_queries(self) -> None:
+        """Answer processes that ask for the lock's holder; called ten times a second."""
+        if self._instance_lock is not None:
+            self._instance_lock.answer()
 
-    def release(self) -> None:
-        """Let another gateway have the interface."""
-        claim, self._claim = self._claim, None
-        if claim is not None:
-            claim.release()
+    def release_lock(self) -> None:
+        """Let another gateway use the interface."""
+        lock, self._instance_lock = self._instance_lock, None
+        if lock is not None:
+            lock.release()
 
     def open(self) -> None:
-        """Open the bus and start receiving; nothing is sent before `admit`.
+        """Open the bus and start receiving; nothing is sent before `start_sending`.
 
         Raises UnavailableError, with what to do, where the interface is not there.
         """
         self.close()
         try:
-            bus = self._open_bus()
+            bus = open_bus(self.settings, self._filters, self.counters)
         except (OSError, can.CanError, ImportError) as error:
             raise UnavailableError(unopened(error, self.settings)) from error
-        if self._grid is not None and isinstance(bus, DrainingSocketcanBus):
+        if self._grid is not None:
             bus.align(*self._grid)
         self.lost = None
         self._opening = _Opening(bus, self._listener(bus))
 
-    def _open_bus(self) -> can.BusABC:
-        settings = self.settings
-        if settings.interface == "socketcan":
-            return DrainingSocketcanBus(
-                settings.channel,
-                self._filters,
-                settings.gather_s,
-                settings.receive_buffer_bytes,
-                self.counters,
-            )
-        if settings.interface == "udp_multicast":
-            from vcu_gateway.bus.multicast import EchoingMulticastBus
-
-            return EchoingMulticastBus(settings.channel, self._filters, self.counters)
-        return can.Bus(
-            interface=settings.interface,
-            channel=settings.channel,
-            can_filters=self._filters,
-            receive_own_messages=True,
-        )
-
-    def _listener(self, bus: can.BusABC) -> FrameListener:
+    def _listener(self, bus: Bus) -> FrameListener:
         def lost(why: str) -> None:
             if self._opening is None or self._opening.bus is bus:
-                self.lose(why)  # the word of a reader that was closed does not count
+                self.mark_lost(why)  # the reader of an earlier opening does not count
 
-        stamps_are_monotonic = self.settings.interface == "socketcan"
-        return FrameListener(self._receive, self.counters, lost, stamps_are_monotonic)
+        return FrameListener(self._receive, self.counters, lost, bus.stamps_are_monotonic)
 
     def align(self, origin_ns: int, period_ns: int) -> None:
         """Read all that waits shortly before every point of this grid: the ticks."""
         self._grid = (origin_ns, period_ns)
-        if self._opening is not None and isinstance(self._opening.bus, DrainingSocketcanBus):
+        if self._opening is not None:
             self._opening.bus.align(origin_ns, period_ns)
 
     def read_waiting(self, until_ns: int) -> bool:
@@ -204,13 +177,13 @@ class BusConnection:
         opening = self._opening
         return opening is None or opening.read_waiting(until_ns)
 
-    def admit(self) -> None:
-        """Send on what is open from now on."""
+    def start_sending(self) -> None:
+        """Send on the open bus from now on."""
         opening = self._opening
-        self._admitted = opening.bus if opening is not None and self.is_open else None
+        self._sending_bus = opening.bus if opening is not None and self.is_open else None
 
-    def lose(self, why: str) -> None:
-        """The interface cannot be used any more: nothing is sent on it again."""
+    def mark_lost(self, why: str) -> None:
+        """Record that the interface cannot be used: nothing is sent on it again."""
         if self.lost is None:
             self.lost = why
             self.on_lost()
@@ -218,30 +191,30 @@ class BusConnection:
     def send(self, frame: OutFrame) -> bool:
         """Send now or not at all; False, and counted, where the interface did not take it.
 
-        It never waits, not for another thread either: a door that is being closed is closed.
+        It never waits, not for another thread either: a connection that is being closed is closed.
         """
-        if self.lost is not None or not self._sending.acquire(blocking=False):
-            return self.withhold("closed")
+        if self.lost is not None or not self._send_lock.acquire(blocking=False):
+            return self.count_unsent("closed")
         try:
-            bus = self._admitted
+            bus = self._sending_bus
             if bus is None:
-                return self.withhold("closed")
-            _hand_over(bus, frame)
+                return self.count_unsent("closed")
+            bus.send_now(frame.can_id, frame.data)
         except (OSError, can.CanError) as error:
             return self._not_sent(error)
         finally:
-            self._sending.release()
+            self._send_lock.release()
         self.counters.sent += 1
         return True
 
     def _not_sent(self, error: Exception) -> bool:
         name = _errno_name(error)
         if name in _GONE:
-            # The kernel tells it once, to whoever asks first: the reader may never hear of it.
-            self.lose(f"Failed to send: {error}")
-        return self.withhold(name)
+            # The kernel reports it once, to the first caller: the reader may never see it.
+            self.mark_lost(f"Failed to send: {error}")
+        return self.count_unsent(name)
 
-    def withhold(self, why: str) -> bool:
+    def count_unsent(self, why: str) -> bool:
         """Count a frame that is not sent, by its reason; False."""
         refused = self.counters.refused
         refused[why] = refused.get(why, 0) + 1
@@ -250,22 +223,15 @@ class BusConnection:
     def close(self, why: str = "closed") -> None:
         """Stop receiving, then close; nothing happens where it is closed already."""
         self.lost = self.lost or why
-        with self._sending:
-            self._admitted = None
+        with self._send_lock:
+            self._sending_bus = None
         opening, self._opening = self._opening, None
         if opening is not None:
             opening.close()
 
 
-def _hand_over(bus: can.BusABC, frame: OutFrame) -> None:
-    if isinstance(bus, DrainingSocketcanBus):
-        bus.send_now(frame.can_id, frame.data)
-    else:
-        bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data))
-
-
-def _nobody_asked() -> None:
-    """Nobody wants to know of a loss."""
+def _ignore_loss() -> None:
+    """Nothing: no listener is registered."""
 
 
 def kernel_filters(identifiers: Iterable[int], groups: Iterable[int] = ()) -> list[Any]:

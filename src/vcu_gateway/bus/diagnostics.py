@@ -1,10 +1,9 @@
-"""What is wrong with an interface, and what to do: the sentences."""
+"""Interface diagnostics: the problem with an interface, and its remedy, as sentences."""
 
 import errno
-import socket
 from collections.abc import Callable
 
-from vcu_gateway.bus.interface import Interface
+from vcu_gateway.bus.interface import Interface, can_socket_error
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.errors import Problem
 
@@ -13,7 +12,7 @@ _WITHOUT_CAN = "this kernel has no CAN; try `vcu-gateway demo`, or a kernel with
 
 
 def unopened(error: Exception, settings: BusSettings) -> Problem:
-    """Why opening failed."""
+    """Problem of an opening that failed."""
     code, channel = getattr(error, "errno", None), settings.channel
     if settings.interface == "udp_multicast" and "msgpack" in str(error):
         remedy = "install the extra: pip install 'vcu-gateway[multicast]'"
@@ -29,7 +28,7 @@ def unopened(error: Exception, settings: BusSettings) -> Problem:
 
 
 def unfit(found: Interface | None, settings: BusSettings, renamed_to: str | None) -> Problem | None:
-    """Why an interface is not opened; None where it can be.
+    """Problem that keeps an interface from being opened; None where it can be.
 
     `renamed_to` is what the one that was open before is called now, None where it is gone.
     """
@@ -39,7 +38,7 @@ def unfit(found: Interface | None, settings: BusSettings, renamed_to: str | None
         return Problem(f"{channel} was renamed to {renamed_to}", remedy=remedy)
     if found is None:
         what = f"cannot open socketcan {channel}: no such interface"
-        return Problem(what, remedy=_how_to_make(settings) if kernel_has_can() else _WITHOUT_CAN)
+        return Problem(what, remedy=_how_to_make(settings) if _kernel_has_can() else _WITHOUT_CAN)
     if not found.is_can:
         what = f"cannot open socketcan {channel}: it is no CAN interface"
         return Problem(what, remedy="bus.channel must be one of: ip -brief link show type can")
@@ -54,9 +53,9 @@ def left(
     channel: str,
     name_of: Callable[[int], str | None],
 ) -> str | None:
-    """Why an interface in use cannot be used any more; None where it can.
+    """Problem of an interface in use that cannot be used any more; None where it can.
 
-    `name_of` tells what an interface is called now.
+    `name_of` returns the present name of an interface.
     """
     if found is None or found.number != opened.number:
         name = name_of(opened.number)
@@ -64,13 +63,9 @@ def left(
     return None if found.up else f"{channel} is down"
 
 
-def kernel_has_can() -> bool:
-    """True where sockets of SocketCAN can be made."""
-    try:
-        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-    except OSError as error:
-        return error.errno not in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT)
-    return True
+def _kernel_has_can() -> bool:
+    error = can_socket_error()
+    return error is None or error.errno not in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT)
 
 
 def _how_to_make(settings: BusSettings) -> str:

@@ -1,14 +1,14 @@
-"""One gateway on an interface of this machine, and no second one.
+"""Instance lock: one gateway on an interface of this machine.
 
 The lock is the name of a Unix socket in the abstract namespace: it belongs to the network
 namespace that the interface is in, needs no file, and is free again when the process has ended,
 however it ended.
 
-Any process can take such a name, so it counts only in the hands of somebody who could start a
-gateway: root, our own user or the service's. Whoever else holds it, or cannot be asked, is told of
-and passed by: nobody without privilege can keep the gateway from starting. A real gateway that
-cannot be asked (its queue can be filled by anybody) is heard all the same: the second one listens
-before it talks, and stays silent.
+Any process can take such a name, so it counts only when it is held by a user who could start a
+gateway: root, our own user or the service's. Another holder, or one that does not answer, is
+reported and ignored: no process without privilege can keep the gateway from starting. A real
+gateway that does not answer (any process can fill its queue) is seen all the same: the second one
+listens before it talks, and stays silent.
 """
 
 import contextlib
@@ -29,10 +29,10 @@ _credentials = struct.Struct("3i")
 
 
 class InstanceLock:
-    """This process alone commands on an interface, until `release` or its end.
+    """Lock of one interface for this process, until `release` or its end.
 
     Attributes:
-        passed_by: who holds the name without a right to it, as words; None where we have it.
+        passed_by: the holder without a right to it, as words; None where this process has it.
     """
 
     def __init__(self, channel: str) -> None:
@@ -58,7 +58,7 @@ class InstanceLock:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.bind(self._name)
-            self._socket.listen(_WAITING)  # only so that others can ask who it is
+            self._socket.listen(_WAITING)  # only so that others can read our credentials
             self._socket.setblocking(False)
         except OSError:
             self._socket.close()
@@ -66,7 +66,7 @@ class InstanceLock:
         return True
 
     def answer(self) -> None:
-        """Make room for whoever asks who we are: nobody is waited for."""
+        """Accept and close the connections of processes that query the holder; never waits."""
         with contextlib.suppress(OSError):
             for _ in range(_WAITING):
                 self._socket.accept()[0].close()
@@ -91,13 +91,13 @@ def _refusal(channel: str, pid: int) -> Problem:
 
 
 def _holder(name: bytes) -> tuple[int, int]:
-    """Process (0 where it is not visible from here) and user of whoever listens.
+    """Process (0 where it is not visible from here) and user of the listening process.
 
-    Raises OSError where nobody does, or where its queue is full.
+    Raises OSError where none listens, or where its queue is full.
     """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asked:
-        asked.setblocking(False)
-        asked.connect(name)
-        told = asked.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _credentials.size)
-    pid, uid, _ = _credentials.unpack(told)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as peer:
+        peer.setblocking(False)
+        peer.connect(name)
+        credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _credentials.size)
+    pid, uid, _ = _credentials.unpack(credentials)
     return pid, uid

@@ -1,10 +1,11 @@
-"""What the kernel says of a network interface, asked often.
+"""State of a network interface, polled ten times a second.
 
-Asked by ioctl ten times a second rather than told by rtnetlink: an answer cannot be lost or
-overflow, needs no privilege and no further address family, and costs some microseconds. What is
-too quick to be seen (down and up between two looks) the CAN socket tells by itself.
+Polled by ioctl rather than subscribed to by rtnetlink: an answer cannot be lost or overflow, needs
+no privilege and no further address family, and costs some microseconds. A change between two polls
+(down and up again) is reported by the CAN socket itself.
 """
 
+import errno
 import fcntl
 import os
 import socket
@@ -26,12 +27,23 @@ _short = struct.Struct("16xH22x")
 _name = struct.Struct("16s24x")
 
 
+def can_socket_error() -> OSError | None:
+    """Error that a raw CAN socket meets here; None where the kernel gives one."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except AttributeError:
+        return OSError(errno.EAFNOSUPPORT, "this Python was built without CAN")
+    except OSError as error:
+        return error
+    return None
+
+
 class Interface(NamedTuple):
-    """One look at an interface.
+    """State of an interface at one instant.
 
     Attributes:
         number: the kernel's index of it; one that was deleted and made again has another.
-        carrier: False while a CAN controller is bus-off; the kernel may tell it 1 s late.
+        carrier: False while a CAN controller is bus-off; the kernel may report it 1 s late.
         tx_queue_frames: length of the transmit queue.
     """
 
@@ -43,7 +55,7 @@ class Interface(NamedTuple):
 
 
 class Interfaces:
-    """Asks the kernel; it keeps one socket, so that it can ask when no other can be had."""
+    """Queries of the kernel over one socket that is kept: it works when no new one can be had."""
 
     def __init__(self) -> None:
         self._socket: socket.socket | None = None
@@ -66,7 +78,7 @@ class Interfaces:
         return Interface(number, kind == _ARPHRD_CAN, up, running, queue)
 
     def name_of(self, number: int) -> str | None:
-        """What the interface of this number is called now; None where it is gone."""
+        """Present name of the interface of this number; None where it is gone."""
         try:
             answer = self._ask(_SIOCGIFNAME, _by_index.pack(number))
         except OSError:
@@ -79,6 +91,6 @@ class Interfaces:
         return fcntl.ioctl(self._socket, code, request)
 
     def close(self) -> None:
-        """Ask no more."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()

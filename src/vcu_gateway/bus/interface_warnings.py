@@ -1,4 +1,4 @@
-"""What is not as it should be on an interface that can be used all the same."""
+"""Interface warnings: faults of the set-up of an interface that can be used all the same."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ _TX_QUEUE_AT_MOST = 4
 
 
 def interface_warnings(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
-    """What to tell of an interface that was opened, and the command that mends it."""
+    """Warnings about an interface that was opened, each with the command that fixes it."""
     yield from _queue(opened, settings.channel)
     yield from _buffer(opened, settings.receive_buffer_bytes)
     yield from _bit_rate(opened, settings)
@@ -22,14 +22,14 @@ def _queue(opened: LinkOpened, channel: str) -> Iterator[Event]:
     frames, is_used = opened.interface.tx_queue_frames, opened.details.queue_is_used
     if frames > _TX_QUEUE_AT_MOST and is_used is not False:
         command = f"ip link set {channel} txqueuelen {_TX_QUEUE_AT_MOST}"
-        yield _caution("tx_queue_long", command, frames=frames)
+        yield _warning("tx_queue_long", command, frames=frames)
 
 
-def _buffer(opened: LinkOpened, asked: int | None) -> Iterator[Event]:
+def _buffer(opened: LinkOpened, wanted_bytes: int | None) -> Iterator[Event]:
     given = opened.receive_buffer_bytes
-    if asked is not None and given is not None and given < asked:
-        command = f"sysctl -w net.core.rmem_max={asked}"
-        yield _caution("receive_buffer_small", command, asked_bytes=asked, given_bytes=given)
+    if wanted_bytes is not None and given is not None and given < wanted_bytes:
+        command = f"sysctl -w net.core.rmem_max={wanted_bytes}"
+        yield _warning("receive_buffer_small", command, asked_bytes=wanted_bytes, given_bytes=given)
 
 
 def _bit_rate(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
@@ -37,7 +37,7 @@ def _bit_rate(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
     if None not in (found, wanted) and found != wanted:
         link = f"ip link set {settings.channel}"  # only one that is down takes a bit rate
         command = f"{link} down && {link} up type can bitrate {wanted}"
-        yield _caution("bit_rate_differs", command, wanted_bit_s=wanted, found_bit_s=found)
+        yield _warning("bit_rate_differs", command, wanted_bit_s=wanted, found_bit_s=found)
 
 
 def _echo(opened: LinkOpened) -> Iterator[Event]:
@@ -47,5 +47,5 @@ def _echo(opened: LinkOpened) -> Iterator[Event]:
         yield Event("echo_unproven", Severity.WARNING, {"reason": reason})
 
 
-def _caution(name: str, command: str, **fields: object) -> Event:
+def _warning(name: str, command: str, **fields: object) -> Event:
     return Event(name, Severity.WARNING, {**fields, "command": command})

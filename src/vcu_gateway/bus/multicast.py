@@ -1,6 +1,6 @@
 """python-can's UDP multicast bus, telling our own frames from those of others.
 
-A group gives every datagram to its sender, too, and a datagram does not say whose it is. This bus
+A group gives every datagram to its sender, too, and a datagram does not name its sender. This bus
 remembers what it sent last: each of its datagrams carries the time, so that no other node's is the
 same to the last bit.
 """
@@ -15,7 +15,7 @@ from vcu_gateway.python_can import can
 from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
-from vcu_gateway.bus.counters import BusCounters
+from vcu_gateway.bus.settings import BusCounters
 
 # Of our own, a second's worth: what has not come back by then is lost.
 _REMEMBERED = 64
@@ -53,7 +53,7 @@ class EchoingMulticastBus(UdpMulticastBus):
         except Exception:  # noqa: BLE001 - whatever a stranger sends
             self._counters.undecodable += 1
             return None, False
-        message.is_rx = not self._is_own(datagram)  # whatever the datagram says itself
+        message.is_rx = not self._is_own(datagram)  # whatever flag the datagram carries
         return message, False
 
     def _is_own(self, datagram: bytes) -> bool:

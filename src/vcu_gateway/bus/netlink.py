@@ -1,8 +1,7 @@
-"""What the kernel says of a CAN interface beyond its flags, asked once at each opening.
+"""rtnetlink queries (RTM_GETLINK): a CAN interface beyond its flags, once at each opening.
 
-Asked by rtnetlink (RTM_GETLINK). It may make the driver ask its hardware, so it is not asked
-often; where it cannot be asked, everything is unknown and the gateway goes on without.
-`describe` tells all of it, counters included, for who examines the machine.
+A query may make the driver read its hardware, so there are few; where it fails, everything is
+unknown and the gateway goes on without. `describe` includes the counters, for the doctor.
 """
 
 import errno
@@ -57,7 +56,7 @@ _STATES: dict[int | None, LinkState] = {
 
 
 def details(name: str) -> InterfaceDetails:
-    """Ask the kernel; nothing is raised."""
+    """Details of this interface; all None where the kernel does not answer."""
     try:
         return parsed(_answer(_request(name)))
     except (OSError, struct.error):
@@ -65,7 +64,7 @@ def details(name: str) -> InterfaceDetails:
 
 
 def describe(name: str) -> InterfaceInfo:
-    """Ask the kernel for everything; OSError where it does not tell, ENODEV where none is."""
+    """Everything about this interface; OSError where the kernel refuses, ENODEV where none is."""
     try:
         return described(_answer(_request(name, with_counters=True)))
     except struct.error as error:
@@ -73,10 +72,10 @@ def describe(name: str) -> InterfaceInfo:
 
 
 def _answer(request: bytes) -> bytes:
-    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as asked:
-        asked.settimeout(_PATIENCE_S)
-        asked.send(request)
-        return asked.recv(_MOST_BYTES)
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as route_socket:
+        route_socket.settimeout(_PATIENCE_S)
+        route_socket.send(request)
+        return route_socket.recv(_MOST_BYTES)
 
 
 def _request(name: str, *, with_counters: bool = False) -> bytes:
@@ -92,7 +91,7 @@ def _packed(kind: int, value: bytes) -> bytes:
 
 
 def parsed(answer: bytes) -> InterfaceDetails:
-    """The kernel's answer; struct.error where it is torn."""
+    """Details out of the kernel's answer; struct.error where it is torn."""
     length, kind, _, _, _ = _header.unpack_from(answer)
     if kind != _RTM_NEWLINK:
         return InterfaceDetails()
@@ -111,7 +110,7 @@ def parsed(answer: bytes) -> InterfaceDetails:
 
 
 def described(answer: bytes) -> InterfaceInfo:
-    """The kernel's answer; struct.error where it is torn, OSError where it refuses."""
+    """Interface out of the kernel's answer; struct.error where it is torn, OSError if refused."""
     length, kind, _, _, _ = _header.unpack_from(answer)
     if kind == _NLMSG_ERROR:
         number = -_error.unpack_from(answer, _header.size)[0]
@@ -132,14 +131,14 @@ def described(answer: bytes) -> InterfaceInfo:
 
 
 def _controller(info: dict[int, bytes]) -> CanController | None:
-    told = dict(_attributes(info[_IFLA_INFO_DATA]))
-    if _IFLA_CAN_STATE not in told:
+    data = dict(_attributes(info[_IFLA_INFO_DATA]))
+    if _IFLA_CAN_STATE not in data:
         return None
-    modes = told.get(_IFLA_CAN_CTRLMODE)
-    errors = _fields(_error_counters, told.get(_IFLA_CAN_BERR_COUNTER))
+    modes = data.get(_IFLA_CAN_CTRLMODE)
+    errors = _fields(_error_counters, data.get(_IFLA_CAN_BERR_COUNTER))
     counters = _fields(_device_counters, info.get(_IFLA_INFO_XSTATS))
     return CanController(
-        _first(told, _IFLA_CAN_RESTART_MS),
+        _first(data, _IFLA_CAN_RESTART_MS),
         None if modes is None else ControllerMode(_mode.unpack_from(modes)[0]),
         None if errors is None else ErrorCounters._make(errors),
         None if counters is None else DeviceCounters._make(counters),
@@ -151,11 +150,11 @@ def _fields(layout: struct.Struct, value: bytes | None) -> tuple[int, ...] | Non
 
 
 def _traffic(found: dict[int, bytes]) -> InterfaceTraffic | None:
-    """Of struct rtnl_link_stats64, as far as it is looked at."""
+    """The used fields of struct rtnl_link_stats64."""
     if _IFLA_STATS64 not in found:
         return None
-    told = _statistics.unpack_from(found[_IFLA_STATS64])
-    return InterfaceTraffic(told[0], told[1], told[6], told[7], told[11])
+    counts = _statistics.unpack_from(found[_IFLA_STATS64])
+    return InterfaceTraffic(counts[0], counts[1], counts[6], counts[7], counts[11])
 
 
 def _word(attributes: dict[int, bytes], kind: int) -> str:

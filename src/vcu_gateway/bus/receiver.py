@@ -1,8 +1,8 @@
-"""What python-can's Notifier calls on its thread."""
+"""Receiver: python-can messages to the core's frames, on the Notifier's thread."""
 
 from collections.abc import Callable
 
-from vcu_gateway.bus.counters import BusCounters
+from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.arrival_time import arrival_ns
 from vcu_gateway.core.frame import Frame
@@ -11,7 +11,7 @@ from vcu_gateway.units import NS_PER_S
 
 
 class FrameListener:
-    """Hands frames on; it never raises."""
+    """Listener of the Notifier; calls `receive` with each frame and never raises."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class FrameListener:
         return arrival_ns(stamp_wall_ns, before, self._clocks)
 
     def on_error(self, error: Exception) -> None:
-        """A failed interface is told on; a bug of ours costs its frame and is counted."""
+        """Report a failed interface as lost; count a bug of ours, which costs its frame."""
         if isinstance(error, (OSError, can.CanError)):
             self._lost(str(error))
         else:

@@ -1,6 +1,6 @@
-"""Keeps the door open: on a thread of its own, because opening and closing wait.
+"""Reconnector: opens the bus and opens it again, on its own thread, because both wait.
 
-What it finds is handed to the ticking thread as news, in order; it decides nothing else.
+It hands the changes of the link to the ticking thread, in order, and decides nothing else.
 """
 
 import threading
@@ -12,7 +12,7 @@ from typing import NamedTuple
 from vcu_gateway.bus import diagnostics, netlink
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface import Interface, Interfaces
-from vcu_gateway.bus.netlink import InterfaceDetails
+from vcu_gateway.bus.interface_info import InterfaceDetails
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.units import NS_PER_MS
@@ -27,10 +27,10 @@ _NO_INTERFACE = Interface(number=0, is_can=True, up=True, carrier=True, tx_queue
 
 
 class LinkOpened(NamedTuple):
-    """The door was opened.
+    """The bus was opened.
 
     Attributes:
-        at_ns: shortly before; what the bus said since then counts.
+        at_ns: shortly before; error frames since then count.
         receive_buffer_bytes: what the kernel gave; None where it has none.
     """
 
@@ -46,9 +46,9 @@ class LinkOpened(NamedTuple):
 
     @property
     def carrier(self) -> bool:
-        """Whether there was a carrier."""
-        told = self.details.carrier
-        return self.interface.carrier if told is None else told
+        """True where there was a carrier; rtnetlink's answer before the flags."""
+        carrier = self.details.carrier
+        return self.interface.carrier if carrier is None else carrier
 
 
 class LinkLost(NamedTuple):
@@ -59,7 +59,7 @@ class LinkLost(NamedTuple):
 
 
 class Unavailable(NamedTuple):
-    """The door cannot be opened; told once for each reason."""
+    """The bus cannot be opened; once for each reason."""
 
     why: str
 
@@ -79,26 +79,26 @@ LinkChange = LinkOpened | LinkLost | Unavailable | CarrierChanged
 
 
 class Reconnector:
-    """Opens the door when its interface is there, and again after every loss.
+    """Opens the connection when its interface is there, and again after every loss.
 
-    Looks ten times a second, and at once when the reader tells of a loss. An interface that
+    Polls ten times a second, and at once when the reader reports a loss. An interface that
     was steady is opened at once; one that keeps failing is given pauses from `pause_ms`,
     doubling up to 0.8 s.
 
     Attributes:
-        news: what happened, for the ticking thread to take from the left.
-        tried: set after the first look.
+        changes: link changes, for the ticking thread to take from the left.
+        tried: set after the first poll.
     """
 
     def __init__(
         self,
-        door: BusConnection,
+        connection: BusConnection,
         pause_ms: int,
         look: Callable[[], Interface | None] | None = None,
         name_of: Callable[[int], str | None] | None = None,
         details: Callable[[str], InterfaceDetails] = netlink.details,
     ) -> None:
-        self._door = door
+        self._connection = connection
         self._interfaces = Interfaces()
         self._look = look or self._look_at_channel
         self._name_of = name_of or self._interfaces.name_of
@@ -108,16 +108,16 @@ class Reconnector:
         self._opened_ns = self._looked_ns = 0
         self._opened: Interface | None = None
         self._last_number: int | None = None
-        self._complaint: str | None = None
+        self._reported_problem: str | None = None
         self._wake = threading.Event()
         self._ended = False
-        self._thread = threading.Thread(target=self._work, name="link keeper", daemon=True)
-        self.news: deque[LinkChange] = deque()
+        self._thread = threading.Thread(target=self._work, name="reconnector", daemon=True)
+        self.changes: deque[LinkChange] = deque()
         self.tried = threading.Event()
-        door.on_lost = self._wake.set
+        connection.on_lost = self._wake.set
 
     def _look_at_channel(self) -> Interface | None:
-        settings = self._door.settings
+        settings = self._connection.settings
         if settings.interface != "socketcan":
             return _NO_INTERFACE
         return self._interfaces.look(settings.channel)
@@ -125,35 +125,35 @@ class Reconnector:
     # The thread.
 
     def start(self) -> None:
-        """Begin to look."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Close the door and end; called when nothing is to be sent any more."""
+        """Close the connection and end; called when nothing is to be sent any more."""
         self._ended = True
         self._wake.set()
         if self._thread.ident is not None:
             self._thread.join(_END_WITHIN_S)
 
     def check(self) -> None:
-        """Raise RuntimeError where the thread has died of a bug: nobody would open again."""
+        """Raise RuntimeError where the thread has died of a bug: the bus would stay closed."""
         if self._thread.ident is not None and not self._thread.is_alive() and not self._ended:
-            raise RuntimeError("the link keeper has died; its exception is on stderr")
+            raise RuntimeError("the reconnector has died; its exception is on stderr")
 
     def _work(self) -> None:
         while not self._ended:
             self.step(time.monotonic_ns())
-            self._door.answer_claims()
+            self._connection.answer_lock_queries()
             self.tried.set()
             self._wake.wait(_LOOK_EVERY_S)
             self._wake.clear()
-        self._door.close()
+        self._connection.close()
         self._interfaces.close()
 
-    # One look.
+    # One poll.
 
     def step(self, now_ns: int) -> None:
-        """Look once, and do what is to be done."""
+        """Poll once; report a loss or a carrier, open where that is due."""
         found = self._look()
         if self._opened is not None:
             self._check(self._opened, found, now_ns)
@@ -162,29 +162,29 @@ class Reconnector:
         self._looked_ns = now_ns
 
     def _check(self, opened: Interface, found: Interface | None, now_ns: int) -> None:
-        channel = self._door.settings.channel
+        channel = self._connection.settings.channel
         why = diagnostics.left(opened, found, channel, self._name_of)
-        if why is not None or not self._door.is_open:
-            self._give_up(why or self._door.lost or "closed", now_ns)
+        if why is not None or not self._connection.is_open:
+            self._give_up(why or self._connection.lost or "closed", now_ns)
         elif found is not None and found.carrier != opened.carrier:
             self._opened = found
             at_ns = self._looked_ns if found.carrier else now_ns
-            self.news.append(CarrierChanged(at_ns, found.carrier))
+            self.changes.append(CarrierChanged(at_ns, found.carrier))
 
     def _give_up(self, why: str, now_ns: int) -> None:
-        self._door.lose(why)
-        self._door.lost = why
+        self._connection.mark_lost(why)
+        self._connection.lost = why
         self._opened = None
-        self.news.append(LinkLost(now_ns, why))
+        self.changes.append(LinkLost(now_ns, why))
         if now_ns - self._opened_ns >= _STEADY_NS:
             self._pause_ns, self._next_ns = self._first_pause_ns, now_ns
-        self._door.close()
+        self._connection.close()
 
     def _try_to_open(self, found: Interface | None, now_ns: int) -> None:
         gone = found is None and self._last_number is not None
         renamed_to = self._name_of(self._last_number or 0) if gone else None
-        if problem := diagnostics.unfit(found, self._door.settings, renamed_to):
-            self._complain(str(problem))
+        if problem := diagnostics.unfit(found, self._connection.settings, renamed_to):
+            self._report_unavailable(str(problem))
         elif found is not None and now_ns >= self._next_ns:
             self._next_ns = now_ns + self._pause_ns
             self._pause_ns = min(2 * self._pause_ns, max(_PAUSE_AT_MOST_NS, self._first_pause_ns))
@@ -192,20 +192,20 @@ class Reconnector:
 
     def _open(self, found: Interface, now_ns: int) -> None:
         try:
-            self._door.open()
+            self._connection.open()
         except UnavailableError as error:
-            self._complain(str(error))
+            self._report_unavailable(str(error))
             return
         self._opened, self._last_number = found, found.number
-        self._opened_ns, self._complaint = now_ns, None
+        self._opened_ns, self._reported_problem = now_ns, None
         details = InterfaceDetails()
-        if self._door.settings.interface == "socketcan":
-            details = self._details(self._door.settings.channel)
-        buffer_bytes = self._door.receive_buffer_bytes
-        self.news.append(LinkOpened(now_ns, found, details, buffer_bytes))
+        if self._connection.settings.interface == "socketcan":
+            details = self._details(self._connection.settings.channel)
+        buffer_bytes = self._connection.receive_buffer_bytes
+        self.changes.append(LinkOpened(now_ns, found, details, buffer_bytes))
 
-    def _complain(self, why: str) -> None:
-        self._door.lost = why
-        if why != self._complaint:
-            self._complaint = why
-            self.news.append(Unavailable(why))
+    def _report_unavailable(self, why: str) -> None:
+        self._connection.lost = why
+        if why != self._reported_problem:
+            self._reported_problem = why
+            self.changes.append(Unavailable(why))

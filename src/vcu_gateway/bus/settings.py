@@ -1,6 +1,6 @@
-"""What the bus door is told."""
+"""Settings and counters of the bus connection."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 Kind = Literal["socketcan", "virtual", "udp_multicast"]
@@ -8,10 +8,10 @@ Kind = Literal["socketcan", "virtual", "udp_multicast"]
 
 @dataclass(frozen=True, slots=True)
 class BusSettings:
-    """What the configuration says of the bus; see config/gateway.yaml.
+    """Settings of the bus; see config/gateway.yaml.
 
     Attributes:
-        bit_rate_bit_s: what the interface should be set to; None is not held against it.
+        bit_rate_bit_s: bit rate that the interface should have; None: any.
     """
 
     interface: Kind
@@ -20,3 +20,28 @@ class BusSettings:
     gather_s: float = 0.017
     receive_buffer_bytes: int | None = None
     bit_rate_bit_s: int | None = None
+
+
+@dataclass(slots=True)
+class BusCounters:
+    """Counters of the bus, each written by one thread at a time.
+
+    Attributes:
+        refused: frames that could not be sent at once, by errno name.
+        dropped: frames that the kernel's receive buffer had no room for, or that waited in it
+            when the socket was closed.
+        repeated_errors: error frames equal to the one before; not evaluated.
+        reader_not_awaited: ticks that went on without what the reader had in its hands.
+        undecodable: datagrams of a multicast group that hold no frame.
+        receiver_bugs: exceptions of our own receiving code; the frame is lost, the rest goes on.
+    """
+
+    received: int = 0
+    sent: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    dropped: int = 0
+    repeated_errors: int = 0
+    reader_not_awaited: int = 0
+    undecodable: int = 0
+    receiver_bugs: int = 0
+    last_bug: str = ""

@@ -1,4 +1,4 @@
-"""python-can's SocketCAN bus, reading what the kernel says beside each frame.
+"""SocketCAN bus that drains its socket, with kernel stamps, own echoes and drop counter.
 
 python-can's own reading keeps the wall-clock stamp alone; the drop counter and the own-echo
 flag are lost, every frame costs a wake-up, and time-outs follow the wall clock. This subclass
@@ -19,8 +19,8 @@ from vcu_gateway.python_can import can
 # isort: split
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
-from vcu_gateway.bus.counters import BusCounters
 from vcu_gateway.bus.frame_queue import FrameQueue
+from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.arrival_time import ClockPair, arrival_ns, steady
 from vcu_gateway.core.link import ERROR_CLASSES
@@ -57,6 +57,8 @@ class DrainingSocketcanBus(SocketcanBus):
     Attributes:
         wakes: times that the reader woke, frames or not.
     """
+
+    stamps_are_monotonic = True
 
     def __init__(
         self,
@@ -100,8 +102,13 @@ class DrainingSocketcanBus(SocketcanBus):
         self._glance.register(self.socket, select.POLLIN)
 
     @property
+    def library_bus(self) -> can.BusABC:
+        """The bus that python-can's Notifier reads: this one."""
+        return self
+
+    @property
     def receive_buffer_bytes(self) -> int:
-        """The receive buffer that the kernel really gave, in the measure of what is asked."""
+        """Receive buffer that the kernel granted, in the unit of SO_RCVBUF as it is set."""
         return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
@@ -126,8 +133,8 @@ class DrainingSocketcanBus(SocketcanBus):
                 self._drain()
         return queue.take()
 
-    def may_wait(self) -> bool:
-        """Whether any frame that has arrived may not have been handed on yet; one cheap look.
+    def _may_wait(self) -> bool:
+        """Whether any frame that has arrived may not have been handed on yet.
 
         A frame goes from the socket through the lock's holder and the queue into the reader's
         hands: looked for in this order it cannot slip through.
@@ -138,7 +145,7 @@ class DrainingSocketcanBus(SocketcanBus):
         return queue.lock.locked() or bool(queue.pending) or queue.with_reader
 
     def read_waiting(self, until_ns: int, hand_on: Callable[[can.Message], None]) -> bool:
-        """Hand on, on the calling thread, all that arrived until this time and that nobody read.
+        """Hand on, on the calling thread, all unread frames that arrived until this time.
 
         It goes on until nothing waits or a frame that arrived later was handed on. What the reader
         has in its hands is waited for; where that takes longer than some milliseconds the reader
@@ -147,6 +154,8 @@ class DrainingSocketcanBus(SocketcanBus):
 
         Raises can.CanOperationError once when the interface fails, as `recv`.
         """
+        if not self._may_wait():
+            return True
         if self._reader is not None and not self._reader.is_alive():
             return True  # a dead reader must not go unnoticed: the drive ends for want of echoes
         last_s = 0.0
@@ -191,15 +200,15 @@ class DrainingSocketcanBus(SocketcanBus):
                 self._queue.pending.append(message)
         self._count_drops()
         if failure is not None:
-            # The interface is down or gone, and the socket tells it once. It is not read again:
-            # whoever listens closes it and opens another.
+            # The interface is down or gone, and the socket reports it once. It is not read again:
+            # the listener closes it and opens another.
             self._failed = True
             raise can.CanOperationError(
                 f"Failed to receive: {failure.strerror}", failure.errno
             ) from failure
 
     def _read(self) -> tuple[list[Any], OSError | None]:
-        """What waits, at most some hundreds of frames, and the first failure."""
+        """Waiting frames, at most some hundreds, and the first failure."""
         receive = self.socket.recvmsg
         read: list[Any] = []
         failures: list[OSError] = []
@@ -212,23 +221,23 @@ class DrainingSocketcanBus(SocketcanBus):
             except BlockingIOError:
                 break
             except OSError as error:
-                failures.append(error)  # told once, before the frames that wait behind it
+                failures.append(error)  # reported once, before the frames that wait behind it
         return read, failures[0] if failures else None
 
     def _count_drops(self) -> None:
         """Take over the kernel's 32-bit counter: SO_RXQ_OVFL's, at this instant."""
-        told = self.socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _meminfo.size)
-        now = _meminfo.unpack(told)[_MEMINFO_DROPS]
+        memory_info = self.socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _meminfo.size)
+        now = _meminfo.unpack(memory_info)[_MEMINFO_DROPS]
         self._counters.dropped += (now - self._drops_before) & 0xFFFF_FFFF
         self._drops_before = now
 
     def finish(self) -> None:
-        """Let no more frames in; those that arrived and that nobody read count as dropped.
+        """Let no more frames in; those that arrived and were not read count as dropped.
 
         Only when the reader has ended; afterwards the counters account for every frame.
         """
         with self._queue.lock:
-            self._failed = True  # nobody reads the socket from now on: it is to be closed
+            self._failed = True  # the socket is not read any more: it is to be closed
             with contextlib.suppress(OSError):  # the interface may be gone: nothing comes then
                 self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
                 self.socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, 0)
@@ -245,7 +254,7 @@ class DrainingSocketcanBus(SocketcanBus):
             except BlockingIOError:
                 break
             except OSError:
-                failures += 1  # each kind is told once, before what waits behind it
+                failures += 1  # each kind is reported once, before what waits behind it
         return left
 
     def _dissect(self, received: Any, before: ClockPair) -> can.Message | None:
@@ -268,10 +277,10 @@ class DrainingSocketcanBus(SocketcanBus):
         )
 
     def _repeats(self, can_id: int, controller_bits: int) -> bool:
-        """Whether this error frame says what the last one of this reading said: a flood does."""
-        said = can_id, controller_bits
-        repeats = said == self._last_error
-        self._last_error = said
+        """Whether this error frame equals the last one of this reading: a flood's do."""
+        error = can_id, controller_bits
+        repeats = error == self._last_error
+        self._last_error = error
         self._counters.repeated_errors += repeats
         return repeats
 
