@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
@@ -17,9 +18,7 @@ from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon import safe_frames
 from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.restarts import CountedStart
-from vcu_gateway.daemon.service import ServiceReporter
-from vcu_gateway.daemon.systemd import SystemdNotifier
-from vcu_gateway.daemon.watchdog import ReceiverWatchdog
+from vcu_gateway.daemon.systemd import ReceiverWatchdog, ServiceReporter, SystemdNotifier
 
 TICK = Tick(0, 0, 0, 0)
 S = 1_000_000_000
@@ -29,33 +28,33 @@ ZERO_TORQUE = "0008A7D0#0C000000E02E0000\n0008A8D0#0C000000E02E0000\n"
 class World:
     """A driving vehicle and a service manager that listens; time is the test's."""
 
-    def __init__(self, folder, ear, drive: Drive, monkeypatch) -> None:
-        self.drive, self.folder, self.ear = drive, folder, ear
-        door = BusConnection(
+    def __init__(self, folder, manager_socket, drive: Drive, monkeypatch) -> None:
+        self.drive, self.folder, self.manager_socket = drive, folder, manager_socket
+        connection = BusConnection(
             BusSettings("socketcan", "can0"), CODEC.identifiers(), lambda frame: None
         )
-        door.lost = None
-        self.daemon = TickLoop(drive.gateway, door, 50)
+        connection.lost = None
+        self.loop = TickLoop(drive.gateway, connection, 50)
         manager = SystemdNotifier(
-            {"NOTIFY_SOCKET": ear.getsockname(), "WATCHDOG_USEC": "2000000"}, 100
+            {"NOTIFY_SOCKET": manager_socket.getsockname(), "WATCHDOG_USEC": "2000000"}, 100
         )
-        self.service = ServiceReporter(manager, folder, self.daemon)
+        self.service = ServiceReporter(manager, folder, self.loop)
         self._told: list[str] = []
         monkeypatch.setattr(
-            "vcu_gateway.daemon.service.time.monotonic_ns", lambda: self.drive.now_ns
+            "vcu_gateway.daemon.systemd.time.monotonic_ns", lambda: self.drive.now_ns
         )
 
     def tick(self, times: int = 1) -> None:
         for _ in range(times):
             result = self.drive.tick()
-            self.daemon.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
+            self.loop.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
             self.service.observe(TICK, result)
             self._listen()
 
     def _listen(self) -> None:
         with contextlib.suppress(BlockingIOError):
             while True:
-                self._told.append(self.ear.recv(2000).decode())
+                self._told.append(self.manager_socket.recv(2000).decode())
 
     def told(self) -> list[str]:
         """What the service manager was told since the last call."""
@@ -71,17 +70,17 @@ class World:
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
-        ear.bind(str(tmp_path / "notify"))
-        ear.setblocking(False)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager_socket:
+        manager_socket.bind(str(tmp_path / "notify"))
+        manager_socket.setblocking(False)
 
         def make(drive: Drive) -> World:
-            return World(tmp_path, ear, drive, monkeypatch)
+            return World(tmp_path, manager_socket, drive, monkeypatch)
 
         yield make
 
 
-def test_ready_is_told_once_after_the_first_tick(world):
+def test_ready_is_reported_once_after_the_first_tick(world):
     one = world(standby())
     assert one.told() == []
     one.tick(10)
@@ -94,7 +93,7 @@ def test_a_living_gateway_pings_four_times_in_the_watchdogs_time(world):
     assert one.told().count("WATCHDOG=1") == 20
 
 
-def test_the_status_is_the_headline_and_is_told_when_it_changes(world):
+def test_the_status_is_the_headline_and_is_reported_when_it_changes(world):
     one = world(standby())
     one.tick(100)
     assert [line for line in one.told() if line.startswith("STATUS")] == ["STATUS=standby; arm"]
@@ -107,20 +106,20 @@ def test_the_status_is_the_headline_and_is_told_when_it_changes(world):
 
 def test_the_status_of_a_missing_interface_says_so(world):
     one = world(standby())
-    one.daemon.door.lost = "can0: no such interface"
+    one.loop.connection.lost = "can0: no such interface"
     one.tick()
     assert "STATUS=standby; can0: no such interface" in one.told()
 
 
-def test_a_status_that_flickers_is_told_once_a_second(world):
+def test_a_status_that_flickers_is_reported_once_a_second(world):
     one = world(standby())
     for number in range(100):  # 5 s
-        one.daemon.door.lost = f"reason {number}"
+        one.loop.connection.lost = f"reason {number}"
         one.tick()
     assert len([line for line in one.told() if line.startswith("STATUS")]) == 5
 
 
-def test_the_end_is_told_when_it_begins(world):
+def test_the_end_is_reported_when_it_begins(world):
     one = world(standby())
     one.tick()
     assert "STOPPING=1" not in one.told()
@@ -132,22 +131,22 @@ def test_the_end_is_told_when_it_begins(world):
 # The receiving thread.
 
 
-class FakeDoor(SimpleNamespace):
+class FakeConnection(SimpleNamespace):
     reader_wakes: int | None = 0
 
 
 def test_a_reader_that_wakes_at_every_third_tick_lives():
-    door = FakeDoor()
-    watch = ReceiverWatchdog(door)
+    connection = FakeConnection()
+    watch = ReceiverWatchdog(cast(BusConnection, connection))
     for tick in range(100):
-        door.reader_wakes = tick // 3
+        connection.reader_wakes = tick // 3
         watch.observe()
         assert watch.alive
 
 
 def test_a_reader_that_does_not_wake_for_ten_ticks_is_in_doubt_and_for_twenty_dead():
-    door = FakeDoor()
-    watch = ReceiverWatchdog(door)
+    connection = FakeConnection()
+    watch = ReceiverWatchdog(cast(BusConnection, connection))
     alive = []
     for _ in range(20):
         watch.observe()
@@ -158,19 +157,19 @@ def test_a_reader_that_does_not_wake_for_ten_ticks_is_in_doubt_and_for_twenty_de
 
 
 def test_without_an_open_bus_nobody_is_expected_to_wake():
-    door = FakeDoor(reader_wakes=None)
-    watch = ReceiverWatchdog(door)
+    connection = FakeConnection(reader_wakes=None)
+    watch = ReceiverWatchdog(cast(BusConnection, connection))
     for _ in range(100):
         watch.observe()
     assert watch.alive
 
 
 def test_a_reader_that_wakes_again_is_alive_again():
-    door = FakeDoor()
-    watch = ReceiverWatchdog(door)
+    connection = FakeConnection()
+    watch = ReceiverWatchdog(cast(BusConnection, connection))
     for _ in range(15):
         watch.observe()
-    door.reader_wakes = 1
+    connection.reader_wakes = 1
     watch.observe()
     assert watch.alive
 
@@ -196,7 +195,7 @@ def test_nothing_is_left_before_anything_was_sent(world):
 
 def test_the_safe_frames_of_a_drive_are_zero_torque(world):
     one = world(active())
-    one.drive.asked = ControllerDemand(throttle_pct=40)
+    one.drive.demanded = ControllerDemand(throttle_pct=40)
     one.tick(40)
     assert one.safe_frames == f"can0\n{ZERO_TORQUE}"
 
@@ -243,11 +242,11 @@ def test_a_run_forgets_them_before_it_has_sent_anything(tmp_path):
     assert "can0" not in found
 
 
-def test_a_folder_that_cannot_be_written_is_told_and_stops_nobody(world):
+def test_a_folder_that_cannot_be_written_is_reported_and_stops_nobody(world):
     one = world(active())
     (one.folder / "safe-frames.new").mkdir()
     one.tick(3)
-    names = [entry.event.name for entry in one.daemon.journal.latest(10)]
+    names = [entry.event.name for entry in one.loop.event_log.latest(10)]
     assert names.count("safe_frames_unwritten") == 1
 
 
@@ -261,18 +260,18 @@ def test_an_orderly_end_leaves_no_safe_frames_and_begins_a_new_drive(world):
     assert one.service.start == CountedStart(2, 0)
 
 
-def test_a_third_unexpected_restart_ends_arming_and_is_told(world):
+def test_a_third_unexpected_restart_ends_arming_and_is_reported(world):
     for times in range(4):
         one = world(standby())
         one.service.begin()
         assert one.service.start == CountedStart(times + 1, times)
         assert one.drive.arm().granted is (times < 3)
-    assert [entry.event.fields for entry in one.daemon.journal.latest(1)] == [{"in_this_drive": 3}]
+    assert [entry.event.fields for entry in one.loop.event_log.latest(1)] == [{"in_this_drive": 3}]
 
 
 def test_without_a_folder_nothing_is_counted_and_nothing_left(world):
     one = world(standby())
-    one.service = ServiceReporter(SystemdNotifier({}, 100), None, one.daemon)
+    one.service = ServiceReporter(SystemdNotifier({}, 100), None, one.loop)
     one.service.begin()
     one.tick(3)
     one.service.end()

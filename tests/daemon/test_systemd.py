@@ -8,15 +8,15 @@ from vcu_gateway.daemon.systemd import SystemdNotifier
 
 
 @pytest.fixture
-def ear(tmp_path):
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
-        ear.bind(str(tmp_path / "notify"))
-        ear.setblocking(False)
-        yield ear
+def manager_socket(tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager_socket:
+        manager_socket.bind(str(tmp_path / "notify"))
+        manager_socket.setblocking(False)
+        yield manager_socket
 
 
-def manager_of(ear: socket.socket, **more: str) -> SystemdNotifier:
-    address = ear.getsockname()
+def manager_of(manager_socket: socket.socket, **more: str) -> SystemdNotifier:
+    address = manager_socket.getsockname()
     if isinstance(address, bytes):
         address = "@" + address[1:].decode()
     return SystemdNotifier({"NOTIFY_SOCKET": address, **more}, 100)
@@ -31,35 +31,35 @@ def manager_of(ear: socket.socket, **more: str) -> SystemdNotifier:
         (lambda manager: manager.status("standby; arm"), b"STATUS=standby; arm"),
     ],
 )
-def test_each_word_is_one_datagram(ear, tell, line):
-    tell(manager_of(ear))
-    assert ear.recv(1000) == line
+def test_each_word_is_one_datagram(manager_socket, tell, line):
+    tell(manager_of(manager_socket))
+    assert manager_socket.recv(1000) == line
 
 
 def test_an_abstract_address_is_understood():
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
-        ear.bind("")  # the kernel chooses a name that nobody else has
-        ear.setblocking(False)
-        manager_of(ear).ready()
-        assert ear.recv(1000) == b"READY=1"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager_socket:
+        manager_socket.bind("")  # the kernel chooses a name that nobody else has
+        manager_socket.setblocking(False)
+        manager_of(manager_socket).ready()
+        assert manager_socket.recv(1000) == b"READY=1"
 
 
-def test_a_status_is_one_line_of_bounded_length(ear):
-    manager_of(ear).status("two\nlines\0and\n" + "x" * 1000)
-    told = ear.recv(4000)
+def test_a_status_is_one_line_of_bounded_length(manager_socket):
+    manager_of(manager_socket).status("two\nlines\0and\n" + "x" * 1000)
+    told = manager_socket.recv(4000)
     assert b"\n" not in told
     assert len(told) < 600
 
 
-def test_nothing_waits_for_a_manager_that_does_not_read(ear):
-    manager = manager_of(ear)
+def test_nothing_waits_for_a_manager_that_does_not_read(manager_socket):
+    manager = manager_of(manager_socket)
     for _ in range(5000):
         manager.alive()
 
 
-def test_a_manager_that_is_gone_is_no_trouble(ear):
-    manager = manager_of(ear)
-    ear.close()
+def test_a_manager_that_is_gone_is_no_trouble(manager_socket):
+    manager = manager_of(manager_socket)
+    manager_socket.close()
     manager.ready()
 
 
@@ -84,11 +84,11 @@ def test_without_a_manager_everything_is_silent(address):
         ({"WATCHDOG_USEC": "٢"}, None),
     ],
 )
-def test_the_watchdog_is_the_one_set_for_this_process(ear, environment, watchdog_ns):
-    assert manager_of(ear, **environment).watchdog_ns == watchdog_ns
+def test_the_watchdog_is_the_one_set_for_this_process(manager_socket, environment, watchdog_ns):
+    assert manager_of(manager_socket, **environment).watchdog_ns == watchdog_ns
 
 
-def test_this_process_is_asked_by_its_own_environment(ear, monkeypatch):
-    monkeypatch.setenv("NOTIFY_SOCKET", ear.getsockname())
+def test_this_process_is_asked_by_its_own_environment(manager_socket, monkeypatch):
+    monkeypatch.setenv("NOTIFY_SOCKET", manager_socket.getsockname())
     SystemdNotifier.of_this_process().ready()
-    assert ear.recv(1000) == b"READY=1"
+    assert manager_socket.recv(1000) == b"READY=1"

@@ -14,8 +14,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import log, realtime, safe_frames
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
-from vcu_gateway.daemon.service import ServiceReporter
-from vcu_gateway.daemon.systemd import SystemdNotifier
+from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
 from vcu_gateway.server import health, views
 from vcu_gateway.serving import Serving

@@ -1,22 +1,32 @@
-"""What systemd is told, over the socket that it gives to a service of Type=notify."""
+"""systemd: readiness, watchdog and status over sd_notify, and the runtime folder's files."""
 
 import contextlib
 import os
 import socket
+import time
 from collections.abc import Mapping
+from pathlib import Path
 
+from vcu_gateway.bus.connection import BusConnection
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.gateway import TickResult
+from vcu_gateway.core.schedule import Tick
+from vcu_gateway.core.why import Explanation
+from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.daemon.restarts import CountedStart, RestartCounter
+from vcu_gateway.daemon.safe_frames import SafeFrames
 from vcu_gateway.units import NS_PER_US
 
 _STATUS_CHARACTERS = 500
 
 
 class SystemdNotifier:
-    """The service manager that started this process; everything is silent where there is none.
+    """sd_notify messages to the service manager; nothing is sent where there is none.
 
-    Telling never waits and never raises: nothing that ticks may depend on who listens.
+    Sending never waits and never raises: the ticks must not depend on the manager.
 
     Attributes:
-        watchdog_ns: it kills this process after so long without a ping; None: it does not.
+        watchdog_ns: time without a ping after which the manager kills this process; None: never.
     """
 
     def __init__(self, environment: Mapping[str, str], own_pid: int) -> None:
@@ -26,28 +36,28 @@ class SystemdNotifier:
 
     @classmethod
     def of_this_process(cls) -> "SystemdNotifier":
-        """As the environment says."""
+        """Notifier of NOTIFY_SOCKET and WATCHDOG_USEC of this process."""
         return cls(os.environ, os.getpid())
 
     def ready(self) -> None:
         """The service has started."""
-        self._tell("READY=1")
+        self._send("READY=1")
 
     def alive(self) -> None:
-        """The watchdog's ping."""
-        self._tell("WATCHDOG=1")
+        """Ping the watchdog."""
+        self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
         """The service is about to end."""
-        self._tell("STOPPING=1")
+        self._send("STOPPING=1")
 
     def status(self, sentence: str) -> None:
-        """What `systemctl status` shows, in one line."""
-        self._tell("STATUS=" + " ".join(sentence.split())[:_STATUS_CHARACTERS])
+        """Set the line that `systemctl status` shows."""
+        self._send("STATUS=" + " ".join(sentence.split())[:_STATUS_CHARACTERS])
 
-    def _tell(self, line: str) -> None:
+    def _send(self, line: str) -> None:
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # nobody there, or too busy: told again later
+            with contextlib.suppress(OSError):  # gone or too busy: the next message may arrive
                 self._socket.send(line.encode(), socket.MSG_DONTWAIT)
 
 
@@ -69,3 +79,121 @@ def _watchdog_ns(environment: Mapping[str, str], own_pid: int) -> int | None:
         return None
     text = environment.get("WATCHDOG_USEC", "")
     return int(text) * NS_PER_US if text.isascii() and text.isdecimal() and int(text) else None
+
+
+_PINGS_IN_LIMIT = 4
+_STATUS_EVERY_NS = 1_000_000_000
+
+
+class ServiceReporter:
+    """Reports to the service manager from the ticking thread, after each tick; it never waits.
+
+    `folder` is kept from one start to the next (systemd's RuntimeDirectory); None: nothing is.
+
+    Attributes:
+        start: this start; None where starts are not counted.
+    """
+
+    def __init__(self, manager: SystemdNotifier, folder: Path | None, loop: TickLoop) -> None:
+        self._manager = manager
+        self._loop = loop
+        self._reader = ReceiverWatchdog(loop.connection)
+        self._starts = None if folder is None else RestartCounter(folder)
+        self._safe_frames = None
+        if folder is not None:
+            channel, gateway = loop.connection.settings.channel, loop.gateway
+            self._safe_frames = SafeFrames(folder, channel, gateway, loop.event_log)
+        self._ready = self._stopping = False
+        self._ping_ns = self._status_ns = 0
+        self._last_status: object = None
+        self.start: CountedStart | None = None
+
+    def begin(self) -> None:
+        """Count this start; after too many unexpected ones nothing can be armed."""
+        self.start = self._starts.begin() if self._starts is not None else None
+        if self.start is not None and self.start.unexpected:
+            self._loop.gateway.restarted(self.start.unexpected)
+            fields = {"in_this_drive": self.start.unexpected}
+            self._loop.event_log.emit(Event("restarted_unexpectedly", Severity.WARNING, fields))
+
+    def observe(self, tick: Tick, result: TickResult) -> None:
+        """After each tick.
+
+        Raises RuntimeError where the receiving thread is dead: the process is to end, and to
+        be started again.
+        """
+        now_ns = time.monotonic_ns()
+        if self._safe_frames is not None:
+            self._safe_frames.observe(tick, result)
+        self._reader.observe()
+        if not self._ready:
+            self._ready = True
+            self._manager.ready()
+        self._ping(now_ns)
+        self._send_status(now_ns)
+        self._send_stopping()
+
+    def _ping(self, now_ns: int) -> None:
+        limit_ns = self._manager.watchdog_ns
+        if limit_ns is not None and now_ns >= self._ping_ns and self._reader.alive:
+            self._ping_ns = now_ns + limit_ns // _PINGS_IN_LIMIT
+            self._manager.alive()
+
+    def _send_status(self, now_ns: int) -> None:
+        latest, lost = self._loop.latest, self._loop.connection.lost
+        if latest is None or now_ns < self._status_ns:
+            return
+        signature = latest.why.signature(), lost
+        if signature != self._last_status:
+            self._last_status, self._status_ns = signature, now_ns + _STATUS_EVERY_NS
+            self._manager.status(_status(latest.why, lost))
+
+    def _send_stopping(self) -> None:
+        if not self._stopping and self._loop.gateway.requests.terminating:
+            self._stopping = True
+            self._manager.stopping()
+
+    def end(self) -> None:
+        """Record an orderly end: the next start begins a new drive."""
+        if self._safe_frames is not None:
+            self._safe_frames.end()
+        if self._starts is not None:
+            self._starts.end()
+
+
+def _status(why: Explanation, lost: str | None) -> str:
+    return why.headline() if lost is None else f"{why.mode.value}; {lost}"
+
+
+# The reader wakes at least every 120 ms, which is seen at every third tick. Ticks are counted
+# and not time: a process that stood still has a reader that stood still too.
+_TICKS_IN_DOUBT = 10
+_TICKS_TO_DEATH = 20
+
+
+class ReceiverWatchdog:
+    """Watchdog of the receiving thread: it must wake within 20 ticks.
+
+    Attributes:
+        alive: False while it is in doubt.
+    """
+
+    def __init__(self, connection: BusConnection) -> None:
+        self._connection = connection
+        self._wakes: int | None = None
+        self._still_ticks = 0
+
+    def observe(self) -> None:
+        """Check after each tick; RuntimeError where the reader has not woken for 20 of them."""
+        before, self._wakes = self._wakes, self._connection.reader_wakes
+        still = self._wakes is not None and self._wakes == before
+        self._still_ticks = self._still_ticks + 1 if still else 0
+        if self._still_ticks >= _TICKS_TO_DEATH:
+            raise RuntimeError(
+                "the receiving thread is dead or stuck; nothing is received any more"
+            )
+
+    @property
+    def alive(self) -> bool:
+        """True where the reader woke within the last ten ticks."""
+        return self._still_ticks < _TICKS_IN_DOUBT
