@@ -1,6 +1,7 @@
-"""News of the link, taken in tick by tick, and what is told of it."""
+"""Changes of the link, taken in tick by tick, and the events they become."""
 
 from collections import deque
+from typing import Any, cast
 
 import pytest
 
@@ -8,7 +9,7 @@ from tests.core.safety_world import Drive, active
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.interface import Interface
 from vcu_gateway.bus.netlink import InterfaceDetails
-from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Unavailable
+from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode
@@ -20,9 +21,9 @@ BUS_OFF, RESTARTED, CONTROLLER = 0x040, 0x100, 0x004
 CAN0 = Interface(number=3, is_can=True, up=True, carrier=True, tx_queue_frames=4)
 
 
-class FakeKeeper:
+class FakeReconnector:
     def __init__(self) -> None:
-        self.news: deque = deque()
+        self.changes: deque = deque()
 
     def check(self) -> None:
         pass
@@ -33,36 +34,42 @@ class World:
 
     def __init__(self) -> None:
         self.drive: Drive = active()
-        self.keeper, self.journal = FakeKeeper(), EventLog()
+        self.reconnector = FakeReconnector()
+        self.event_log = EventLog()
         settings = BusSettings(
             "socketcan", "can0", receive_buffer_bytes=1_000_000, bit_rate_bit_s=250_000
         )
-        self.door = BusConnection(settings, (), self.drive.gateway.intake.receive)
-        self.admitted = 0
-        self.door.admit = self.admit
-        self.linking = LinkEvents(self.drive.gateway, self.door, self.keeper, self.journal)
+        self.connection = BusConnection(settings, (), self.drive.gateway.receive)
+        self.starts_of_sending = 0
+        self.connection.start_sending = self.start_sending
+        self.link_events = LinkEvents(
+            self.drive.gateway,
+            self.connection,
+            cast(Reconnector, self.reconnector),
+            self.event_log,
+        )
 
-    def admit(self) -> None:
-        self.admitted += 1
+    def start_sending(self) -> None:
+        self.starts_of_sending += 1
 
     def tick(self, times: int = 1) -> Mode:
         for _ in range(times):
-            self.linking.before_tick(self.drive.now_ns)
+            self.link_events.before_tick(self.drive.now_ns)
             self.drive.tick()
-            self.linking.after_tick(self.drive.now_ns)
+            self.link_events.after_tick(self.drive.now_ns)
         return self.drive.mode
 
     def error(self, can_id: int, bits: int = 0) -> None:
         data = bytes([0, bits, 0, 0, 0, 0, 0, 0])
-        self.drive.gateway.intake.receive(Frame(can_id, data, self.drive.now_ns, error=True))
+        self.drive.gateway.receive(Frame(can_id, data, self.drive.now_ns, error=True))
 
-    def opened(self, **changes: object) -> LinkOpened:
+    def opened(self, **changes: Any) -> LinkOpened:
         whole = LinkOpened(self.drive.now_ns, CAN0, InterfaceDetails(), 1_000_000)
         return whole._replace(**changes)
 
-    def told(self, name: str) -> list[object]:
+    def emitted(self, name: str) -> list[dict[str, Any]]:
         """Fields of the events of this name."""
-        events = [entry.event for entry in self.journal.latest(999)]
+        events = [entry.event for entry in self.event_log.latest(999)]
         return [dict(event.fields) for event in events if event.name == name]
 
 
@@ -72,26 +79,26 @@ def world() -> World:
 
 
 def test_a_loss_latches_even_if_the_link_is_back_before_the_next_tick(world: World):
-    world.keeper.news += [LinkLost(world.drive.now_ns, "can0 is down"), world.opened()]
+    world.reconnector.changes += [LinkLost(world.drive.now_ns, "can0 is down"), world.opened()]
     assert world.tick() is Mode.FAULT
     assert world.drive.gateway.link.state is LinkState.LOST
-    assert world.admitted == 0, "nothing leaves in the tick that learns of the loss"
+    assert world.starts_of_sending == 0, "nothing leaves in the tick that learns of the loss"
     assert world.tick() is Mode.FAULT
     assert world.drive.gateway.link.state is LinkState.UP
-    assert world.admitted == 1
-    assert world.told("link_lost") == [{"reason": "can0 is down"}]
-    assert world.told("link_open") == [{}]
+    assert world.starts_of_sending == 1
+    assert world.emitted("link_lost") == [{"reason": "can0 is down"}]
+    assert world.emitted("link_open") == [{}]
 
 
 def test_before_the_first_opening_the_link_is_lost(world: World):
-    world.linking.begin(world.drive.now_ns)
+    world.link_events.begin(world.drive.now_ns)
     assert world.drive.gateway.link.state is LinkState.LOST
 
 
-def test_what_keeps_it_from_opening_is_told(world: World):
-    world.keeper.news.append(Unavailable("can0 is down; ip link set can0 up"))
+def test_what_keeps_it_from_opening_is_reported(world: World):
+    world.reconnector.changes.append(Unavailable("can0 is down; ip link set can0 up"))
     world.tick()
-    assert world.told("link_unavailable") == [{"reason": "can0 is down; ip link set can0 up"}]
+    assert world.emitted("link_unavailable") == [{"reason": "can0 is down; ip link set can0 up"}]
 
 
 def test_a_bus_off_between_two_ticks_latches(world: World):
@@ -101,20 +108,22 @@ def test_a_bus_off_between_two_ticks_latches(world: World):
     assert world.drive.gateway.supervisor.latch.reason == "link bus off: stop"
     world.tick()
     assert world.drive.gateway.link.state is LinkState.UP
-    assert [one["state"] for one in world.told("link_state")] == ["bus off", "up"]
+    assert [one["state"] for one in world.emitted("link_state")] == ["bus off", "up"]
 
 
 def test_a_missing_carrier_latches_as_bus_off(world: World):
-    world.keeper.news.append(CarrierChanged(world.drive.now_ns, present=False))
+    world.reconnector.changes.append(CarrierChanged(world.drive.now_ns, present=False))
     assert world.tick() is Mode.FAULT
     assert world.drive.gateway.link.state is LinkState.BUS_OFF
-    world.keeper.news.append(CarrierChanged(world.drive.now_ns, present=True))
+    world.reconnector.changes.append(CarrierChanged(world.drive.now_ns, present=True))
     world.tick()
     assert world.drive.gateway.link.state is LinkState.UP
 
 
 def test_the_controllers_state_at_the_opening_counts(world: World):
-    world.keeper.news.append(world.opened(details=InterfaceDetails(state=LinkState.PASSIVE)))
+    world.reconnector.changes.append(
+        world.opened(details=InterfaceDetails(state=LinkState.PASSIVE))
+    )
     world.tick(20)
     assert world.drive.mode is Mode.ACTIVE
     world.tick(2)
@@ -122,15 +131,15 @@ def test_the_controllers_state_at_the_opening_counts(world: World):
 
 
 def test_an_opening_without_a_carrier_is_bus_off(world: World):
-    world.keeper.news.append(world.opened(details=InterfaceDetails(carrier=False)))
+    world.reconnector.changes.append(world.opened(details=InterfaceDetails(carrier=False)))
     assert world.tick() is Mode.FAULT
 
 
-def test_a_state_is_told_when_it_changes_with_the_one_before(world: World):
+def test_a_state_is_reported_when_it_changes_with_the_one_before(world: World):
     for bits in (0x08, 0x08, 0x20, 0x40):
         world.error(CONTROLLER, bits)
         world.tick(2)
-    assert world.told("link_state") == [
+    assert world.emitted("link_state") == [
         {"state": "error warning", "before": "up"},
         {"state": "error passive", "before": "error warning"},
         {"state": "up", "before": "error passive"},
@@ -139,39 +148,39 @@ def test_a_state_is_told_when_it_changes_with_the_one_before(world: World):
 
 def test_a_link_that_flickers_for_an_hour_does_not_fill_the_log(world: World):
     told = []
-    world.journal.tell = told.append
+    world.event_log.emit = told.append  # type: ignore[assignment]
     for _ in range(36_000):
         world.error(CONTROLLER, 0x08)
-        world.linking.after_tick(world.drive.now_ns)
+        world.link_events.after_tick(world.drive.now_ns)
         world.drive.now_ns += 50 * MS
         world.error(CONTROLLER, 0x40)
-        world.linking.after_tick(world.drive.now_ns)
+        world.link_events.after_tick(world.drive.now_ns)
         world.drive.now_ns += 50 * MS
     assert 1700 <= len(told) <= 1850, "one in 2 s"
     world.drive.now_ns += 2000 * MS
     world.error(CONTROLLER, 0x08)
     for _ in range(2):
-        world.linking.after_tick(world.drive.now_ns)
+        world.link_events.after_tick(world.drive.now_ns)
         world.drive.now_ns += 2000 * MS
     assert told[-1].fields["state"] == "error warning", "the last state is told in the end"
 
 
-def test_after_a_quiet_time_ten_changes_are_told_as_they_come(world: World):
+def test_after_a_quiet_time_ten_changes_are_reported_as_they_come(world: World):
     world.drive.now_ns += 3_600_000 * MS
     for _ in range(10):
         world.error(CONTROLLER, 0x08)
-        world.linking.after_tick(world.drive.now_ns)
+        world.link_events.after_tick(world.drive.now_ns)
         world.error(CONTROLLER, 0x40)
-        world.linking.after_tick(world.drive.now_ns)
+        world.link_events.after_tick(world.drive.now_ns)
         world.drive.now_ns += 1
-    assert sum(entry.count for entry in world.journal.latest(99)) == 10
+    assert sum(entry.count for entry in world.event_log.latest(99)) == 10
 
 
-def test_dropped_frames_are_told_at_most_every_ten_seconds(world: World):
+def test_dropped_frames_are_reported_at_most_every_ten_seconds(world: World):
     for _ in range(400):
-        world.door.counters.dropped += 3
+        world.connection.counters.dropped += 3
         world.tick()
-    told = [one["frames"] for one in world.told("frames_dropped")]
+    told = [one["frames"] for one in world.emitted("frames_dropped")]
     assert told == [3, 600]
 
 
@@ -213,14 +222,14 @@ def test_dropped_frames_are_told_at_most_every_ten_seconds(world: World):
         ),
     ],
 )
-def test_what_is_not_as_it_should_be_is_told_once_with_the_command_that_mends_it(
+def test_what_is_not_as_it_should_be_is_reported_once_with_the_command_that_fixes_it(
     world: World, changes, name, fields
 ):
     for _ in range(3):
-        world.keeper.news.append(world.opened(**changes))
+        world.reconnector.changes.append(world.opened(**changes))
         world.tick()
-    assert world.told(name) == [fields]
-    assert sum(entry.count for entry in world.journal.latest(99)) == 4, "three openings, this"
+    assert world.emitted(name) == [fields]
+    assert sum(entry.count for entry in world.event_log.latest(99)) == 4, "three openings, this"
 
 
 @pytest.mark.parametrize(
@@ -238,7 +247,7 @@ def test_what_is_not_as_it_should_be_is_told_once_with_the_command_that_mends_it
         {"details": InterfaceDetails(driver_echoes=False)},  # vcan: nothing can fail to leave
     ],
 )
-def test_what_is_as_it_should_be_is_not_told(world: World, changes):
-    world.keeper.news.append(world.opened(**changes))
+def test_what_is_as_it_should_be_is_not_reported(world: World, changes):
+    world.reconnector.changes.append(world.opened(**changes))
     world.tick()
-    assert [entry.event.name for entry in world.journal.latest(99)] == ["link_open"]
+    assert [entry.event.name for entry in world.event_log.latest(99)] == ["link_open"]

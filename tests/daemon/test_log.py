@@ -108,7 +108,7 @@ def test_a_reader_that_does_not_read_costs_lines_and_never_the_writer(pipe):
     assert numbers == sorted(set(numbers))
 
 
-def test_lost_lines_are_told_once_the_reader_reads_again(pipe):
+def test_lost_lines_are_reported_once_the_reader_reads_again(pipe):
     reading, stream = pipe
     told: list[int] = []
     writer = QueuedWriter(stream, told.append)
@@ -135,7 +135,7 @@ def test_a_program_ends_in_order_although_nobody_reads_its_log(pipe):
     """Python's own stderr would be locked by the waiting thread, and abort the program."""
     _, stream = pipe
     code = (
-        "from vcu_gateway import log\n"
+        "from vcu_gateway.daemon import log\n"
         "writer = log.configure('info', 'json')\n"
         "for number in range(200): log.log.info('line', number=number)\n"
         "writer.drain()\n"
@@ -150,7 +150,7 @@ def test_a_crash_is_a_line_of_the_log_and_ends_although_nobody_reads(thread, pip
     crash = "one = threading.Thread(target=int, args=('x',), name='worker'); one.start()"
     code = (
         "import threading\n"
-        "from vcu_gateway import log\n"
+        "from vcu_gateway.daemon import log\n"
         "log._DRAIN_S = 2\n"
         "writer = log.configure('info', 'json')\n"
         "for number in range(9): log.log.info('line', text='x' * 200)\n"
@@ -180,7 +180,7 @@ def test_lines_come_again_when_the_disk_has_room_again(tmp_path):
     path = tmp_path / "log"
     code = (
         "import resource, signal\n"
-        "from vcu_gateway import log\n"
+        "from vcu_gateway.daemon import log\n"
         "log._DRAIN_S = 30\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (25, resource.RLIM_INFINITY))\n"

@@ -1,20 +1,22 @@
-"""What happened: written to the log, and the latest of it kept, counted."""
+"""Event log: events handed to subscribers, and the latest kinds of them kept, counted."""
 
 import time
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from vcu_gateway.core.events import Event
-from vcu_gateway.daemon.log import log_event
 
 _ENTRIES = 200
+
+Sink = Callable[[Event], None]
+"""Takes each event as it happens, on the ticking thread; it must neither wait nor raise."""
 
 
 @dataclass(slots=True)
 class LoggedEvent:
-    """One event with its fields, however often it happened; times are monotonic."""
+    """One event with its fields, counted; times of the monotonic clock in ns."""
 
     event: Event
     count: int
@@ -23,7 +25,7 @@ class LoggedEvent:
     last_wall_s: float
 
     def last_time(self) -> str:
-        """Wall clock of the last one, ISO 8601, UTC."""
+        """Wall-clock time of the last one, ISO 8601, UTC."""
         return datetime.fromtimestamp(self.last_wall_s, UTC).isoformat(timespec="milliseconds")
 
 
@@ -38,11 +40,17 @@ class EventLog:
 
     def __init__(self) -> None:
         self._entries: OrderedDict[tuple[str, str], LoggedEvent] = OrderedDict()
+        self._sinks: list[Sink] = []
         self.forgotten = 0
 
-    def tell(self, event: Event) -> None:
-        """Log an event and keep it."""
-        log_event(event)
+    def subscribe(self, sink: Sink) -> None:
+        """Hand every event from now on to this sink."""
+        self._sinks.append(sink)
+
+    def emit(self, event: Event) -> None:
+        """Hand an event to every sink and keep it."""
+        for sink in self._sinks:
+            sink(event)
         key = (event.name, repr(sorted(event.fields.items())))
         now_ns, wall_s = time.monotonic_ns(), time.time()
         entry = self._entries.get(key)
@@ -60,5 +68,5 @@ class EventLog:
             self.forgotten += 1
 
     def latest(self, limit: int) -> Iterable[LoggedEvent]:
-        """The latest so many, the latest last."""
+        """The latest `limit` entries, the latest last."""
         return list(self._entries.values())[-limit:]

@@ -1,4 +1,4 @@
-"""structlog, set up so that writing a line never waits for whoever reads it."""
+"""Log of the program: structlog over a queue, so that writing a line never waits for a reader."""
 
 import os
 import queue
@@ -29,7 +29,7 @@ log = structlog.get_logger()
 class QueuedWriter:
     """A file-like object that hands lines to a writing thread and never blocks.
 
-    It writes to a descriptor of its own: nobody can close that one, and no lock of the stream's
+    It writes to a descriptor of its own: nothing else closes that one, and no lock of the stream's
     is held while a reader keeps it waiting, which would stop the interpreter's end.
 
     `tell_lost` is called, on the writing thread, with the number of lines that were lost, once
@@ -37,12 +37,12 @@ class QueuedWriter:
     """
 
     def __init__(
-        self, stream: TextIO | None, tell_lost: Callable[[int], None] = lambda lines: None
+        self, stream: TextIO | None, report_lost: Callable[[int], None] = lambda _: None
     ) -> None:
         self._put_out = _sink(stream)
-        self._tell_lost = tell_lost
+        self._report_lost = report_lost
         self._queue: queue.SimpleQueue[str | threading.Event] = queue.SimpleQueue()
-        self._refused = self._failed = self._told = 0
+        self._refused = self._failed = self._reported = 0
         self._reader_reads = False
         threading.Thread(target=self._work, name="log writer", daemon=True).start()
 
@@ -62,10 +62,10 @@ class QueuedWriter:
         return len(text)
 
     def flush(self) -> None:
-        """Nothing waits here; see `drain`."""
+        """Nothing: the writing thread flushes; see `drain`."""
 
     def drain(self) -> None:
-        """Give the reader a moment to take what is queued, at the end of the program."""
+        """Wait at most 0.2 s for the queued lines to be written, at the end of the program."""
         written = threading.Event()
         self._queue.put(written)
         written.wait(_DRAIN_S)
@@ -78,9 +78,9 @@ class QueuedWriter:
         if isinstance(work, str):
             self._write_out(work)
             if self._queue.empty():
-                self._told_what_is_lost()
-        elif self._told_what_is_lost():
-            self._queue.put(work)  # what was told comes before
+                self._report_lost_lines()
+        elif self._report_lost_lines():
+            self._queue.put(work)  # the line about the loss comes before
         else:
             work.set()
 
@@ -93,18 +93,18 @@ class QueuedWriter:
             self._failed += 1
             self._reader_reads = False
 
-    def _told_what_is_lost(self) -> bool:
-        """Tell it where there is anything to tell, and anybody."""
-        lost = self.dropped - self._told
+    def _report_lost_lines(self) -> bool:
+        """Report newly lost lines while the reader takes lines; True where there were any."""
+        lost = self.dropped - self._reported
         if not lost or not self._reader_reads:
             return False
-        self._told += lost
-        self._tell_lost(lost)
+        self._reported += lost
+        self._report_lost(lost)
         return True
 
 
 def _sink(stream: TextIO | None) -> Callable[[str], None]:
-    """What writes a text out, waiting as long as it takes, or raises OSError or ValueError."""
+    """Function that writes a text, however long it takes; it raises OSError or ValueError."""
     if stream is None:  # closed before the program began
         return _nowhere
     try:
@@ -122,7 +122,7 @@ def _nowhere(text: str) -> None:
 
 
 class _Descriptor:
-    """Writes whole lines, also where somebody made the descriptor non-blocking."""
+    """Writes whole lines to a descriptor, to a non-blocking one too."""
 
     def __init__(self, number: int) -> None:
         self._number = number
@@ -150,7 +150,7 @@ class _Descriptor:
 def configure(
     level: str, form: Literal["auto", "json", "console"], stream: TextIO | None = None
 ) -> QueuedWriter:
-    """Set structlog up; JSON lines unless a person is looking.
+    """Set structlog up: JSON lines, or coloured text on a terminal.
 
     Without a stream the log is the program's own: it goes to stderr, and crashes go into it.
     """
@@ -185,17 +185,17 @@ def _is_terminal(stream: TextIO | None) -> bool:
         return False
 
 
-def _is_journal(stream: TextIO | None, told: str) -> bool:
-    """Whether this stream is the one to the journal; `told` is systemd's DEVICE:INODE of it."""
+def _is_journal(stream: TextIO | None, journal_stream: str) -> bool:
+    """Whether this stream leads to the journal; `journal_stream` is systemd's DEVICE:INODE."""
     try:
         status = None if stream is None else os.fstat(stream.fileno())
     except (OSError, ValueError):  # closed, or in memory
         return False
-    return status is not None and told == f"{status.st_dev}:{status.st_ino}"
+    return status is not None and journal_stream == f"{status.st_dev}:{status.st_ino}"
 
 
 def _for_the_journal(render: structlog.typing.Processor) -> structlog.typing.Processor:
-    """Each line begins with its priority, which the journal takes off: `journalctl -p warning`."""
+    """Renderer that puts `<priority>` before each line, which the journal takes off."""
 
     def rendered(logger: Any, name: str, fields: structlog.typing.EventDict) -> str:
         priority = _PRIORITIES.get(fields.get("level", ""), _PRIORITIES["info"])
@@ -209,9 +209,9 @@ def _log_lost(lines: int) -> None:
 
 
 def _log_crashes(writer: QueuedWriter) -> None:
-    """Write what nobody caught, in any thread, into the log.
+    """Log uncaught exceptions of every thread.
 
-    Python's own way writes to stderr and waits for its reader: a crashed program would not end.
+    Python's own hooks write to stderr and wait for its reader: a crashed program would not end.
     """
 
     def of_thread(crash: threading.ExceptHookArgs) -> None:
