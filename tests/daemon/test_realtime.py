@@ -7,7 +7,7 @@ TOLD = "print(next(line for line in open('/proc/self/status') if line.startswith
 
 
 def locked(prepare: str = "") -> subprocess.CompletedProcess[str]:
-    code = f"from vcu_gateway import memory\n{prepare}\nmemory.lock()\n{TOLD}"
+    code = f"from vcu_gateway.daemon import realtime\n{prepare}\nrealtime.lock_memory()\n{TOLD}"
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
 
 

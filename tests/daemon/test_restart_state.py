@@ -13,6 +13,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
@@ -51,9 +52,9 @@ class Process:
         self, folder: Path | None, settings: BusSettings = BUS, others: Sequence[Path] = ()
     ) -> None:
         self.gateway = Gateway(CODEC, Settings(), self.now_ns)
-        self.gateway.link_opened(self.now_ns)
-        self.journal = EventLog()
-        self.state = RestartState(folder, settings, self.gateway, self.journal, others)
+        self.gateway.link_opened(LinkStatus(LinkState.UP, self.now_ns), None, self.now_ns)
+        self.event_log = EventLog()
+        self.state = RestartState(folder, settings, self.gateway, self.event_log, others)
         self.state.begin()
 
     def tick(self) -> list[str]:
@@ -66,20 +67,20 @@ class Process:
         for frame in result.frames:
             self.gateway.sent(frame, True, self.now_ns)
             echo = Frame(frame.can_id, frame.data, self.now_ns, own_echo=True)
-            self.gateway.intake.receive(echo)
+            self.gateway.receive(echo)
         self.state.observe(TICK, result)
         return [frame.data.hex() for frame in result.frames]
 
     def hear(self, name: str, raws: dict[str, int] | None = None) -> None:
         can_id = CODEC.by_name[name].spec.can_id
-        self.gateway.intake.receive(Frame(can_id, data(name, raws), self.now_ns))
+        self.gateway.receive(Frame(can_id, data(name, raws), self.now_ns))
 
     def run(self, seconds: float) -> list[list[str]]:
         """What was sent in each tick that sent anything."""
         return [frames for _ in range(int(seconds * 20)) if (frames := self.tick())]
 
     def events(self) -> dict[str, int]:
-        return {entry.event.name: entry.count for entry in self.journal.latest(100)}
+        return {entry.event.name: entry.count for entry in self.event_log.latest(100)}
 
     @property
     def mode(self) -> Mode:
@@ -163,7 +164,7 @@ def test_a_service_reset_ends_it_and_a_drivers_does_not(tmp_path):
 def test_a_fault_that_the_driver_may_reset_does_not_survive(tmp_path):
     process = Process(tmp_path)
     process.run(2)
-    process.gateway.intake.receive(Frame(0x0008A755, bytes(8), process.now_ns))
+    process.gateway.receive(Frame(0x0008A755, bytes(8), process.now_ns))
     process.tick()
     assert process.mode is Mode.FAULT
     assert Process(tmp_path).mode is not Mode.FAULT
@@ -272,7 +273,7 @@ def test_each_channel_has_a_file_of_its_own(tmp_path):
     assert file_name("vcan0").endswith(f"-{os.stat('/proc/self/ns/net').st_ino}")
 
 
-def test_a_folder_that_cannot_be_written_is_told_once_and_nothing_else_happens(tmp_path):
+def test_a_folder_that_cannot_be_written_is_reported_once_and_nothing_else_happens(tmp_path):
     process = Process(tmp_path / "nowhere")
     assert process.run(2)[0] == [ZERO_TORQUE, ZERO_TORQUE]
     process.gateway.requests.emergency_stop()
@@ -292,7 +293,7 @@ def test_nothing_is_written_through_a_link_in_the_way(tmp_path):
     assert process.events()["restart_state_unwritten"] == 1
 
 
-def test_without_a_folder_it_is_told_but_for_a_virtual_bus():
+def test_without_a_folder_it_is_reported_but_for_a_virtual_bus():
     process = Process(None)
     process.run(2)
     assert process.events()["restart_state_unwritten"] == 1

@@ -50,7 +50,7 @@ def test_a_torn_file_sends_nothing_and_says_so(tmp_path, contents):
     assert said.startswith("no safe frames to send: ")
 
 
-def test_an_interface_that_is_not_there_is_told(tmp_path):
+def test_an_interface_that_is_not_there_is_reported(tmp_path):
     (tmp_path / "safe-frames").write_text(GOOD)
     status, said = stopped(tmp_path / "safe-frames", **KILLED)
     assert status == 1

@@ -1,5 +1,6 @@
 """Work for the ticking thread: in order, bounded before a tick, and in time for it."""
 
+import functools
 import os
 import signal
 import threading
@@ -11,53 +12,53 @@ from vcu_gateway.daemon.work_queue import WorkQueue
 
 
 def test_work_is_done_in_the_order_of_posting():
-    inbox, done = WorkQueue(), []
+    queue, done = WorkQueue(), []
     for number in range(5):
-        inbox.post(lambda number=number: done.append(number))
-    inbox.do_waiting()
+        queue.post(functools.partial(done.append, number))
+    queue.run_waiting()
     assert done == [0, 1, 2, 3, 4]
 
 
 def test_before_a_tick_only_so_much_is_done():
-    inbox, done = WorkQueue(), []
+    queue, done = WorkQueue(), []
     for number in range(40):
-        inbox.post(lambda number=number: done.append(number))
-    inbox.do_waiting()
+        queue.post(functools.partial(done.append, number))
+    queue.run_waiting()
     assert len(done) == 32
-    inbox.do_waiting()
+    queue.run_waiting()
     assert len(done) == 40
 
 
 def test_work_that_work_posts_waits_for_the_next_time():
-    inbox, done = WorkQueue(), []
-    inbox.post(lambda: inbox.post(lambda: done.append(1)))
-    inbox.do_waiting()
+    queue, done = WorkQueue(), []
+    queue.post(lambda: queue.post(lambda: done.append(1)))
+    queue.run_waiting()
     assert done == []
 
 
 def test_it_is_full_where_256_wait():
-    inbox = WorkQueue()
+    queue = WorkQueue()
     for _ in range(255):
-        inbox.post(lambda: None)
-    assert not inbox.full
-    inbox.post(lambda: None)
-    assert inbox.full
+        queue.post(lambda: None)
+    assert not queue.full
+    queue.post(lambda: None)
+    assert queue.full
 
 
 def test_work_that_comes_in_meanwhile_is_done_at_once():
-    inbox, done = WorkQueue(), threading.Event()
-    threading.Timer(0.02, inbox.post, [done.set]).start()
+    queue, done = WorkQueue(), threading.Event()
+    threading.Timer(0.02, queue.post, [done.set]).start()
     end_ns = time.monotonic_ns() + 60_000_000_000
-    inbox.post(lambda: None)
-    watcher = threading.Thread(target=inbox.do_until, args=(end_ns,), daemon=True)
+    queue.post(lambda: None)
+    watcher = threading.Thread(target=queue.run_until, args=(end_ns,), daemon=True)
     watcher.start()
     assert done.wait(30), "it was left waiting until the end"
 
 
 def test_without_time_left_nothing_is_waited_for():
-    inbox, done = WorkQueue(), []
-    inbox.post(lambda: done.append(1))
-    inbox.do_until(time.monotonic_ns() - 1)
+    queue, done = WorkQueue(), []
+    queue.post(lambda: done.append(1))
+    queue.run_until(time.monotonic_ns() - 1)
     assert done == []
 
 
@@ -68,22 +69,22 @@ def test_a_signal_whose_handler_ends_after_the_time_does_not_keep_it():
     late = threading.Timer(0.1, os.kill, [os.getpid(), signal.SIGUSR1])
     try:
         late.start()
-        WorkQueue().do_until(time.monotonic_ns() + 200_000_000)
+        WorkQueue().run_until(time.monotonic_ns() + 200_000_000)
     finally:
         late.join()
         signal.signal(signal.SIGUSR1, before)
 
 
 def test_a_signal_may_post_while_it_is_waited_for():
-    inbox, done = WorkQueue(), []
-    handler = lambda *_: inbox.post(lambda: done.append(1))  # noqa: E731
+    queue, done = WorkQueue(), []
+    handler = lambda *_: queue.post(lambda: done.append(1))  # noqa: E731
     before = signal.signal(signal.SIGUSR1, handler)
     try:
         threading.Timer(0.05, os.kill, [os.getpid(), signal.SIGUSR1]).start()
         end_ns = time.monotonic_ns() + 60_000_000_000
-        inbox.post(lambda: None)
+        queue.post(lambda: None)
         while not done:
             assert time.monotonic_ns() < end_ns
-            inbox.do_until(min(end_ns, time.monotonic_ns() + 1_000_000_000))
+            queue.run_until(min(end_ns, time.monotonic_ns() + 1_000_000_000))
     finally:
         signal.signal(signal.SIGUSR1, before)

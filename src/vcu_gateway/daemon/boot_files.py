@@ -1,4 +1,4 @@
-"""Small files of one boot, that the next process of the gateway reads."""
+"""Small files of one boot, written whole, for the next process of the gateway."""
 
 import os
 from pathlib import Path
@@ -7,11 +7,11 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
 
 HIDDEN = "-"
-"""In place of a boot's number that cannot be read."""
+"""Stands for a boot identifier that cannot be read."""
 
 
 def boot_id() -> str:
-    """The boot's number, or a dash where it is hidden: /run does not outlive a boot anyway."""
+    """Boot identifier of the kernel; `HIDDEN` where it cannot be read: /run ends with the boot."""
     try:
         return _BOOT_ID.read_text(encoding="ascii").strip() or HIDDEN
     except OSError:
@@ -19,11 +19,11 @@ def boot_id() -> str:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Replace the file in one piece: whoever reads it, after a kill too, has the old or the new.
+    """Replace a file atomically: a reader has the old contents or the new, after a kill too.
 
     Raises OSError, and the old one stays. Nothing is written through a link that lies in the way.
     """
     beside = path.with_name(f"{path.name}.new")
-    with open(os.open(beside, _NEW_FILE, 0o644), "w", encoding="utf-8") as file:
+    with os.fdopen(os.open(beside, _NEW_FILE, 0o644), "w", encoding="utf-8") as file:
         file.write(text)
-    os.replace(beside, path)
+    beside.replace(path)

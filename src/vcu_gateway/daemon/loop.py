@@ -1,8 +1,6 @@
-"""The running program: threads, signals, the 50 ms loop and its end."""
+"""Tick loop: every 50 ms read, decide, send; signals and the orderly end."""
 
-import gc
 import signal
-import sys
 import time
 from collections.abc import Callable
 from types import FrameType
@@ -15,6 +13,7 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Explanation
+from vcu_gateway.daemon import realtime
 from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.link_events import LinkEvents
 from vcu_gateway.daemon.log import log
@@ -22,17 +21,15 @@ from vcu_gateway.daemon.processor_time import ProcessorTime
 from vcu_gateway.daemon.work_queue import WorkQueue
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
-_SWITCH_INTERVAL_S = 0.0005
 # No work for others is begun so shortly before a tick; sleeping to it is the most punctual.
 _PUNCTUAL_NS = 3_000_000
-_COLLECT_EVERY_TICKS = 1200
 _FIRST_LOOK_WITHIN_S = 0.5
 
 Observer = Callable[[Tick, TickResult], None]
 
 
 class LastTick(NamedTuple):
-    """The last tick, and the answer of `why` since: replaced whole by the ticking thread."""
+    """Result of the last tick and the explanation since; replaced whole by the ticking thread."""
 
     result: TickResult
     why: Explanation
@@ -42,8 +39,9 @@ class TickLoop:
     """Gateway and bus, ticked on the calling thread until `stop` or the end of `run`.
 
     Attributes:
-        inbox: what others want done on the ticking thread; journal: what happened.
-        keeper: opens the bus, now and after every loss.
+        work_queue: work of other threads for the ticking one.
+        event_log: events of the gateway and of the loop.
+        reconnector: opens the bus, now and after every loss.
         latest: the last tick; None before the first.
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.
         silent_ticks: ticks that sent nothing, listening before talking.
@@ -52,31 +50,31 @@ class TickLoop:
     def __init__(
         self,
         gateway: Gateway,
-        door: BusConnection,
+        connection: BusConnection,
         reopen_ms: int,
         observer: Observer | None = None,
     ) -> None:
         self.gateway = gateway
-        self.door = door
+        self.connection = connection
         self.schedule = Schedule(time.monotonic_ns(), gateway.settings.period_ns)
         self._observers = [] if observer is None else [observer]
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
-        self.inbox = WorkQueue()
-        self.journal = EventLog()
-        self.keeper = Reconnector(door, reopen_ms)
-        self._linking = LinkEvents(gateway, door, self.keeper, self.journal)
+        self.work_queue = WorkQueue()
+        self.event_log = EventLog()
+        self.reconnector = Reconnector(connection, reopen_ms)
+        self._link_events = LinkEvents(gateway, connection, self.reconnector, self.event_log)
         self.latest: LastTick | None = None
         self._on_hangup: Callable[[], None] | None = None
-        self._told_why: tuple[object, ...] = ()
+        self._last_why: tuple[object, ...] = ()
 
     def stop(self, why: str) -> None:
         """Send safe frames, then end the loop."""
         self._stopping = self._stopping or why
 
-    def observe_with(self, observer: Observer) -> None:
-        """Have this called after each tick."""
+    def add_observer(self, observer: Observer) -> None:
+        """Call this after each tick, on the ticking thread; what it raises ends the loop."""
         self._observers.append(observer)
 
     def handle_signals(self, on_hangup: Callable[[], None] | None = None) -> None:
@@ -90,7 +88,7 @@ class TickLoop:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del frame
         if number == signal.SIGHUP and self._on_hangup is not None:
-            self.inbox.post(self._on_hangup)
+            self.work_queue.post(self._on_hangup)
         else:
             self.stop(signal.Signals(number).name)
 
@@ -99,35 +97,36 @@ class TickLoop:
 
         Raises UnavailableError where another gateway of this machine has the interface.
         """
-        self.door.claim()
-        sys.setswitchinterval(_SWITCH_INTERVAL_S)
-        gc.collect()
-        gc.freeze()
-        gc.disable()  # collected below, right after a tick, when nothing is due
+        self.connection.acquire_lock()
+        with realtime.few_pauses():
+            self._run(duration_s)
+        self._log_end()
+
+    def _run(self, duration_s: float | None) -> None:
         self._processor_time = ProcessorTime()
-        self._linking.begin(time.monotonic_ns())
-        self.keeper.start()
-        self.keeper.tried.wait(_FIRST_LOOK_WITHIN_S)
+        self._link_events.begin(time.monotonic_ns())
+        self.reconnector.start()
+        self.reconnector.tried.wait(_FIRST_LOOK_WITHIN_S)
         schedule = self.schedule = Schedule(time.monotonic_ns(), self.schedule.period_ns)
-        self.door.align(schedule.origin_ns, schedule.period_ns)
+        self.connection.align(schedule.origin_ns, schedule.period_ns)
         end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * NS_PER_S)
         try:
             while not self._finished:
-                self.inbox.do_until(schedule.next_deadline_ns - _PUNCTUAL_NS)
-                self._sleep_until(schedule.next_deadline_ns)
-                tick = schedule.due(time.monotonic_ns())
-                if tick is None:
-                    continue
-                if end_ns is not None and tick.deadline_ns >= end_ns:
-                    self.stop("duration reached")
-                self._tick(tick)
+                self._wait_and_tick(schedule, end_ns)
         finally:
-            gc.enable()
-            gc.unfreeze()
-            self.keeper.stop()
-            self.door.release()
+            self.reconnector.stop()
+            self.connection.release_lock()
             self._processor_time.close()
-        self._log_end()
+
+    def _wait_and_tick(self, schedule: Schedule, end_ns: int | None) -> None:
+        self.work_queue.run_until(schedule.next_deadline_ns - _PUNCTUAL_NS)
+        self._sleep_until(schedule.next_deadline_ns)
+        tick = schedule.due(time.monotonic_ns())
+        if tick is None:
+            return
+        if end_ns is not None and tick.deadline_ns >= end_ns:
+            self.stop("duration reached")
+        self._tick(tick)
 
     @staticmethod
     def _sleep_until(deadline_ns: int) -> None:
@@ -139,10 +138,10 @@ class TickLoop:
         gateway, begun_ns = self.gateway, time.monotonic_ns()
         if self._stopping is not None:
             gateway.requests.terminate()
-        self.inbox.do_waiting()
-        read = self.door.read_waiting(begun_ns)
+        self.work_queue.run_waiting()
+        read = self.connection.read_waiting(begun_ns)
         now_ns = time.monotonic_ns()
-        self._linking.before_tick(now_ns)
+        self._link_events.before_tick(now_ns)
         result = gateway.tick(now_ns)
         for frame in result.frames:
             gateway.sent(frame, self._send_in_time(frame, tick, read), now_ns)
@@ -150,12 +149,11 @@ class TickLoop:
         # What follows has the rest of the period.
         self._finished = gateway.finished
         self.silent_ticks += not result.frames
-        self._tell(tick, result)
+        self._report(tick, result)
         for observe in self._observers:
             observe(tick, result)
-        self._linking.after_tick(now_ns)
-        if tick.index % _COLLECT_EVERY_TICKS == _COLLECT_EVERY_TICKS - 1:
-            gc.collect()
+        self._link_events.after_tick(now_ns)
+        realtime.collect_after(tick.index)
 
     def _send_in_time(self, frame: OutFrame, tick: Tick, read: bool) -> bool:
         """Send, unless the process was held up since the tick: what it decided is old by now.
@@ -163,13 +161,13 @@ class TickLoop:
         Nor where the tick could not read what waits: a power cut may be in it.
         """
         if not read:
-            return self.door.withhold("unread")
+            return self.connection.count_unsent("unread")
         if self.schedule.too_late(tick, time.monotonic_ns()):
-            return self.door.withhold("late")
-        return self.door.send(frame)
+            return self.connection.count_unsent("late")
+        return self.connection.send(frame)
 
-    def _tell(self, tick: Tick, result: TickResult) -> None:
-        """Tell what happened in this tick; most ticks have nothing to tell."""
+    def _report(self, tick: Tick, result: TickResult) -> None:
+        """Emit what happened in this tick; most ticks have no events."""
         spent = self._processor_time.since_last()
         if tick.skipped:
             fields = {
@@ -178,17 +176,17 @@ class TickLoop:
                 "processor_ms": spent.processor_ns / NS_PER_MS,
                 "waited_ms": None if spent.waited_ns is None else spent.waited_ns / NS_PER_MS,
             }
-            self.journal.tell(Event("ticks_skipped", Severity.WARNING, fields))
+            self.event_log.emit(Event("ticks_skipped", Severity.WARNING, fields))
         for event in result.events:
-            self.journal.tell(event)
+            self.event_log.emit(event)
         why = self.gateway.why(result.snapshot.now_ns)
         self.latest = LastTick(result, why)
-        if why.signature() != self._told_why:
-            self._told_why = why.signature()
+        if why.signature() != self._last_why:
+            self._last_why = why.signature()
             log.info("why", sentence=why.sentence())
 
-    def explain_anew(self) -> None:
-        """A request changed something: `latest` is to tell before the next tick."""
+    def refresh_why(self) -> None:
+        """Explain `latest` again, where a request has changed something since the tick."""
         if self.latest is not None:
             self.latest = self.latest._replace(why=self.gateway.why(time.monotonic_ns()))
 
@@ -197,16 +195,16 @@ class TickLoop:
         log.info(
             "stopped",
             reason=self._stopping,
-            mode=self.gateway.supervisor.mode.value,
+            mode=self.gateway.mode.value,
             elapsed_s=round((time.monotonic_ns() - schedule.origin_ns) / NS_PER_S, 3),
             ticks=schedule.ticks,
             skipped=schedule.skipped,
             silent_ticks=self.silent_ticks,
-            sent_frames=self.door.counters.sent,
-            unsent_frames=self.door.counters.refused,
+            sent_frames=self.connection.counters.sent,
+            unsent_frames=self.connection.counters.refused,
             lateness_p50_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.5)),
             lateness_p99_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.99)),
-            receiver_bugs=self.door.counters.receiver_bugs,
+            receiver_bugs=self.connection.counters.receiver_bugs,
         )
 
 

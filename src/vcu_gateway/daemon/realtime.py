@@ -1,15 +1,23 @@
-"""Keeping the program's pages in memory, so that no tick waits for the disk."""
+"""Real-time settings of the process: locked memory, garbage collection, switch interval."""
 
+import contextlib
 import ctypes
+import gc
 import os
+import sys
+from collections.abc import Iterator
 
 from vcu_gateway.errors import Problem, UnavailableError
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_SWITCH_INTERVAL_S = 0.0005
+_COLLECT_EVERY_TICKS = 1200
 
 
-def lock() -> None:
-    """Lock what is and will be in memory; pages never touched cost nothing.
+def lock_memory() -> None:
+    """Lock every page in memory (mlockall), so that no tick waits for the disk.
+
+    Pages that are never touched cost nothing.
 
     Raises UnavailableError where the limit on locked memory does not allow it.
     """
@@ -18,3 +26,26 @@ def lock() -> None:
         what = f"memory cannot be locked: {os.strerror(ctypes.get_errno())}"
         remedy = "raise the limit (LimitMEMLOCK= of the service, ulimit -l)"
         raise UnavailableError(Problem(what, remedy=remedy))
+
+
+@contextlib.contextmanager
+def few_pauses() -> Iterator[None]:
+    """Short switch interval, and no garbage collection but by `collect_after`, within the block.
+
+    What is alive at its beginning is never looked at again. The switch interval stays.
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def collect_after(tick_index: int) -> None:
+    """Collect garbage once a minute, right after a tick, when nothing is due."""
+    if tick_index % _COLLECT_EVERY_TICKS == _COLLECT_EVERY_TICKS - 1:
+        gc.collect()

@@ -1,4 +1,4 @@
-"""A new configuration into the running program: all of it or nothing."""
+"""Reload: a new configuration for the running program, all of it or nothing."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -9,23 +9,14 @@ from typing import Any, NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.settings import KEYS, Reload, Settings
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import ConfigError
 
-LIVE = (
-    "limits.*",
-    "safety.required_messages",
-    "safety.qualify_frames",
-    "safety.clear_hold_ms",
-    "demand.*",
-)
-"""Keys that a running gateway takes; every other one needs a restart."""
-
 
 class ReloadOutcome(NamedTuple):
-    """What came of a reload: names of what changed, or why nothing did, a sentence each."""
+    """Outcome of a reload: names of the changed keys, or the problems, a sentence each."""
 
     taken: bool
     changed: tuple[str, ...] = ()
@@ -52,12 +43,12 @@ class Reloader:
         self,
         in_effect: EffectiveConfig,
         protocol: ProtocolSpec,
-        daemon: TickLoop,
+        loop: TickLoop,
         settings: Callable[[Config], Settings],
     ) -> None:
         self._in_effect = in_effect
         self._protocol = protocol
-        self._daemon = daemon
+        self._loop = loop
         self._settings = settings
         self._busy = threading.Lock()
 
@@ -70,16 +61,20 @@ class Reloader:
             threading.Thread(target=self._read, args=(done,), name="reload", daemon=True).start()
         except RuntimeError as error:  # no memory or no more threads: no reason to stop a vehicle
             self._busy.release()
-            done(self._told(ReloadOutcome(False, problems=(f"a reload cannot be begun: {error}",))))
+            done(
+                self._reported(
+                    ReloadOutcome(False, problems=(f"a reload cannot be begun: {error}",))
+                )
+            )
 
     def on_hangup(self) -> None:
-        """SIGHUP: as `begin`, for nobody who waits; the journal has the outcome."""
-        self.begin(lambda outcome: None)
+        """SIGHUP: as `begin`, with the outcome in the event log alone."""
+        self.begin(lambda _: None)
 
     def _read(self, done: Done) -> None:
         new, problems = self._loaded()
         self._busy.release()
-        self._daemon.inbox.post(lambda: done(self._told(self._take(new, problems))))
+        self._loop.work_queue.post(lambda: done(self._reported(self._take(new, problems))))
 
     def _loaded(self) -> tuple[Config | None, tuple[str, ...]]:
         try:
@@ -97,13 +92,13 @@ class Reloader:
             return ReloadOutcome(
                 False, problems=tuple(f"{name} needs a restart" for name in restart)
             )
-        answer = self._daemon.gateway.requests.reload(self._settings(new))
+        answer = self._loop.gateway.reload(self._settings(new))
         if not answer.granted:
             return ReloadOutcome(False, problems=(answer.sentence,))
         self._in_effect.config = new
         return ReloadOutcome(True, changed=names)
 
-    def _told(self, outcome: ReloadOutcome) -> ReloadOutcome:
+    def _reported(self, outcome: ReloadOutcome) -> ReloadOutcome:
         if outcome.taken:
             digest = configuration.digest(self._in_effect.config)
             fields: Mapping[str, object] = {"changed": list(outcome.changed), "digest": digest}
@@ -111,7 +106,7 @@ class Reloader:
         else:
             fields = {"problems": list(outcome.problems)}
             event = Event("config_refused", Severity.ERROR, fields)
-        self._daemon.journal.tell(event)
+        self._loop.event_log.emit(event)
         return outcome
 
 
@@ -122,8 +117,10 @@ def changed(before: Config, after: Config) -> tuple[str, ...]:
 
 
 def is_live(name: str) -> bool:
-    """True where a running gateway takes this key."""
-    return name in LIVE or f"{name.partition('.')[0]}.*" in LIVE
+    """True where a running gateway takes this key, a dotted name; the others need a restart."""
+    section, _, key = name.partition(".")
+    setting = KEYS.get(key)
+    return setting is not None and setting.section == section and setting.reload is not Reload.NEVER
 
 
 def _flat(config: Config) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What outlives the process: a latched CUT and the directions, for the next start in this boot.
+"""Restart state: a latched CUT and the directions, kept for the next start in this boot.
 
 A gateway that is killed, crashes or ends must not come back as if the power had never been cut, nor
 with another direction than the wheels turn in.
@@ -18,6 +18,7 @@ from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
+from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.daemon.boot_files import HIDDEN, boot_id, write_whole
 from vcu_gateway.daemon.event_log import EventLog
 
@@ -29,7 +30,7 @@ _NOT_MINE = 0o077
 
 
 class KeptState(NamedTuple):
-    """What one process leaves to the next.
+    """State that one process leaves to the next.
 
     Attributes:
         cut: why a CUT is latched; None where none is.
@@ -58,7 +59,7 @@ class RestartState:
         folder: Path | None,
         settings: BusSettings,
         gateway: Gateway,
-        journal: EventLog,
+        event_log: EventLog,
         others: Sequence[Path] = (),
     ) -> None:
         self._settings = settings
@@ -66,15 +67,15 @@ class RestartState:
         self.path = None if folder is None else folder / name
         self._elsewhere = [other / name for other in others]
         self._gateway = gateway
-        self._journal = journal
+        self._event_log = event_log
         self._written = self._now = NOTHING
-        self._told_failure = False
+        self._failure_reported = False
 
     def begin(self) -> None:
-        """Begin from what the last process of this boot left; before the first tick."""
+        """Hand the gateway what the last process of this boot left; before the first tick."""
         kept = NOTHING
         if self.path is None:
-            self._tell_that_nothing_is_kept()
+            self._warn_that_nothing_is_kept()
         else:
             self._written = self._now = kept = read(self.path)
         found = [(path, read(path).cut) for path in self._elsewhere]
@@ -85,13 +86,13 @@ class RestartState:
         self._elsewhere = [path for path, _ in cuts if path != self.path]
         for path, cut in cuts:
             fields = {"file": str(path), "reason": cut}
-            self._journal.tell(Event("cut_kept", Severity.CRITICAL, fields))
+            self._event_log.emit(Event("cut_kept", Severity.CRITICAL, fields))
 
-    def _tell_that_nothing_is_kept(self) -> None:
+    def _warn_that_nothing_is_kept(self) -> None:
         if self._settings.interface != "virtual":
             reason = "no folder for it can be written by this user alone"
             fields = {"file": file_name(self._settings.channel), "reason": reason}
-            self._journal.tell(Event("restart_state_unwritten", Severity.WARNING, fields))
+            self._event_log.emit(Event("restart_state_unwritten", Severity.WARNING, fields))
 
     def observe(self, tick: Tick, result: TickResult) -> None:
         """After each tick."""
@@ -109,34 +110,34 @@ class RestartState:
             self._write(self.path, self._now)
 
     def _forget_elsewhere(self) -> None:
-        """A service reset ends it there too, as far as this user may; what stays latches again."""
+        """Delete the files elsewhere after a service reset; one that stays latches again."""
         for path in self._elsewhere:
             with contextlib.suppress(OSError):
                 path.unlink()
         self._elsewhere = []
 
     def _latched(self) -> str | None:
-        supervisor = self._gateway.supervisor
-        if supervisor.latch is None or not supervisor.power_is_cut:
+        latch = self._gateway.latch
+        if latch is None or latch.fault_class is not FaultClass.SERVICE:
             return None
-        return supervisor.latch.reason.removeprefix(_BEFORE)
+        return latch.reason.removeprefix(_BEFORE)
 
     def _write(self, path: Path, state: KeptState) -> None:
-        """Write it; where that cannot be it is told once, and the next tick tries again."""
+        """Write the state; a failure is one event, and the next tick tries again."""
         text = json.dumps({"cut": state.cut, "reverse": dict(state.reverse)})
         try:
             write_whole(path, f"{boot_id()}\n{text}\n")
         except OSError as error:
-            if not self._told_failure:
+            if not self._failure_reported:
                 fields = {"file": str(path), "reason": error.strerror}
-                self._journal.tell(Event("restart_state_unwritten", Severity.WARNING, fields))
-            self._told_failure = True
+                self._event_log.emit(Event("restart_state_unwritten", Severity.WARNING, fields))
+            self._failure_reported = True
             return
-        self._written, self._told_failure = state, False
+        self._written, self._failure_reported = state, False
 
 
 def file_name(channel: str) -> str:
-    """One for each bus: interfaces of the same name in two network namespaces are two."""
+    """File name of one bus: interfaces of the same name in two network namespaces are two."""
     try:
         namespace = str(_NAMESPACE.stat().st_ino)
     except OSError:
@@ -145,9 +146,9 @@ def file_name(channel: str) -> str:
 
 
 def read(path: Path) -> KeptState:
-    """What the last process of this boot left; nothing where there is no file of this boot.
+    """State that the last process of this boot left; `NOTHING` where there is no file of this boot.
 
-    What is there and cannot be understood counts as a latched CUT: nobody knows that it is none.
+    A file that cannot be understood counts as a latched CUT: it may have held one.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -163,14 +164,15 @@ def read(path: Path) -> KeptState:
         return KeptState(f"{path} is not understood", {})
 
 
-def _is_of_another_boot(told: str) -> bool:
-    """True where both numbers are known and differ."""
+def _is_of_another_boot(identifier: str) -> bool:
+    """True where both identifiers are known and differ."""
     mine = boot_id()
-    return HIDDEN not in (told, mine) and len(told) == len(mine) and told != mine
+    known = HIDDEN not in (identifier, mine) and len(identifier) == len(mine)
+    return known and identifier != mine
 
 
-def _understood(told: Any) -> KeptState:
-    cut, reverse = told["cut"], told["reverse"]
+def _understood(document: Any) -> KeptState:
+    cut, reverse = document["cut"], document["reverse"]
     if not (cut is None or isinstance(cut, str)):
         raise TypeError("the reason is a text")
     if not all(isinstance(one, bool) and name in CONTROLLERS for name, one in reverse.items()):
@@ -179,7 +181,7 @@ def _understood(told: Any) -> KeptState:
 
 
 def folder_for(settings: BusSettings, runtime: Path | None) -> Path | None:
-    """Where the state of this bus is kept; None where it is not.
+    """Folder for the state of this bus; None where none is kept.
 
     `runtime` is the service's own folder. A virtual bus ends with its process, and so does all
     that it could move.
@@ -198,7 +200,7 @@ def folder_for(settings: BusSettings, runtime: Path | None) -> Path | None:
 
 
 def other_folders(settings: BusSettings, own: Path | None) -> list[Path]:
-    """Where else another run may have left what is kept: as the service, or as this user."""
+    """Other folders in which a run as the service or as this user may have left a state."""
     if settings.interface == "virtual":
         return []
     user = os.environ.get("XDG_RUNTIME_DIR")
@@ -216,7 +218,7 @@ def _can_be_written(folder: Path, mode: int) -> bool:
 
 
 def _is_mine_alone(folder: Path) -> bool:
-    """Whether a folder among those of others is no link, ours, and closed to everybody else."""
+    """Whether a folder in /tmp is no link, belongs to this user, and is closed to others."""
     found = folder.lstat()
     return (
         stat.S_ISDIR(found.st_mode)

@@ -1,4 +1,4 @@
-"""What is to be sent if this process cannot: kept in a file for `safe_stop`."""
+"""Safe frames, kept in a file for `safe_stop` to send after a crash."""
 
 import contextlib
 from pathlib import Path
@@ -13,26 +13,26 @@ NAME = "safe-frames"
 
 
 def forget(folder: Path) -> None:
-    """Remove what a process before this one left: it says nothing of what this one sends."""
+    """Remove the file of an earlier process: its frames are not those of this one."""
     with contextlib.suppress(OSError):
         (folder / NAME).unlink(missing_ok=True)
 
 
 class SafeFrames:
-    """The file: the interface, then one frame a line as identifier#data.
+    """File of safe frames: the interface, then one frame a line as identifier#data.
 
     Written anew when they change: a latched power cut stays one, and a direction is kept. It is
     there from the first frames that were sent to the orderly end.
     """
 
-    def __init__(self, folder: Path, channel: str, gateway: Gateway, journal: EventLog) -> None:
+    def __init__(self, folder: Path, channel: str, gateway: Gateway, event_log: EventLog) -> None:
         self._folder = folder
         self._path = folder / NAME
         self._channel = channel
         self._gateway = gateway
-        self._journal = journal
+        self._event_log = event_log
         self._basis: object = None
-        self._told_failure = False
+        self._failure_reported = False
 
     def observe(self, tick: Tick, result: TickResult) -> None:
         """After each tick."""
@@ -43,20 +43,20 @@ class SafeFrames:
             self._basis = basis
 
     def _written(self) -> bool:
-        """Write them; False, and told once, where that cannot be: the next tick tries again."""
+        """Write the file; False, and one event, where that fails: the next tick tries again."""
         frames = self._gateway.safe_frames()
         lines = [self._channel, *(f"{one.can_id:08X}#{one.data.hex().upper()}" for one in frames)]
         try:
             write_whole(self._path, "\n".join(lines) + "\n")
         except OSError as error:
-            if not self._told_failure:
+            if not self._failure_reported:
                 fields = {"file": str(self._path), "reason": error.strerror}
-                self._journal.tell(Event("safe_frames_unwritten", Severity.WARNING, fields))
-            self._told_failure = True
+                self._event_log.emit(Event("safe_frames_unwritten", Severity.WARNING, fields))
+            self._failure_reported = True
             return False
-        self._told_failure = False
+        self._failure_reported = False
         return True
 
     def end(self) -> None:
-        """An orderly end has sent its own: nobody is to send more."""
+        """Remove the file after an orderly end, which has sent its own safe frames."""
         forget(self._folder)

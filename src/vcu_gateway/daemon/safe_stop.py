@@ -1,4 +1,4 @@
-"""Safe frames from a fresh process, after the gateway was killed, hung or crashed.
+"""Safe stop: a fresh process sends the safe frames after a kill, hang or crash of the gateway.
 
     python3 -I -S safe_stop.py FILE
 
@@ -21,7 +21,7 @@ _frame = struct.Struct("=IB3x8s")
 
 
 def main() -> int:
-    """Send what the file says, unless the gateway ended in order; 0 where all was sent."""
+    """Send the frames of the file, unless the gateway ended in order; 0 where all were sent."""
     if os.environ.get("SERVICE_RESULT", "") == "success":
         return 0
     try:
@@ -42,16 +42,16 @@ def main() -> int:
 
 
 def _ending() -> str:
-    said = (os.environ.get(name, "") for name in ("SERVICE_RESULT", "EXIT_CODE", "EXIT_STATUS"))
-    return "gateway's end" + "".join(f" {word}" for word in said if word)
+    words = (os.environ.get(name, "") for name in ("SERVICE_RESULT", "EXIT_CODE", "EXIT_STATUS"))
+    return "gateway's end" + "".join(f" {word}" for word in words if word)
 
 
 def read(path: str) -> tuple[str, list[bytes]]:
-    """The interface, and the frames as the kernel takes them.
+    """Interface and frames of a file, the frames as struct can_frame.
 
     Raises OSError, or ValueError where the file is torn.
     """
-    with open(path, encoding="utf-8") as file:
+    with open(path, encoding="utf-8") as file:  # noqa: PTH123 - imports must be few
         channel, *lines = file.read().split()
     if not lines:
         raise ValueError(f"{path}: no frames in it")
@@ -67,7 +67,7 @@ def _packed(line: str) -> bytes:
 
 
 def send(channel: str, frames: list[bytes]) -> int:
-    """Send all of them every 50 ms for a while; how many the interface took.
+    """Send the frames five times, 50 ms apart; the number that the interface took.
 
     The first wait keeps half a period from what the gateway may have sent last.
     """

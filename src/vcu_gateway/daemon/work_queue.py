@@ -1,6 +1,6 @@
-"""Work for the ticking thread, handed over by other threads.
+"""Work queue of the ticking thread, filled by other threads.
 
-The ticking thread alone asks the gateway for anything: it takes this work between its ticks.
+The ticking thread alone changes the gateway: it runs this work between its ticks.
 """
 
 import contextlib
@@ -24,29 +24,29 @@ class WorkQueue:
         self._waiting: deque[Work] = deque()
         # Not SimpleQueue.get(timeout=...): up to Python 3.12 it waits for ever where a signal
         # comes so late that its handler ends after the deadline. A lock looks at the time again.
-        self._bell = threading.Lock()
-        self._bell.acquire()
+        self._wakeup = threading.Lock()
+        self._wakeup.acquire()
 
     @property
     def full(self) -> bool:
-        """True where so much waits that whoever may be refused should be."""
+        """True from 256 waiting items on: a caller that can be refused is to be refused."""
         return len(self._waiting) >= _MUCH
 
     def post(self, work: Work) -> None:
-        """Have this done soon, in the order of posting."""
+        """Queue work, run in the order of posting."""
         self._waiting.append(work)
-        with contextlib.suppress(RuntimeError):  # it has been rung already
-            self._bell.release()
+        with contextlib.suppress(RuntimeError):  # it is set already
+            self._wakeup.release()
 
-    def do_waiting(self) -> None:
-        """Do what waits, but only so much: what follows must not be late."""
+    def run_waiting(self) -> None:
+        """Run what waits, at most 32 items: the tick that follows must not be late."""
         for _ in range(min(len(self._waiting), _AT_ONCE)):
             self._waiting.popleft()()
 
-    def do_until(self, end_ns: int) -> None:
-        """Do work as it comes in, until this time."""
+    def run_until(self, end_ns: int) -> None:
+        """Run work as it comes in, until this time of the monotonic clock."""
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
             if self._waiting:
                 self._waiting.popleft()()
-            elif not self._bell.acquire(timeout=left_ns / NS_PER_S):
+            elif not self._wakeup.acquire(timeout=left_ns / NS_PER_S):
                 return
