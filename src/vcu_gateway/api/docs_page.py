@@ -1,12 +1,15 @@
-"""The generated part of docs/api.md: every method and shape, from the OpenRPC document."""
+"""Generated part of docs/api.md: every method and type, from the OpenRPC document."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from vcu_gateway.api.errors import ErrorCode
+from vcu_gateway.api.methods import METHODS
 
 BEGIN, END = "<!-- generated: scripts/api-page -->\n", "<!-- end of what is generated -->\n"
 
+_PARAMS_MODELS = {method.params.__name__ for method in METHODS.values()}
+"""Described with their methods, so not again among the types."""
 _RIGHTS = {
     "read": "whoever can open the socket",
     "operate": "operators",
@@ -22,16 +25,18 @@ _ERRORS: Mapping[ErrorCode, str] = {
     ErrorCode.REFUSED: "Not now, or not this: `data.refusal` is a word for programs.",
     ErrorCode.TOO_MANY_CLIENTS: "Every place has a fresh demand; the connection is closed.",
     ErrorCode.NOT_READY: "The gateway is starting, ending or busy; try again.",
-    ErrorCode.CONFIG_REFUSED: "Nothing was changed; `data.problems` has a sentence for each reason.",
+    ErrorCode.CONFIG_REFUSED: (
+        "Nothing was changed; `data.problems` has a sentence for each reason."
+    ),
 }
 
 
 def page(document: Mapping[str, Any]) -> str:
     """Markdown, from BEGIN to END."""
-    shapes = {
+    types = {
         name: schema
         for name, schema in document["components"]["schemas"].items()
-        if not name.endswith("Params") and name != "Nothing"
+        if name not in _PARAMS_MODELS
     }
     lines = [BEGIN, "\n## Methods\n"]
     for method in document["methods"]:
@@ -41,9 +46,9 @@ def page(document: Mapping[str, Any]) -> str:
         lines += [f"\n{notification['summary']} Parameters: {_type(notification['schema'])}.\n"]
     lines += ["\n## Errors\n", "\n| code | word | meaning |\n| --- | --- | --- |\n"]
     lines += [f"| {code.value} | `{code.name.lower()}` | {_ERRORS[code]} |\n" for code in ErrorCode]
-    lines += ["\n## Shapes\n"]
-    for name, schema in shapes.items():
-        lines += _shape(name, schema)
+    lines += ["\n## Types\n"]
+    for name, schema in types.items():
+        lines += _named_type(name, schema)
     return "".join([*lines, "\n", END])
 
 
@@ -61,7 +66,7 @@ def _method(method: Mapping[str, Any]) -> Iterator[str]:
         yield f"| `{param['name']}` | {_type(param['schema'])} | {meaning}({default}) |\n"
 
 
-def _shape(name: str, schema: Mapping[str, Any]) -> Iterator[str]:
+def _named_type(name: str, schema: Mapping[str, Any]) -> Iterator[str]:
     yield f"\n### {name}\n\n{schema.get('description', '').strip()}\n"
     yield "\n| field | type | |\n| --- | --- | --- |\n"
     required = schema.get("required", [])
@@ -72,7 +77,7 @@ def _shape(name: str, schema: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _type(schema: Mapping[str, Any]) -> str:
-    """A schema in a few words; a shape as a link."""
+    """Schema in a few words; a named type as a link."""
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
         return f"[{name}](#{name.lower()})"

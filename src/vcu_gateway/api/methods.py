@@ -1,7 +1,7 @@
-"""Every method: its name, parameters, result and the right that it needs.
+"""Methods of the API: name, model of the parameters, result and the right needed.
 
-A new method is one entry in `METHODS` and its answer in `answers`; the OpenRPC document,
-docs/api.md and the tests follow.
+A new method is one entry in `METHODS` and its handler in `server/queries.py` or
+`server/commands.py`; the OpenRPC document, docs/api.md and the tests follow.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ MAX_RATE_HZ = 50.0
 
 
 class Params(BaseModel):
-    """Nothing unknown, nothing coerced, nothing infinite."""
+    """Base of the parameters: no unknown names, no coercion, finite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -26,7 +26,7 @@ class Nothing(Params):
 
 
 class StateParams(Params):
-    """Which messages."""
+    """Names of the messages to report."""
 
     messages: Annotated[list[str], Field(max_length=64)] | None = Field(
         default=None, description="Message names; null is all of them."
@@ -34,7 +34,7 @@ class StateParams(Params):
 
 
 class SubscribeParams(StateParams):
-    """Which messages, and how often."""
+    """Names of the messages to report, and the rate of the updates."""
 
     rate_hz: float = Field(
         default=10.0, ge=0.1, le=MAX_RATE_HZ, description="Updates a second, 0.1 to 50."
@@ -42,13 +42,13 @@ class SubscribeParams(StateParams):
 
 
 class UnsubscribeParams(Params):
-    """Which subscription."""
+    """Number of the subscription to end."""
 
     subscription: int
 
 
-class Values(Params):
-    """What is asked of a controller; what is left out is at its default.
+class ControllerParams(Params):
+    """Demand for one controller; what is left out is at its default.
 
     The ranges are checked where the demand is taken, which answers with the reason.
     """
@@ -78,7 +78,7 @@ class DemandParams(Params):
     """A demand: `values` for both controllers, or `controllers` with one for each."""
 
     source: SourceName = Field(
-        description="Who asks. A source name belongs to one connection at a time."
+        description="Name of the sender. It belongs to one connection at a time."
     )
     sequence: int = Field(
         ge=0,
@@ -97,33 +97,33 @@ class DemandParams(Params):
         description="When it was made, CLOCK_MONOTONIC of this machine, so that time spent in"
         " buffers counts; null is when the gateway read it.",
     )
-    values: Values | None = None
-    controllers: dict[Literal["PCU1", "PCU2"], Values] | None = None
+    values: ControllerParams | None = None
+    controllers: dict[Literal["PCU1", "PCU2"], ControllerParams] | None = None
 
 
 class ReleaseParams(Params):
-    """Whose demand ends."""
+    """Source whose demand ends."""
 
     source: SourceName
 
 
 class ResetParams(Params):
-    """The level of the reset."""
+    """Level of the reset."""
 
     level: Literal["driver", "service"] = "driver"
 
 
 class EventsParams(Params):
-    """How many."""
+    """Number of events to report."""
 
-    limit: int = Field(default=50, ge=1, le=200, description="The latest so many.")
+    limit: int = Field(default=50, ge=1, le=200, description="Number of events, the latest ones.")
 
 
 class Method(NamedTuple):
     """One method.
 
     Attributes:
-        params: model of the parameters, by name; result: shape of the result.
+        params: model of the parameters, by name; result: type of the result.
         right: what the peer needs; `reset` at service level needs SERVICE instead.
     """
 
@@ -135,7 +135,7 @@ class Method(NamedTuple):
 
 METHODS: Mapping[str, Method] = {
     "state.get": Method(
-        StateParams, results.State, Right.READ, "Received signals and what was commanded."
+        StateParams, results.State, Right.READ, "Received signals and the commands sent."
     ),
     "state.subscribe": Method(
         SubscribeParams,
@@ -196,7 +196,7 @@ METHODS: Mapping[str, Method] = {
 
 
 def right_needed(name: str, params: Params) -> Right:
-    """The right for this request."""
+    """Right that this request needs; a reset at service level needs SERVICE."""
     if isinstance(params, ResetParams) and params.level == "service":
         return Right.SERVICE
     return METHODS[name].right

@@ -1,4 +1,4 @@
-"""The API described for machines: an OpenRPC 1.3 document, made from `methods` and `shapes`."""
+"""OpenRPC 1.3 document of the API, generated from `methods` and `results`."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ _DOCUMENTED = {"use_attribute_docstrings": True, "extra": "forbid"}
 
 
 def document() -> dict[str, Any]:
-    """The whole description; every schema is under `components`."""
+    """OpenRPC document; every schema is under `components`."""
     schemas, components = _schemas()
     return {
         "openrpc": "1.3.2",
@@ -37,16 +37,16 @@ def document() -> dict[str, Any]:
     }
 
 
-def result_adapter(shape: type) -> TypeAdapter[Any]:
-    """Checks and describes one result."""
+def result_adapter(result: type) -> TypeAdapter[Any]:
+    """Validator and JSON schema of one result."""
     for one in vars(results).values():
         if isinstance(one, type) and one.__module__ == results.__name__:
             one.__pydantic_config__ = _DOCUMENTED  # type: ignore[attr-defined]
-    return TypeAdapter(shape)
+    return TypeAdapter(result)
 
 
 def _schemas() -> tuple[dict[str, Any], dict[str, Any]]:
-    """Schema of each result and of the notification by name, and what they refer to."""
+    """Schemas of results and notification by name, and the definitions that they refer to."""
     adapters = {name: result_adapter(method.result) for name, method in METHODS.items()}
     adapters[NOTIFICATION] = result_adapter(results.Update)
     params = {f"{name} params": TypeAdapter(method.params) for name, method in METHODS.items()}

@@ -1,4 +1,4 @@
-"""The results of the API's methods, as JSON has them.
+"""Results of the API's methods, as JSON has them.
 
 Times end in `_ms` (age or duration) or `_ns` (CLOCK_MONOTONIC of this machine); None is JSON's
 null and means unknown, never zero. The words under a field are its documentation: docs/api.md
@@ -13,6 +13,9 @@ ControllerName = Literal["PCU1", "PCU2"]
 ModeName = Literal["starting", "standby", "active", "fault", "stopping"]
 PowerModeName = Literal["eco", "normal", "turbo", "safety"]
 QualityName = Literal["good", "out of range", "saturated", "stale", "never"]
+EffectName = Literal["alarm", "turbo off", "power limit", "regen limit", "regen off", "stop", "cut"]
+FaultClassName = Literal["driver", "service"]
+LinkStateName = Literal["up", "error warning", "error passive", "bus off", "lost"]
 
 
 class Signal(TypedDict):
@@ -25,13 +28,13 @@ class Signal(TypedDict):
     unit: str
     """Empty for enumerations and counts."""
     quality: QualityName
-    """What the value is worth; only a good one may be relied upon."""
+    """Quality of the value; only a good one may be relied upon."""
     name: NotRequired[str]
     """The code's name, for enumerations."""
 
 
 class Message(TypedDict):
-    """The latest frame of one received message."""
+    """Latest frame of one received message."""
 
     frame_count: int
     """Frames since the start."""
@@ -48,7 +51,7 @@ class Message(TypedDict):
 
 
 class SentCommand(TypedDict):
-    """What one controller was told in the last tick."""
+    """Command to one controller in the last tick."""
 
     throttle_pct: float
     brake_pct: float
@@ -62,15 +65,24 @@ class SentCommand(TypedDict):
     """Identifier and bytes as candump writes them; null where nothing was sent."""
 
 
+class DemandedValues(TypedDict):
+    """Throttle and brake that the fresh demand asks of one controller."""
+
+    throttle_pct: float
+    brake_pct: float
+
+
 class State(TypedDict):
-    """What is known and what was commanded, at one instant."""
+    """Received messages and sent commands, at one instant."""
 
     monotonic_ns: int
-    """When, CLOCK_MONOTONIC of this machine."""
+    """The instant, CLOCK_MONOTONIC of this machine."""
     mode: ModeName
     messages: dict[str, Message]
     """By the protocol's message names; only those that were asked for."""
     commands: dict[ControllerName, SentCommand]
+    demanded: dict[ControllerName, DemandedValues]
+    """Empty while no fresh demand counts."""
 
 
 class Cause(TypedDict):
@@ -79,12 +91,12 @@ class Cause(TypedDict):
     cause: str
     """Stable word for machines."""
     subject: str
-    """The signal, message or part that it is about."""
+    """Signal, message or part concerned."""
     detail: str
     """Its value, as a person reads it."""
-    effect: Literal["alarm", "turbo off", "power limit", "regen limit", "regen off", "stop", "cut"]
+    effect: EffectName
     since_ms: float
-    """How long it has counted."""
+    """How long it has been in effect."""
     stands: bool
     """False where it is gone and only held for a while."""
 
@@ -92,14 +104,14 @@ class Cause(TypedDict):
 class Latch(TypedDict):
     """A latched fault."""
 
-    fault_class: Literal["driver", "service"]
+    fault_class: FaultClassName
     """The level of the reset that it needs."""
     reason: str
     since_ms: float
 
 
 class DemandState(TypedDict):
-    """The demand that counts, or the last one that did."""
+    """Demand in effect, or the last one that was."""
 
     source: str
     age_ms: float | None
@@ -109,36 +121,44 @@ class DemandState(TypedDict):
 
 
 class Why(TypedDict):
-    """Why the vehicle does or does not move."""
+    """Explanation of why the vehicle does or does not move."""
 
     sentence: str
     """What matters most, in one line of at most 200 characters; the rest here is complete."""
     mode: ModeName
     latch: Latch | None
     blocks: list[Cause]
-    """What stops or cuts."""
+    """Causes that stop or cut."""
     limits: list[Cause]
     alarms: list[Cause]
     waits: list[str]
     """Conditions that are not met yet, as sentences."""
     demand: DemandState | None
     next_step: str
-    """What to do now."""
+    """Action for the driver or operator."""
 
 
 class Link(TypedDict):
-    """The bus interface."""
+    """Bus interface."""
 
     interface: str
     channel: str
-    state: Literal["up", "error warning", "error passive", "bus off", "lost"]
+    state: LinkStateName
     since_ms: float
     lost: str | None
-    """Why the interface cannot be used; null while it can."""
+    """Reason why the interface cannot be used; null while it can."""
+
+
+class LatenessBin(TypedDict):
+    """Ticks with a lateness above the bound before and up to this one."""
+
+    up_to_us: float | None
+    """Null in the last bin, which is open."""
+    ticks: int
 
 
 class Ticks(TypedDict):
-    """The 50 ms schedule."""
+    """Figures of the 50 ms schedule."""
 
     period_ms: float
     done: int
@@ -151,10 +171,12 @@ class Ticks(TypedDict):
     lateness_p99_us: float | None
     lateness_max_us: float | None
     lateness_ticks: int
+    lateness_histogram: list[LatenessBin]
+    """All ticks since the start, by rising bound."""
 
 
 class FrameCounts(TypedDict):
-    """Every frame accounted for."""
+    """Frame counters: every frame is in one of them."""
 
     received: int
     """Frames that the kernel handed over."""
@@ -179,7 +201,7 @@ class FrameCounts(TypedDict):
 
 
 class ApiCounts(TypedDict):
-    """The API's own figures."""
+    """Counters of the API."""
 
     clients: int
     """Connected now."""
@@ -199,8 +221,19 @@ class ApiCounts(TypedDict):
     """Requests of estop and disarm that were wrong in form, and done all the same."""
 
 
+class ProcessUsage(TypedDict):
+    """Resources of the gateway's process, from /proc; null is what the system does not tell."""
+
+    cpu_time_s: float
+    """User and system time of all threads, since the start."""
+    resident_memory_bytes: int | None
+    virtual_memory_bytes: int | None
+    open_fds: int | None
+    max_fds: int | None
+
+
 class Versions(TypedDict):
-    """What is running."""
+    """Versions of the programs."""
 
     vcu_gateway: str
     python: str
@@ -209,10 +242,12 @@ class Versions(TypedDict):
 
 
 class Health(TypedDict):
-    """How the gateway itself fares."""
+    """State of the gateway itself."""
 
     pid: int
     uptime_ms: float
+    start_time_s: float
+    """When it started, seconds since 1970 by the clock as it was then."""
     starts: int | None
     """Starts since the machine booted, this one included; null where they are not counted."""
     unexpected_restarts: int | None
@@ -225,6 +260,7 @@ class Health(TypedDict):
     frames: FrameCounts
     api: ApiCounts
     log_lines_dropped: int
+    process: ProcessUsage
     versions: Versions
 
 
@@ -244,7 +280,7 @@ class EventEntry(TypedDict):
 
 
 class Events(TypedDict):
-    """The latest events, the latest last."""
+    """Latest events, the newest last."""
 
     events: list[EventEntry]
     forgotten: int
@@ -252,7 +288,7 @@ class Events(TypedDict):
 
 
 class Granted(TypedDict):
-    """The request was granted."""
+    """Granted request."""
 
     granted: Literal[True]
     mode: ModeName
@@ -260,14 +296,14 @@ class Granted(TypedDict):
 
 
 class Subscribed(TypedDict):
-    """A subscription began; `state.update` notifications follow."""
+    """Subscription that began; `state.update` notifications follow."""
 
     subscription: int
     rate_hz: float
 
 
 class Update(TypedDict):
-    """The parameters of a `state.update` notification."""
+    """Parameters of a `state.update` notification."""
 
     subscription: int
     lost: int
@@ -276,7 +312,7 @@ class Update(TypedDict):
 
 
 class ConfigInEffect(TypedDict):
-    """The configuration that is in effect."""
+    """Configuration in effect."""
 
     file: str
     digest: str
@@ -285,7 +321,7 @@ class ConfigInEffect(TypedDict):
 
 
 class Reloaded(TypedDict):
-    """The new configuration is in effect."""
+    """New configuration, now in effect."""
 
     changed: list[str]
     """Dotted names of what changed."""
@@ -324,7 +360,7 @@ class MessageDefinition(TypedDict):
 
 
 class Protocol(TypedDict):
-    """What travels on the bus."""
+    """Messages of the bus."""
 
     digest: str
     messages: list[MessageDefinition]
