@@ -21,8 +21,7 @@ from hypothesis import strategies as st
 from tests.server.conftest import Client, eventually
 from vcu_gateway.api.methods import METHODS, Params
 from vcu_gateway.server import jsonrpc
-from vcu_gateway.server.lines import MAX_LINE_BYTES
-from vcu_gateway.server.session import Limits
+from vcu_gateway.server.session import MAX_LINE_BYTES, Limits
 
 NIGHTLY = settings().max_examples > 1000
 LINES = 1_000_000 if NIGHTLY else 20_000

@@ -28,8 +28,7 @@ from vcu_gateway.api.rights import Right
 from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.rate_limit import TokenBucket
-from vcu_gateway.server.session import GAVE_WAY, Limits
-from vcu_gateway.server.subscriptions import SubscriptionState
+from vcu_gateway.server.session import GAVE_WAY, Limits, SubscriptionState
 from vcu_gateway.server.tick_gaps import TickGaps
 
 SHORT = Limits(patience_ns=300 * MS)

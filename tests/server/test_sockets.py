@@ -1,8 +1,6 @@
 """Opening the sockets: who can reach them, what stands in the way, what is left behind."""
 
-import grp
 import os
-import pwd
 import socket
 import stat
 
@@ -11,7 +9,8 @@ import pytest
 from tests.server.conftest import a_stranger
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.server.sockets import ServerSettings, UnixListener
+from vcu_gateway.server.settings import ServerSettings
+from vcu_gateway.server.sockets import UnixListener
 
 POLICY = Policy(own_uid=os.geteuid())
 
@@ -40,66 +39,58 @@ def listener_at(path) -> socket.socket:
 def test_owner_and_group_may_open_the_socket_and_nobody_else(path):
     old = os.umask(0o077)
     try:
-        door = UnixListener(ServerSettings(path, POLICY))
+        listener = UnixListener(ServerSettings(path, POLICY))
     finally:
         os.umask(old)
     assert stat.S_IMODE(path.stat().st_mode) == 0o660
-    door.close()
+    listener.close()
 
 
 def test_the_mode_is_the_configured_one(path):
-    door = UnixListener(ServerSettings(path, POLICY, mode=0o600))
+    listener = UnixListener(ServerSettings(path, POLICY, mode=0o600))
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    door.close()
+    listener.close()
 
 
 @as_root
-@pytest.mark.parametrize(
-    ("owner", "group"), [(12345, 23456), (pwd.getpwuid(1).pw_name, grp.getgrgid(1).gr_name)]
-)
-def test_owner_and_group_are_names_or_numbers(path, owner, group):
-    door = UnixListener(ServerSettings(path, POLICY, owner, group))
-    numbers = (12345, 23456) if owner == 12345 else (1, 1)
-    assert (path.stat().st_uid, path.stat().st_gid) == numbers
-    door.close()
+@pytest.mark.parametrize(("owner", "group"), [(12345, 23456), (12345, None), (None, 23456)])
+def test_owner_and_group_are_set_by_number(path, owner, group):
+    listener = UnixListener(ServerSettings(path, POLICY, owner, group))
+    assert path.stat().st_uid == (os.geteuid() if owner is None else owner)
+    assert path.stat().st_gid == (os.getegid() if group is None else group)
+    listener.close()
 
 
 def test_owner_and_group_are_left_where_none_is_named(path):
-    door = UnixListener(ServerSettings(path, POLICY))
+    listener = UnixListener(ServerSettings(path, POLICY))
     assert (path.stat().st_uid, path.stat().st_gid) == (os.geteuid(), os.getegid())
-    door.close()
+    listener.close()
 
 
-def test_an_unknown_owner_or_group_is_told_and_leaves_nothing_behind(path):
-    assert "no-such-user" in refusal(path, owner="no-such-user")
-    assert "no-such-group" in refusal(path, group="no-such-group")
-    assert not path.exists()
-
-
-def test_a_path_that_is_too_long_is_told_with_its_length(folder):
+def test_a_path_that_is_too_long_is_reported_with_its_length(folder):
     path = folder / ("s" * (108 - len(os.fspath(folder)) - 1))
     assert "108 bytes" in refusal(path)
     fits = path.with_name(path.name[1:])
     UnixListener(ServerSettings(fits, POLICY)).close()
 
 
-def test_a_missing_folder_is_told(folder):
+def test_a_missing_folder_is_reported(folder):
     assert f"create the folder {folder}/none" in refusal(folder / "none" / "control.sock")
 
 
-def test_a_file_in_the_way_is_told_and_stays(path):
+def test_a_file_in_the_way_is_reported_and_stays(path):
     path.write_text("precious")
     assert "is no socket" in refusal(path)
     assert path.read_text() == "precious"
 
 
-def test_a_link_in_the_way_is_told_and_stays(path, folder):
+def test_a_link_in_the_way_is_reported_and_stays(path, folder):
     path.symlink_to(folder / "elsewhere")
     assert "is no socket" in refusal(path)
     assert path.is_symlink()
 
 
-def test_a_folder_that_cannot_be_written_is_told(folder):
+def test_a_folder_that_cannot_be_written_is_reported(folder):
     path = folder / "closed"
     path.mkdir(mode=0o555)
     with a_stranger():
@@ -109,10 +100,10 @@ def test_a_folder_that_cannot_be_written_is_told(folder):
 def test_a_socket_that_an_earlier_run_left_behind_is_replaced(path):
     listener_at(path).close()
     assert path.is_socket()
-    door = UnixListener(ServerSettings(path, POLICY))
+    listener = UnixListener(ServerSettings(path, POLICY))
     with socket.socket(socket.AF_UNIX) as client:
         client.connect(os.fspath(path))
-    door.close()
+    listener.close()
 
 
 @pytest.mark.parametrize("waiting", [0, 1])
@@ -146,7 +137,7 @@ def test_a_socket_that_may_not_be_opened_is_left_alone(path, folder):
         assert path.is_socket()
 
 
-def test_a_left_over_socket_that_cannot_be_removed_is_told(path):
+def test_a_left_over_socket_that_cannot_be_removed_is_reported(path):
     listener_at(path).close()
     path.chmod(0o777)
     path.parent.chmod(0o555)
@@ -156,7 +147,7 @@ def test_a_left_over_socket_that_cannot_be_removed_is_told(path):
     assert path.is_socket()
 
 
-def test_a_path_with_a_zero_byte_is_told(folder):
+def test_a_path_with_a_zero_byte_is_reported(folder):
     assert "cannot be a socket" in refusal(folder / "a\0b")
 
 
@@ -165,46 +156,31 @@ def test_a_refusal_leaves_no_descriptor_behind(path):
     files = len(os.listdir("/proc/self/fd"))
     for _ in range(3):
         refusal(path / "none" / "control.sock")
-        refusal(path / "control.sock", owner="no-such-user")
+        refusal(path)
     assert len(os.listdir("/proc/self/fd")) <= files  # the collector may close those of others
 
 
 def test_without_privileges_the_socket_stays_its_makers(path, folder):
     folder.chmod(0o777)
     with a_stranger():
-        door = UnixListener(ServerSettings(path, POLICY))
+        listener = UnixListener(ServerSettings(path, POLICY))
         assert path.stat().st_uid == os.geteuid()
         assert "CAP_CHOWN" in refusal(path.with_name("other"), owner=0 if os.geteuid() else 1)
-        door.close()
+        listener.close()
     assert not any(folder.iterdir())
 
 
 def test_closing_removes_the_socket(path):
-    door = UnixListener(ServerSettings(path, POLICY))
-    door.close()
+    listener = UnixListener(ServerSettings(path, POLICY))
+    listener.close()
     assert not path.exists()
-    door.close()
+    listener.close()
 
 
 def test_closing_leaves_the_socket_of_a_successor_alone(path):
-    door = UnixListener(ServerSettings(path, POLICY))
+    listener = UnixListener(ServerSettings(path, POLICY))
     path.unlink()
     successor = UnixListener(ServerSettings(path, POLICY))
-    door.close()
+    listener.close()
     assert path.is_socket()
     successor.close()
-
-
-def test_a_port_that_somebody_else_has_closes_nobody_out_of_the_socket(idle_api, folder):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-        server = idle_api.make(metrics_port=port)
-        server.open()
-    assert f"127.0.0.1 port {port}" in server.metrics_unavailable
-    assert "ss -ltnp" in server.metrics_unavailable
-    assert server.metrics_port is None
-    assert any(path.is_socket() for path in folder.iterdir())
-    server.close()
-    assert not any(folder.iterdir())

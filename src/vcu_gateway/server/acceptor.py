@@ -11,10 +11,10 @@ from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.rights import Policy, Right
 from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.counters import Counters
-from vcu_gateway.server.peer import peer_of
 from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.session import Limits, Session
+from vcu_gateway.server.sockets import peer_of
 
 _NOTHING_LEFT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _GIVEN_UP = (errno.ECONNABORTED, errno.EPROTO, errno.EINTR)

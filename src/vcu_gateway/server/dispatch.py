@@ -15,7 +15,7 @@ from vcu_gateway.daemon.reload import ReloadOutcome
 from vcu_gateway.server import queries
 from vcu_gateway.server.commands import CommandHandlers
 from vcu_gateway.server.context import ServerContext
-from vcu_gateway.server.restraint import LogRateLimit
+from vcu_gateway.server.rate_limit import LogRateLimit
 from vcu_gateway.server.service import Caller, Reply
 from vcu_gateway.server.stop_requests import STOPS
 

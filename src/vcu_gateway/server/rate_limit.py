@@ -1,10 +1,15 @@
-"""So many a second, and some of them at once."""
+"""Rate limits: a token bucket for requests, and at most one log line of a kind per second."""
+
+from collections.abc import Hashable
 
 from vcu_gateway.units import NS_PER_S
 
 
 class TokenBucket:
-    """A token bucket in integers: `take` only from `ready_ns` on."""
+    """Token bucket: at most `rate_per_s` requests a second, bursts of `burst`; integers only.
+
+    `take` is allowed from `ready_ns` on, in nanoseconds of the caller's clock.
+    """
 
     def __init__(self, rate_per_s: int, burst: int, now_ns: int) -> None:
         self._interval_ns = NS_PER_S // rate_per_s
@@ -13,9 +18,33 @@ class TokenBucket:
 
     @property
     def ready_ns(self) -> int:
-        """From when on the next one may be taken."""
+        """Earliest time of the next `take`."""
         return self._taken_until_ns + self._interval_ns
 
     def take(self, now_ns: int) -> None:
-        """One is taken now."""
+        """Remove one token; only from `ready_ns` on."""
         self._taken_until_ns = max(self.ready_ns, now_ns - self._burst_ns + self._interval_ns)
+
+
+_INTERVAL_NS = 1_000_000_000
+_MAX_KINDS = 100
+
+
+class LogRateLimit:
+    """Log rate limit: admits one of a kind per second and counts the others; at most 100 kinds."""
+
+    def __init__(self) -> None:
+        self._admitted_ns: dict[Hashable, int] = {}
+        self._suppressed: dict[Hashable, int] = {}
+
+    def admit(self, kind: Hashable, now_ns: int) -> int | None:
+        """Number suppressed since the last one admitted; None where this one is suppressed."""
+        if now_ns - self._admitted_ns.get(kind, now_ns - _INTERVAL_NS) < _INTERVAL_NS:
+            self._suppressed[kind] = self._suppressed.get(kind, 0) + 1
+            return None
+        if kind not in self._admitted_ns and len(self._admitted_ns) >= _MAX_KINDS:
+            oldest = min(self._admitted_ns, key=self._admitted_ns.__getitem__)
+            del self._admitted_ns[oldest]
+            self._suppressed.pop(oldest, None)
+        self._admitted_ns[kind] = now_ns
+        return self._suppressed.pop(kind, 0)

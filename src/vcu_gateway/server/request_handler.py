@@ -17,10 +17,14 @@ from vcu_gateway.api.results import Subscribed, Update
 from vcu_gateway.core.demand import Refusal
 from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.counters import Counters
-from vcu_gateway.server.lines import MAX_LINE_BYTES
 from vcu_gateway.server.service import Caller, Reply, RequestService
-from vcu_gateway.server.session import LINE_TOO_LONG, ReplyTo, Session
-from vcu_gateway.server.subscriptions import SubscriptionState
+from vcu_gateway.server.session import (
+    LINE_TOO_LONG,
+    MAX_LINE_BYTES,
+    ReplyTo,
+    Session,
+    SubscriptionState,
+)
 
 MAX_SUBSCRIPTIONS = 4
 """Of one connection."""

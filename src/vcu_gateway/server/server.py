@@ -19,7 +19,8 @@ from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.event_loop import EventLoop
 from vcu_gateway.server.reply_queue import ReplyQueue
 from vcu_gateway.server.service import RequestService
-from vcu_gateway.server.session import DEFAULT_LIMITS, Limits
+from vcu_gateway.server.session import Limits
+from vcu_gateway.server.settings import DEFAULT_LIMITS
 from vcu_gateway.server.sockets import ServerSettings, UnixListener, listen_on_loopback
 from vcu_gateway.server.tick_gaps import TickGaps
 

@@ -1,4 +1,4 @@
-"""One connection: what came in, what waits to go out, and when it has to end."""
+"""Session of one connection: buffers, pending requests, subscriptions and timeouts."""
 
 import select
 import socket
@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 from vcu_gateway.api.errors import RequestError
 from vcu_gateway.server.jsonrpc import RequestId
-from vcu_gateway.server.lines import LineBuffer
 from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
-from vcu_gateway.server.subscriptions import SubscriptionState
+from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.units import NS_PER_S
+
+MAX_LINE_BYTES = 65_536
+"""Longest line, without its newline."""
 
 _CHUNK_BYTES = 16_384
 
@@ -18,82 +20,127 @@ LINE_TOO_LONG = "line too long"
 LINE_LATE = "line not finished in time"
 OUTPUT_FULL = "too much output waits"
 OUTPUT_STUCK = "reader stands still"
-GAVE_WAY = "gave way to a new connection"
+EVICTED = "gave way to a new connection"
 
 
 class ReplyTo(NamedTuple):
-    """To whom an answer goes.
+    """Addressee of a reply.
 
     Attributes:
-        id: of the request; None where it had no good one.
-        wrong: what was wrong with a request that is done all the same.
+        id: of the request; None where it had no valid one.
+        error: of a malformed request that is carried out all the same.
     """
 
     id: RequestId | None
-    wrong: RequestError | None = None
+    error: RequestError | None = None
 
 
-class Limits(NamedTuple):
-    """What clients may cost.
+class LineBuffer:
+    """Received bytes, cut into lines of bounded length; at most one chunk more than a line."""
+
+    def __init__(self, max_line_bytes: int = MAX_LINE_BYTES) -> None:
+        self._max_line_bytes = max_line_bytes
+        self._buffer = bytearray()
+        self._searched_bytes = 0
+        self._newline_at = -1
+
+    def __len__(self) -> int:
+        return len(self._buffer)
+
+    @property
+    def has_line(self) -> bool:
+        """True while a whole line of permitted length can be taken."""
+        return 0 <= self._newline_at <= self._max_line_bytes
+
+    @property
+    def is_partial(self) -> bool:
+        """True while a line has begun and not ended."""
+        return self._newline_at < 0 and bool(self._buffer)
+
+    @property
+    def is_too_long(self) -> bool:
+        """True from the moment the next line exceeds the length; it stays so."""
+        end = self._newline_at if self._newline_at >= 0 else len(self._buffer)
+        return end > self._max_line_bytes
+
+    def feed(self, chunk: bytes) -> None:
+        """Append received bytes."""
+        self._buffer += chunk
+        self._search()
+
+    def end(self) -> None:
+        """End the stream: buffered bytes are the last line."""
+        if self.is_partial:
+            self.feed(b"\n")
+
+    def take(self) -> bytes:
+        """Remove and return the next line without its newline; only while `has_line`."""
+        line = bytes(self._buffer[: self._newline_at])
+        del self._buffer[: self._newline_at + 1]
+        self._newline_at, self._searched_bytes = -1, 0
+        self._search()
+        return line
+
+    def _search(self) -> None:
+        if self._newline_at < 0:
+            self._newline_at = self._buffer.find(b"\n", self._searched_bytes)
+            self._searched_bytes = len(self._buffer)
+
+
+class SubscriptionState:
+    """Subscription with updates on the grid origin_ns + n * period; the first at once.
 
     Attributes:
-        kept_places: of `clients`, for peers that may do more than read.
-        metrics_clients: connections to the metrics port.
-        rate_per_s: requests of one connection; `burst` of them at once.
-        patience_ns: for a line to end, and for a waiting reader to read on.
-        unanswered: requests of one connection that wait for their answer.
-        pause_ns: without accepting, after the system had nothing left for one more.
-        linger_ns: for what is pending at the end.
-    """
-
-    clients: int = 16
-    kept_places: int = 4
-    metrics_clients: int = 4
-    accepts_per_s: int = 100
-    rate_per_s: int = 200
-    burst: int = 50
-    unanswered: int = 16
-    output_bytes: int = 262_144
-    patience_ns: int = 10 * NS_PER_S
-    pause_ns: int = NS_PER_S
-    linger_ns: int = 300_000_000
-
-
-DEFAULT_LIMITS = Limits()
-
-
-class Session:
-    """A non-blocking stream socket with its buffers; it decides nothing about requests.
-
-    Attributes:
-        caller: None on the metrics port.
-        unanswered: addressee of each request without an answer, by our own number of it; None
-            where it was a notification.
-        head: the lines of an HTTP request so far; None while it speaks JSON.
-        peer_ended: the peer sends no more; `peer_is_gone`: nor does it read.
-        is_told: the service knows of that.
-        drives: it has made a demand; it is served between all the others.
-        waited: the next request was held up by the rate.
-        is_new: no line was taken yet.
-        active_ns: when it came, last asked for something, or was last sent something.
+        messages: names of the messages to send; None for all.
+        due_ns: due time of the next update.
+        lost: updates left out since the last one, because the reader was slow.
     """
 
     def __init__(
-        self, sock: socket.socket, caller: Caller | None, limits: Limits, now_ns: int
+        self, number: int, messages: list[str] | None, rate_hz: float, now_ns: int
+    ) -> None:
+        self.number = number
+        self.messages = messages
+        self.rate_hz = rate_hz
+        self.due_ns = now_ns
+        self.lost = 0
+        self._period_ns = round(NS_PER_S / rate_hz)
+
+    def advance(self, now_ns: int) -> int:
+        """Advance to the first point of the grid after `now_ns`; returns the points passed."""
+        points = (now_ns - self.due_ns) // self._period_ns + 1
+        self.due_ns += points * self._period_ns
+        return points
+
+
+class Session:
+    """Non-blocking stream socket with its buffers; requests are the `RequestHandler`'s.
+
+    Attributes:
+        rate: token bucket of its requests.
+        pending: addressee of each request without a reply, by our own number of it; None
+            where it was a notification.
+        peer_ended: the peer sends no more; `peer_is_lost`: nor does it read.
+        has_ended_demands: the service was asked to end its demands.
+        is_driver: it has made a demand; it is served between all the others.
+        is_delayed: the next request was held up by the rate.
+        active_ns: time of the connection, of its last request or of the last output to it.
+    """
+
+    def __init__(
+        self, sock: socket.socket, caller: Caller, limits: SessionLimits, now_ns: int
     ) -> None:
         self.sock = sock
         self.caller = caller
         self.lines = LineBuffer()
-        self.pace = TokenBucket(limits.rate_per_s, limits.burst, now_ns)
-        self.unanswered: dict[int, ReplyTo | None] = {}
+        self.rate = TokenBucket(limits.rate_per_s, limits.burst, now_ns)
+        self.pending: dict[int, ReplyTo | None] = {}
         self.subscriptions: dict[int, SubscriptionState] = {}
-        self.head: list[bytes] | None = [] if caller is None else None
-        self.peer_ended = self.peer_is_gone = self.is_told = False
-        self.waited = self.drives = False
-        self.is_new = True
+        self.peer_ended = self.peer_is_lost = self.has_ended_demands = False
+        self.is_delayed = self.is_driver = False
         self.active_ns = now_ns
         self._limits = limits
-        self._out = bytearray()
+        self._output = bytearray()
         self._is_read_to_end = False
         self._end_reason: str | None = None
         self._began_ns = now_ns
@@ -101,49 +148,49 @@ class Session:
 
     @property
     def has_output(self) -> bool:
-        """True while the peer has to read before anything goes on."""
-        return bool(self._out)
+        """True while output waits for the peer to read; nothing else goes on."""
+        return bool(self._output)
 
     @property
     def is_ending(self) -> bool:
-        """True once it ends as soon as its output is out."""
+        """True once it is to be closed after its output."""
         return self._end_reason is not None
 
     @property
     def live_subscriptions(self) -> list[SubscriptionState]:
-        """Those that go on: none of a connection that ends."""
+        """Subscriptions to send updates of; none of a connection that ends."""
         return [] if self.is_ending or self.peer_ended else [*self.subscriptions.values()]
 
     @property
     def has_request(self) -> bool:
-        """True where a line waits that the connection's limits on the answers let through."""
+        """True where a line waits and the limits on replies allow to handle it."""
         return self.lines.has_line and self._takes_requests
 
     @property
-    def wants_bytes(self) -> bool:
-        """True where there is room for more to be read."""
+    def wants_input(self) -> bool:
+        """True where more is to be read."""
         return self._takes_requests and not self._is_read_to_end and not self.lines.has_line
 
     @property
     def _takes_requests(self) -> bool:
-        room = len(self.unanswered) < self._limits.unanswered
-        return room and not self._out and not self.is_ending
+        has_capacity = len(self.pending) < self._limits.pending_requests
+        return has_capacity and not self._output and not self.is_ending
 
     @property
     def events(self) -> int:
-        """What to wait for, as epoll has it; nothing of a peer that is gone."""
-        if self.peer_is_gone:
+        """Events to wait for, as epoll has them; none of a peer that is lost."""
+        if self.peer_is_lost:
             return 0
-        events = select.EPOLLOUT if self._out else 0
+        events = select.EPOLLOUT if self._output else 0
         if not self.peer_ended:
-            # Its end is seen even while nothing is read: a demand must not outlive it.
-            events |= select.EPOLLRDHUP | (select.EPOLLIN if self.wants_bytes else 0)
+            # The end of the peer is seen even while nothing is read: a demand must not outlive it.
+            events |= select.EPOLLRDHUP | (select.EPOLLIN if self.wants_input else 0)
         return events
 
     def receive(self, now_ns: int) -> None:
-        """Read one chunk, or learn that nothing more comes."""
+        """Read one chunk, or the end of the stream."""
         if not self.lines.is_partial:
-            self._begin(now_ns)
+            self._start_timeout(now_ns)
         chunk = self._receive_chunk()
         if chunk:
             self.lines.feed(chunk)
@@ -152,107 +199,106 @@ class Session:
             self._is_read_to_end = self.peer_ended = True
 
     def _receive_chunk(self) -> bytes | None:
-        """Empty at the end; None where nothing is there yet."""
+        """Chunk read; empty at the end, None where nothing has arrived."""
         try:
             return self.sock.recv(_CHUNK_BYTES)
         except BlockingIOError:
             return b"" if self.peer_ended else None
         except OSError:
-            self.lose()
+            self.mark_lost()
             return b""
 
     def take_line(self, now_ns: int) -> bytes:
-        """The next line; the one behind it begins now."""
+        """Next line; the timeout of the one behind it begins now."""
         self.active_ns = now_ns
-        self._begin(now_ns)
+        self._start_timeout(now_ns)
         return self.lines.take()
 
-    def _begin(self, now_ns: int) -> None:
-        """The time for a line begins to run; that for an HTTP head runs from its first line."""
-        if self.head is None:
-            self._began_ns = now_ns
+    def _start_timeout(self, now_ns: int) -> None:
+        """Start the timeout of the next line."""
+        self._began_ns = now_ns
 
-    def answered(self, number: int, now_ns: int) -> ReplyTo | None:
-        """Forget this request; None for a notification or one that is forgotten."""
-        if len(self.unanswered) == self._limits.unanswered:
-            self._begin(now_ns)  # nothing was read meanwhile
-        return self.unanswered.pop(number, None)
+    def take_pending(self, number: int, now_ns: int) -> ReplyTo | None:
+        """Remove a pending request; None for a notification or an unknown number."""
+        if len(self.pending) == self._limits.pending_requests:
+            self._start_timeout(now_ns)  # nothing was read meanwhile
+        return self.pending.pop(number, None)
 
     def send(self, data: bytes, now_ns: int) -> None:
-        """Send now, or keep what the peer has no room for."""
-        if self.peer_is_gone:
+        """Send now, and buffer what the kernel does not take."""
+        if self.peer_is_lost:
             return
         self.active_ns = now_ns
-        if not self._out:
+        if not self._output:
             self._progress_ns = now_ns
-        self._out += data
+        self._output += data
         self.flush(now_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Send what waits, as far as there is room."""
+        """Send buffered output as far as the kernel takes it."""
         try:
-            sent = self.sock.send(self._out, socket.MSG_NOSIGNAL)
+            sent = self.sock.send(self._output, socket.MSG_NOSIGNAL)
         except BlockingIOError:
             return
         except OSError:
-            self.lose()
+            self.mark_lost()
             return
-        del self._out[:sent]
+        del self._output[:sent]
         self._progress_ns = now_ns
-        self._begin(now_ns)
+        self._start_timeout(now_ns)
 
     def end_after_output(self, reason: str) -> None:
-        """Read nothing more; end when the output is out. An empty reason is an ordinary end."""
+        """Read nothing more and close after the output; an empty reason is an ordinary end."""
         self._end_reason = reason
 
-    def lose(self) -> None:
-        """The peer reads no more: what waits for it is dropped."""
-        self.peer_ended = self.peer_is_gone = True
-        self._out.clear()
+    def mark_lost(self) -> None:
+        """Note that the peer reads no more, and drop its output."""
+        self.peer_ended = self.peer_is_lost = True
+        self._output.clear()
 
-    def verdict(self, now_ns: int) -> str | None:
-        """Why it has to end now, empty where all is done; None where it goes on."""
-        if self._out:
-            return self._verdict_on_output(now_ns)
+    def close_reason(self, now_ns: int) -> str | None:
+        """Reason to close it now, empty for an ordinary end; None where it goes on."""
+        if self._output:
+            return self._output_close_reason(now_ns)
         if self._end_reason is not None:
             return self._end_reason
         if self._is_late(now_ns):
             return LINE_LATE
         return "" if self._is_done(now_ns) else None
 
-    def next_ns(self, now_ns: int) -> int | None:
-        """When something has to be done without the peer; None where nothing has."""
+    def next_check_ns(self, now_ns: int) -> int | None:
+        """Time of the next check without an event; None where only events matter."""
         times_ns = [subscription.due_ns for subscription in self.live_subscriptions]
-        if self._out:
-            times_ns.append(self._progress_ns + self._limits.patience_ns)
+        if self._output:
+            times_ns.append(self._progress_ns + self._limits.timeout_ns)
         elif self.has_request:
-            times_ns.append(self.pace.ready_ns)
-        elif self.peer_ended and self.wants_bytes:
-            times_ns.append(now_ns)  # epoll tells nothing more of it
-        elif self._is_expected:
-            times_ns.append(self._began_ns + self._limits.patience_ns)
+            times_ns.append(self.rate.ready_ns)
+        elif self.peer_ended and self.wants_input:
+            times_ns.append(now_ns)  # epoll reports nothing more of it
+        elif self._awaits_input:
+            times_ns.append(self._began_ns + self._limits.timeout_ns)
         return min(times_ns, default=None)
 
     def _is_done(self, now_ns: int) -> bool:
-        if self.peer_is_gone and self._has_to_wait(now_ns):
-            return True  # nobody would read the answers
-        is_answered = self.peer_is_gone or not self.unanswered
-        return self._is_read_to_end and not self.lines.has_line and is_answered
+        if self.peer_is_lost and self._has_to_wait(now_ns):
+            return True  # nobody would read the replies
+        has_replied = self.peer_is_lost or not self.pending
+        return self._is_read_to_end and not self.lines.has_line and has_replied
 
     def _has_to_wait(self, now_ns: int) -> bool:
-        is_held_up = self.lines.has_line and now_ns < self.pace.ready_ns
+        is_held_up = self.lines.has_line and now_ns < self.rate.ready_ns
         return is_held_up or not self._takes_requests
 
-    def _verdict_on_output(self, now_ns: int) -> str | None:
-        if len(self._out) > self._limits.output_bytes:
+    def _output_close_reason(self, now_ns: int) -> str | None:
+        if len(self._output) > self._limits.output_bytes:
             return OUTPUT_FULL
-        is_stuck = now_ns - self._progress_ns >= self._limits.patience_ns
+        is_stuck = now_ns - self._progress_ns >= self._limits.timeout_ns
         return OUTPUT_STUCK if is_stuck else None
 
     def _is_late(self, now_ns: int) -> bool:
-        return self._is_expected and now_ns - self._began_ns >= self._limits.patience_ns
+        return self._awaits_input and now_ns - self._began_ns >= self._limits.timeout_ns
 
     @property
-    def _is_expected(self) -> bool:
-        """True while the peer owes the rest of a line, or of a head."""
-        return self.wants_bytes and (self.lines.is_partial or self.head is not None)
+    def _awaits_input(self) -> bool:
+        """True while the peer has to send the rest of a line."""
+        return self.wants_input and self.lines.is_partial

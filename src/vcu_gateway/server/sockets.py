@@ -1,20 +1,18 @@
-"""The listening sockets: a path that only the right people open, and a port of this machine."""
+"""Listening Unix socket, and the credentials of the peer (SO_PEERCRED, SO_PEERGROUPS)."""
 
 import errno
-import grp
 import os
-import pwd
 import socket
 import stat
-from pathlib import Path
-from typing import NamedTuple
+import struct
 
-from vcu_gateway.api.rights import Policy
+from vcu_gateway.api.rights import Peer
 from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.server.settings import ServerSettings
 
 _MAX_PATH_BYTES = 107
 _BACKLOG = 64
-_AS_MADE = -1, -1  # of an owner and a group: chown leaves both as they are
+_UNCHANGED = -1  # chown leaves this owner or group as it is
 _REMEDIES = {
     errno.ENOENT: "create the folder {folder}; a service gets it from RuntimeDirectory=",
     errno.ENOTDIR: "{folder} must be a folder",
@@ -24,47 +22,25 @@ _REMEDIES = {
 }
 
 
-class ServerSettings(NamedTuple):
-    """Where the API listens, and who may do what.
-
-    Attributes:
-        owner: of the socket, name or number; None leaves it as it is. group: the same.
-        mode: permission bits of the socket.
-        metrics_port: of 127.0.0.1, 0 for any, for `GET /metrics` alone; None for no port.
-    """
-
-    socket_path: Path
-    policy: Policy
-    owner: str | int | None = None
-    group: str | int | None = None
-    mode: int = 0o660
-    metrics_port: int | None = None
-
-
 class UnixListener:
-    """The listening Unix socket, and its name in the file system."""
+    """Listening Unix socket that owns its name in the file system."""
 
     def __init__(self, settings: ServerSettings) -> None:
         """Bind and listen; UnavailableError, with what to do, where that cannot be."""
         self._path = os.fspath(settings.socket_path)
         _check_path(self._path)
-        _make_room(self._path)
+        _remove_leftover(self._path)
         self._identity: tuple[int, int] | None = None
-        self.sock = _socket(socket.AF_UNIX)
+        self.sock = _socket()
         try:
             self.sock.bind(self._path)
             self._identity = _identity(self._path)
-            # The service's sandbox refuses even a chown that changes nothing.
-            if (owners := _owners(settings)) != _AS_MADE:
-                os.chown(self._path, *owners)
+            _set_owner(self._path, settings.owner, settings.group)
             os.chmod(self._path, settings.mode)
             self.sock.listen(_BACKLOG)  # last: nobody connects before the rights are set
         except OSError as error:
             self.close()
             raise UnavailableError(_explain(self._path, error)) from error
-        except UnavailableError:
-            self.close()
-            raise
 
     def close(self) -> None:
         """Stop listening and remove the name, unless it is somebody else's by now."""
@@ -74,23 +50,8 @@ class UnixListener:
         self._identity = None
 
 
-def listen_on_loopback(port: int) -> socket.socket:
-    """A TCP socket of this machine alone; UnavailableError where the port cannot be had."""
-    sock = _socket(socket.AF_INET)
-    try:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind(("127.0.0.1", port))
-        sock.listen(_BACKLOG)
-    except OSError as error:
-        sock.close()
-        what = f"cannot listen on 127.0.0.1 port {port}: {error.strerror}"
-        remedy = f"choose another port, or look who has it: ss -ltnp 'sport = :{port}'"
-        raise UnavailableError(Problem(what, remedy=remedy)) from error
-    return sock
-
-
-def _socket(family: socket.AddressFamily) -> socket.socket:
-    sock = socket.socket(family, socket.SOCK_STREAM)
+def _socket() -> socket.socket:
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     sock.setblocking(False)
     return sock
 
@@ -103,7 +64,7 @@ def _check_path(path: str) -> None:
 
 
 def _identity(path: str) -> tuple[int, int] | None:
-    """Device and inode of what has this name; None where nothing has."""
+    """Device and inode at this path; None where there is nothing."""
     try:
         found = os.lstat(path)
     except OSError:
@@ -111,23 +72,23 @@ def _identity(path: str) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
-def _make_room(path: str) -> None:
+def _remove_leftover(path: str) -> None:
     """Remove the socket that an earlier run left behind; leave everything else alone."""
     try:
         kind = os.lstat(path).st_mode
     except OSError:
-        return  # binding tells what is wrong, if anything is
+        return  # bind reports what is wrong, if anything is
     if not stat.S_ISSOCK(kind):
         what = f"{path} exists and is no socket"
         raise UnavailableError(Problem(what, remedy="remove it, or choose another path"))
     try:
-        with _socket(socket.AF_UNIX) as probe:
+        with _socket() as probe:
             probe.connect(path)
     except ConnectionRefusedError:
         _remove_stale(path)
         return
     except BlockingIOError:
-        pass  # its backlog is full: it lives
+        pass  # its backlog is full: the process lives
     except OSError as error:
         raise UnavailableError(_explain(path, error)) from error
     remedy = f"stop it, or choose another path; look who it is: ss -lxp src {path}"
@@ -142,19 +103,36 @@ def _remove_stale(path: str) -> None:
         raise UnavailableError(Problem(what, remedy=f"rm {path}")) from error
 
 
-def _owners(settings: ServerSettings) -> tuple[int, int]:
-    """User and group number; -1 leaves it as it is."""
-    owner, group = settings.owner, settings.group
-    try:
-        uid = pwd.getpwnam(owner).pw_uid if isinstance(owner, str) else owner
-        gid = grp.getgrnam(group).gr_gid if isinstance(group, str) else group
-    except KeyError as error:
-        what = f"the socket's owner or group does not exist: {error.args[0]}"
-        raise UnavailableError(Problem(what, remedy="create it, or name another one")) from error
-    return -1 if uid is None else uid, -1 if gid is None else gid
+def _set_owner(path: str, owner: int | None, group: int | None) -> None:
+    # The service's sandbox refuses even a chown that changes nothing.
+    if owner is not None or group is not None:
+        uid = _UNCHANGED if owner is None else owner
+        gid = _UNCHANGED if group is None else group
+        os.chown(path, uid, gid)
 
 
 def _explain(path: str, error: OSError) -> Problem:
     folder = os.path.dirname(path) or "."
     remedy = _REMEDIES.get(error.errno or 0, "look at: ls -ld {folder}").format(folder=folder)
     return Problem(f"cannot listen at {path}: {error.strerror}", remedy=remedy)
+
+
+_UCRED = struct.Struct("iII")
+_SO_PEERGROUPS = 59  # Linux 4.13; the socket module does not name it
+_GROUPS_BYTES = 1024  # the most that getsockopt takes here: 256 groups
+
+
+def peer_of(sock: socket.socket) -> Peer:
+    """Process, user and groups of the peer when it connected; a later change does not count."""
+    credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
+    pid, uid, gid = _UCRED.unpack(credentials)
+    return Peer(pid, uid, frozenset({gid, *_further_groups(sock)}))
+
+
+def _further_groups(sock: socket.socket) -> tuple[int, ...]:
+    """Supplementary groups; none where the kernel cannot say, so that no right is gained."""
+    try:
+        data = sock.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUPS_BYTES)
+    except OSError:
+        return ()
+    return struct.unpack(f"{len(data) // 4}I", data)
