@@ -22,11 +22,11 @@ from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.server import health
 from vcu_gateway.server.context import ServerContext
-from vcu_gateway.server.definition import definition
 from vcu_gateway.server.dispatch import Dispatcher
 from vcu_gateway.server.server import Server
 from vcu_gateway.server.sockets import ServerSettings
 from vcu_gateway.server.tick_gaps import TickGaps
+from vcu_gateway.server.views import definition
 
 _NS_PER_S = 1_000_000_000
 _DIGEST_CHARACTERS = 16

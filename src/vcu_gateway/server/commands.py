@@ -1,4 +1,4 @@
-"""Methods that ask for something: carried out on the ticking thread, between its ticks."""
+"""Handlers of the methods that change something: run on the ticking thread, between its ticks."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -21,94 +21,93 @@ from vcu_gateway.daemon.event_log import LoggedEvent
 from vcu_gateway.server import views
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.service import Caller
-from vcu_gateway.server.sources import Sources
 from vcu_gateway.units import NS_PER_MS
 
 
 class CommandHandlers:
-    """Carries requests out; belongs to the ticking thread."""
+    """Handlers of commands; used by the ticking thread alone, but for `owns_demand`."""
 
-    def __init__(self, program: ServerContext) -> None:
-        self._program = program
-        self._requests = program.daemon.gateway.requests
-        self._sources = Sources()
+    def __init__(self, context: ServerContext) -> None:
+        self._context = context
+        self._requests = context.loop.gateway.requests
+        self._sources = DemandSources()
 
-    def carry_out(self, method: str, params: Any, caller: Caller) -> Mapping[str, Any]:
-        """The result; Failure where the request is refused."""
-        result: Mapping[str, Any] = _ASKING[method](self, params, caller)
+    def execute(self, method: str, params: Any, caller: Caller) -> Mapping[str, Any]:
+        """Result of the command; RequestError where it is refused."""
+        result: Mapping[str, Any] = _COMMANDS[method](self, params, caller)
         return result
 
     def owns_demand(self, caller: Caller) -> bool:
         """True while a fresh demand of this connection counts; from any thread."""
-        desk = self._requests.desk
-        demand = desk.current
-        if demand is None or not desk.fresh(time.monotonic_ns()):
+        arbiter = self._requests.arbiter
+        demand = arbiter.current
+        if demand is None or not arbiter.fresh(time.monotonic_ns()):
             return False
         return self._sources.owner_of(demand.source) == caller.connection
 
     def end_demands_of(self, caller: Caller) -> None:
-        """The connection has ended, and its demand with it."""
-        for source in self._sources.forget(caller.connection):
+        """End the demands of a connection that has ended."""
+        for source in self._sources.free(caller.connection):
             self._requests.end_demand(source, time.monotonic_ns())
 
     def set_demand(self, params: methods.DemandParams, caller: Caller) -> results.Granted:
-        """Take a demand."""
+        """Offer a demand to the gateway."""
         owner = self._sources.owner_of(params.source)
         if owner is not None and owner != caller.connection:
             sentence = f"another connection is source {params.source}; use a name of your own"
             raise _refused(Refusal.OTHER_OWNER, sentence)
-        demand = demand_of(params, self._program.daemon.gateway.settings)
+        demand = demand_of(params, self._context.loop.gateway.settings)
         answer = self._requests.offer(demand, time.monotonic_ns())
         if answer.granted:
-            self._sources.note(params.source, caller.connection)
+            self._sources.claim(params.source, caller.connection)
         return self._granted(answer)
 
     def release(self, params: methods.ReleaseParams, caller: Caller) -> results.Granted:
-        """End one's own demand."""
+        """End a demand of this connection."""
         if self._sources.owner_of(params.source) != caller.connection:
             sentence = f"this connection is not source {params.source}"
             raise _refused(Refusal.OTHER_OWNER, sentence)
         return self._granted(self._requests.end_demand(params.source, time.monotonic_ns()))
 
     def arm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """From standby to active."""
-        return self._told("arm", caller, self._requests.arm(time.monotonic_ns()))
+        """Ask for the transition from standby to active."""
+        return self._logged("arm", caller, self._requests.arm(time.monotonic_ns()))
 
     def disarm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """From active to standby."""
-        return self._told("disarm", caller, self._requests.disarm(time.monotonic_ns()))
+        """Ask for the transition from active to standby."""
+        return self._logged("disarm", caller, self._requests.disarm(time.monotonic_ns()))
 
     def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         """Cut the power."""
-        return self._told("estop", caller, self._requests.emergency_stop())
+        return self._logged("estop", caller, self._requests.emergency_stop())
 
     def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
-        """From fault to starting."""
+        """Ask for the transition from fault to starting."""
         level = FaultClass(params.level)
-        return self._told("reset", caller, self._requests.reset(level, time.monotonic_ns()))
+        return self._logged("reset", caller, self._requests.reset(level, time.monotonic_ns()))
 
-    def _told(self, what: str, caller: Caller, answer: RequestResult) -> results.Granted:
-        """As `_granted`, with who asked in the journal."""
+    def _logged(self, what: str, caller: Caller, answer: RequestResult) -> results.Granted:
+        """Result as `_granted` makes it, with the peer in the event log."""
         peer = {"uid": caller.peer.uid, "pid": caller.peer.pid}
         fields = {"request": what, "granted": answer.granted, **peer}
-        self._program.daemon.journal.tell(Event("api_request", Severity.INFO, fields))
+        self._context.loop.event_log.emit(Event("api_request", Severity.INFO, fields))
         return self._granted(answer)
 
     def _granted(self, answer: RequestResult) -> results.Granted:
-        self._program.daemon.explain_anew()
+        self._context.loop.refresh_why()
         if answer.refusal is not None:
             raise _refused(answer.refusal, answer.sentence)
-        mode = self._program.daemon.gateway.supervisor.mode
+        mode = self._context.loop.gateway.mode
         return {"granted": True, "mode": views.mode_name(mode)}
 
     def events(self, params: methods.EventsParams, _: Caller) -> results.Events:
-        """The latest of the journal."""
-        now_ns, journal = time.monotonic_ns(), self._program.daemon.journal
-        entries = [_entry(entry, now_ns) for entry in journal.latest(params.limit)]
-        return {"events": entries, "forgotten": journal.forgotten}
+        """Latest entries of the event log."""
+        now_ns, event_log = time.monotonic_ns(), self._context.loop.event_log
+        entries = [_entry(entry, now_ns) for entry in event_log.latest(params.limit)]
+        return {"events": entries, "forgotten": event_log.forgotten}
 
 
-_ASKING: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
+_COMMANDS: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
     "demand.set": CommandHandlers.set_demand,
     "demand.release": CommandHandlers.release,
     "arm": CommandHandlers.arm,
@@ -118,12 +117,12 @@ _ASKING: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
     "events": CommandHandlers.events,
 }
 
-COMMANDS = frozenset(_ASKING)
-"""The methods of this kind."""
+COMMANDS = frozenset(_COMMANDS)
+"""Names of the methods handled here."""
 
 
 def demand_of(params: methods.DemandParams, settings: Settings) -> Demand:
-    """The demand that is meant; Failure where it says both `values` and `controllers`, or none."""
+    """Demand from its parameters; RequestError unless one of `values`, `controllers` is given."""
     if (params.values is None) is (params.controllers is None):
         sentence = "give either values, for both controllers, or controllers, one for each"
         raise RequestError(ErrorCode.INVALID_PARAMS, sentence)
@@ -131,7 +130,7 @@ def demand_of(params: methods.DemandParams, settings: Settings) -> Demand:
         both = _controller_demand(params.values, settings)
         controllers = dict.fromkeys(CONTROLLERS, both)
     else:
-        given = cast(Mapping[str, methods.Values], params.controllers)
+        given = cast(Mapping[str, methods.ControllerParams], params.controllers)
         controllers = {name: _controller_demand(one, settings) for name, one in given.items()}
     return Demand(
         source=params.source,
@@ -142,7 +141,7 @@ def demand_of(params: methods.DemandParams, settings: Settings) -> Demand:
     )
 
 
-def _controller_demand(values: methods.Values, settings: Settings) -> ControllerDemand:
+def _controller_demand(values: methods.ControllerParams, settings: Settings) -> ControllerDemand:
     speed_rpm, power_w = values.speed_limit_rpm, values.power_limit_w
     return ControllerDemand(
         throttle_pct=values.throttle_pct,
@@ -171,3 +170,28 @@ def _entry(entry: LoggedEvent, now_ns: int) -> results.EventEntry:
         "last_ms": (now_ns - entry.last_ns) / NS_PER_MS,
         "last_time": entry.last_time(),
     }
+
+
+class DemandSources:
+    """Owners of source names: the connection that first made a demand in a name, until it ends.
+
+    Used by the ticking thread, read by the API's.
+    """
+
+    def __init__(self) -> None:
+        self._owners: dict[str, int] = {}
+
+    def owner_of(self, source: str) -> int | None:
+        """Number of the connection; None where the name is free."""
+        return self._owners.get(source)
+
+    def claim(self, source: str, connection: int) -> None:
+        """Give the name to this connection."""
+        self._owners[source] = connection
+
+    def free(self, connection: int) -> tuple[str, ...]:
+        """Free the names of this connection; returns them."""
+        own = tuple(name for name, owner in self._owners.items() if owner == connection)
+        for name in own:
+            del self._owners[name]
+        return own

@@ -1,4 +1,4 @@
-"""The program that the API's methods ask."""
+"""Server context: the parts of the program that the handlers of requests use."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,25 +12,23 @@ from vcu_gateway.server.health import RunFacts
 
 
 class ServerContext(NamedTuple):
-    """Its parts.
+    """Parts of the running program, put together by `app`.
 
     Attributes:
-        metrics: makes the metrics' text; None where they are not installed.
-        api_counts: the API's own figures.
+        api_counts: counters of the API.
     """
 
-    daemon: TickLoop
+    loop: TickLoop
     bus: BusSettings
     in_effect: EffectiveConfig
     reloader: Reloader
     facts: RunFacts
     protocol: results.Protocol
-    metrics: Callable[[], bytes] | None
     api_counts: Callable[[], results.ApiCounts]
 
     def latest(self) -> LastTick:
-        """The last tick; Failure before the first."""
-        latest = self.daemon.latest
+        """Last tick; RequestError before the first."""
+        latest = self.loop.latest
         if latest is None:
             raise RequestError(ErrorCode.NOT_READY, "the gateway has not ticked yet; try again")
         return latest

@@ -1,7 +1,7 @@
-"""The service behind the server: each method's answer, on the thread that may give it.
+"""Dispatcher of requests: queries on the API's thread, commands on the ticking thread.
 
-`methods.METHODS` on one side and `READING`, `ASKING`, the reload here and the server's
-subscriptions on the other name the same methods; a test says so.
+`methods.METHODS` has an entry for every method in `QUERIES`, `COMMANDS`, for the reload and for
+the subscriptions, and no others; a test says so.
 """
 
 import time
@@ -23,33 +23,33 @@ RELOAD = "config.reload"
 
 
 class Dispatcher:
-    """Implements `service.Service`."""
+    """Implementation of `service.RequestService`."""
 
-    def __init__(self, program: ServerContext) -> None:
-        self._program = program
-        self._inbox = program.daemon.inbox
-        self._asking = CommandHandlers(program)
-        self._restraint = LogRateLimit()
+    def __init__(self, context: ServerContext) -> None:
+        self._context = context
+        self._work_queue = context.loop.work_queue
+        self._commands = CommandHandlers(context)
+        self._log_limit = LogRateLimit()
 
-    def begin(
+    def handle(
         self,
         method: str,
         params: methods.Params,
         caller: Caller,
         reply: Callable[[Reply], None],
     ) -> None:
-        """Answer one permitted request through `reply`: at once, or from the ticking thread."""
+        """Handle a permitted request; `reply` is called at once, or from the ticking thread."""
         try:
             if method in queries.QUERIES:
-                reply(queries.QUERIES[method](self._program, params))
+                reply(queries.QUERIES[method](self._context, params))
             elif method == RELOAD:
                 self._reload(reply)
             else:
-                self._ask(method, params, caller, reply)
+                self._enqueue(method, params, caller, reply)
         except RequestError as failure:
             reply(failure)
 
-    def _ask(
+    def _enqueue(
         self,
         method: str,
         params: methods.Params,
@@ -57,66 +57,59 @@ class Dispatcher:
         reply: Callable[[Reply], None],
     ) -> None:
         if method not in STOPS:
-            self._check_ready()
+            self._check_capacity()
 
-        def carry_out() -> None:
+        def execute() -> None:
             try:
-                reply(self._asking.carry_out(method, params, caller))
+                reply(self._commands.execute(method, params, caller))
             except RequestError as failure:
                 reply(failure)
 
-        self._inbox.post(carry_out)
+        self._work_queue.post(execute)
 
-    def _check_ready(self) -> None:
-        self._program.latest()
-        if self._inbox.full:
+    def _check_capacity(self) -> None:
+        self._context.latest()
+        if self._work_queue.full:
             raise RequestError(
                 ErrorCode.NOT_READY, "too many requests wait for the next tick; try again"
             )
 
     def _reload(self, reply: Callable[[Reply], None]) -> None:
-        self._program.latest()
-        self._program.reloader.begin(lambda outcome: reply(self._reloaded(outcome)))
+        self._context.latest()
+        self._context.reloader.begin(lambda outcome: reply(self._reload_result(outcome)))
 
-    def _reloaded(self, outcome: ReloadOutcome) -> Reply:
+    def _reload_result(self, outcome: ReloadOutcome) -> Reply:
         if not outcome.taken:
             sentence = f"the configuration stays as it was: {outcome.problems[0]}"
             return RequestError(ErrorCode.CONFIG_REFUSED, sentence, problems=outcome.problems)
-        digest = configuration.digest(self._program.in_effect.config)
+        digest = configuration.digest(self._context.in_effect.config)
         return {"changed": list(outcome.changed), "digest": digest}
 
     def state(self, messages: list[str] | None) -> results.State:
-        """What is known now; Failure for a message that the gateway does not receive."""
-        return queries.state(self._program, messages)
-
-    def metrics(self) -> bytes:
-        """The metrics' text; Failure where they are not installed."""
-        if self._program.metrics is None:
-            sentence = "metrics need an extra: pip install 'vcu-gateway[metrics]'"
-            raise RequestError(ErrorCode.NOT_READY, sentence)
-        return self._program.metrics()
+        """Current state; RequestError for a message that the gateway does not receive."""
+        return queries.state(self._context, messages)
 
     def owns_demand(self, caller: Caller) -> bool:
         """True while a fresh demand of this connection counts."""
-        return self._asking.owns_demand(caller)
+        return self._commands.owns_demand(caller)
 
-    def refused(self, method: str, caller: Caller, sentence: str) -> None:
-        """Have it logged that a right was missing."""
-        self._note("api_refused", caller, {"method": method, "sentence": sentence})
+    def log_refused(self, method: str, caller: Caller, sentence: str) -> None:
+        """Log a request that was refused for want of a right."""
+        self._log("api_refused", caller, {"method": method, "sentence": sentence})
 
-    def closed(self, caller: Caller, reason: str) -> None:
-        """Have it logged that the gateway ended a connection."""
-        self._note("api_client_closed", caller, {"reason": reason})
+    def log_closed(self, caller: Caller, reason: str) -> None:
+        """Log a connection that the gateway closed."""
+        self._log("api_client_closed", caller, {"reason": reason})
 
-    def _note(self, name: str, caller: Caller, fields: Mapping[str, object]) -> None:
-        what = (name, caller.peer.uid, *fields.values())
-        untold = self._restraint.untold(what, time.monotonic_ns())
-        if untold is None:
+    def _log(self, name: str, caller: Caller, fields: Mapping[str, object]) -> None:
+        kind = (name, caller.peer.uid, *fields.values())
+        suppressed = self._log_limit.admit(kind, time.monotonic_ns())
+        if suppressed is None:
             return
-        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid, "untold": untold}
+        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid, "untold": suppressed}
         event = Event(name, Severity.WARNING, {**fields, **peer})
-        self._inbox.post(lambda: self._program.daemon.journal.tell(event))
+        self._work_queue.post(lambda: self._context.loop.event_log.emit(event))
 
-    def gone(self, caller: Caller) -> None:
-        """The demand of a connection ends with it."""
-        self._inbox.post(lambda: self._asking.end_demands_of(caller))
+    def end_demands(self, caller: Caller) -> None:
+        """End the demands of a connection that has ended."""
+        self._work_queue.post(lambda: self._commands.end_demands_of(caller))

@@ -1,4 +1,4 @@
-"""How the gateway itself fares, in the API's shape."""
+"""State of the gateway itself, as the API reports it."""
 
 import importlib.metadata
 import os
@@ -14,11 +14,12 @@ from vcu_gateway.api import results
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.schedule import Schedule, percentile_ns
+from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, percentile_ns
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.server import views
-from vcu_gateway.units import NS_PER_MS, NS_PER_US
+from vcu_gateway.server.process_usage import process_usage
+from vcu_gateway.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 _VERSIONS: results.Versions = {
     "vcu_gateway": __version__,
@@ -30,21 +31,27 @@ _VERSIONS: results.Versions = {
 
 @dataclass(slots=True)
 class RunFacts:
-    """What is known of this run from its start on.
+    """Facts about this run, known from its start on.
 
     Attributes:
         start: this start; None where starts are not counted.
-        log_lines_dropped: asks the log's writer.
+        log_lines_dropped: number of lines that the log's writer dropped.
+        started_ns: CLOCK_MONOTONIC; start_time_s: the same, seconds since 1970.
     """
 
     protocol_digest: str
     start: CountedStart | None
     log_lines_dropped: Callable[[], int]
     started_ns: int = field(default_factory=time.monotonic_ns)
+    start_time_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        age_s = (time.monotonic_ns() - self.started_ns) / NS_PER_S
+        self.start_time_s = time.time() - age_s
 
 
 def started(config: Config) -> Event:
-    """What a log begins with: which program, with which configuration, on what."""
+    """First event of a log: versions, configuration, interface."""
     fields = {
         "version": __version__,
         "config_file": os.path.abspath(config.source.file),
@@ -58,35 +65,41 @@ def started(config: Config) -> Event:
 
 
 def health(
-    daemon: TickLoop, bus: BusSettings, config: Config, facts: RunFacts, api: results.ApiCounts
+    loop: TickLoop,
+    bus: BusSettings,
+    config: Config,
+    facts: RunFacts,
+    api: results.ApiCounts,
+    now_ns: int,
 ) -> results.Health:
-    """Everything at this instant; read from any thread."""
-    now_ns = time.monotonic_ns()
+    """Result of `health` at this instant; from any thread."""
     return {
         "pid": os.getpid(),
         "uptime_ms": views.milliseconds(now_ns - facts.started_ns) or 0.0,
+        "start_time_s": facts.start_time_s,
         "starts": facts.start and facts.start.number,
         "unexpected_restarts": facts.start and facts.start.unexpected,
         "config_file": config.source.file,
         "config_digest": configuration.digest(config),
         "protocol_digest": facts.protocol_digest,
-        "link": _link(daemon, bus, now_ns),
-        "ticks": _ticks(daemon.schedule, daemon.silent_ticks),
-        "frames": _frames(daemon),
+        "link": _link(loop, bus, now_ns),
+        "ticks": _ticks(loop.schedule, loop.silent_ticks),
+        "frames": _frames(loop),
         "api": api,
         "log_lines_dropped": facts.log_lines_dropped(),
+        "process": process_usage(),
         "versions": _VERSIONS,
     }
 
 
-def _link(daemon: TickLoop, bus: BusSettings, now_ns: int) -> results.Link:
-    link = daemon.gateway.link
+def _link(loop: TickLoop, bus: BusSettings, now_ns: int) -> results.Link:
+    link = loop.gateway.link
     return {
         "interface": bus.interface,
         "channel": bus.channel,
         "state": link.state.value,
         "since_ms": (now_ns - link.since_ns) / NS_PER_MS,
-        "lost": daemon.door.lost,
+        "lost": loop.connection.lost,
     }
 
 
@@ -107,19 +120,29 @@ def _ticks(schedule: Schedule, silent: int) -> results.Ticks:
         "lateness_p99_us": at(0.99),
         "lateness_max_us": at(1.0),
         "lateness_ticks": len(recent_ns),
+        "lateness_histogram": _lateness_histogram(schedule),
     }
 
 
-def _frames(daemon: TickLoop) -> results.FrameCounts:
-    door = daemon.door
+def _lateness_histogram(schedule: Schedule) -> list[results.LatenessBin]:
+    bounds_us = [*(bound_ns / NS_PER_US for bound_ns in LATENESS_BOUNDS_NS), None]
+    counts = tuple(schedule.lateness_counts)  # copied at once: the ticking thread writes it
+    return [
+        {"up_to_us": bound_us, "ticks": ticks}
+        for bound_us, ticks in zip(bounds_us, counts, strict=True)
+    ]
+
+
+def _frames(loop: TickLoop) -> results.FrameCounts:
+    connection = loop.connection
     return cast(
         results.FrameCounts,
         {
-            "received": door.counters.received,
-            "dropped": door.dropped,
-            "sent": door.counters.sent,
-            "unsent": dict(door.counters.refused),
-            "receiver_bugs": door.counters.receiver_bugs,
-            **views.counters(daemon.gateway),
+            "received": connection.counters.received,
+            "dropped": connection.dropped,
+            "sent": connection.counters.sent,
+            "unsent": dict(connection.counters.refused),
+            "receiver_bugs": connection.counters.receiver_bugs,
+            **views.counters(loop.gateway),
         },
     )

@@ -1,4 +1,4 @@
-"""Methods that only read: answered at once, on the API's thread."""
+"""Handlers of the methods that only read: answered at once, on the API's thread."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -11,33 +11,35 @@ from vcu_gateway.server import health, views
 from vcu_gateway.server.context import ServerContext
 
 
-def state(program: ServerContext, messages: list[str] | None) -> results.State:
-    """What is known now; Failure for a message that the gateway does not receive."""
-    latest = program.latest()
-    snapshot = program.daemon.gateway.intake.store.snapshot(time.monotonic_ns())
+def state(context: ServerContext, messages: list[str] | None) -> results.State:
+    """Current state; RequestError for a message that the gateway does not receive."""
+    latest = context.latest()
+    snapshot = context.loop.gateway.snapshot(time.monotonic_ns())
     known = [message.name for message in snapshot.messages]
     for name in messages or ():
         if name not in known:
             sentence = f"the gateway receives no message {name[:64]}; it knows {', '.join(known)}"
             raise RequestError(ErrorCode.INVALID_PARAMS, sentence)
-    return views.state(snapshot, latest, messages)
+    demand = context.loop.gateway.requests.arbiter.current
+    return views.state(snapshot, latest, demand, messages)
 
 
-def _state(program: ServerContext, params: methods.StateParams) -> results.State:
-    return state(program, params.messages)
+def _state(context: ServerContext, params: methods.StateParams) -> results.State:
+    return state(context, params.messages)
 
 
-def _why(program: ServerContext, _: methods.Nothing) -> results.Why:
-    return views.why(program.latest().why)
+def _why(context: ServerContext, _: methods.Nothing) -> results.Why:
+    return views.why(context.latest().why)
 
 
-def _health(program: ServerContext, _: methods.Nothing) -> results.Health:
-    config = program.in_effect.config
-    return health.health(program.daemon, program.bus, config, program.facts, program.api_counts())
+def _health(context: ServerContext, _: methods.Nothing) -> results.Health:
+    config = context.in_effect.config
+    api, now_ns = context.api_counts(), time.monotonic_ns()
+    return health.health(context.loop, context.bus, config, context.facts, api, now_ns)
 
 
-def _config(program: ServerContext, _: methods.Nothing) -> results.ConfigInEffect:
-    config = program.in_effect.config
+def _config(context: ServerContext, _: methods.Nothing) -> results.ConfigInEffect:
+    config = context.in_effect.config
     return {
         "file": config.source.file,
         "digest": configuration.digest(config),
@@ -45,8 +47,8 @@ def _config(program: ServerContext, _: methods.Nothing) -> results.ConfigInEffec
     }
 
 
-def _protocol(program: ServerContext, _: methods.Nothing) -> results.Protocol:
-    return program.protocol
+def _protocol(context: ServerContext, _: methods.Nothing) -> results.Protocol:
+    return context.protocol
 
 
 QUERIES: Mapping[str, Callable[[ServerContext, Any], Any]] = {
@@ -56,3 +58,4 @@ QUERIES: Mapping[str, Callable[[ServerContext, Any], Any]] = {
     "config.get": _config,
     "protocol.get": _protocol,
 }
+"""Handlers by method."""

@@ -1,4 +1,4 @@
-"""What the gateway knows and does as plain data, in the API's shapes."""
+"""State, commands, `why` and protocol as the API's results."""
 
 from collections.abc import Iterable
 from typing import Any, cast, get_args
@@ -6,9 +6,10 @@ from typing import Any, cast, get_args
 from vcu_gateway.api import results
 from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import HeldCause
+from vcu_gateway.core.demand import Demand
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.snapshot import Reading
-from vcu_gateway.core.state import Snapshot
+from vcu_gateway.core.snapshot import Reading, Snapshot
+from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.units import NS_PER_MS
@@ -17,17 +18,31 @@ _CONTROLLERS: tuple[results.ControllerName, ...] = get_args(results.ControllerNa
 
 
 def state(
-    snapshot: Snapshot, latest: LastTick, names: Iterable[str] | None = None
+    snapshot: Snapshot,
+    latest: LastTick,
+    demand: Demand | None,
+    names: Iterable[str] | None = None,
 ) -> results.State:
-    """What is known at the snapshot's instant, and what was commanded in the last tick.
+    """Messages at the snapshot's instant, demand, and the commands of the last tick.
 
-    `names` are the messages to tell, None all; KeyError for one that the store does not keep.
+    `demand` is the latest, fresh or not. `names` are the messages to report, None all; KeyError
+    for one that the store does not keep.
     """
+    fresh_demand = demand if latest.why.demand_fresh else None
     return {
         "monotonic_ns": snapshot.now_ns,
         "mode": mode_name(latest.why.mode),
         "messages": messages(snapshot, names),
         "commands": commands(latest.result),
+        "demanded": {} if fresh_demand is None else _demanded(fresh_demand),
+    }
+
+
+def _demanded(demand: Demand) -> dict[results.ControllerName, results.DemandedValues]:
+    values = demand.controllers
+    return {
+        name: {"throttle_pct": values[name].throttle_pct, "brake_pct": values[name].brake_pct}
+        for name in _CONTROLLERS
     }
 
 
@@ -62,12 +77,12 @@ def _signal(reading: Reading) -> results.Signal:
 
 
 def commands(result: TickResult) -> dict[results.ControllerName, results.SentCommand]:
-    """What each controller was told in this tick."""
+    """Command to each controller in this tick."""
     frames = {frame.controller: frame for frame in result.frames}
-    told: dict[results.ControllerName, results.SentCommand] = {}
+    sent: dict[results.ControllerName, results.SentCommand] = {}
     for name in _CONTROLLERS:
         command, frame = result.commands[name], frames.get(name)
-        told[name] = {
+        sent[name] = {
             "throttle_pct": command.throttle_pct,
             "brake_pct": command.brake_pct,
             "power_mode": cast(results.PowerModeName, command.power_mode.name.lower()),
@@ -78,15 +93,15 @@ def commands(result: TickResult) -> dict[results.ControllerName, results.SentCom
             "power_limit_w": command.power_limit_w,
             "frame": f"{frame.can_id:08X}#{frame.data.hex().upper()}" if frame else None,
         }
-    return told
+    return sent
 
 
-def why(answer: explanation.Explanation) -> results.Why:
-    """The answer of `why` as data; ages are those at its own instant."""
-    now_ns, latch = answer.now_ns, answer.latch
+def why(explained: explanation.Explanation) -> results.Why:
+    """Result of `why`; ages are those at the explanation's instant."""
+    now_ns, latch = explained.now_ns, explained.latch
     return {
-        "sentence": answer.sentence(),
-        "mode": mode_name(answer.mode),
+        "sentence": explained.sentence(),
+        "mode": mode_name(explained.mode),
         "latch": None
         if latch is None
         else {
@@ -94,41 +109,41 @@ def why(answer: explanation.Explanation) -> results.Why:
             "reason": latch.reason,
             "since_ms": _since(now_ns, latch.since_ns),
         },
-        "blocks": [_cause(held, answer) for held in answer.blocks],
-        "limits": [_cause(held, answer) for held in answer.limits],
-        "alarms": [_cause(held, answer) for held in answer.alarms],
-        "waits": list(answer.waits),
+        "blocks": [_cause(held, explained) for held in explained.blocks],
+        "limits": [_cause(held, explained) for held in explained.limits],
+        "alarms": [_cause(held, explained) for held in explained.alarms],
+        "waits": list(explained.waits),
         "demand": None
-        if answer.demand_source is None
+        if explained.demand_source is None
         else {
-            "source": answer.demand_source,
-            "age_ms": milliseconds(answer.demand_age_ns),
-            "ttl_ms": answer.demand_ttl_ms,
-            "fresh": answer.demand_fresh,
+            "source": explained.demand_source,
+            "age_ms": milliseconds(explained.demand_age_ns),
+            "ttl_ms": explained.demand_ttl_ms,
+            "fresh": explained.demand_fresh,
         },
-        "next_step": answer.next_step,
+        "next_step": explained.next_step,
     }
 
 
-def _cause(held: HeldCause, answer: explanation.Explanation) -> results.Cause:
+def _cause(held: HeldCause, explained: explanation.Explanation) -> results.Cause:
     finding = held.finding
     return {
         "cause": finding.cause,
         "subject": finding.subject,
         "detail": finding.detail,
         "effect": finding.effect.value,
-        "since_ms": _since(answer.now_ns, held.since_ns),
-        "stands": held.stands(answer.judged_ns),
+        "since_ms": _since(explained.now_ns, held.since_ns),
+        "stands": held.stands(explained.judged_ns),
     }
 
 
 def mode_name(mode: Mode) -> results.ModeName:
-    """The API's word for a mode."""
+    """Name of a mode in the API."""
     return mode.value
 
 
 def milliseconds(duration_ns: int | None) -> float | None:
-    """A duration as the API has it, to the microsecond."""
+    """Duration in milliseconds, to the microsecond; None stays None."""
     return None if duration_ns is None else round(duration_ns / NS_PER_MS, 3)
 
 
@@ -137,13 +152,45 @@ def _since(now_ns: int, since_ns: int) -> float:
 
 
 def counters(gateway: Gateway) -> dict[str, Any]:
-    """What was received and not decoded, confirmed, sent by somebody else, or blocked."""
-    intake = gateway.intake
+    """Frames rejected, out of order, unjudged, confirmed, foreign and blocked, by reason."""
+    counts = gateway.counters
+    rejected = {reason.value: count for reason, count in counts.rejected.items()}
+    return counts._asdict() | {"rejected": rejected}
+
+
+def definition(protocol: ProtocolSpec, digest: str) -> results.Protocol:
+    """Result of `protocol.get`: every message and signal."""
     return {
-        "rejected": {reason.value: count for reason, count in intake.rejected.items()},
-        "out_of_order": intake.store.out_of_order,
-        "unjudged": intake.store.unjudged,
-        "confirmed": dict(intake.confirmed),
-        "foreign_commands": dict(intake.foreign_commands),
-        "blocked_by_gate": dict(gateway.output.gate.blocked),
+        "digest": digest,
+        "messages": [_message_definition(message) for message in protocol.messages],
+        "aliases": {f"0x{can_id:08X}": name for can_id, name in protocol.aliases.items()},
+    }
+
+
+def _message_definition(message: MessageSpec) -> results.MessageDefinition:
+    return {
+        "name": message.name,
+        "can_id": f"0x{message.can_id:08X}",
+        "sender": message.sender,
+        "receivers": list(message.receivers),
+        "period_ms": message.period_ms,
+        "signals": [_signal_definition(signal) for signal in message.signals],
+        "comment": message.comment,
+    }
+
+
+def _signal_definition(signal: SignalSpec) -> results.SignalDefinition:
+    return {
+        "name": signal.name,
+        "unit": signal.unit,
+        "minimum": signal.minimum,
+        "maximum": signal.maximum,
+        "factor": signal.factor,
+        "offset": signal.offset,
+        "start_bit": signal.start_bit,
+        "length_bits": signal.length_bits,
+        "byte_order": signal.byte_order,
+        "signed": signal.signed,
+        "names": {str(code): name for code, name in signal.names.items()},
+        "comment": signal.comment,
     }
