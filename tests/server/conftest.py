@@ -16,8 +16,8 @@ import pytest
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.rights import Policy
-from vcu_gateway.server.server import Server, ServerSettings
-from vcu_gateway.server.session import Limits
+from vcu_gateway.server.server import Server
+from vcu_gateway.server.settings import ServerSettings, SessionLimits
 from vcu_gateway.server.tick_gaps import GapShare, TickGaps
 
 PATIENCE_S = 30.0
@@ -41,27 +41,25 @@ class FakeService:
 
     Attributes:
         begun: (method, params, caller) of every request that came through.
-        words: what else the server told, in its order.
+        calls: (method, number of the connection, arguments) of every call, in their order.
         demand_of: numbers of the connections that own a fresh demand.
         filler: text in every state, to make it long.
     """
 
     def __init__(self) -> None:
         self.begun: list = []
-        self.words: list = []
+        self.calls: list = []
         self.held: list = []
         self.filler = ""
-        self.metrics_made = 0
-        self.metrics_failure: RequestError | None = None
         self.bug: Exception | None = None
         self.bug_at_end: Exception | None = None
         self.demand_of: set[int] = set()
 
-    def begin(self, method, params, caller, reply):
+    def handle(self, method, params, caller, reply):
         if self.bug is not None:
             raise self.bug
         self.begun.append((method, params, caller))
-        self.words.append(("begun", caller.connection, method))
+        self.calls.append(("handle", caller.connection, method))
         if method in ("state.get", "why", "health"):
             reply({"answer": method, "filler": self.filler})
         else:
@@ -82,28 +80,22 @@ class FakeService:
         stamp_ns = time.monotonic_ns()
         return {"monotonic_ns": stamp_ns, "filler": self.filler, "messages": messages}
 
-    def metrics(self):
-        if self.metrics_failure is not None:
-            raise self.metrics_failure
-        self.metrics_made += 1
-        return b"vcu_gateway_up 1\n"
-
     def owns_demand(self, caller):
         return caller.connection in self.demand_of
 
-    def refused(self, method, caller, sentence):
-        self.words.append(("refused", caller.connection, method, sentence))
+    def log_refused(self, method, caller, sentence):
+        self.calls.append(("log_refused", caller.connection, method, sentence))
 
-    def closed(self, caller, reason):
-        self.words.append(("closed", caller.connection, reason))
+    def log_closed(self, caller, reason):
+        self.calls.append(("log_closed", caller.connection, reason))
 
-    def gone(self, caller):
+    def end_demands(self, caller):
         if self.bug_at_end is not None:
             raise self.bug_at_end
-        self.words.append(("gone", caller.connection))
+        self.calls.append(("end_demands", caller.connection))
 
-    def told(self, word):
-        return [entry[2:] for entry in self.words if entry[0] == word]
+    def calls_of(self, method):
+        return [call[2:] for call in self.calls if call[0] == method]
 
 
 class Client:
@@ -180,11 +172,11 @@ class Api:
         self.server: Server | None = None
         self._clients: list[Client] = []
 
-    def make(self, limits=Limits(), policy=EVERYONE, gaps=None, **settings) -> Server:  # noqa: B008
+    def make(self, limits=SessionLimits(), policy=EVERYONE, gaps=None, **settings) -> Server:  # noqa: B008
         """A server that is not open yet."""
-        settings = ServerSettings(self.path, policy, **{"mode": 0o666, **settings})
+        wanted = ServerSettings(self.path, policy, **{"mode": 0o666, **settings})
         gaps = gaps or TickGaps(lambda: 0, 50 * MS, GapShare(share=1.0))
-        self.server = Server(settings, self.service, gaps, limits)
+        self.server = Server(wanted, self.service, gaps, limits)
         return self.server
 
     def start(self, *args, **kwargs) -> "Api":
@@ -198,9 +190,6 @@ class Api:
         sock.settimeout(PATIENCE_S)
         sock.connect(os.fspath(self.path))
         return self._keep(sock)
-
-    def connect_to_port(self) -> Client:
-        return self._keep(socket.create_connection(("127.0.0.1", self.server.metrics_port)))
 
     def _keep(self, sock: socket.socket) -> Client:
         self._clients.append(Client(sock))

@@ -15,13 +15,14 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import Any
 
 PAUSE_S = 0.01
 SEED = 7
 READING = ("state.get", "why", "health", "events", "protocol.get")
 
 
-def request(number: int, method: str, **params: object) -> bytes:
+def request(number: int, method: str, **params: Any) -> bytes:
     message = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
     return json.dumps(message).encode() + b"\n"
 

@@ -1,4 +1,4 @@
-"""The wire: what is a request, what is none, and what is said to whoever sent it."""
+"""JSON-RPC codec: requests, refusals and the errors that answer them."""
 
 import json
 import time
@@ -6,8 +6,8 @@ import time
 import pytest
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.api.methods import DemandParams, Nothing, StateParams, Values
-from vcu_gateway.server import jsonrpc as wire
+from vcu_gateway.api.methods import ControllerParams, DemandParams, Nothing, StateParams
+from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.session import MAX_LINE_BYTES, LineBuffer
 
 WORST_MS = 30.0  # on a busy machine; about 1 on a quiet one
@@ -21,54 +21,61 @@ def line_with(**changes) -> bytes:
     return json.dumps({k: v for k, v in message.items() if v is not ...}).encode()
 
 
-def refused(line: bytes) -> wire.RefusedRequest:
-    answer = wire.parse(line)
-    assert isinstance(answer, wire.RefusedRequest), answer
+def refused(line: bytes) -> jsonrpc.RefusedRequest:
+    answer = jsonrpc.parse(line)
+    assert isinstance(answer, jsonrpc.RefusedRequest), answer
     return answer
 
 
 def code_and_sentence(line: bytes):
-    failure = refused(line).failure
-    return failure.code, failure.sentence
+    error = refused(line).error
+    return error.code, error.sentence
 
 
 def test_a_healthy_line_is_a_request():
-    assert wire.parse(line_with()) == wire.Request("state.get", StateParams(messages=["IMU"]), 7)
+    assert jsonrpc.parse(line_with()) == jsonrpc.Request(
+        "state.get", StateParams(messages=["IMU"]), 7
+    )
 
 
 def test_params_may_be_left_out():
-    assert wire.parse(line_with(method="arm", params=...)) == wire.Request("arm", Nothing(), 7)
+    assert jsonrpc.parse(line_with(method="arm", params=...)) == jsonrpc.Request(
+        "arm", Nothing(), 7
+    )
 
 
 def test_a_request_without_an_id_is_a_notification():
-    assert wire.parse(line_with(id=...)).id is None
+    assert jsonrpc.parse(line_with(id=...)).id is None
 
 
 def test_a_carriage_return_before_the_newline_is_as_good():
-    assert isinstance(wire.parse(line_with() + b"\r"), wire.Request)
+    assert isinstance(jsonrpc.parse(line_with() + b"\r"), jsonrpc.Request)
 
 
 @pytest.mark.parametrize("good", ["", "a" * 64, "Grüße", 0, -(2**63), 2**64 - 1])
 def test_an_id_is_a_short_string_or_an_integer_of_64_bits(good):
-    assert wire.parse(line_with(id=good)).id == good
+    assert jsonrpc.parse(line_with(id=good)).id == good
 
 
 @pytest.mark.parametrize("bad", [None, 1.0, 1.5, True, [], {}, "a" * 65])
 def test_any_other_id_is_refused_and_not_sent_back(bad):
     answer = refused(line_with(id=bad))
-    assert answer.failure.code is ErrorCode.INVALID_REQUEST
-    assert "id must be" in answer.failure.sentence
+    assert answer.error.code is ErrorCode.INVALID_REQUEST
+    assert "id must be" in answer.error.sentence
     assert (answer.id, answer.is_answered) == (None, True)
 
 
 def test_values_for_one_controller_or_both_are_read_as_they_are():
     controllers = {"PCU1": {"throttle_pct": 5}, "PCU2": {"brake_pct": 0.5}}
     params = {"source": "pedal", "sequence": 1, "controllers": controllers}
-    request = wire.parse(line_with(method="demand.set", params=params))
+    request = jsonrpc.parse(line_with(method="demand.set", params=params))
     assert request.params == DemandParams(
         source="pedal",
         sequence=1,
-        controllers={"PCU1": Values(throttle_pct=5.0), "PCU2": Values(brake_pct=0.5)},
+        controllers={
+            "PCU1": ControllerParams(throttle_pct=5.0),
+            "PCU2": ControllerParams(brake_pct=0.5),
+        },
     )
 
 
@@ -88,14 +95,14 @@ ABOUT_JSON = {
     b'{"id":NaN}': "NaN is no number",
     b'{"id":[{"a":Infinity}]}': "Infinity is no number",
     b'{"id":-Infinity}': "-Infinity is no number",
-    b'{"id":1,"id":2}': '"id" stands twice',
-    b'{"params":{"x":[{"a":1,"b":2,"a":1}]}}': '"a" stands twice',
+    b'{"id":1,"id":2}': 'duplicate key "id"',
+    b'{"params":{"x":[{"a":1,"b":2,"a":1}]}}': 'duplicate key "a"',
     b'{"id":1' + b"0" * 20 + b"}": "an integer needs more than 64 bits",
     b'{"id":1' + b"0" * 5000 + b"}": "too many digits",
     b'{"id":' + b"[" * 16 + b"]" * 16 + b"}": "nested more than 16 deep",
     b"[" * 2000 + b"]" * 2000: "nested more than 16 deep",
     b'{"a":' * 2000 + b"1" + b"}" * 2000: "nested more than 16 deep",
-    b'{"b":1,"a":1,"a":1}': '"a" stands twice',
+    b'{"b":1,"a":1,"a":1}': 'duplicate key "a"',
     b"[" + b"1," * 512 + b"1]": "more than 512 values",
     b"[[1],[" + b"1," * 509 + b"1]]": "more than 512 values",
     b'{"a":' * 17 + b"1" + b"}" * 17: "nested more than 16 deep",
@@ -107,19 +114,19 @@ ABOUT_JSON = {
 @pytest.mark.parametrize(("line", "sentence"), ABOUT_JSON.items())
 def test_what_is_no_strict_json_is_refused_with_a_null_id(line, sentence):
     answer = refused(line)
-    assert answer.failure.code is ErrorCode.PARSE_ERROR
-    assert sentence in answer.failure.sentence
+    assert answer.error.code is ErrorCode.PARSE_ERROR
+    assert sentence in answer.error.sentence
     assert (answer.id, answer.is_answered) == (None, True)
 
 
 def test_nesting_of_16_is_read():
     line = b'{"jsonrpc":"2.0","id":1,"method":"arm","params":' + b"[" * 15 + b"]" * 15 + b"}"
-    assert refused(line).failure.code is ErrorCode.INVALID_PARAMS
+    assert refused(line).error.code is ErrorCode.INVALID_PARAMS
 
 
 def test_512_values_are_read():
-    assert refused(b"[" + b"1," * 511 + b"1]").failure.code is ErrorCode.INVALID_REQUEST
-    assert refused(b"[[1],[" + b"1," * 508 + b"1]]").failure.code is ErrorCode.INVALID_REQUEST
+    assert refused(b"[" + b"1," * 511 + b"1]").error.code is ErrorCode.INVALID_REQUEST
+    assert refused(b"[[1],[" + b"1," * 508 + b"1]]").error.code is ErrorCode.INVALID_REQUEST
 
 
 def test_the_first_three_things_that_are_wrong_are_named_and_the_others_counted():
@@ -130,7 +137,7 @@ def test_the_first_three_things_that_are_wrong_are_named_and_the_others_counted(
 
 
 def test_a_whole_surrogate_pair_is_a_character():
-    assert wire.parse(line_with(id="\U0001f600").replace(b"ud83d", b"uD83D")).id == "\U0001f600"
+    assert jsonrpc.parse(line_with(id="\U0001f600").replace(b"ud83d", b"uD83D")).id == "\U0001f600"
 
 
 ABOUT_THE_REQUEST = {
@@ -153,8 +160,8 @@ ABOUT_THE_REQUEST = {
 @pytest.mark.parametrize(("line", "sentence"), ABOUT_THE_REQUEST.items())
 def test_json_that_is_no_request_is_refused(line, sentence):
     answer = refused(line)
-    assert answer.failure.code is ErrorCode.INVALID_REQUEST
-    assert sentence in answer.failure.sentence
+    assert answer.error.code is ErrorCode.INVALID_REQUEST
+    assert sentence in answer.error.sentence
     assert answer.is_answered
     assert answer.id == (7 if b'"id"' in line and line.startswith(b"{") else None)
 
@@ -212,9 +219,9 @@ ABOUT_PARAMS = [
 
 @pytest.mark.parametrize(("method", "params", "sentence"), ABOUT_PARAMS)
 def test_parameters_that_do_not_fit_are_named(method, params, sentence):
-    code, told = code_and_sentence(line_with(method=method, params=params))
+    code, answered = code_and_sentence(line_with(method=method, params=params))
     assert code is ErrorCode.INVALID_PARAMS
-    assert sentence in told
+    assert sentence in answered
 
 
 def test_an_infinite_number_is_named():
@@ -269,7 +276,7 @@ WRONG_IN_FORM = {
 def test_a_stop_that_is_wrong_in_form_is_named_and_answered(line, stop):
     answer = refused(line.replace(b"estop", stop.encode()))
     assert (answer.stop, answer.is_answered) == (stop, True)
-    assert answer.failure.sentence
+    assert answer.error.sentence
 
 
 def test_a_stop_may_be_written_with_escapes():
@@ -305,7 +312,7 @@ def test_what_names_no_stop_stops_nothing(line):
 @pytest.mark.parametrize("stop", ["estop", "disarm"])
 def test_a_stop_in_good_form_is_a_request_with_or_without_an_id(stop):
     for line in (line_with(method=stop, params={}), line_with(method=stop, params={}, id=...)):
-        assert wire.parse(line).method == stop
+        assert jsonrpc.parse(line).method == stop
 
 
 LONG = "ABCDEFGH" * 8000
@@ -325,8 +332,8 @@ ECHOING = [
 
 @pytest.mark.parametrize("line", ECHOING)
 def test_a_sentence_is_short_and_repeats_little_of_the_input(line):
-    sentence = refused(line).failure.sentence
-    assert len(sentence) <= wire.MAX_SENTENCE_CHARACTERS
+    sentence = refused(line).error.sentence
+    assert len(sentence) <= jsonrpc.MAX_SENTENCE_CHARACTERS
     assert sentence.isascii()
     assert sentence.count("ABCDEFGH") * 8 <= 200
 
@@ -364,7 +371,7 @@ def test_the_worst_lines_of_64_kib_cost_little(line):
 
 
 def test_an_answer_is_one_ascii_line_without_spaces():
-    line = wire.result_line("ä\n", {"sentence": "Straße\u2028\n", "value": None})
+    line = jsonrpc.result_line("ä\n", {"sentence": "Straße\u2028\n", "value": None})
     assert line.count(b"\n") == 1
     assert line.endswith(b"}\n")
     assert line.isascii()
@@ -378,7 +385,7 @@ def test_an_answer_is_one_ascii_line_without_spaces():
 
 def test_an_error_carries_its_code_word_and_sentence():
     failure = RequestError(ErrorCode.REFUSED, "not now", "not_allowed_now")
-    assert json.loads(wire.error_line(None, failure)) == {
+    assert json.loads(jsonrpc.error_line(None, failure)) == {
         "jsonrpc": "2.0",
         "id": None,
         "error": {
@@ -392,11 +399,11 @@ def test_an_error_carries_its_code_word_and_sentence():
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 def test_no_answer_holds_what_json_has_not(value):
     with pytest.raises(ValueError, match="JSON compliant"):
-        wire.result_line(1, {"value": value})
+        jsonrpc.result_line(1, {"value": value})
 
 
 def test_a_notification_has_no_id():
-    assert json.loads(wire.notification_line("state.update", {"lost": 0})) == {
+    assert json.loads(jsonrpc.notification_line("state.update", {"lost": 0})) == {
         "jsonrpc": "2.0",
         "method": "state.update",
         "params": {"lost": 0},

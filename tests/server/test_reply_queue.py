@@ -1,4 +1,4 @@
-"""The mailbox: replies from any thread, at the price of one system call."""
+"""Reply queue: replies from any thread, at the price of one system call."""
 
 import gc
 import os
@@ -10,47 +10,47 @@ from vcu_gateway.server.reply_queue import QueuedReply, ReplyQueue
 
 
 @pytest.fixture
-def mailbox():
+def queue():
     return ReplyQueue()
 
 
-def test_letters_come_out_in_their_order(mailbox):
-    mailbox.put(1, 2, {})
-    mailbox.put(1, 3, {"a": 1})
-    assert list(mailbox.take()) == [QueuedReply(1, 2, {}), QueuedReply(1, 3, {"a": 1})]
-    assert list(mailbox.take()) == []
+def test_replies_come_out_in_their_order(queue):
+    queue.put(1, 2, {})
+    queue.put(1, 3, {"a": 1})
+    assert list(queue.take()) == [QueuedReply(1, 2, {}), QueuedReply(1, 3, {"a": 1})]
+    assert list(queue.take()) == []
 
 
-def test_it_rings_once_until_it_is_hushed(mailbox):
+def test_the_descriptor_is_written_once_until_it_is_cleared(queue):
     with pytest.raises(BlockingIOError):
-        os.eventfd_read(mailbox.fd)
+        os.eventfd_read(queue.fd)
     for number in range(5):
-        mailbox.put(1, number, {})
-    assert os.eventfd_read(mailbox.fd) == 1
-    mailbox.ring()
+        queue.put(1, number, {})
+    assert os.eventfd_read(queue.fd) == 1
+    queue.wake()
     with pytest.raises(BlockingIOError):
-        mailbox.hush()  # not hushed yet: it has not rung again
+        queue.clear_wakeup()  # not cleared yet: it was not written again
 
 
-def test_after_a_hush_it_rings_again(mailbox):
-    mailbox.put(1, 1, {})
-    mailbox.hush()
-    mailbox.put(1, 2, {})
-    mailbox.hush()
-    assert len(list(mailbox.take())) == 2
+def test_once_cleared_the_descriptor_is_written_again(queue):
+    queue.put(1, 1, {})
+    queue.clear_wakeup()
+    queue.put(1, 2, {})
+    queue.clear_wakeup()
+    assert len(list(queue.take())) == 2
 
 
-def test_a_shut_mailbox_keeps_nothing(mailbox):
-    mailbox.put(1, 1, {})
-    mailbox.shut()
-    mailbox.put(1, 2, {})
-    assert list(mailbox.take()) == []
+def test_a_closed_queue_keeps_nothing(queue):
+    queue.put(1, 1, {})
+    queue.close()
+    queue.put(1, 2, {})
+    assert list(queue.take()) == []
 
 
-def test_its_descriptor_is_closed_with_the_last_who_could_ring():
-    mailbox = ReplyQueue()
-    put, fd = mailbox.put, mailbox.fd
-    del mailbox
+def test_its_descriptor_is_closed_with_the_last_producer():
+    queue = ReplyQueue()
+    put, fd = queue.put, queue.fd
+    del queue
     put(1, 1, {})
     assert os.eventfd_read(fd) == 1
     del put
@@ -59,18 +59,18 @@ def test_its_descriptor_is_closed_with_the_last_who_could_ring():
         os.eventfd_read(fd)
 
 
-def test_no_letter_is_lost_between_threads(mailbox):
+def test_no_reply_is_lost_between_threads(queue):
     count, taken = 20_000, []
 
     def write() -> None:
         for number in range(count):
-            mailbox.put(0, number, {})
+            queue.put(0, number, {})
 
     writer = threading.Thread(target=write)
-    os.set_blocking(mailbox.fd, True)
+    os.set_blocking(queue.fd, True)
     writer.start()
     while len(taken) < count:
-        mailbox.hush()
-        taken.extend(letter.number for letter in mailbox.take())
+        queue.clear_wakeup()
+        taken.extend(reply.number for reply in queue.take())
     writer.join()
     assert taken == list(range(count))

@@ -28,12 +28,13 @@ from vcu_gateway.api.rights import Right
 from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.rate_limit import TokenBucket
-from vcu_gateway.server.session import GAVE_WAY, Limits, SubscriptionState
+from vcu_gateway.server.session import EVICTED, SubscriptionState
+from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.server.tick_gaps import TickGaps
 
-SHORT = Limits(patience_ns=300 * MS)
+SHORT = SessionLimits(timeout_ns=300 * MS)
 # Where a test has to be done with something before it is over, also on a busy machine.
-LONGER = Limits(patience_ns=1500 * MS)
+LONGER = SessionLimits(timeout_ns=1500 * MS)
 BIG = "x" * 400_000  # more than the kernel buffers for a connection
 DEMAND = {"source": "pedal", "sequence": 1, "values": {}}
 
@@ -147,7 +148,7 @@ def test_nonsense_is_answered_and_the_connection_goes_on(api, client, line):
     assert client.line()["error"]["code"] == ErrorCode.PARSE_ERROR.value
     assert client.ask("why")
     assert api.counts()["errors"] == {"parse_error": 1}
-    assert not api.service.told("closed")
+    assert not api.service.calls_of("log_closed")
 
 
 GRIEVANCES = {
@@ -168,7 +169,7 @@ GRIEVANCES = {
 @pytest.mark.parametrize("line", GRIEVANCES.values(), ids=GRIEVANCES.keys())
 def test_no_request_leaves_work_for_the_garbage_collector(idle_api, line):
     """It runs once a minute in the daemon: what it alone can free grows until then."""
-    reader = a_reader(idle_api.start(Limits(rate_per_s=10_000, burst=300), NO_ONE))
+    reader = a_reader(idle_api.start(SessionLimits(rate_per_s=10_000, burst=300), NO_ONE))
     gc.collect()
     gc.disable()
     try:
@@ -187,7 +188,7 @@ WRONG_STOPS = [
     (b'{"jsonrpc":"2.0","id":null,"method":"estop"}', None, "id must be a string"),
     (b'{"id":"a","method":"estop"}', "a", 'jsonrpc must be "2.0"'),
     (b'{"jsonrpc":"2.0","method":"estop","params":[]}', None, "params must be an object"),
-    (b'{"jsonrpc":"2.0","id":5,"id":5,"method":"estop"}', None, "stands twice"),
+    (b'{"jsonrpc":"2.0","id":5,"id":5,"method":"estop"}', None, "duplicate key"),
 ]
 
 
@@ -213,7 +214,7 @@ def test_a_stop_wrong_in_form_is_done_and_the_answer_says_what_was_wrong(
     assert reader.ask("why", 6)
 
 
-def test_a_stop_wrong_in_form_that_cannot_be_done_is_not_told_as_done(api, client):
+def test_a_stop_wrong_in_form_that_cannot_be_done_is_not_reported_as_done(api, client):
     client.send(b'{"method":"estop"}\n')
     eventually(lambda: api.service.held)
     api.service.release(RequestError(ErrorCode.NOT_READY, "the gateway is ending"))
@@ -233,15 +234,15 @@ def test_who_may_only_read_is_told_which_right_is_missing(idle_api):
     assert "right 'service'" in reader.ask("config.reload")["message"]
     assert "reset at service level needs" in reader.ask("reset", level="service")["message"]
     assert idle_api.service.begun == []
-    refused = idle_api.service.told("refused")
+    refused = idle_api.service.calls_of("log_refused")
     assert [method for method, _ in refused] == ["arm", "demand.set", "config.reload", "reset"]
 
 
-def test_a_refused_notification_is_told_of_but_not_answered(idle_api):
+def test_a_refused_notification_is_logged_but_not_answered(idle_api):
     reader = a_reader(idle_api.start(policy=NO_ONE))
     reader.notify("arm")
     assert reader.ask("why")["answer"] == "why"
-    assert idle_api.service.told("refused")
+    assert idle_api.service.calls_of("log_refused")
 
 
 @pytest.mark.parametrize("method", ["estop", "disarm", "state.get", "why"])
@@ -265,40 +266,40 @@ def test_a_group_may_be_given_the_right_to_operate(idle_api):
 def test_a_demand_ends_with_the_connection_that_made_it(api, client):
     assert client.ask("why")
     client.close()
-    eventually(lambda: api.service.told("gone"))
+    eventually(lambda: api.service.calls_of("end_demands"))
     eventually(lambda: api.counts()["clients"] == 0)
-    assert len(api.service.told("gone")) == 1
-    assert api.service.told("closed") == []
+    assert len(api.service.calls_of("end_demands")) == 1
+    assert api.service.calls_of("log_closed") == []
 
 
-def test_the_end_is_told_while_answers_still_wait(api, client):
+def test_the_demand_ends_while_answers_still_wait(api, client):
     client.request("arm")
     eventually(lambda: api.service.held)
     client.half_close()
-    eventually(lambda: api.service.told("gone"))
+    eventually(lambda: api.service.calls_of("end_demands"))
     assert api.counts()["clients"] == 1
     api.service.release()
     assert client.line()["result"]["granted"]
     assert client.line() is None
-    assert len(api.service.told("gone")) == 1
+    assert len(api.service.calls_of("end_demands")) == 1
 
 
-def test_the_end_is_told_while_the_reader_stands_still(api, client):
+def test_the_demand_ends_while_the_reader_stands_still(api, client):
     api.service.filler = BIG
     client.request("state.get")
     client.request("demand.set", **DEMAND)
     eventually(lambda: api.service.begun)
     client.half_close()
-    eventually(lambda: api.service.told("gone"))
+    eventually(lambda: api.service.calls_of("end_demands"))
     assert len(client.rest()) > len(BIG)
 
 
-def test_the_end_is_told_while_requests_wait_for_their_turn(idle_api):
-    idle_api.start(Limits(rate_per_s=1, burst=1))
+def test_the_demand_ends_while_requests_wait_for_their_turn(idle_api):
+    idle_api.start(SessionLimits(rate_per_s=1, burst=1))
     client, begin_ns = idle_api.connect(), time.monotonic_ns()
     client.send(b'{"jsonrpc":"2.0","method":"why"}\n' * 1000)
     client.close()
-    eventually(lambda: idle_api.service.told("gone"))
+    eventually(lambda: idle_api.service.calls_of("end_demands"))
     eventually(lambda: idle_api.counts()["clients"] == 0)
     passed_s = (time.monotonic_ns() - begin_ns) // (1000 * MS)
     assert len(idle_api.service.begun) <= 1 + passed_s, "one a second had its turn"
@@ -310,7 +311,7 @@ def test_what_was_sent_before_the_end_is_answered(api, client):
     client.half_close()
     assert [client.line()["id"] for _ in range(30)] == list(range(30))
     assert client.line() is None
-    assert api.service.told("closed") == []
+    assert api.service.calls_of("log_closed") == []
 
 
 def test_an_emergency_stop_counts_even_if_its_sender_left_at_once(api):
@@ -319,7 +320,7 @@ def test_an_emergency_stop_counts_even_if_its_sender_left_at_once(api):
         client.notify("estop")
         client.close()
     eventually(lambda: len(api.service.begun) == 20)
-    eventually(lambda: len(api.service.told("gone")) == 20)
+    eventually(lambda: len(api.service.calls_of("end_demands")) == 20)
 
 
 def test_all_that_a_peer_sent_before_it_left_is_carried_out(api):
@@ -335,7 +336,7 @@ def test_waiting_for_an_answer_of_a_half_closed_connection_costs_nothing(api, cl
     client.ask("state.subscribe", rate_hz=50)
     client.request("arm", 2)
     client.half_close()
-    eventually(lambda: api.service.told("gone"))
+    eventually(lambda: api.service.calls_of("end_demands"))
     ended_ns, before_ns = time.monotonic_ns(), time.process_time_ns()
     time.sleep(0.3)
     assert time.process_time_ns() - before_ns < 50 * MS
@@ -347,7 +348,7 @@ def test_waiting_for_an_answer_of_a_half_closed_connection_costs_nothing(api, cl
 
 
 def test_no_demand_comes_from_a_connection_that_has_ended(api):
-    """The order at the service matters: a demand after `gone` would have nobody to end it."""
+    """The order of the calls matters: nobody would end a demand made after `end_demands`."""
     for _ in range(50):
         client = api.connect()
         client.request("demand.set", **DEMAND)
@@ -356,11 +357,11 @@ def test_no_demand_comes_from_a_connection_that_has_ended(api):
         was_taken = bool(api.service.held)
         api.service.release()
         assert was_taken or b"this connection has ended" in client.rest()
-    eventually(lambda: len(api.service.told("gone")) == 50)
-    gone = set()
-    for word, connection, *_ in api.service.words:
-        assert word == "gone" or connection not in gone
-        gone |= {connection} if word == "gone" else set()
+    eventually(lambda: len(api.service.calls_of("end_demands")) == 50)
+    ended = set()
+    for method, connection, *_ in api.service.calls:
+        assert method == "end_demands" or connection not in ended
+        ended |= {connection} if method == "end_demands" else set()
 
 
 def test_a_last_line_without_its_newline_counts_when_the_sender_is_done(client):
@@ -375,7 +376,7 @@ def test_a_peer_that_dies_with_answers_unread_costs_only_its_connection(api):
         for _ in range(20):
             client.request("state.get")
         client.close()
-    eventually(lambda: len(api.service.told("gone")) == 10)
+    eventually(lambda: len(api.service.calls_of("end_demands")) == 10)
     eventually(lambda: api.counts()["clients"] == 0)
     assert api.connect().ask("why")
 
@@ -383,7 +384,7 @@ def test_a_peer_that_dies_with_answers_unread_costs_only_its_connection(api):
 def test_a_peer_that_only_stops_reading_is_let_go(api, client):
     client.sock.shutdown(socket.SHUT_RD)
     client.request("why")
-    eventually(lambda: len(api.service.told("gone")) == 1)
+    eventually(lambda: len(api.service.calls_of("end_demands")) == 1)
     eventually(lambda: api.counts()["clients"] == 0)
 
 
@@ -394,7 +395,7 @@ def test_a_line_longer_than_64_kib_costs_its_sender_the_connection(api, client):
     client.send(b"a" * 65_537)
     assert "at most 65536 bytes" in client.line()["error"]["message"]
     assert client.line() is None
-    eventually(lambda: api.service.told("closed") == [("line too long",)])
+    eventually(lambda: api.service.calls_of("log_closed") == [("line too long",)])
     assert api.counts()["closed"] == {"line too long": 1}
     assert api.counts()["errors"] == {"parse_error": 1}
 
@@ -449,7 +450,7 @@ def test_a_reader_that_stands_still_costs_its_connection(idle_api):
     idle_api.start(SHORT._replace(output_bytes=10**7))
     client = idle_api.connect()
     client.request("state.get")
-    eventually(lambda: idle_api.service.told("closed") == [("reader stands still",)])
+    eventually(lambda: idle_api.service.calls_of("log_closed") == [("reader stands still",)])
     assert 0 < len(client.rest()) < len(BIG)
 
 
@@ -474,7 +475,7 @@ def test_more_output_than_may_wait_costs_the_connection(idle_api):
     idle_api.service.filler = "x" * 800_000
     client = idle_api.start().connect()
     client.request("state.get")
-    eventually(lambda: idle_api.service.told("closed") == [("too much output waits",)])
+    eventually(lambda: idle_api.service.calls_of("log_closed") == [("too much output waits",)])
 
 
 def test_while_answers_wait_to_be_read_no_request_is(api, client):
@@ -533,23 +534,22 @@ def test_waiting_for_a_client_costs_nothing(api, client):
 
 
 def test_the_limits_are_those_of_the_documentation():
-    assert Limits() == Limits(
+    assert SessionLimits() == SessionLimits(
         clients=16,
-        kept_places=4,
-        metrics_clients=4,
+        reserved_clients=4,
         accepts_per_s=100,
         rate_per_s=200,
         burst=50,
-        unanswered=16,
+        pending_requests=16,
         output_bytes=262_144,
-        patience_ns=10_000 * MS,
-        pause_ns=1_000 * MS,
+        timeout_ns=10_000 * MS,
+        accept_pause_ns=1_000 * MS,
         linger_ns=300 * MS,
     )
 
 
 def test_too_many_requests_wait_and_are_answered_later(idle_api):
-    idle_api.start(Limits(rate_per_s=2, burst=10))
+    idle_api.start(SessionLimits(rate_per_s=2, burst=10))
     client = idle_api.connect()
     begin_ns = time.monotonic_ns()
     for number in range(12):
@@ -584,7 +584,7 @@ def test_a_flood_on_one_connection_does_not_hold_up_another(api, client):
     reading.join()
 
 
-def test_whoever_makes_demands_is_served_between_all_the_others(idle_api):
+def test_a_driver_is_served_between_all_the_others(idle_api):
     """A flood of others must not use up a demand's time to live."""
     api, server = idle_api, idle_api.make()
     server.open()
@@ -601,14 +601,14 @@ def test_whoever_makes_demands_is_served_between_all_the_others(idle_api):
 
 
 @pytest.mark.parametrize(("late_ns", "at_once"), [(0, 3), (9 * MS, 3), (100 * MS, 3)])
-def test_a_pace_is_a_burst_and_then_one_after_the_other(late_ns, at_once):
-    pace, now_ns = TokenBucket(100, 3, 1000), 1000 + late_ns
+def test_a_token_bucket_is_a_burst_and_then_one_after_the_other(late_ns, at_once):
+    bucket, now_ns = TokenBucket(100, 3, 1000), 1000 + late_ns
     taken = 0
-    while pace.ready_ns <= now_ns:
-        pace.take(now_ns)
+    while bucket.ready_ns <= now_ns:
+        bucket.take(now_ns)
         taken += 1
     assert taken == at_once
-    assert pace.ready_ns == now_ns + 10 * MS
+    assert bucket.ready_ns == now_ns + 10 * MS
 
 
 # Places.
@@ -635,9 +635,9 @@ def test_where_sixteen_are_in_the_longest_idle_gives_way_and_the_next_is_served(
     assert not any(client.has_news() for client in [clients[0], *clients[2:]])
     counts = api.counts()
     assert (counts["clients"], counts["gave_way"], counts["turned_away"]) == (16, 1, 0)
-    assert counts["closed"] == {GAVE_WAY: 1}
-    assert api.service.told("closed") == [(GAVE_WAY,)]
-    assert len(api.service.told("gone")) == 1
+    assert counts["closed"] == {EVICTED: 1}
+    assert api.service.calls_of("log_closed") == [(EVICTED,)]
+    assert len(api.service.calls_of("end_demands")) == 1
 
 
 @pytest.mark.parametrize("attempt", range(10))
@@ -673,7 +673,7 @@ def test_the_owner_of_a_fresh_demand_keeps_its_place_however_idle(api):
 
 
 def test_where_every_place_has_a_demand_the_next_is_told_why_not(idle_api):
-    api = idle_api.start(Limits(clients=2, kept_places=0))
+    api = idle_api.start(SessionLimits(clients=2, reserved_clients=0))
     clients = connected(api, 2)
     api.service.demand_of = {number_of(api, client) for client in clients}
     extra = api.connect()
@@ -691,7 +691,7 @@ def test_where_every_place_has_a_demand_the_next_is_told_why_not(idle_api):
 
 def test_what_a_connection_asked_for_before_it_gives_way_is_done(idle_api):
     """A flood of connections between an emergency stop and its turn does not lose it."""
-    server = idle_api.make(Limits(clients=1, kept_places=0, accepts_per_s=1_000))
+    server = idle_api.make(SessionLimits(clients=1, reserved_clients=0, accepts_per_s=1_000))
     server.open()
     stopping = idle_api.connect()
     for _ in range(20):
@@ -744,17 +744,17 @@ def test_four_places_are_kept_from_those_who_only_read(idle_api):
 
 
 @pytest.mark.parametrize(
-    ("policy", "guests", "is_in"),
+    ("policy", "counts", "is_in"),
     [
-        (NO_ONE, ConnectionCounts(11, 11, 0), True),
-        (NO_ONE, ConnectionCounts(12, 12, 0), False),
-        (NO_ONE, ConnectionCounts(15, 11, 0), True),
-        (NO_ONE, ConnectionCounts(16, 11, 0), False),
-        (EVERYONE, ConnectionCounts(15, 12, 0), True),
-        (EVERYONE, ConnectionCounts(16, 12, 0), False),
+        (NO_ONE, ConnectionCounts(11, 11), True),
+        (NO_ONE, ConnectionCounts(12, 12), False),
+        (NO_ONE, ConnectionCounts(15, 11), True),
+        (NO_ONE, ConnectionCounts(16, 11), False),
+        (EVERYONE, ConnectionCounts(15, 12), True),
+        (EVERYONE, ConnectionCounts(16, 12), False),
     ],
 )
-def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, guests, is_in):
+def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, counts, is_in):
     with socket.socket(socket.AF_UNIX) as listener, socket.socket(socket.AF_UNIX) as client:
         path = os.fspath(folder / "s")
         listener.bind(path)
@@ -762,15 +762,15 @@ def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, guests, i
         listener.listen()
         with a_stranger() if policy is NO_ONE else open(os.devnull):
             client.connect(path)
-        reception = Acceptor(listener, False, policy, Limits(), Counters(), 0)
-        connection = reception.accept(guests, lambda *_: False, 0)
+        acceptor = Acceptor(listener, policy, SessionLimits(), Counters(), 0)
+        connection = acceptor.accept(counts, lambda *_: False, 0)
         assert (connection is not None) is is_in
         if connection is not None:
             connection.sock.close()
 
 
 def test_ten_thousand_connects_leave_nothing_behind(idle_api):
-    idle_api.start(Limits(accepts_per_s=1_000_000))
+    idle_api.start(SessionLimits(accepts_per_s=1_000_000))
     client = idle_api.connect()
     assert client.ask("why")
     files = len(os.listdir("/proc/self/fd"))
@@ -780,13 +780,13 @@ def test_ten_thousand_connects_leave_nothing_behind(idle_api):
     counts = idle_api.counts
     eventually(lambda: counts()["accepted"] + counts()["turned_away"] == 10_001)
     eventually(lambda: counts()["clients"] == 1)
-    eventually(lambda: len(idle_api.service.told("gone")) == counts()["accepted"] - 1)
+    eventually(lambda: len(idle_api.service.calls_of("end_demands")) == counts()["accepted"] - 1)
     eventually(lambda: len(os.listdir("/proc/self/fd")) <= files)
     assert client.ask("why")
 
 
 def test_connections_are_accepted_at_a_bounded_rate(idle_api):
-    idle_api.start(Limits(accepts_per_s=50))
+    idle_api.start(SessionLimits(accepts_per_s=50))
     begin_ns = time.monotonic_ns()
     for _ in range(16 + 20):
         idle_api.connect().close()
@@ -795,7 +795,7 @@ def test_connections_are_accepted_at_a_bounded_rate(idle_api):
 
 
 def test_without_descriptors_accepting_pauses_and_goes_on(idle_api):
-    idle_api.start(Limits(pause_ns=200 * MS))
+    idle_api.start(SessionLimits(accept_pause_ns=200 * MS))
     first = idle_api.connect()
     assert first.ask("why")
     gc.collect()  # what it closed later would make room
@@ -847,10 +847,10 @@ def test_a_subscription_is_answered_and_updates_follow(client):
 def test_updates_keep_to_their_grid():
     subscription = SubscriptionState(1, None, rate_hz=50, now_ns=7)
     assert subscription.due_ns == 7
-    assert subscription.pass_by(7) == 1
-    assert subscription.pass_by(7 + 20 * MS + 19 * MS) == 1
+    assert subscription.advance(7) == 1
+    assert subscription.advance(7 + 20 * MS + 19 * MS) == 1
     assert subscription.due_ns == 7 + 40 * MS
-    assert subscription.pass_by(7 + 101 * MS) == 4
+    assert subscription.advance(7 + 101 * MS) == 4
     assert subscription.due_ns == 7 + 120 * MS
 
 
@@ -949,7 +949,7 @@ def test_the_api_works_in_the_gaps_between_the_ticks(idle_api):
 
 # Starting and ending.
 
-PATIENT_END = Limits(linger_ns=round(PATIENCE_S * 1000) * MS)
+PATIENT_END = SessionLimits(linger_ns=round(PATIENCE_S * 1000) * MS)
 
 
 def test_closing_answers_what_is_pending_and_removes_the_socket(idle_api):
@@ -964,7 +964,7 @@ def test_closing_answers_what_is_pending_and_removes_the_socket(idle_api):
     closing.join()
     assert client.line()["result"]["granted"]
     assert client.line() is None
-    assert len(api.service.told("gone")) == 1
+    assert len(api.service.calls_of("end_demands")) == 1
     assert api.server.failed is None
 
 
@@ -981,7 +981,7 @@ def test_closing_lets_a_reader_read_on(idle_api):
 
 
 def test_closing_waits_for_a_short_while_only(idle_api):
-    client = idle_api.start(Limits(linger_ns=50 * MS)).connect()
+    client = idle_api.start(SessionLimits(linger_ns=50 * MS)).connect()
     client.request("arm")
     eventually(lambda: idle_api.service.held)
     begin_ns = time.monotonic_ns()
@@ -1020,7 +1020,7 @@ def test_a_bug_ends_the_api_and_not_the_program(api, client):
     assert other.line() is None
     eventually(lambda: api.server.failed)
     assert "ZeroDivisionError('a bug')" in api.server.failed
-    assert len(api.service.told("gone")) == 2
+    assert len(api.service.calls_of("end_demands")) == 2
     eventually(lambda: not api.path.exists())
     api.server.close()
 

@@ -1,4 +1,4 @@
-"""Who is let in: so many a second, so many at once, some places for those who may do more."""
+"""Acceptor: a bounded rate and number of connections, some reserved for operators."""
 
 import contextlib
 import errno
@@ -13,77 +13,70 @@ from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
-from vcu_gateway.server.session import Limits, Session
+from vcu_gateway.server.session import Session
+from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.server.sockets import peer_of
 
-_NOTHING_LEFT = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-_GIVEN_UP = (errno.ECONNABORTED, errno.EPROTO, errno.EINTR)
+_OUT_OF_RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_ABORTED = (errno.ECONNABORTED, errno.EPROTO, errno.EINTR)
 
 
 class ConnectionCounts(NamedTuple):
-    """Who is in now: `readers` may only read."""
+    """Connections that are open; `readers` of them may only read."""
 
     clients: int
     readers: int
-    metrics_clients: int
 
 
 EvictOne = Callable[[Caller, bool], bool]
-"""Called where no place is left for this caller; True where one was made.
+"""Closes a connection to make room for this caller; True where one was closed.
 
-The second argument is True where only the place of one who may only read will do.
+The second argument is True where it has to be one that may only read.
 """
 
 
 class Acceptor:
-    """One listening socket.
-
-    Attributes:
-        is_for_metrics: its connections are HTTP alone.
-        ready_ns: from when on it accepts again.
-    """
+    """Accepts the connections of one listening socket."""
 
     _numbers = itertools.count(1)
 
     def __init__(
         self,
         sock: socket.socket,
-        is_for_metrics: bool,
         policy: Policy,
-        limits: Limits,
+        limits: SessionLimits,
         counters: Counters,
         now_ns: int,
     ) -> None:
         self.sock = sock
-        self.is_for_metrics = is_for_metrics
         self._policy = policy
         self._limits = limits
         self._counters = counters
-        self._pace = TokenBucket(limits.accepts_per_s, limits.clients, now_ns)
+        self._rate = TokenBucket(limits.accepts_per_s, limits.clients, now_ns)
         self._pause_until_ns = now_ns
 
     @property
     def ready_ns(self) -> int:
-        """From when on it accepts; until then, who connects waits in the backlog."""
-        return max(self._pause_until_ns, self._pace.ready_ns)
+        """Time from which it accepts; until then connections wait in the backlog."""
+        return max(self._pause_until_ns, self._rate.ready_ns)
 
-    def accept(self, guests: ConnectionCounts, make_room: EvictOne, now_ns: int) -> Session | None:
-        """The next connection; None where none waits, or it was turned away."""
+    def accept(self, counts: ConnectionCounts, evict_one: EvictOne, now_ns: int) -> Session | None:
+        """Session of the next connection; None where none waits, or it was turned away."""
         try:
             sock, _ = self.sock.accept()
         except BlockingIOError:
             return None
         except OSError as error:
-            if error.errno in _NOTHING_LEFT:
-                self._pause_until_ns = now_ns + self._limits.pause_ns
+            if error.errno in _OUT_OF_RESOURCES:
+                self._pause_until_ns = now_ns + self._limits.accept_pause_ns
                 return None
-            if error.errno in _GIVEN_UP:
+            if error.errno in _ABORTED:
                 return None
             raise
-        self._pace.take(now_ns)
+        self._rate.take(now_ns)
         sock.setblocking(False)
-        caller = None if self.is_for_metrics else self._caller(sock)
-        if not self._has_place(caller, guests, make_room):
+        caller = self._caller(sock)
+        if not self._has_place(caller, counts, evict_one):
             self._turn_away(sock)
             return None
         self._counters.accepted += 1
@@ -93,31 +86,26 @@ class Acceptor:
         peer = peer_of(sock)
         return Caller(next(self._numbers), peer, self._policy.rights_of(peer))
 
-    def _has_place(
-        self, caller: Caller | None, guests: ConnectionCounts, make_room: EvictOne
-    ) -> bool:
-        """True where a place is left, or was made."""
+    def _has_place(self, caller: Caller, counts: ConnectionCounts, evict_one: EvictOne) -> bool:
+        """True where a place is free, or was made."""
         limits = self._limits
-        if caller is None:
-            return guests.metrics_clients < limits.metrics_clients
-        if may_only_read(caller) and guests.readers >= limits.clients - limits.kept_places:
-            return make_room(caller, True)
-        return guests.clients < limits.clients or make_room(caller, False)
+        if may_only_read(caller) and counts.readers >= limits.clients - limits.reserved_clients:
+            return evict_one(caller, True)
+        return counts.clients < limits.clients or evict_one(caller, False)
 
     def _turn_away(self, sock: socket.socket) -> None:
         self._counters.turned_away += 1
-        if not self.is_for_metrics:
-            what = (
-                f"no place is left: {self._limits.clients} clients at most,"
-                f" {self._limits.kept_places} places kept for those who may operate,"
-                " and a demand keeps its place"
-            )
-            line = jsonrpc.error_line(None, RequestError(ErrorCode.TOO_MANY_CLIENTS, what))
-            with contextlib.suppress(OSError):  # it may have left already
-                sock.send(line, socket.MSG_NOSIGNAL)
+        what = (
+            f"no place is left: {self._limits.clients} clients at most,"
+            f" {self._limits.reserved_clients} places kept for those who may operate,"
+            " and a demand keeps its place"
+        )
+        line = jsonrpc.error_line(None, RequestError(ErrorCode.TOO_MANY_CLIENTS, what))
+        with contextlib.suppress(OSError):  # the peer may have closed it
+            sock.send(line, socket.MSG_NOSIGNAL)
         sock.close()
 
 
 def may_only_read(caller: Caller) -> bool:
-    """True where none of the kept places is for this peer."""
+    """True where none of the reserved places is for this peer."""
     return caller.rights == {Right.READ}

@@ -1,9 +1,8 @@
-"""JSON-RPC 2.0 without a socket: one line to a request, a result to one line.
+"""JSON-RPC 2.0 codec, without sockets: a line to a request, a result to a line.
 
 `parse` raises nothing, whatever the bytes; its cost is bounded for any line of 64 KiB.
 """
 
-import difflib
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,7 +11,8 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.api.methods import METHODS, Params, Values
+from vcu_gateway.api.methods import METHODS, ControllerParams, Params
+from vcu_gateway.errors import nearest as nearest_word
 from vcu_gateway.server.stop_requests import stop_named
 
 MAX_DEPTH = 16
@@ -22,9 +22,9 @@ MAX_ID_CHARACTERS = 64
 MAX_SENTENCE_CHARACTERS = 400
 
 _MAX_QUOTED_CHARACTERS = 48
-_MAX_COMPLAINTS = 3
-_MARKS = (b",", b"[", b"{")
-_MAX_MARKS = 2_048
+_MAX_ERRORS = 3
+_STRUCTURE = (b",", b"[", b"{")
+_MAX_STRUCTURE = 2_048
 _MEMBERS = ("jsonrpc", "id", "method", "params")
 _INTEGERS = range(-(2**63), 2**64)
 
@@ -34,7 +34,7 @@ _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 class Request(NamedTuple):
-    """A well-formed request; `id` is None for a notification, which is not answered."""
+    """Well-formed request; `id` is None for a notification, which is not answered."""
 
     method: str
     params: Params
@@ -42,24 +42,24 @@ class Request(NamedTuple):
 
 
 class RefusedRequest(NamedTuple):
-    """Why a line is no request; `is_answered` is False where it was a notification.
+    """Line that is no valid request; `is_answered` is False where it was a notification.
 
     Attributes:
-        stop: the method of `STOPS` that it names, and that is done all the same.
+        stop: method of `STOPS` that it names, to be carried out all the same; None where none.
     """
 
-    failure: RequestError
+    error: RequestError
     id: RequestId | None
     is_answered: bool
     stop: str | None = None
 
 
 class _UnreadableError(ValueError):
-    """The line is no JSON, or more of it than a request needs."""
+    """Line that is no JSON, or JSON beyond the limits."""
 
 
 def parse(line: bytes) -> Request | RefusedRequest:
-    """The request in this line, or what is wrong with it."""
+    """Request in this line, or the error to answer with."""
     parsed = _parse(line)
     if isinstance(parsed, RefusedRequest) and (stop := stop_named(line)) is not None:
         return parsed._replace(stop=stop, is_answered=True)
@@ -70,42 +70,42 @@ def _parse(line: bytes) -> Request | RefusedRequest:
     try:
         message = _read(line)
     except _UnreadableError as error:
-        return RefusedRequest(_failure(ErrorCode.PARSE_ERROR, str(error)), None, True)
+        return RefusedRequest(_error(ErrorCode.PARSE_ERROR, str(error)), None, True)
     if not isinstance(message, dict):
         what = "a batch; send one request a line" if isinstance(message, list) else "no object"
-        return RefusedRequest(_failure(ErrorCode.INVALID_REQUEST, f"this is {what}"), None, True)
+        return RefusedRequest(_error(ErrorCode.INVALID_REQUEST, f"this is {what}"), None, True)
     request_id = message.get("id")
     if not _is_id(request_id) and "id" in message:
         wrong_id = f"id must be a string of up to {MAX_ID_CHARACTERS} characters or an integer"
-        return RefusedRequest(_failure(ErrorCode.INVALID_REQUEST, wrong_id), None, True)
+        return RefusedRequest(_error(ErrorCode.INVALID_REQUEST, wrong_id), None, True)
     try:
         return _request(message, request_id)
-    except RequestError as failure:
-        is_answered = "id" in message or failure.code is ErrorCode.INVALID_REQUEST
+    except RequestError as error:
+        is_answered = "id" in message or error.code is ErrorCode.INVALID_REQUEST
         # Without its traceback, or it would keep itself alive through the frames of the caller.
-        return RefusedRequest(failure.with_traceback(None), request_id, is_answered)
+        return RefusedRequest(error.with_traceback(None), request_id, is_answered)
 
 
 def result_line(request_id: RequestId, result: Mapping[str, Any]) -> bytes:
-    """The answer to a request; ValueError where it holds NaN or an infinity."""
+    """Line of a result; ValueError where it holds NaN or an infinity."""
     return _line({"jsonrpc": "2.0", "id": request_id, "result": result})
 
 
-def error_line(request_id: RequestId | None, failure: RequestError) -> bytes:
-    """The answer to a request that failed; the id is null where it could not be read."""
-    return _line({"jsonrpc": "2.0", "id": request_id, "error": failure.as_json()})
+def error_line(request_id: RequestId | None, error: RequestError) -> bytes:
+    """Line of an error; the id is null where it could not be read."""
+    return _line({"jsonrpc": "2.0", "id": request_id, "error": error.as_json()})
 
 
 def notification_line(method: str, params: Mapping[str, Any]) -> bytes:
-    """What the gateway tells of its own accord."""
+    """Line of a notification."""
     return _line({"jsonrpc": "2.0", "method": method, "params": params})
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """The end of a sentence that says which of these names was probably meant, or nothing."""
+    """End of a sentence with the most similar of these names; empty without a similar one."""
     # Comparing takes time that grows with the length.
-    close = difflib.get_close_matches(name[:_MAX_QUOTED_CHARACTERS], list(names), 1)
-    return f"; the nearest is {_quoted(close[0])}" if close else ""
+    close = nearest_word(name[:_MAX_QUOTED_CHARACTERS], names)
+    return f"; the nearest is {_quoted(close)}" if close else ""
 
 
 def _line(message: Mapping[str, Any]) -> bytes:
@@ -113,7 +113,7 @@ def _line(message: Mapping[str, Any]) -> bytes:
 
 
 def _read(line: bytes) -> object:
-    if sum(map(line.count, _MARKS)) > _MAX_MARKS:  # counting costs a hundredth of reading
+    if sum(map(line.count, _STRUCTURE)) > _MAX_STRUCTURE:  # costs a hundredth of reading
         raise _UnreadableError("more commas and brackets than any request has")
     try:
         text = line.decode("utf-8")
@@ -138,11 +138,11 @@ def _read(line: bytes) -> object:
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     members = dict(pairs)
     if len(members) < len(pairs):
-        raise _UnreadableError(f"{_quoted(_first_twice(pairs))} stands twice in one object")
+        raise _UnreadableError(f"duplicate key {_quoted(_first_duplicate(pairs))}")
     return members
 
 
-def _first_twice(pairs: list[tuple[str, Any]]) -> str:
+def _first_duplicate(pairs: list[tuple[str, Any]]) -> str:
     seen: set[str] = set()
     for name, _ in pairs:
         if name in seen:
@@ -156,7 +156,7 @@ def _constant(name: str) -> object:
 
 
 def _check_extent(message: object) -> None:
-    """Few values, none deep inside, no huge integers."""
+    """Check the number of values, their depth and the size of integers."""
     level = [message] if isinstance(message, (dict, list)) else []
     count = 0
     for _ in range(MAX_DEPTH):
@@ -193,43 +193,43 @@ def _is_id(value: object) -> bool:
 
 
 def _request(message: dict[str, Any], request_id: RequestId | None) -> Request:
-    """The request, or a Failure raised."""
+    """Request from a decoded message; RequestError where it is none."""
     for name in message:
         if name not in _MEMBERS:
             what = f"there is no member {_quoted(name)} in a request{nearest(name, _MEMBERS)}"
-            raise _failure(ErrorCode.INVALID_REQUEST, what)
+            raise _error(ErrorCode.INVALID_REQUEST, what)
     if message.get("jsonrpc") != "2.0":
-        raise _failure(ErrorCode.INVALID_REQUEST, 'jsonrpc must be "2.0"')
+        raise _error(ErrorCode.INVALID_REQUEST, 'jsonrpc must be "2.0"')
     method = message.get("method")
     if not isinstance(method, str):
-        raise _failure(ErrorCode.INVALID_REQUEST, "method must be a string")
+        raise _error(ErrorCode.INVALID_REQUEST, "method must be a string")
     if method not in METHODS:
         what = f"there is no method {_quoted(method)}{nearest(method, METHODS)}"
-        raise _failure(ErrorCode.METHOD_NOT_FOUND, what)
+        raise _error(ErrorCode.METHOD_NOT_FOUND, what)
     return Request(method, _params(METHODS[method].params, message.get("params", {})), request_id)
 
 
 def _params(model: type[Params], values: object) -> Params:
     if not isinstance(values, dict):
-        raise _failure(ErrorCode.INVALID_PARAMS, "params must be an object: parameters go by name")
+        raise _error(ErrorCode.INVALID_PARAMS, "params must be an object: parameters go by name")
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        complaints = _complaints(model, error)
-    raise _failure(ErrorCode.INVALID_PARAMS, complaints)
+        sentence = _error_sentence(model, error)
+    raise _error(ErrorCode.INVALID_PARAMS, sentence)
 
 
-def _complaints(model: type[Params], error: ValidationError) -> str:
-    """What is wrong with the parameters: the first few things."""
+def _error_sentence(model: type[Params], error: ValidationError) -> str:
+    """Sentence about the first few errors in the parameters."""
     found = error.errors(include_url=False, include_context=False, include_input=False)
-    complaints = [_complaint(model, one) for one in found[:_MAX_COMPLAINTS]]
-    if len(found) > _MAX_COMPLAINTS:
-        complaints.append(f"and {len(found) - _MAX_COMPLAINTS} more")
-    return "; ".join(complaints)
+    sentences = [_one_error(model, one) for one in found[:_MAX_ERRORS]]
+    if len(found) > _MAX_ERRORS:
+        sentences.append(f"and {len(found) - _MAX_ERRORS} more")
+    return "; ".join(sentences)
 
 
-def _complaint(model: type[Params], error: Any) -> str:
-    """One thing that is wrong with the parameters, as a sentence."""
+def _one_error(model: type[Params], error: Any) -> str:
+    """Sentence about one error in the parameters."""
     path: Sequence[str | int] = error["loc"]
     where = _quoted(".".join(str(part) for part in path if part != "[key]"))
     if error["type"] == "missing":
@@ -241,16 +241,16 @@ def _complaint(model: type[Params], error: Any) -> str:
 
 
 def _names_beside(model: type[Params], path: Sequence[str | int]) -> list[str]:
-    """The parameters that exist where this one was put."""
-    return list((model if len(path) == 1 else Values).model_fields)
+    """Names of the parameters at the place of an unknown one."""
+    return list((model if len(path) == 1 else ControllerParams).model_fields)
 
 
 def _quoted(text: str) -> str:
-    """Input as it may stand in a sentence: short, and in printable ASCII."""
+    """Input quoted for a sentence: short, in printable ASCII."""
     if len(text) > _MAX_QUOTED_CHARACTERS:
         text = text[:_MAX_QUOTED_CHARACTERS] + "..."
     return json.dumps(text)
 
 
-def _failure(code: ErrorCode, sentence: str) -> RequestError:
+def _error(code: ErrorCode, sentence: str) -> RequestError:
     return RequestError(code, sentence[:MAX_SENTENCE_CHARACTERS])

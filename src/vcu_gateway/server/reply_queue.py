@@ -1,4 +1,4 @@
-"""Replies on their way from any thread to the API's thread."""
+"""Queue of replies from any thread to the API's thread."""
 
 import os
 import weakref
@@ -10,7 +10,7 @@ from vcu_gateway.server.service import Reply
 
 
 class QueuedReply(NamedTuple):
-    """A reply to the request `number` of the connection `connection`."""
+    """Reply to the request `number` of the connection `connection`."""
 
     connection: int
     number: int
@@ -18,42 +18,42 @@ class QueuedReply(NamedTuple):
 
 
 class ReplyQueue:
-    """A queue and a descriptor that becomes readable; putting costs one system call at most.
+    """Queue with a descriptor that becomes readable; `put` costs one system call at most.
 
     The ticking thread puts replies in, so there is no lock that it could wait for.
     """
 
     def __init__(self) -> None:
-        self._letters: deque[QueuedReply] = deque()
-        self._is_rung = False
-        self._is_shut = False
+        self._replies: deque[QueuedReply] = deque()
+        self._is_woken = False
+        self._is_closed = False
         self.fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        # Closed only when nobody can ring any more: its number may belong to the bus by then.
+        # Closed only when no producer is left: its number may belong to the bus by then.
         weakref.finalize(self, os.close, self.fd)
 
     def put(self, connection: int, number: int, reply: Reply) -> None:
-        """Hand over a reply; from any thread, at any time."""
-        if not self._is_shut:
-            self._letters.append(QueuedReply(connection, number, reply))
-            self.ring()
+        """Append a reply and wake the API's thread; from any thread, at any time."""
+        if not self._is_closed:
+            self._replies.append(QueuedReply(connection, number, reply))
+            self.wake()
 
-    def ring(self) -> None:
+    def wake(self) -> None:
         """Wake the API's thread."""
-        if not self._is_rung:
-            self._is_rung = True
+        if not self._is_woken:
+            self._is_woken = True
             os.eventfd_write(self.fd, 1)
 
-    def hush(self) -> None:
-        """After the descriptor was readable, and before `take`: what comes then rings again."""
+    def clear_wakeup(self) -> None:
+        """Reset the descriptor, before `take`: a reply put later makes it readable again."""
         os.eventfd_read(self.fd)
-        self._is_rung = False
+        self._is_woken = False
 
     def take(self) -> Iterator[QueuedReply]:
-        """Everything that waits; only the API's thread takes."""
-        while self._letters:
-            yield self._letters.popleft()
+        """All queued replies, the oldest first; on the API's thread only."""
+        while self._replies:
+            yield self._replies.popleft()
 
-    def shut(self) -> None:
-        """Take nothing more, and forget what is there."""
-        self._is_shut = True
-        self._letters.clear()
+    def close(self) -> None:
+        """Drop the queued replies and all that are put later."""
+        self._is_closed = True
+        self._replies.clear()

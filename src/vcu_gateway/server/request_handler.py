@@ -1,4 +1,4 @@
-"""One line of one connection: read, judged, and answered or handed to the service."""
+"""Handler of the requests of all sessions: rights, subscriptions, and the service behind them."""
 
 import functools
 import itertools
@@ -34,7 +34,7 @@ LateReply = Callable[[int, int, Reply], None]
 
 
 class RequestHandler:
-    """What is done with a request; the socket it came from is the connection's affair."""
+    """Parses lines, checks rights and sends replies; sockets and timeouts are the `Session`'s."""
 
     def __init__(self, service: RequestService, counters: Counters, reply: LateReply) -> None:
         self._service = service
@@ -42,91 +42,95 @@ class RequestHandler:
         self._reply = reply
         self._numbers = itertools.count(1)
 
-    def check_extent(self, connection: Session, now_ns: int) -> None:
-        """Refuse a line that is longer than a line may be, before it has ended."""
-        if connection.lines.is_too_long and not connection.is_ending:
-            failure = RequestError(
+    def check_line_length(self, session: Session, now_ns: int) -> None:
+        """Refuse a line that exceeds the length before it has ended, and close the session."""
+        if session.lines.is_too_long and not session.is_ending:
+            error = RequestError(
                 ErrorCode.PARSE_ERROR, f"a line has at most {MAX_LINE_BYTES} bytes"
             )
-            self._send(connection, None, failure, now_ns)
-            connection.end_after_output(LINE_TOO_LONG)
+            self._send(session, None, error, now_ns)
+            session.end_after_output(LINE_TOO_LONG)
 
-    def handle(self, connection: Session, line: bytes, now_ns: int) -> None:
-        """Do what this line asks."""
+    def handle(self, session: Session, line: bytes, now_ns: int) -> None:
+        """Handle the request in this line."""
         self._counters.requests += 1
         request = jsonrpc.parse(line)
         if isinstance(request, jsonrpc.RefusedRequest):
-            self._refuse(connection, request, now_ns)
+            self._refuse(session, request, now_ns)
             return
         try:
-            result = self._result(connection, request, now_ns)
-        except RequestError as failure:
+            result = self._result(session, request, now_ns)
+        except RequestError as error:
             # Without its traceback, or it would keep itself alive through this frame.
-            result = failure.with_traceback(None)
+            result = error.with_traceback(None)
         if result is not None and request.id is not None:
-            self._send(connection, request.id, result, now_ns)
+            self._send(session, request.id, result, now_ns)
 
-    def _refuse(self, connection: Session, refused: jsonrpc.RefusedRequest, now_ns: int) -> None:
-        """Say what is wrong; a stop is done all the same, and the answer waits for that."""
+    def _refuse(self, session: Session, refused: jsonrpc.RefusedRequest, now_ns: int) -> None:
+        """Reply with the error; a stop is carried out all the same, and the reply waits for it."""
         if refused.stop is not None:
             self._counters.stopped_anyway += 1
-            addressee = ReplyTo(refused.id, refused.failure)
-            self._begin(connection, refused.stop, Nothing(), addressee)
+            addressee = ReplyTo(refused.id, refused.error)
+            self._call_service(session, refused.stop, Nothing(), addressee)
         elif refused.is_answered:
-            self._send(connection, refused.id, refused.failure, now_ns)
+            self._send(session, refused.id, refused.error, now_ns)
 
-    def answer(self, connection: Session, number: int, reply: Reply, now_ns: int) -> None:
-        """Send the service's reply to the request of this number; the first one counts."""
-        addressee = connection.answered(number, now_ns)
+    def reply(self, session: Session, number: int, reply: Reply, now_ns: int) -> None:
+        """Send the service's reply to a pending request; a second one is dropped."""
+        addressee = session.take_pending(number, now_ns)
         if addressee is None:
             return
-        if addressee.wrong is not None:
-            reply = _with_what_became(addressee.wrong, reply)
-        self._send(connection, addressee.id, reply, now_ns)
+        if addressee.error is not None:
+            reply = _with_outcome(addressee.error, reply)
+        self._send(session, addressee.id, reply, now_ns)
 
-    def update(self, connection: Session, subscription: SubscriptionState, now_ns: int) -> None:
-        """Send what is due, or count what a slow reader misses."""
-        points = subscription.pass_by(now_ns)
-        if connection.has_output:
+    def send_update(self, session: Session, subscription: SubscriptionState, now_ns: int) -> None:
+        """Send an update, or count it as lost where the reader is slow."""
+        points = subscription.advance(now_ns)
+        if session.has_output:
             subscription.lost += points
             self._counters.lost_updates += points
             return
         state = self._service.state(subscription.messages)
         update = Update(subscription=subscription.number, lost=subscription.lost, state=state)
         subscription.lost = 0
-        connection.send(jsonrpc.notification_line("state.update", update), now_ns)
+        session.send(jsonrpc.notification_line("state.update", update), now_ns)
 
     def _send(
-        self, connection: Session, request_id: jsonrpc.RequestId | None, reply: Reply, now_ns: int
+        self,
+        session: Session,
+        request_id: jsonrpc.RequestId | None,
+        reply: Reply,
+        now_ns: int,
     ) -> None:
         if isinstance(reply, RequestError):
             self._counters.count_error(reply.code.name.lower())
-            connection.send(jsonrpc.error_line(request_id, reply), now_ns)
+            session.send(jsonrpc.error_line(request_id, reply), now_ns)
         elif request_id is not None:
-            connection.send(jsonrpc.result_line(request_id, reply), now_ns)
+            session.send(jsonrpc.result_line(request_id, reply), now_ns)
 
-    def _result(self, connection: Session, request: jsonrpc.Request, now_ns: int) -> Reply | None:
-        """The result; None where the service will reply. Failure is raised."""
-        self._check_right(_caller(connection), request)
+    def _result(self, session: Session, request: jsonrpc.Request, now_ns: int) -> Reply | None:
+        """Result; None where the service will reply. RequestError where it is refused."""
+        self._check_right(session.caller, request)
         if isinstance(request.params, SubscribeParams):
-            return self._subscribe(connection, request.params, now_ns)
+            return self._subscribe(session, request.params, now_ns)
         if isinstance(request.params, UnsubscribeParams):
-            return _unsubscribe(connection, request.params)
-        if request.method == "demand.set" and connection.peer_ended:
+            return _unsubscribe(session, request.params)
+        if request.method == "demand.set" and session.peer_ended:
             what = "this connection has ended, and a demand ends with its connection"
             raise RequestError(ErrorCode.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
         addressee = None if request.id is None else ReplyTo(request.id)
-        self._begin(connection, request.method, request.params, addressee)
+        self._call_service(session, request.method, request.params, addressee)
         return None
 
-    def _begin(
-        self, connection: Session, method: str, params: Params, addressee: ReplyTo | None
+    def _call_service(
+        self, session: Session, method: str, params: Params, addressee: ReplyTo | None
     ) -> None:
-        caller, number = _caller(connection), next(self._numbers)
-        connection.drives = connection.drives or method == "demand.set"
-        connection.unanswered[number] = addressee
+        caller, number = session.caller, next(self._numbers)
+        session.is_driver = session.is_driver or method == "demand.set"
+        session.pending[number] = addressee
         reply = functools.partial(self._reply, caller.connection, number)
-        self._service.begin(method, params, caller, reply)
+        self._service.handle(method, params, caller, reply)
 
     def _check_right(self, caller: Caller, request: jsonrpc.Request) -> None:
         needed = right_needed(request.method, request.params)
@@ -139,36 +143,30 @@ class RequestHandler:
             f"{request.method}{level} needs the right {needed.value!r}, which user"
             f" {caller.peer.uid} and its groups do not have"
         )
-        self._service.refused(request.method, caller, sentence)
+        self._service.log_refused(request.method, caller, sentence)
         raise RequestError(ErrorCode.NO_RIGHT, sentence)
 
-    def _subscribe(self, connection: Session, params: SubscribeParams, now_ns: int) -> Subscribed:
-        if len(connection.subscriptions) >= MAX_SUBSCRIPTIONS:
+    def _subscribe(self, session: Session, params: SubscribeParams, now_ns: int) -> Subscribed:
+        if len(session.subscriptions) >= MAX_SUBSCRIPTIONS:
             what = f"{MAX_SUBSCRIPTIONS} subscriptions are the most; end one with state.unsubscribe"
             raise RequestError(ErrorCode.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
-        self._service.state(params.messages)  # Failure where a name is wrong
+        self._service.state(params.messages)  # RequestError for an unknown name
         number = next(self._numbers)
         subscription = SubscriptionState(number, params.messages, params.rate_hz, now_ns)
-        connection.subscriptions[number] = subscription
+        session.subscriptions[number] = subscription
         return Subscribed(subscription=number, rate_hz=params.rate_hz)
 
 
-def _caller(connection: Session) -> Caller:
-    if connection.caller is None:
-        raise AssertionError("the metrics port speaks no JSON")
-    return connection.caller
-
-
-def _with_what_became(wrong: RequestError, reply: Reply) -> RequestError:
-    """What was wrong with a request to stop, and that the vehicle was stopped all the same."""
-    became = (
+def _with_outcome(error: RequestError, reply: Reply) -> RequestError:
+    """Error of a malformed request to stop, with its outcome."""
+    outcome = (
         f"not done: {reply.sentence}" if isinstance(reply, RequestError) else "done all the same"
     )
-    return RequestError(wrong.code, f"{wrong.sentence}; {became}")
+    return RequestError(error.code, f"{error.sentence}; {outcome}")
 
 
-def _unsubscribe(connection: Session, params: UnsubscribeParams) -> Subscribed:
-    subscription = connection.subscriptions.pop(params.subscription, None)
+def _unsubscribe(session: Session, params: UnsubscribeParams) -> Subscribed:
+    subscription = session.subscriptions.pop(params.subscription, None)
     if subscription is None:
         what = f"this connection has no subscription {params.subscription}"
         raise RequestError(ErrorCode.INVALID_PARAMS, what)

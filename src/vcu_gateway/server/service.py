@@ -1,4 +1,4 @@
-"""What the server needs of the program behind it."""
+"""Interface between the server and the program behind it."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol
@@ -9,11 +9,11 @@ from vcu_gateway.api.results import State
 from vcu_gateway.api.rights import Peer, Right
 
 Reply = Mapping[str, Any] | RequestError
-"""A result, or why there is none."""
+"""A result, or the error that is answered instead."""
 
 
 class Caller(NamedTuple):
-    """One connection of one process.
+    """Peer of one connection, with its rights.
 
     Attributes:
         connection: number of the connection, never used twice.
@@ -25,27 +25,24 @@ class Caller(NamedTuple):
 
 
 class RequestService(Protocol):
-    """Answers requests; every method is called on the API's thread and returns at once."""
+    """Request handlers; every method is called on the API's thread and returns at once."""
 
-    def begin(
+    def handle(
         self, method: str, params: Params, caller: Caller, reply: Callable[[Reply], None]
     ) -> None:
-        """Answer one permitted request through `reply`: once, now or later, from any thread."""
+        """Handle a permitted request and call `reply` once, now or later, from any thread."""
 
     def state(self, messages: list[str] | None) -> State:
-        """What a subscription sends; Failure where a message is not known."""
-
-    def metrics(self) -> bytes:
-        """The metrics in Prometheus's text format; Failure where they are not installed."""
+        """State for an update of a subscription; RequestError where a message is not known."""
 
     def owns_demand(self, caller: Caller) -> bool:
         """True while a fresh demand of this connection counts."""
 
-    def refused(self, method: str, caller: Caller, sentence: str) -> None:
-        """A request was refused for want of a right; to be logged."""
+    def log_refused(self, method: str, caller: Caller, sentence: str) -> None:
+        """Log a request that was refused for want of a right."""
 
-    def closed(self, caller: Caller, reason: str) -> None:
-        """The gateway ended this connection; to be logged."""
+    def log_closed(self, caller: Caller, reason: str) -> None:
+        """Log a connection that the gateway closed."""
 
-    def gone(self, caller: Caller) -> None:
-        """The connection has ended, whoever ended it: its demand ends too."""
+    def end_demands(self, caller: Caller) -> None:
+        """End the demands of a connection that has ended, whoever ended it."""

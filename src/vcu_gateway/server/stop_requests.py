@@ -1,21 +1,21 @@
-"""Requests to stop the vehicle: done also where they are wrong in form, if they say which."""
+"""Malformed requests to stop the vehicle: carried out if they name `estop` or `disarm`."""
 
 import json
 from typing import Any
 
 STOPS = frozenset({"estop", "disarm"})
-"""Methods that are never refused."""
+"""Methods that are never refused to a peer."""
 
-_SIGNS = (*(name.encode() for name in STOPS), b"\\u")
+_MARKS = (*(name.encode() for name in STOPS), b"\\u")
 
 
 def stop_named(line: bytes) -> str | None:
-    """The stop that this line names, which `wire.parse` refuses; None where it names none.
+    """Stop named by a line that `jsonrpc.parse` refuses; None where it names none.
 
     A JSON object, alone or alone in a list, whose every member `method` is the same one of `STOPS`,
     however wrong the rest.
     """
-    if not any(sign in line for sign in _SIGNS):  # costs a hundredth of reading
+    if not any(mark in line for mark in _MARKS):  # costs a hundredth of reading
         return None
     try:
         members = json.loads(
@@ -36,6 +36,6 @@ def stop_named(line: bytes) -> str | None:
 
 
 class _Members(tuple[tuple[str, Any], ...]):
-    """Those of an object, also where one stands twice."""
+    """Members of a JSON object, duplicates included."""
 
     __slots__ = ()

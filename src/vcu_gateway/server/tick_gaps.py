@@ -1,7 +1,7 @@
-"""When the API's thread may work, so that it never makes a tick late.
+"""Gaps between the ticks in which the API's thread may work, so that it makes no tick late.
 
-Threads of one interpreter share its lock: whoever computes while a tick is due holds the tick
-up. So the API works between the ticks, and only for a share of the time.
+Threads of one interpreter share its lock: a thread that computes while a tick is due delays
+the tick. So the API works between the ticks, and only for a share of the time.
 """
 
 import time
@@ -11,36 +11,36 @@ from typing import NamedTuple
 from vcu_gateway.units import NS_PER_S
 
 UNIT_NS = 1_000_000
-"""What one unit of work costs, unless its caller knows better."""
+"""Default cost of one unit of work."""
 
 
 class GapShare(NamedTuple):
-    """How a period is divided.
+    """Division of a tick period.
 
     Attributes:
-        before_ns: nothing begins in this time before a deadline.
-        after_ns: nor in this time after a tick was taken: it sends and tells.
+        before_ns: no work begins in this time before a deadline.
+        after_ns: nor in this time after a tick was taken: it sends and logs.
         share: part of a period, 0 to 1, that may be worked in.
-        look_ns: how often an overdue tick is looked for.
+        check_ns: interval of the checks for an overdue tick.
     """
 
     before_ns: int = 2_500_000
     after_ns: int = 1_000_000
     share: float = 0.4
-    look_ns: int = 1_000_000
+    check_ns: int = 1_000_000
 
 
 DEFAULT_SHARE = GapShare()
 
 
 class TickGaps:
-    """The times between ticks, for one thread; see `wait`."""
+    """Gate that one thread passes before each unit of work; see `wait`."""
 
     def __init__(
         self,
         next_deadline_ns: Callable[[], int],
         period_ns: int,
-        room: GapShare = DEFAULT_SHARE,
+        gap: GapShare = DEFAULT_SHARE,
         now_ns: Callable[[], int] = time.monotonic_ns,
         worked_ns: Callable[[], int] = time.thread_time_ns,
         sleep: Callable[[float], None] = time.sleep,
@@ -51,20 +51,20 @@ class TickGaps:
         """
         self._next_deadline_ns = next_deadline_ns
         self._period_ns = period_ns
-        self._room = room
-        self._share_ns = int(period_ns * room.share)
+        self._gap = gap
+        self._share_ns = int(period_ns * gap.share)
         self._now_ns, self._worked_ns, self._sleep = now_ns, worked_ns, sleep
         self._deadline_ns = next_deadline_ns()
-        self._looked_ns = now_ns()
-        self._open_ns = self._looked_ns
-        # Begun on the first look: that is on the thread whose time counts.
-        self._share_from_ns = self._looked_ns - period_ns
+        self._updated_ns = now_ns()
+        self._open_ns = self._updated_ns
+        # Begun at the first update: that is on the thread whose time counts.
+        self._share_from_ns = self._updated_ns - period_ns
         self._worked_before_ns = 0
 
     def wait(self, cost_ns: int = UNIT_NS) -> None:
-        """Return when there is room for work of this cost; at once where there is.
+        """Sleep until work of this cost fits into the gap; return at once where it does.
 
-        Sleeps for little more than a period where the ticks do not go on.
+        Sleeps for little more than a period where no tick is taken.
         """
         cost_ns = min(cost_ns, self._share_ns // 2)
         while True:
@@ -75,32 +75,32 @@ class TickGaps:
             self._sleep((until_ns - now_ns) / NS_PER_S)
 
     def _open_at(self, now_ns: int, cost_ns: int) -> int:
-        """When to look again; `now_ns` or before where there is room now."""
-        self._look(now_ns)
+        """Time of the next check; `now_ns` or before where the work may begin now."""
+        self._update(now_ns)
         overdue_ns = now_ns - self._deadline_ns
-        if overdue_ns >= self._period_ns:  # not started, or stuck: no tick to be careful of
+        if overdue_ns >= self._period_ns:  # not started, or stuck: there is no tick to delay
             return self._share_open_at(now_ns, cost_ns)
         if now_ns < self._open_ns:
             return self._open_ns
-        if overdue_ns >= self._room.after_ns:
-            return now_ns + self._room.look_ns
-        if -overdue_ns < max(self._room.before_ns, cost_ns):
-            return self._deadline_ns + self._room.after_ns
+        if overdue_ns >= self._gap.after_ns:
+            return now_ns + self._gap.check_ns
+        if -overdue_ns < max(self._gap.before_ns, cost_ns):
+            return self._deadline_ns + self._gap.after_ns
         share_open_ns = self._share_open_at(now_ns, cost_ns)
-        return min(share_open_ns, self._deadline_ns + self._room.after_ns)
+        return min(share_open_ns, self._deadline_ns + self._gap.after_ns)
 
-    def _look(self, now_ns: int) -> None:
-        """See whether a tick was taken, and begin a new share where one was or is missing."""
+    def _update(self, now_ns: int) -> None:
+        """Note a tick that was taken, and begin a new share then or after a period without one."""
         deadline_ns = self._next_deadline_ns()
         if deadline_ns != self._deadline_ns:
-            was_late = self._looked_ns >= self._deadline_ns
+            was_late = self._updated_ns >= self._deadline_ns
             taken_ns = now_ns if was_late else deadline_ns - self._period_ns
-            self._open_ns = min(taken_ns, now_ns) + self._room.after_ns
+            self._open_ns = min(taken_ns, now_ns) + self._gap.after_ns
             self._deadline_ns = deadline_ns
             self._begin_share(now_ns)
         elif now_ns - self._share_from_ns >= self._period_ns:
             self._begin_share(now_ns)
-        self._looked_ns = now_ns
+        self._updated_ns = now_ns
 
     def _begin_share(self, now_ns: int) -> None:
         self._share_from_ns = now_ns
