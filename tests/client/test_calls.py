@@ -1,6 +1,7 @@
 """The client knows the contract: every method, its parameters, what it changes."""
 
 import inspect
+from typing import Any
 
 import pytest
 
@@ -9,7 +10,7 @@ from vcu_gateway.api.rights import Right
 from vcu_gateway.client import AsyncClient, AsyncDemandOwner, Client, DemandOwner, calls
 from vcu_gateway.client.errors import DisconnectedError, GarbledError
 
-CALLS = [
+CALLS: list[calls.Call[Any]] = [
     calls.state(None),
     calls.state(["BMS_Status"]),
     calls.subscribe(None, 10.0),
@@ -45,15 +46,15 @@ def test_what_needs_a_right_or_stops_the_vehicle_counts_as_a_change(call):
     assert call.changes or METHODS[call.method].right is Right.READ
 
 
-def test_what_only_tells_may_go_again_after_any_break():
-    assert calls.why().may_go_again(DisconnectedError("broken"))
-    assert calls.why().may_go_again(GarbledError("rubbish"))
+def test_what_only_tells_may_retry_after_any_break():
+    assert calls.why().may_retry(DisconnectedError("broken"))
+    assert calls.why().may_retry(GarbledError("rubbish"))
 
 
-def test_what_changes_may_go_again_only_where_it_cannot_have_arrived():
-    assert not calls.arm().may_go_again(DisconnectedError("broken"))
-    assert not calls.arm().may_go_again(GarbledError("rubbish"))
-    assert calls.arm().may_go_again(DisconnectedError("broken", carried_out=False))
+def test_what_changes_may_retry_only_where_it_cannot_have_arrived():
+    assert not calls.arm().may_retry(DisconnectedError("broken"))
+    assert not calls.arm().may_retry(GarbledError("rubbish"))
+    assert calls.arm().may_retry(DisconnectedError("broken", carried_out=False))
 
 
 @pytest.mark.parametrize(("one", "other"), [(Client, AsyncClient), (DemandOwner, AsyncDemandOwner)])

@@ -53,7 +53,7 @@ def test_a_missing_socket_says_to_start_the_gateway(path):
 
 
 def test_a_socket_that_nobody_listens_at_says_that_the_gateway_has_ended(path, listener):
-    with pytest.raises(UnreachableError, match=r"nobody listens.*systemctl start"):
+    with pytest.raises(UnreachableError, match=r"no process listens.*systemctl start"):
         connect(path)
 
 

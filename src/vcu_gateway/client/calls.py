@@ -1,22 +1,25 @@
-"""Every method as a value: its name, its parameters, its result's type, whether it changes.
+"""Calls: every method of the API with its parameters, its result's type and its retry rule.
 
-The blocking and the asyncio client send these; the demand has its own connection and rules.
+Both clients send these, each in its own way; the demand has a connection and rules of its own.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import Generic, Literal, NamedTuple, TypeVar, cast
 
 from vcu_gateway.api import results
-from vcu_gateway.client.errors import ApiTimeoutError, DisconnectedError
+from vcu_gateway.client import jsonrpc
+from vcu_gateway.client.errors import ApiTimeoutError, DisconnectedError, GarbledError
 
 ResultT = TypeVar("ResultT")
 
+_LOWEST_RATE_HZ = 0.1
+
 
 class Call(NamedTuple, Generic[ResultT]):
-    """A request that waits for a connection.
+    """One request before it has a number, and what its failures mean.
 
     Attributes:
-        changes: it does more than tell; such a request is never sent twice,
+        changes: not read-only; it is never sent twice,
         stops: unless it stops the vehicle: twice is better than in doubt.
     """
 
@@ -25,50 +28,68 @@ class Call(NamedTuple, Generic[ResultT]):
     changes: bool = False
     stops: bool = False
 
-    def may_go_again(self, broken: DisconnectedError) -> bool:
-        """Whether it may be sent on a new connection."""
-        return broken.carried_out is False or self.stops or not self.changes
+    def may_retry(self, error: DisconnectedError) -> bool:
+        """Whether it may be sent again on a new connection."""
+        return error.carried_out is False or self.stops or not self.changes
 
-    @property
-    def doubt(self) -> str:
-        """What nobody knows where the answer is missing; empty where nothing can have changed."""
-        return f"; it is unknown whether {self.method} was carried out" if self.changes else ""
+    def result(self, response: jsonrpc.Response | None, *, sent: bool) -> ResultT:
+        """The response's result.
 
-    def unanswered(self, sent: bool) -> DisconnectedError:
-        """The connection ended; `sent` is False where the gateway cannot have all of it."""
+        Args:
+            response: None where the connection ended first.
+            sent: False where the gateway cannot have got the whole request.
+
+        Raises:
+            ApiError: the gateway's error.
+            DisconnectedError: there is no response.
+        """
+        if response is None:
+            raise self._disconnected(sent=sent)
+        return cast(ResultT, response.value())
+
+    def timed_out(self, timeout_s: float) -> ApiTimeoutError:
+        """No response within this time."""
+        return ApiTimeoutError(f"no answer to {self.method} within {timeout_s:g} s{self._doubt}")
+
+    def garbled(self, error: GarbledError) -> GarbledError:
+        """A garbled message instead of the response."""
+        return GarbledError(f"{error}{self._doubt}")
+
+    def _disconnected(self, *, sent: bool) -> DisconnectedError:
         if not sent:
             sentence = f"the gateway closed the connection before it got {self.method}"
             return DisconnectedError(sentence, carried_out=False)
         sentence = f"the gateway closed the connection before it answered {self.method}"
-        return DisconnectedError(sentence + self.doubt)
+        return DisconnectedError(sentence + self._doubt)
 
-    def late(self, timeout_s: float) -> ApiTimeoutError:
-        """No answer came in this time."""
-        return ApiTimeoutError(f"no answer to {self.method} within {timeout_s:g} s{self.doubt}")
+    @property
+    def _doubt(self) -> str:
+        """End of a sentence about a missing response; empty for read-only requests."""
+        return f"; it is unknown whether {self.method} was carried out" if self.changes else ""
 
 
 def state(messages: Iterable[str] | None) -> Call[results.State]:
-    """What is known and commanded now."""
-    return Call("state.get", _chosen(messages))
+    """Received signals and sent commands now; all messages where `messages` is None."""
+    return Call("state.get", _selection(messages))
 
 
 def subscribe(messages: Iterable[str] | None, rate_hz: float) -> Call[results.Subscribed]:
-    """The state again and again; for a connection of its own."""
-    return Call("state.subscribe", {**_chosen(messages), "rate_hz": rate_hz})
+    """The state `rate_hz` times a second, 0.1 to 50; for a connection of its own."""
+    return Call("state.subscribe", {**_selection(messages), "rate_hz": rate_hz})
 
 
 def why() -> Call[results.Why]:
-    """Why the vehicle does or does not move."""
+    """Reasons why the vehicle does or does not move."""
     return Call("why", {})
 
 
 def health() -> Call[results.Health]:
-    """How the gateway itself fares."""
+    """State of the gateway itself."""
     return Call("health", {})
 
 
 def events(limit: int) -> Call[results.Events]:
-    """The latest events."""
+    """The latest events, at most `limit`."""
     return Call("events", {"limit": limit})
 
 
@@ -78,7 +99,7 @@ def config() -> Call[results.ConfigInEffect]:
 
 
 def protocol() -> Call[results.Protocol]:
-    """Messages and signals."""
+    """Messages and signals of the bus."""
     return Call("protocol.get", {})
 
 
@@ -98,7 +119,7 @@ def reset(level: Literal["driver", "service"]) -> Call[results.Granted]:
 
 
 def estop() -> Call[results.Granted]:
-    """Cut the power of both controllers."""
+    """Emergency stop: cut the power of both controllers."""
     return Call("estop", {}, changes=True, stops=True)
 
 
@@ -107,5 +128,17 @@ def reload() -> Call[results.Reloaded]:
     return Call("config.reload", {}, changes=True)
 
 
-def _chosen(messages: Iterable[str] | None) -> dict[str, object]:
+def update_in(message: jsonrpc.Incoming) -> results.Update | None:
+    """The update that a subscription's message carries; None for any other message."""
+    if isinstance(message, jsonrpc.Notification) and message.method == "state.update":
+        return cast(results.Update, message.params)
+    return None
+
+
+def update_timeout_s(rate_hz: float, timeout_s: float) -> float:
+    """Time after which an update of a subscription at this rate is overdue."""
+    return timeout_s + 1 / max(rate_hz, _LOWEST_RATE_HZ)
+
+
+def _selection(messages: Iterable[str] | None) -> dict[str, object]:
     return {} if messages is None else {"messages": list(messages)}

@@ -1,4 +1,4 @@
-"""Where the gateway listens, and the way in."""
+"""Connecting to the gateway's Unix socket: default path, timeout, remedies."""
 
 import errno
 import os
@@ -14,7 +14,7 @@ SOCKET_PATH = Path("/run/vcu-gateway/control.sock")
 _REMEDIES = {
     errno.ENOENT: "there is no socket {path}: start the gateway (systemctl start vcu-gateway), or"
     f" name its socket in {SOCKET_VARIABLE}",
-    errno.ECONNREFUSED: "nobody listens at {path}: the gateway has ended; start it"
+    errno.ECONNREFUSED: "no process listens at {path}: the gateway has ended; start it"
     " (systemctl start vcu-gateway)",
     errno.EACCES: "no permission to open {path}: join the group that `ls -l {path}` shows, and"
     " log in again",
@@ -24,33 +24,38 @@ _REMEDIES = {
 
 
 def default_socket_path() -> Path:
-    """VCU_GATEWAY_SOCKET where it is set, else /run/vcu-gateway/control.sock."""
+    """Path of the gateway's socket: VCU_GATEWAY_SOCKET, else /run/vcu-gateway/control.sock."""
     return Path(os.environ.get(SOCKET_VARIABLE) or SOCKET_PATH)
 
 
-def connect(path: Path, within_s: float = 0.0) -> socket.socket:
-    """A non-blocking connection; UnreachableError says what to do.
+def connect(path: Path, timeout_s: float = 0.0) -> socket.socket:
+    """A connected, non-blocking socket.
 
-    Where others crowd in, it waits for its turn for so long: the kernel lets them in one by one.
+    Args:
+        path: the Unix socket.
+        timeout_s: longest wait while the listener's backlog is full; 0 does not wait.
+
+    Raises:
+        UnreachableError: the message says what to do.
     """
     try:
-        return _connected(os.fspath(path), within_s)
+        return _connected_socket(os.fspath(path), timeout_s)
     except OSError as error:
         known = _REMEDIES.get(error.errno or 0)
         sentence = known.format(path=path) if known else f"cannot connect to {path}: {error}"
         raise UnreachableError(sentence) from error
 
 
-def _connected(path: str, within_s: float) -> socket.socket:
+def _connected_socket(path: str, timeout_s: float) -> socket.socket:
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        if within_s > 0:
-            # Not Python's own time-out: with that it would not wait here at all.
-            timeval = struct.pack("@ll", int(within_s), int(within_s % 1 * 1e6))
+        if timeout_s > 0:
+            # Not socket.settimeout: a non-blocking connect fails at once on a full backlog.
+            timeval = struct.pack("@ll", int(timeout_s), int(timeout_s % 1 * 1e6))
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
             connection.connect(path)
         connection.setblocking(False)
-        if within_s <= 0:
+        if timeout_s <= 0:
             connection.connect(path)
     except BaseException:
         connection.close()

@@ -1,14 +1,14 @@
-"""What can go wrong between this program and the gateway, each as an exception."""
+"""Exceptions of the client."""
 
 from vcu_gateway.api.errors import ErrorCode
 
 
 class ClientError(Exception):
-    """The root of everything that the client raises on purpose."""
+    """Base class of the client's exceptions."""
 
 
 class UnreachableError(ClientError):
-    """No connection came about; the sentence says what to do."""
+    """No connection could be opened; the message says what to do."""
 
 
 class DisconnectedError(ClientError):
@@ -16,7 +16,7 @@ class DisconnectedError(ClientError):
 
     Attributes:
         carried_out: False where the gateway cannot have got the whole request; None where
-            nobody on this side knows. `why()` and `state()` tell after a new connection.
+            this is unknown: `why()` and `state()` tell on a new connection.
     """
 
     def __init__(self, sentence: str, *, carried_out: bool | None = None) -> None:
@@ -25,7 +25,7 @@ class DisconnectedError(ClientError):
 
 
 class GarbledError(DisconnectedError):
-    """The other end sent what no gateway sends; the connection was given up."""
+    """The peer sent what is not JSON-RPC of a gateway; the connection was closed."""
 
 
 class ApiTimeoutError(ClientError):
@@ -36,9 +36,10 @@ class ApiError(ClientError):
     """The gateway answered with an error.
 
     Attributes:
-        code: JSON-RPC's number; word: its stable name, such as `invalid_params`.
-        sentence: why, for a person.
-        refusal: machine word of a refusal, such as `other_owner`; empty for other errors.
+        code: JSON-RPC error code.
+        word: the code's stable name, such as `invalid_params`.
+        sentence: the reason, for people.
+        refusal: identifier of a refusal, such as `other_owner`; empty for other errors.
         problems: a sentence for each thing wrong with a configuration.
     """
 
@@ -59,18 +60,18 @@ class ApiError(ClientError):
 
 
 class RefusedError(ApiError):
-    """Not now, or not this."""
+    """The gateway refused the request in its present state."""
 
 
 class NoRightError(ApiError):
-    """This process may not ask for that."""
+    """This process lacks the right to the request."""
 
 
 class ConfigRefusedError(ApiError):
     """The new configuration was not taken; the old one is in effect."""
 
 
-_KINDS: dict[int, type[ApiError]] = {
+_CLASSES: dict[int, type[ApiError]] = {
     ErrorCode.REFUSED.value: RefusedError,
     ErrorCode.NO_RIGHT.value: NoRightError,
     ErrorCode.CONFIG_REFUSED.value: ConfigRefusedError,
@@ -78,13 +79,13 @@ _KINDS: dict[int, type[ApiError]] = {
 
 
 def api_error(error: object) -> ApiError:
-    """The `error` member of an answer as an exception; ValueError where it is none."""
+    """Exception for the `error` member of a response; ValueError where it is malformed."""
     if not isinstance(error, dict) or type(error.get("code")) is not int:
         raise ValueError("the error has no code")
     code, sentence, data = error["code"], str(error.get("message", "")), error.get("data")
     data = data if isinstance(data, dict) else {}
     problems = data.get("problems")
-    return _KINDS.get(code, ApiError)(
+    return _CLASSES.get(code, ApiError)(
         code,
         str(data.get("word") or _word_of(code)),
         sentence,
@@ -94,5 +95,5 @@ def api_error(error: object) -> ApiError:
 
 
 def _word_of(code: int) -> str:
-    """The word of a code that the contract names; a later gateway may have more."""
+    """The stable name of an error code; a later gateway may have more codes."""
     return next((one.name.lower() for one in ErrorCode if one.value == code), "unknown")
