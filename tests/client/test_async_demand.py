@@ -23,8 +23,8 @@ TTL_MS = 60
 LONG_TTL_MS = 3000
 
 
-def throttles(standin):
-    return [demand.throttle_pct for demand in standin.demands()]
+def throttles(fake):
+    return [demand.throttle_pct for demand in fake.demands()]
 
 
 async def until(condition):
@@ -37,13 +37,13 @@ def other_tasks():
     return asyncio.all_tasks() - {asyncio.current_task()}
 
 
-def assert_left_with_no_motion_and_released(standin):
-    standin.wait_for(lambda: not standin.open_connections)
-    assert standin.methods()[-2:] == ["demand.set", "demand.release"]
-    assert throttles(standin)[-1] == 0
+def assert_left_with_no_motion_and_released(fake):
+    fake.wait_for(lambda: not fake.open_connections)
+    assert fake.methods()[-2:] == ["demand.set", "demand.release"]
+    assert throttles(fake)[-1] == 0
 
 
-def test_what_was_set_reaches_the_command(gateway, standin):
+def test_what_was_set_reaches_the_command(gateway, fake):
     async def drive():
         async with AsyncClient(gateway) as client:
             async with client.demand("driver", ttl_ms=LONG_TTL_MS) as owner:
@@ -53,47 +53,47 @@ def test_what_was_set_reaches_the_command(gateway, standin):
                 assert owner.connected
                 command = (await client.state([]))["commands"]["PCU1"]
                 assert command["throttle_pct"] == 20
-            standin.wait_for(lambda: len(standin.open_connections) == 1)
+            fake.wait_for(lambda: len(fake.open_connections) == 1)
             assert (await client.state([]))["mode"] == "standby"
 
     asyncio.run(drive())
 
 
-def test_set_sends_before_anything_else_gets_a_turn(gateway, standin):
+def test_set_sends_before_anything_else_gets_a_turn(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver") as owner:
             owner.set(throttle_pct=20)
-            standin.wait_for(lambda: throttles(standin)[-1] == 20)
+            fake.wait_for(lambda: throttles(fake)[-1] == 20)
 
     asyncio.run(drive())
 
 
-def test_when_the_hold_ends_no_motion_is_sent(gateway, standin):
+def test_when_the_hold_ends_no_motion_is_sent(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver", ttl_ms=TTL_MS, hold_s=0.1) as owner:
             owner.set(throttle_pct=33)
-            await until(lambda: 33 in throttles(standin) and throttles(standin)[-2:] == [0, 0])
+            await until(lambda: 33 in throttles(fake) and throttles(fake)[-2:] == [0, 0])
 
     asyncio.run(drive())
 
 
-def test_without_a_hold_the_values_go_on(gateway, standin):
+def test_without_a_hold_the_values_go_on(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver", ttl_ms=TTL_MS, hold_s=None) as owner:
             owner.set(throttle_pct=33)
-            await until(lambda: throttles(standin).count(33) >= 5)
+            await until(lambda: throttles(fake).count(33) >= 5)
 
     asyncio.run(drive())
 
 
-def test_keeping_a_demand_costs_next_to_no_processor_time(gateway, standin):
+def test_keeping_a_demand_costs_next_to_no_processor_time(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver", ttl_ms=300, hold_s=None) as owner:
             before_cpu_s = time.process_time()
             await asyncio.sleep(0.5)
             assert time.process_time() - before_cpu_s < 0.1
-            assert len(standin.demands()) >= 2
-            standin.stop()
+            assert len(fake.demands()) >= 2
+            fake.stop()
             await until(lambda: not owner.connected)
             before_cpu_s = time.process_time()
             await asyncio.sleep(0.3)
@@ -110,20 +110,20 @@ def test_nothing_can_be_set_before_it_is_entered(gateway):
     asyncio.run(drive())
 
 
-def test_a_loop_that_is_blocked_lets_the_demand_expire(gateway, standin):
+def test_a_loop_that_is_blocked_lets_the_demand_expire(gateway, fake):
     async def drive():
         async with AsyncClient(gateway) as client, client.demand("driver", ttl_ms=TTL_MS) as owner:
             owner.set(throttle_pct=33)
-            standin.wait_for(lambda: throttles(standin)[-1] == 33)
-            seen, made_ns = len(standin.demands()), time.monotonic_ns()
+            fake.wait_for(lambda: throttles(fake)[-1] == 33)
+            seen, made_ns = len(fake.demands()), time.monotonic_ns()
             while time.monotonic_ns() < made_ns + 2 * TTL_MS * 1_000_000:
                 pass
-            assert len(standin.demands()) == seen
+            assert len(fake.demands()) == seen
 
     asyncio.run(drive())
 
 
-def test_leaving_by_an_exception_asks_for_no_motion_and_lets_it_pass(gateway, standin):
+def test_leaving_by_an_exception_asks_for_no_motion_and_lets_it_pass(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver", hold_s=None) as owner:
             owner.set(throttle_pct=50)
@@ -131,10 +131,10 @@ def test_leaving_by_an_exception_asks_for_no_motion_and_lets_it_pass(gateway, st
 
     with pytest.raises(ZeroDivisionError):
         asyncio.run(drive())
-    assert_left_with_no_motion_and_released(standin)
+    assert_left_with_no_motion_and_released(fake)
 
 
-def test_a_cancelled_drive_asks_for_no_motion_and_leaves_no_task(gateway, standin):
+def test_a_cancelled_drive_asks_for_no_motion_and_leaves_no_task(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver", hold_s=None) as owner:
             owner.set(throttle_pct=50)
@@ -142,39 +142,39 @@ def test_a_cancelled_drive_asks_for_no_motion_and_leaves_no_task(gateway, standi
 
     async def main():
         driving = asyncio.create_task(drive())
-        await until(lambda: 50 in throttles(standin))
+        await until(lambda: 50 in throttles(fake))
         driving.cancel()
         with pytest.raises(asyncio.CancelledError):
             await driving
         assert not other_tasks()
 
     asyncio.run(main())
-    assert_left_with_no_motion_and_released(standin)
+    assert_left_with_no_motion_and_released(fake)
 
 
-def test_a_drive_cancelled_again_while_leaving_still_asked_for_no_motion(gateway, standin):
+def test_a_drive_cancelled_again_while_leaving_still_asked_for_no_motion(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver", hold_s=None) as owner:
             owner.set(throttle_pct=50)
-            standin.faults.silent.add("demand.set")
+            fake.faults.silent.add("demand.set")
             await asyncio.Event().wait()
 
     async def main():
         driving = asyncio.create_task(drive())
-        await until(lambda: 50 in throttles(standin))
+        await until(lambda: 50 in throttles(fake))
         driving.cancel()
-        await until(lambda: throttles(standin)[-1] == 0)
+        await until(lambda: throttles(fake)[-1] == 0)
         driving.cancel()
         with pytest.raises(asyncio.CancelledError):
             await driving
         await until(lambda: not other_tasks())
 
     asyncio.run(main())
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)
 
 
-def test_a_drive_cancelled_while_it_is_entered_leaves_nothing(gateway, standin):
-    standin.faults.silent.add("demand.set")
+def test_a_drive_cancelled_while_it_is_entered_leaves_nothing(gateway, fake):
+    fake.faults.silent.add("demand.set")
 
     async def drive():
         async with AsyncClient(gateway).demand("driver"):
@@ -182,14 +182,14 @@ def test_a_drive_cancelled_while_it_is_entered_leaves_nothing(gateway, standin):
 
     async def main():
         driving = asyncio.create_task(drive())
-        await until(standin.demands)
+        await until(fake.demands)
         driving.cancel()
         with pytest.raises(asyncio.CancelledError):
             await driving
         assert not other_tasks()
 
     asyncio.run(main())
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)
 
 
 def test_leaving_leaves_no_task(gateway):
@@ -202,7 +202,7 @@ def test_leaving_leaves_no_task(gateway):
 
 
 def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypatch):
-    monkeypatch.setattr(async_demand, "_FAREWELL_S", PATIENCE_S)
+    monkeypatch.setattr(async_demand, "_RELEASE_TIMEOUT_S", PATIENCE_S)
 
     def speak(gateway):
         gateway.grant()
@@ -222,11 +222,11 @@ def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypat
     asyncio.run(drive())
 
 
-def test_releasing_by_hand_ends_it_and_once_more_does_nothing(gateway, standin):
+def test_releasing_by_hand_ends_it_and_once_more_does_nothing(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver") as owner:
             await owner.release()
-            assert_left_with_no_motion_and_released(standin)
+            assert_left_with_no_motion_and_released(fake)
             assert not owner.connected
             with pytest.raises(ClientError, match="released"):
                 owner.set(throttle_pct=1)
@@ -234,7 +234,7 @@ def test_releasing_by_hand_ends_it_and_once_more_does_nothing(gateway, standin):
                 await owner.__aenter__()
 
     asyncio.run(drive())
-    assert standin.methods().count("demand.release") == 1
+    assert fake.methods().count("demand.release") == 1
 
 
 def test_a_refusal_is_readable_and_raised_by_the_next_set(gateway):
@@ -248,9 +248,9 @@ def test_a_refusal_is_readable_and_raised_by_the_next_set(gateway):
     asyncio.run(drive())
 
 
-def test_a_demand_that_is_refused_from_the_start_is_not_entered(gateway, standin):
+def test_a_demand_that_is_refused_from_the_start_is_not_entered(gateway, fake):
     failure = RequestError(ErrorCode.REFUSED, "cruise owns the demand", "other_owner")
-    standin.faults.refuse["demand.set"] = failure
+    fake.faults.refuse["demand.set"] = failure
 
     async def drive():
         with pytest.raises(RefusedError, match="cruise owns"):
@@ -270,8 +270,8 @@ def test_entering_without_a_gateway_is_unreachable(tmp_path):
         asyncio.run(drive())
 
 
-def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, standin):
-    standin.faults.silent.add("demand.set")
+def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, fake):
+    fake.faults.silent.add("demand.set")
 
     async def drive():
         with pytest.raises(ApiTimeoutError, match="took no demand within"):
@@ -282,66 +282,66 @@ def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, s
     asyncio.run(drive())
 
 
-def test_an_owner_reconnects_with_no_motion_and_rising_sequences(gateway, standin):
+def test_an_owner_reconnects_with_no_motion_and_rising_sequences(gateway, fake):
     async def drive():
         async with AsyncClient(gateway).demand("driver", ttl_ms=TTL_MS, hold_s=None) as owner:
             owner.set(throttle_pct=50)
-            await until(lambda: 50 in throttles(standin))
-            old = standin.demands()[-1].connection
-            await asyncio.to_thread(standin.restart)
-            await until(lambda: len([d for d in standin.demands() if d.connection > old]) >= 3)
-            assert {d.throttle_pct for d in standin.demands() if d.connection > old} == {0}
+            await until(lambda: 50 in throttles(fake))
+            old = fake.demands()[-1].connection
+            await asyncio.to_thread(fake.restart)
+            await until(lambda: len([d for d in fake.demands() if d.connection > old]) >= 3)
+            assert {d.throttle_pct for d in fake.demands() if d.connection > old} == {0}
             owner.set(throttle_pct=30)
-            await until(lambda: throttles(standin)[-1] == 30)
+            await until(lambda: throttles(fake)[-1] == 30)
 
     asyncio.run(drive())
-    numbers = [demand.params["sequence"] for demand in standin.demands()]
+    numbers = [demand.params["sequence"] for demand in fake.demands()]
     assert numbers == sorted(set(numbers))
 
 
 # Calls and subscriptions.
 
 
-def test_a_cancelled_call_leaves_the_client_usable_and_no_task(gateway, standin):
+def test_a_cancelled_call_leaves_the_client_usable_and_no_task(gateway, fake):
     async def main():
-        standin.faults.late["why"] = threading.Event()
+        fake.faults.late["why"] = threading.Event()
         async with AsyncClient(gateway) as client:
             calling = asyncio.create_task(client.why())
-            await until(lambda: "why" in standin.methods())
+            await until(lambda: "why" in fake.methods())
             calling.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await calling
-            standin.faults.late.pop("why").set()
+            fake.faults.late.pop("why").set()
             assert "digest" in await client.config()
             assert not other_tasks()
 
     asyncio.run(main())
 
 
-def test_many_tasks_share_a_client_and_each_gets_its_own_answer(gateway, standin):
+def test_many_tasks_share_a_client_and_each_gets_its_own_answer(gateway, fake):
     async def main():
         async with AsyncClient(gateway) as client:
             answers = await asyncio.gather(*(client.events(limit) for limit in range(1, 51)))
         assert [answer["forgotten"] for answer in answers] == list(range(1, 51))
 
     asyncio.run(main())
-    assert standin.accepted == 1
+    assert fake.accepted == 1
 
 
-def test_a_request_that_does_not_get_its_turn_in_time_is_not_sent(gateway, standin):
+def test_a_request_that_does_not_get_its_turn_in_time_is_not_sent(gateway, fake):
     async def main():
-        standin.faults.late["why"] = threading.Event()
+        fake.faults.late["why"] = threading.Event()
         async with AsyncClient(gateway, timeout_s=60) as client:
             waiting = asyncio.create_task(client.why())
-            await until(lambda: "why" in standin.methods())
+            await until(lambda: "why" in fake.methods())
             client.timeout_s = 0.01
             with pytest.raises(ApiTimeoutError, match="arm"):
                 await client.arm()
-            standin.faults.late["why"].set()
+            fake.faults.late["why"].set()
             assert (await waiting)["mode"] == "standby"
 
     asyncio.run(main())
-    assert "arm" not in standin.methods()
+    assert "arm" not in fake.methods()
 
 
 def test_a_cancelled_subscription_can_be_read_on_and_leaves_no_task(gateway):
@@ -358,19 +358,19 @@ def test_a_cancelled_subscription_can_be_read_on_and_leaves_no_task(gateway):
     asyncio.run(main())
 
 
-def test_a_loop_over_a_subscription_ends_with_its_connection(gateway, standin):
+def test_a_loop_over_a_subscription_ends_with_its_connection(gateway, fake):
     async def main():
         count = 0
         async for update in AsyncClient(gateway).subscribe(rate_hz=50):
             count += update["state"]["mode"] == "standby"
             if count == 2:
-                standin.hang_up()
+                fake.hang_up()
         assert count >= 2
 
     asyncio.run(main())
 
 
-def test_closing_a_subscription_wakes_the_task_that_waits_for_it(gateway, standin):
+def test_closing_a_subscription_wakes_the_task_that_waits_for_it(gateway, fake):
     async def main():
         updates = AsyncClient(gateway).subscribe(rate_hz=0.1)
         await anext(updates)
@@ -381,11 +381,11 @@ def test_closing_a_subscription_wakes_the_task_that_waits_for_it(gateway, standi
             assert await reading is None
 
     asyncio.run(main())
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)
 
 
-def test_a_full_gateway_says_so_to_an_owner_too(gateway, standin):
-    standin.faults.full = True
+def test_a_full_gateway_says_so_to_an_owner_too(gateway, fake):
+    fake.faults.full = True
 
     async def drive():
         async with AsyncClient(gateway).demand("driver"):

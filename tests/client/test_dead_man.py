@@ -4,8 +4,7 @@ import pytest
 
 from vcu_gateway.api.methods import DemandParams
 from vcu_gateway.client import RefusedError
-from vcu_gateway.client.demand import request_values
-from vcu_gateway.client.keeping import DeadMan
+from vcu_gateway.client.demand import DeadMan, request_values
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -22,19 +21,19 @@ def refusal(word: str = "other_owner") -> RefusedError:
 
 
 @pytest.fixture
-def keeping():
+def dead_man():
     return DeadMan("driver", TTL_MS, hold_s=0.5)
 
 
 @pytest.fixture
-def driving(keeping):
-    keeping.ask(DRIVING, START_NS)
-    keeping.granted(GRANTED)
-    return keeping
+def driving(dead_man):
+    dead_man.new_values(DRIVING, START_NS)
+    dead_man.granted(GRANTED)
+    return dead_man
 
 
-def test_a_demand_is_one_of_the_contract(keeping):
-    demand = keeping.ask(DRIVING, START_NS)
+def test_a_demand_is_one_of_the_contract(dead_man):
+    demand = dead_man.new_values(DRIVING, START_NS)
     assert DemandParams.model_validate(demand).values.throttle_pct == 20
     assert demand == {
         "source": "driver",
@@ -45,8 +44,8 @@ def test_a_demand_is_one_of_the_contract(keeping):
     }
 
 
-def test_before_anything_is_asked_no_motion_is(keeping):
-    assert keeping.repeat(START_NS)["values"] == ZERO
+def test_before_anything_is_asked_no_motion_is(dead_man):
+    assert dead_man.repeat(START_NS)["values"] == ZERO
 
 
 def test_a_demand_is_due_again_after_a_third_of_its_time_to_live(driving):
@@ -77,7 +76,7 @@ def test_when_the_hold_ends_no_motion_is_asked_for(driving):
 def test_after_the_hold_no_motion_goes_on_until_the_next_set(driving):
     driving.repeat(START_NS + 500 * MS)
     assert driving.repeat(START_NS + 600 * MS)["values"] == ZERO
-    assert driving.ask(DRIVING, START_NS + 700 * MS)["values"] == {"throttle_pct": 20.0}
+    assert driving.new_values(DRIVING, START_NS + 700 * MS)["values"] == {"throttle_pct": 20.0}
     assert driving.repeat(START_NS + 800 * MS)["values"] == {"throttle_pct": 20.0}
 
 
@@ -86,27 +85,27 @@ def test_a_process_that_was_frozen_past_the_hold_wakes_with_no_motion(driving):
 
 
 def test_every_set_begins_the_hold_anew(driving):
-    driving.ask(DRIVING, START_NS + 400 * MS)
+    driving.new_values(DRIVING, START_NS + 400 * MS)
     assert driving.repeat(START_NS + 899 * MS)["values"] == {"throttle_pct": 20.0}
     assert driving.repeat(START_NS + 900 * MS)["values"] == ZERO
 
 
 def test_without_a_hold_the_values_go_on_for_as_long_as_the_process():
-    keeping = DeadMan("bench", TTL_MS, hold_s=None)
-    keeping.ask(DRIVING, START_NS)
-    assert keeping.repeat(START_NS + 3600 * S)["values"] == {"throttle_pct": 20.0}
-    assert keeping.due_ns == START_NS + 3600 * S + PAUSE_NS
+    dead_man = DeadMan("bench", TTL_MS, hold_s=None)
+    dead_man.new_values(DRIVING, START_NS)
+    assert dead_man.repeat(START_NS + 3600 * S)["values"] == {"throttle_pct": 20.0}
+    assert dead_man.due_ns == START_NS + 3600 * S + PAUSE_NS
 
 
-def test_the_direction_outlasts_the_hold(keeping):
-    keeping.ask(request_values({"throttle_pct": 20, "motor_reverse": True}), START_NS)
-    after = keeping.repeat(START_NS + S)["values"]
+def test_the_direction_outlasts_the_hold(dead_man):
+    dead_man.new_values(request_values({"throttle_pct": 20, "motor_reverse": True}), START_NS)
+    after = dead_man.repeat(START_NS + S)["values"]
     assert after == {**ZERO, "motor_reverse": True}
 
 
-def test_sequences_rise_even_while_the_clock_stands_or_falls_back(keeping):
+def test_sequences_rise_even_while_the_clock_stands_or_falls_back(dead_man):
     at = [START_NS, START_NS, START_NS + 1, START_NS - S, START_NS + S]
-    numbers = [keeping.repeat(now_ns)["sequence"] for now_ns in at]
+    numbers = [dead_man.repeat(now_ns)["sequence"] for now_ns in at]
     assert numbers == sorted(set(numbers))
 
 
@@ -121,7 +120,7 @@ def test_a_refusal_is_raised_by_the_next_set_which_takes_nothing(driving):
     driving.refused(error)
     assert driving.refusal is error
     with pytest.raises(RefusedError) as raised:
-        driving.ask(request_values({"throttle_pct": 50}), START_NS + MS)
+        driving.new_values(request_values({"throttle_pct": 50}), START_NS + MS)
     assert raised.value is error
     assert driving.repeat(START_NS + 2 * MS)["values"] == ZERO
 
@@ -129,8 +128,8 @@ def test_a_refusal_is_raised_by_the_next_set_which_takes_nothing(driving):
 def test_the_set_after_the_one_that_raised_is_taken(driving):
     driving.refused(refusal())
     with pytest.raises(RefusedError):
-        driving.ask(DRIVING, START_NS)
-    assert driving.ask(DRIVING, START_NS + MS)["values"] == {"throttle_pct": 20.0}
+        driving.new_values(DRIVING, START_NS)
+    assert driving.new_values(DRIVING, START_NS + MS)["values"] == {"throttle_pct": 20.0}
 
 
 def test_after_a_refusal_no_motion_is_due_at_once(driving):
@@ -151,13 +150,13 @@ def test_a_refusal_is_told_even_where_no_motion_was_granted_since(driving):
     driving.granted(GRANTED)
     assert driving.refusal is not None
     with pytest.raises(RefusedError):
-        driving.ask(DRIVING, START_NS)
+        driving.new_values(DRIVING, START_NS)
 
 
 def test_a_refusal_that_was_told_is_over_with_the_next_granted_demand(driving):
     driving.refused(refusal())
     with pytest.raises(RefusedError):
-        driving.ask(DRIVING, START_NS)
+        driving.new_values(DRIVING, START_NS)
     assert driving.refusal is not None
     driving.granted(GRANTED)
     assert driving.refusal is None
@@ -176,28 +175,28 @@ def test_refusals_in_a_row_are_repeated_ever_more_slowly_up_to_a_second(driving)
 
 
 def test_a_time_to_live_longer_than_seconds_is_repeated_every_third_of_it_nevertheless():
-    keeping = DeadMan("driver", 6000, hold_s=None)
-    keeping.refused(refusal())
-    keeping.repeat(START_NS)
-    assert keeping.due_ns == START_NS + 2 * S
+    dead_man = DeadMan("driver", 6000, hold_s=None)
+    dead_man.refused(refusal())
+    dead_man.repeat(START_NS)
+    assert dead_man.due_ns == START_NS + 2 * S
 
 
 def test_a_time_to_live_of_nothing_does_not_spin():
-    keeping = DeadMan("driver", 0, hold_s=None)
-    keeping.repeat(START_NS)
-    assert keeping.due_ns > START_NS
+    dead_man = DeadMan("driver", 0, hold_s=None)
+    dead_man.repeat(START_NS)
+    assert dead_man.due_ns > START_NS
 
 
-def test_the_last_granted_answer_is_kept(keeping):
-    assert keeping.last_answer is None
-    keeping.granted(GRANTED)
-    assert keeping.last_answer == GRANTED
+def test_the_last_granted_answer_is_kept(dead_man):
+    assert dead_man.last_answer is None
+    dead_man.granted(GRANTED)
+    assert dead_man.last_answer == GRANTED
 
 
 @pytest.mark.parametrize(("word", "kept"), [("other_owner", True), ("directions_differ", False)])
-def test_two_directions_that_were_refused_are_not_asked_for_again(keeping, word, kept):
-    keeping.ask(request_values({"PCU1": {"motor_reverse": True}, "PCU2": {}}), START_NS)
-    keeping.refused(refusal(word))
-    again = keeping.repeat(START_NS + PAUSE_NS)
+def test_two_directions_that_were_refused_are_not_asked_for_again(dead_man, word, kept):
+    dead_man.new_values(request_values({"PCU1": {"motor_reverse": True}, "PCU2": {}}), START_NS)
+    dead_man.refused(refusal(word))
+    again = dead_man.repeat(START_NS + PAUSE_NS)
     assert ("controllers" in again) is kept
     assert kept or again["values"] == ZERO

@@ -88,8 +88,8 @@ def test_no_motion_is_asked_of_both_controllers_where_one_was_forgotten():
 
 
 def test_the_values_are_those_of_the_contract():
-    model: type[BaseModel] = methods.Values
-    assert set(demand.Values.__annotations__) == set(model.model_fields)
-    assert set(demand.DemandRequest.__annotations__) - set(model.model_fields) == set(
+    model: type[BaseModel] = methods.ControllerParams
+    assert set(demand.ControllerValues.__annotations__) == set(model.model_fields)
+    assert set(demand.DemandValues.__annotations__) - set(model.model_fields) == set(
         demand.CONTROLLERS
     )

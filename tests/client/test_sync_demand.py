@@ -1,4 +1,4 @@
-"""The demand of a thread's owner, on a real socket; the arithmetic is in test_keeping."""
+"""The demand of a thread's owner, on a real socket; the arithmetic is in test_dead_man."""
 
 import os
 import signal
@@ -52,12 +52,12 @@ def driver(client):
         yield owner
 
 
-def throttles(standin):
-    return [demand.throttle_pct for demand in standin.demands()]
+def throttles(fake):
+    return [demand.throttle_pct for demand in fake.demands()]
 
 
 def eventually(condition):
-    """For what this process sees; the stand-in has `wait_for`."""
+    """For what this process sees; the fake gateway has `wait_for`."""
     end_s = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < end_s, "it did not happen"
@@ -67,8 +67,8 @@ def eventually(condition):
 # Entering.
 
 
-def test_entering_asks_for_no_motion_so_that_arming_is_possible(client, driver, standin):
-    assert throttles(standin)[0] == 0
+def test_entering_asks_for_no_motion_so_that_arming_is_possible(client, driver, fake):
+    assert throttles(fake)[0] == 0
     assert client.state([])["mode"] == "active"
 
 
@@ -94,23 +94,23 @@ def test_entering_without_a_gateway_is_unreachable(tmp_path):
         (RequestError(ErrorCode.INVALID_PARAMS, "source is too long"), ApiError),
     ],
 )
-def test_a_demand_that_is_refused_from_the_start_is_not_entered(client, standin, failure, error):
-    standin.faults.refuse["demand.set"] = failure
+def test_a_demand_that_is_refused_from_the_start_is_not_entered(client, fake, failure, error):
+    fake.faults.refuse["demand.set"] = failure
     with pytest.raises(error, match=failure.sentence), client.demand("driver"):
         pytest.fail("it was entered")
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)
 
 
-def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, standin):
-    standin.faults.silent.add("demand.set")
+def test_a_gateway_that_does_not_answer_the_first_demand_is_a_timeout(gateway, fake):
+    fake.faults.silent.add("demand.set")
     owner = Client(gateway, timeout_s=0.1).demand("driver")
     with pytest.raises(ApiTimeoutError, match="took no demand within"), owner:
         pytest.fail("it was entered")
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)
 
 
-def test_a_failed_entry_does_not_wait_for_the_next_repetition(gateway, standin):
-    standin.faults.silent.add("demand.set")
+def test_a_failed_entry_does_not_wait_for_the_next_repetition(gateway, fake):
+    fake.faults.silent.add("demand.set")
     owner = Client(gateway, timeout_s=0.1).demand("driver", ttl_ms=120_000)
     before_s = time.monotonic()
     with pytest.raises(ApiTimeoutError), owner:
@@ -118,16 +118,16 @@ def test_a_failed_entry_does_not_wait_for_the_next_repetition(gateway, standin):
     assert time.monotonic() - before_s < PATIENCE_S
 
 
-def test_a_full_gateway_says_so_to_an_owner_too(client, standin):
-    standin.faults.full = True
+def test_a_full_gateway_says_so_to_an_owner_too(client, fake):
+    fake.faults.full = True
     with pytest.raises(ApiError) as raised, client.demand("driver"):
         pytest.fail("it was entered")
     assert raised.value.word == "too_many_clients"
 
 
-def test_a_gateway_that_is_not_ready_yet_is_waited_for(client, standin):
-    standin.vehicle.not_ready = True
-    ready = threading.Thread(target=_ready_after_two_demands, args=(standin,))
+def test_a_gateway_that_is_not_ready_yet_is_waited_for(client, fake):
+    fake.vehicle.not_ready = True
+    ready = threading.Thread(target=_ready_after_two_demands, args=(fake,))
     ready.start()
     with client.demand("driver", ttl_ms=TTL_MS) as owner:
         assert owner.last_answer["granted"]
@@ -135,28 +135,28 @@ def test_a_gateway_that_is_not_ready_yet_is_waited_for(client, standin):
     ready.join()
 
 
-def _ready_after_two_demands(standin):
-    standin.wait_for(lambda: len(standin.demands()) >= 2)
-    standin.vehicle.not_ready = False
+def _ready_after_two_demands(fake):
+    fake.wait_for(lambda: len(fake.demands()) >= 2)
+    fake.vehicle.not_ready = False
 
 
 # Setting.
 
 
-def test_every_set_is_sent_at_once_and_in_order(owner, standin):
+def test_every_set_is_sent_at_once_and_in_order(owner, fake):
     for pct in range(1, 101):
         owner.set(throttle_pct=pct)
-    standin.wait_for(lambda: 100.0 in throttles(standin))
-    sent = [pct for pct in throttles(standin) if pct]
+    fake.wait_for(lambda: 100.0 in throttles(fake))
+    sent = [pct for pct in throttles(fake) if pct]
     assert [pct for at, pct in enumerate(sent) if pct not in sent[:at]] == list(range(1, 101))
 
 
-def test_a_set_does_not_wait_for_its_answer(owner, standin):
-    standin.faults.late["demand.set"] = threading.Event()
+def test_a_set_does_not_wait_for_its_answer(owner, fake):
+    fake.faults.late["demand.set"] = threading.Event()
     for pct in range(1, 21):
         owner.set(throttle_pct=pct)
-    standin.faults.late["demand.set"].set()
-    standin.wait_for(lambda: 20.0 in throttles(standin))
+    fake.faults.late["demand.set"].set()
+    fake.wait_for(lambda: 20.0 in throttles(fake))
 
 
 def test_what_was_set_reaches_the_command(client, driver):
@@ -167,53 +167,57 @@ def test_what_was_set_reaches_the_command(client, driver):
     assert commands["PCU2"]["motor_reverse"]
 
 
-def test_a_demand_is_stamped_when_set_was_called(owner, standin):
+def test_a_demand_is_stamped_when_set_was_called(owner, fake):
     before_ns = time.monotonic_ns()
     owner.set(throttle_pct=33)
     after_ns = time.monotonic_ns()
-    standin.wait_for(lambda: 33.0 in throttles(standin))
-    first = next(demand for demand in standin.demands() if demand.throttle_pct == 33)
+    fake.wait_for(lambda: 33.0 in throttles(fake))
+    first = next(demand for demand in fake.demands() if demand.throttle_pct == 33)
     assert before_ns <= first.params["made_ns"] <= after_ns
 
 
-def test_without_a_hold_the_values_are_repeated_with_fresh_stamps(owner, standin):
+def test_without_a_hold_the_values_are_repeated_with_fresh_stamps(owner, fake):
     owner.set(throttle_pct=33)
-    standin.wait_for(lambda: throttles(standin).count(33.0) >= 4)
-    stamps = [one.params["made_ns"] for one in standin.demands() if one.throttle_pct == 33]
+    fake.wait_for(lambda: throttles(fake).count(33.0) >= 4)
+    stamps = [one.params["made_ns"] for one in fake.demands() if one.throttle_pct == 33]
     assert stamps == sorted(set(stamps))
 
 
-def test_when_the_hold_ends_no_motion_is_sent_and_goes_on(client, standin):
+def test_when_the_hold_ends_no_motion_is_sent_and_goes_on(client, fake):
     with client.demand("driver", ttl_ms=TTL_MS, hold_s=0.1) as owner:
         owner.set(throttle_pct=33)
-        standin.wait_for(lambda: throttles(standin)[-3:] == [0, 0, 0] and 33 in throttles(standin))
-        held = [one.params["made_ns"] for one in standin.demands() if one.throttle_pct == 33]
+        fake.wait_for(lambda: throttles(fake)[-3:] == [0, 0, 0] and 33 in throttles(fake))
+        held = [one.params["made_ns"] for one in fake.demands() if one.throttle_pct == 33]
         assert held[-1] - held[0] < 0.1 * S
         assert owner.connected
 
 
-def test_the_demand_stays_fresh_while_nobody_calls_set(client, driver, standin):
-    seen = len(standin.demands())
-    standin.wait_for(lambda: len(standin.demands()) >= seen + 4)
+def test_the_demand_stays_fresh_while_nobody_calls_set(client, driver, fake):
+    seen = len(fake.demands())
+    fake.wait_for(lambda: len(fake.demands()) >= seen + 4)
     assert client.state([])["mode"] == "active"
 
 
-def test_keeping_a_demand_costs_next_to_no_processor_time(driver, standin):
-    seen, before_s, before_cpu_s = len(standin.demands()), time.monotonic(), time.process_time()
-    standin.wait_for(lambda: len(standin.demands()) >= seen + 2)
+def test_keeping_a_demand_costs_next_to_no_processor_time(driver, fake):
+    seen, before_s, before_cpu_s = (
+        len(fake.demands()),
+        time.monotonic(),
+        time.process_time(),
+    )
+    fake.wait_for(lambda: len(fake.demands()) >= seen + 2)
     assert time.process_time() - before_cpu_s < 0.2 * (time.monotonic() - before_s)
 
 
-def test_a_number_that_is_not_finite_is_refused_here_and_the_last_values_stand(owner, standin):
+def test_a_number_that_is_not_finite_is_refused_here_and_the_last_values_stand(owner, fake):
     owner.set(throttle_pct=33)
     with pytest.raises(ValueError, match="throttle_pct"):
         owner.set(throttle_pct=float("nan"))
-    seen = len(standin.demands())
-    standin.wait_for(lambda: len(standin.demands()) > seen + 1)
-    assert throttles(standin)[-1] == 33
+    seen = len(fake.demands())
+    fake.wait_for(lambda: len(fake.demands()) > seen + 1)
+    assert throttles(fake)[-1] == 33
 
 
-def test_several_threads_may_set_and_no_number_comes_twice(owner, standin):
+def test_several_threads_may_set_and_no_number_comes_twice(owner, fake):
     def setting():
         for pct in range(50):
             owner.set(throttle_pct=pct)
@@ -223,8 +227,8 @@ def test_several_threads_may_set_and_no_number_comes_twice(owner, standin):
         thread.start()
     for thread in threads:
         thread.join()
-    standin.wait_for(lambda: len(standin.demands()) > 200)
-    numbers = [demand.params["sequence"] for demand in standin.demands()]
+    fake.wait_for(lambda: len(fake.demands()) > 200)
+    numbers = [demand.params["sequence"] for demand in fake.demands()]
     assert numbers == sorted(set(numbers))
     assert owner.refusal is None
 
@@ -237,28 +241,28 @@ def test_nothing_can_be_set_before_it_is_entered(client):
 # Refusals.
 
 
-def test_a_refusal_is_readable_and_raised_by_the_next_set(owner, standin):
+def test_a_refusal_is_readable_and_raised_by_the_next_set(owner, fake):
     owner.set(throttle_pct=101)
     eventually(lambda: owner.refusal is not None)
     assert owner.refusal.refusal == "out_of_range"
     with pytest.raises(RefusedError, match="must be 0 to 100"):
         owner.set(throttle_pct=20)
-    assert 20 not in throttles(standin)
+    assert 20 not in throttles(fake)
 
 
-def test_after_a_refusal_no_motion_is_sent(owner, standin):
+def test_after_a_refusal_no_motion_is_sent(owner, fake):
     owner.set(throttle_pct=50)
     owner.set(throttle_pct=101)
-    standin.wait_for(lambda: throttles(standin)[-1] == 0)
+    fake.wait_for(lambda: throttles(fake)[-1] == 0)
 
 
-def test_the_next_set_after_a_refusal_that_was_raised_drives_again(owner, standin):
+def test_the_next_set_after_a_refusal_that_was_raised_drives_again(owner, fake):
     owner.set(throttle_pct=101)
     eventually(lambda: owner.refusal is not None)
     with pytest.raises(RefusedError):
         owner.set(throttle_pct=20)
     owner.set(throttle_pct=20)
-    standin.wait_for(lambda: 20 in throttles(standin))
+    fake.wait_for(lambda: 20 in throttles(fake))
     eventually(lambda: owner.refusal is None)
 
 
@@ -277,19 +281,19 @@ def test_an_unknown_value_is_refused_by_the_gateway(owner):
 # Leaving.
 
 
-def assert_left_with_no_motion_and_released(standin):
-    standin.wait_for(lambda: not standin.open_connections)
-    assert standin.methods()[-2:] == ["demand.set", "demand.release"]
-    assert throttles(standin)[-1] == 0
+def assert_left_with_no_motion_and_released(fake):
+    fake.wait_for(lambda: not fake.open_connections)
+    assert fake.methods()[-2:] == ["demand.set", "demand.release"]
+    assert throttles(fake)[-1] == 0
 
 
-def test_leaving_asks_for_no_motion_and_releases(client, standin):
+def test_leaving_asks_for_no_motion_and_releases(client, fake):
     with client.demand("driver", hold_s=None) as owner:
         owner.set(throttle_pct=50)
-    assert_left_with_no_motion_and_released(standin)
+    assert_left_with_no_motion_and_released(fake)
 
 
-def test_leaving_by_an_exception_does_the_same_and_lets_it_pass(client, standin):
+def test_leaving_by_an_exception_does_the_same_and_lets_it_pass(client, fake):
     def drive():
         with client.demand("driver", hold_s=None) as owner:
             owner.set(throttle_pct=50)
@@ -297,11 +301,11 @@ def test_leaving_by_an_exception_does_the_same_and_lets_it_pass(client, standin)
 
     with pytest.raises(ZeroDivisionError):
         drive()
-    assert_left_with_no_motion_and_released(standin)
+    assert_left_with_no_motion_and_released(fake)
 
 
 def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypatch):
-    monkeypatch.setattr(sync_demand, "_FAREWELL_S", PATIENCE_S)
+    monkeypatch.setattr(sync_demand, "_RELEASE_TIMEOUT_S", PATIENCE_S)
     with Scripted(tmp_path / "scripted.sock") as gateway, ThreadPoolExecutor(1) as threads:
         owner = Client(gateway.path, timeout_s=60).demand("driver", ttl_ms=60_000)
         entered = threads.submit(owner.__enter__)
@@ -331,14 +335,14 @@ def test_leaving_leaves_no_thread(client):
     assert "demand driver" not in [thread.name for thread in threading.enumerate()]
 
 
-def test_releasing_by_hand_ends_it_and_once_more_does_nothing(client, standin):
+def test_releasing_by_hand_ends_it_and_once_more_does_nothing(client, fake):
     with client.demand("driver") as owner:
         owner.release()
-        assert_left_with_no_motion_and_released(standin)
+        assert_left_with_no_motion_and_released(fake)
         assert not owner.connected
         with pytest.raises(ClientError, match="released"):
             owner.set(throttle_pct=1)
-    assert standin.methods().count("demand.release") == 1
+    assert fake.methods().count("demand.release") == 1
 
 
 def test_a_released_demand_cannot_be_entered_again(client, owner):
@@ -347,25 +351,25 @@ def test_a_released_demand_cannot_be_entered_again(client, owner):
         owner.__enter__()
 
 
-def test_a_gateway_that_hangs_does_not_hold_up_leaving_for_long(client, standin):
+def test_a_gateway_that_hangs_does_not_hold_up_leaving_for_long(client, fake):
     with client.demand("driver") as owner:
-        standin.faults.silent |= {"demand.set", "demand.release"}
+        fake.faults.silent |= {"demand.set", "demand.release"}
         owner.set(throttle_pct=50)
         before_s = time.monotonic()
     assert time.monotonic() - before_s < PATIENCE_S / 2
-    assert_left_with_no_motion_and_released(standin)
+    assert_left_with_no_motion_and_released(fake)
 
 
-def test_leaving_without_a_gateway_is_no_error(client, standin):
+def test_leaving_without_a_gateway_is_no_error(client, fake):
     with client.demand("driver") as owner:
-        standin.stop()
+        fake.stop()
         eventually(lambda: not owner.connected)
 
 
-def test_another_may_own_the_demand_afterwards(client, standin):
+def test_another_may_own_the_demand_afterwards(client, fake):
     with client.demand("driver"):
         pass
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)
     with client.demand("cruise") as owner:
         assert owner.last_answer["granted"]
 
@@ -373,72 +377,72 @@ def test_another_may_own_the_demand_afterwards(client, standin):
 # Breaks.
 
 
-def test_an_owner_reconnects_to_a_restarted_gateway(owner, standin):
-    standin.restart()
-    standin.wait_for(lambda: standin.open_connections)
+def test_an_owner_reconnects_to_a_restarted_gateway(owner, fake):
+    fake.restart()
+    fake.wait_for(lambda: fake.open_connections)
     eventually(lambda: owner.connected)
 
 
-def test_waiting_for_a_gateway_costs_next_to_no_processor_time(owner, standin):
-    standin.stop()
+def test_waiting_for_a_gateway_costs_next_to_no_processor_time(owner, fake):
+    fake.stop()
     eventually(lambda: not owner.connected)
     before_cpu_s = time.process_time()
     threading.Event().wait(0.3)
     assert time.process_time() - before_cpu_s < 0.06
 
 
-def test_sequences_rise_across_reconnects(owner, standin):
+def test_sequences_rise_across_reconnects(owner, fake):
     for _ in range(3):
-        seen = standin.demands()[-1].connection
-        standin.hang_up()
-        standin.wait_for(lambda seen=seen: standin.demands()[-1].connection > seen)
-    numbers = [demand.params["sequence"] for demand in standin.demands()]
+        seen = fake.demands()[-1].connection
+        fake.hang_up()
+        fake.wait_for(lambda seen=seen: fake.demands()[-1].connection > seen)
+    numbers = [demand.params["sequence"] for demand in fake.demands()]
     assert numbers == sorted(set(numbers))
 
 
-def test_after_a_break_no_motion_is_asked_for_until_the_next_set(owner, standin):
+def test_after_a_break_no_motion_is_asked_for_until_the_next_set(owner, fake):
     owner.set(throttle_pct=50)
-    standin.wait_for(lambda: 50 in throttles(standin))
-    old = standin.demands()[-1].connection
-    standin.hang_up()
-    standin.wait_for(lambda: len([d for d in standin.demands() if d.connection > old]) >= 3)
-    assert {d.throttle_pct for d in standin.demands() if d.connection > old} == {0}
+    fake.wait_for(lambda: 50 in throttles(fake))
+    old = fake.demands()[-1].connection
+    fake.hang_up()
+    fake.wait_for(lambda: len([d for d in fake.demands() if d.connection > old]) >= 3)
+    assert {d.throttle_pct for d in fake.demands() if d.connection > old} == {0}
     owner.set(throttle_pct=30)
-    standin.wait_for(lambda: throttles(standin)[-1] == 30)
+    fake.wait_for(lambda: throttles(fake)[-1] == 30)
 
 
-def test_what_was_set_without_a_connection_is_never_sent_later(owner, standin):
-    standin.stop()
+def test_what_was_set_without_a_connection_is_never_sent_later(owner, fake):
+    fake.stop()
     eventually(lambda: not owner.connected)
     owner.set(throttle_pct=50)
-    seen = len(standin.demands())
-    standin.start()
-    standin.wait_for(lambda: len(standin.demands()) >= seen + 3)
-    assert {one.throttle_pct for one in standin.demands()[seen:]} == {0}
+    seen = len(fake.demands())
+    fake.start()
+    fake.wait_for(lambda: len(fake.demands()) >= seen + 3)
+    assert {one.throttle_pct for one in fake.demands()[seen:]} == {0}
 
 
-def test_a_gateway_that_answers_nothing_any_more_is_left_for_a_new_connection(gateway, standin):
+def test_a_gateway_that_answers_nothing_any_more_is_left_for_a_new_connection(gateway, fake):
     with Client(gateway, timeout_s=1.0).demand("driver", ttl_ms=TTL_MS) as owner:
-        old = standin.demands()[-1].connection
-        standin.faults.silent.add("demand.set")
+        old = fake.demands()[-1].connection
+        fake.faults.silent.add("demand.set")
         owner.set(throttle_pct=50)
-        standin.wait_for(lambda: standin.demands()[-1].connection > old)
-        standin.faults.silent.clear()
+        fake.wait_for(lambda: fake.demands()[-1].connection > old)
+        fake.faults.silent.clear()
         eventually(lambda: owner.connected)
 
 
-def test_rubbish_from_the_gateway_ends_the_connection_not_the_owner(owner, standin):
-    old = standin.demands()[-1].connection
-    standin.faults.say["demand.set"] = b"rubbish\n"
+def test_rubbish_from_the_gateway_ends_the_connection_not_the_owner(owner, fake):
+    old = fake.demands()[-1].connection
+    fake.faults.say["demand.set"] = b"rubbish\n"
     owner.set(throttle_pct=50)
-    standin.wait_for(lambda: standin.demands()[-1].connection > old)
-    standin.faults.say.clear()
+    fake.wait_for(lambda: fake.demands()[-1].connection > old)
+    fake.faults.say.clear()
     owner.set(throttle_pct=0)
     eventually(lambda: owner.connected)
 
 
-def test_answers_in_single_bytes_are_answers(owner, standin):
-    standin.faults.one_byte = True
+def test_answers_in_single_bytes_are_answers(owner, fake):
+    fake.faults.one_byte = True
     owner.set(throttle_pct=101)
     eventually(lambda: owner.refusal is not None)
 
@@ -466,10 +470,10 @@ def child(gateway):
         child.kill()
 
 
-def test_a_killed_owner_ends_its_demand_with_its_connection(child, client, standin):
+def test_a_killed_owner_ends_its_demand_with_its_connection(child, client, fake):
     assert client.state([])["mode"] == "active"
     child.kill()
-    standin.wait_for(lambda: len(standin.open_connections) == 1)
+    fake.wait_for(lambda: len(fake.open_connections) == 1)
     eventually(lambda: client.state([])["mode"] == "standby")
 
 
@@ -478,13 +482,13 @@ def test_a_frozen_owner_lets_its_demand_expire(child, client):
     eventually(lambda: client.state([])["mode"] == "standby")
 
 
-def test_an_interrupted_owner_asks_for_no_motion_before_it_ends(child, standin):
+def test_an_interrupted_owner_asks_for_no_motion_before_it_ends(child, fake):
     child.send_signal(signal.SIGINT)
     child.wait(PATIENCE_S)
-    assert_left_with_no_motion_and_released(standin)
+    assert_left_with_no_motion_and_released(fake)
 
 
-def test_an_owner_that_was_never_left_does_not_keep_the_process_alive(gateway, standin):
+def test_an_owner_that_was_never_left_does_not_keep_the_process_alive(gateway, fake):
     program = (
         "import sys; from vcu_gateway.client import Client\n"
         "owner = Client(sys.argv[1]).demand('driver', hold_s=None).__enter__()\n"
@@ -492,4 +496,4 @@ def test_an_owner_that_was_never_left_does_not_keep_the_process_alive(gateway, s
     )
     done = subprocess.run([sys.executable, "-c", program, gateway], timeout=PATIENCE_S)
     assert done.returncode == 0
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from vcu_gateway.client.blocking_subscription import Subscription
 from vcu_gateway.client.connect import default_socket_path
-from vcu_gateway.client.demand import DemandRequest, Values
+from vcu_gateway.client.demand import DemandRequest
 from vcu_gateway.client.errors import (
     ApiError,
     ApiTimeoutError,
@@ -39,6 +39,7 @@ from vcu_gateway.client.errors import (
 )
 from vcu_gateway.client.sync_client import Client
 from vcu_gateway.client.sync_demand import DemandOwner
+from vcu_gateway.simulator.signals import Values
 
 if TYPE_CHECKING:
     from vcu_gateway.client.async_client import AsyncClient

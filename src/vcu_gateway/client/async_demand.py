@@ -1,135 +1,125 @@
-"""The demand of one source, kept by a task."""
+"""Demand owner of the asyncio client: a task drives the demand session."""
 
 import asyncio
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Self, Unpack
 
 from vcu_gateway.api import results
-from vcu_gateway.client.demand import DemandRequest, request_values
+from vcu_gateway.client.demand import (
+    RELEASED_BEFORE_ARMING_S,
+    DeadMan,
+    DemandValues,
+    request_values,
+)
 from vcu_gateway.client.demand_session import DemandSession
-from vcu_gateway.client.errors import ApiError, ApiTimeoutError, ClientError
-from vcu_gateway.client.keeping import RELEASED_S, DeadMan
+from vcu_gateway.client.errors import ApiError, ClientError
 from vcu_gateway.units import NS_PER_S
 
-_FAREWELL_S = 0.2
+_RELEASE_TIMEOUT_S = 0.2
 
 
 class AsyncDemandOwner:
-    """Asks for throttle and brake in one source's name, on a connection of its own.
+    """Owner of one source's demand, on a connection of its own; a dead-man's handle.
 
-    As DemandOwner, with its dead-man's handle; a task of the running loop repeats the last
-    values. A coroutine that hangs is covered by `hold_s`; one that blocks the whole loop stops
-    the task too, and the demand ends with `ttl_ms`.
+    As DemandOwner; a task of the running loop repeats the last values. A coroutine that hangs
+    is covered by `hold_s`; one that blocks the whole loop stops the task too, and the demand
+    ends with `ttl_ms`.
     """
 
     def __init__(
         self, path: Path, source: str, ttl_ms: int, hold_s: float | None, timeout_s: float
     ) -> None:
         self._timeout_s = timeout_s
-        self._keeping = DeadMan(source, ttl_ms, hold_s)
-        self._link = DemandSession(path, self._keeping, timeout_s)
+        self._dead_man = DeadMan(source, ttl_ms, hold_s)
+        self._session = DemandSession(path, self._dead_man, timeout_s)
         self._stepped = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
 
-    def set(self, **asked: Unpack[DemandRequest]) -> None:
+    def set(self, **values: Unpack[DemandValues]) -> None:
         """As DemandOwner.set; it does not wait and needs no `await`."""
         made_ns = time.monotonic_ns()
-        body = request_values(asked)
+        checked = request_values(values)
         if self._task is None or self._task.done():
             raise ClientError("the demand is not entered, or released")
-        self._link.ask(body, made_ns)
+        self._session.send_values(checked, made_ns)
 
     @property
     def connected(self) -> bool:
         """Whether a `set` reaches the gateway now."""
-        return self._link.connected
+        return self._session.connected
 
     @property
     def refusal(self) -> ApiError | None:
         """The latest refusal, until it was raised and a later demand granted."""
-        return self._keeping.refusal
+        return self._dead_man.refusal
 
     @property
     def last_answer(self) -> results.Granted | None:
-        """What the gateway granted last, with its mode then; None before the first."""
-        return self._keeping.last_answer
+        """The latest granted result, with the mode then; None before the first."""
+        return self._dead_man.last_answer
 
     async def release(self) -> None:
-        """Ask for no motion, end the demand and the connection; again, it does nothing."""
+        """Demand no motion, end the demand and the connection; again, it does nothing."""
         try:
-            for last_word in (self._link.still, self._link.release):
-                last_word(time.monotonic_ns())
-                await self._wait(lambda: self._link.settled, _FAREWELL_S)
+            for send in (self._session.end_motion, self._session.release):
+                send(time.monotonic_ns())
+                await self._wait_for(lambda: self._session.settled, _RELEASE_TIMEOUT_S)
         finally:
             await self._end()
 
     async def __aenter__(self) -> Self:
         if self._task is not None:
             raise ClientError("a demand cannot be entered again")
-        self._link.open(time.monotonic_ns())
-        self._task = asyncio.create_task(self._keep(), name=f"demand {self._keeping.source}")
+        self._session.open(time.monotonic_ns())
+        self._task = asyncio.create_task(self._run(), name=f"demand {self._dead_man.source}")
         try:
-            await self._await_first_answer()
-            await asyncio.sleep(RELEASED_S)
+            await self._wait_for(lambda: self._dead_man.answered, self._timeout_s)
+            self._dead_man.check_first_answer(self._timeout_s)
+            await asyncio.sleep(RELEASED_BEFORE_ARMING_S)
         except BaseException:
             await self._end()
             raise
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *exc: object) -> None:
         await self.release()
 
-    async def _await_first_answer(self) -> None:
-        heard = await self._wait(lambda: bool(self.last_answer or self.refusal), self._timeout_s)
-        if self.refusal is not None:
-            raise self.refusal
-        if not heard:
-            sentence = f"the gateway took no demand within {self._timeout_s:g} s"
-            raise ApiTimeoutError(sentence)
-
-    async def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
+    async def _wait_for(self, condition: Callable[[], bool], timeout_s: float) -> None:
         try:
             async with asyncio.timeout(timeout_s):
-                while not done():
+                while not condition():
                     self._stepped.clear()
                     await self._stepped.wait()
         except TimeoutError:
-            return False
-        return True
+            return
 
     async def _end(self) -> None:
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait({self._task})
 
-    async def _keep(self) -> None:
+    async def _run(self) -> None:
         try:
             while True:
-                again_ns = self._link.step(time.monotonic_ns())
+                next_step_ns = self._session.step(time.monotonic_ns())
                 self._stepped.set()
-                await self._pause(again_ns)
+                await self._wait_for_input(next_step_ns)
         finally:
-            self._link.close()
+            self._session.close()
 
-    async def _pause(self, again_ns: int) -> None:
-        """Until the gateway says something, or until then."""
-        pause_s = max(0, again_ns - time.monotonic_ns()) / NS_PER_S
-        if self._link.socket is None:
-            await asyncio.sleep(pause_s)
+    async def _wait_for_input(self, until_ns: int) -> None:
+        """Wait until the gateway sends something, or until then."""
+        timeout_s = max(0, until_ns - time.monotonic_ns()) / NS_PER_S
+        if self._session.socket is None:
+            await asyncio.sleep(timeout_s)
             return
-        loop, descriptor = asyncio.get_running_loop(), self._link.socket.fileno()
+        loop, descriptor = asyncio.get_running_loop(), self._session.socket.fileno()
         readable = asyncio.Event()
         loop.add_reader(descriptor, readable.set)
         try:
-            async with asyncio.timeout(pause_s):
+            async with asyncio.timeout(timeout_s):
                 await readable.wait()
         except TimeoutError:
             return

@@ -1,16 +1,25 @@
-"""What can be asked of the motor controllers, and what asks for no motion."""
+"""Demand values, and the dead-man that repeats and ends them. No clock, no socket."""
 
 import math
 from collections.abc import Mapping
 from typing import Any, TypedDict
 
-from vcu_gateway.api.results import PowerModeName
+from vcu_gateway.api import results
+from vcu_gateway.client.errors import ApiError, ApiTimeoutError
+from vcu_gateway.units import NS_PER_MS, NS_PER_S, NS_PER_US
+
+_SHORTEST_PERIOD_NS = 1_000_000
+_LONGEST_PERIOD_NS = 1_000_000_000
+_DIRECTIONS_DIFFER = "directions_differ"
 
 CONTROLLERS = ("PCU1", "PCU2")
 
+RELEASED_BEFORE_ARMING_S = 0.2
+"""Duration of released throttle that the gateway requires before it can be armed."""
 
-class Values(TypedDict, total=False):
-    """Asked of one controller; what is left out is at the gateway's default."""
+
+class ControllerValues(TypedDict, total=False):
+    """Demand for one controller; what is left out is at the gateway's default."""
 
     throttle_pct: float
     """0 to 100."""
@@ -18,7 +27,7 @@ class Values(TypedDict, total=False):
     """0 to 100, the pedal's second track; None where there is none."""
     brake_pct: float
     """0 to 100."""
-    power_mode: PowerModeName
+    power_mode: results.PowerModeName
     motor_reverse: bool
     regen_brake: bool
     speed_limit_rpm: float | None
@@ -27,15 +36,18 @@ class Values(TypedDict, total=False):
     """0 to 60000; None is the configured maximum."""
 
 
-class DemandRequest(Values, total=False):
-    """The same for both controllers, or different values for each."""
+class DemandValues(ControllerValues, total=False):
+    """Demand for both controllers: the same values, or different ones for each."""
 
-    PCU1: Values
-    PCU2: Values
+    PCU1: ControllerValues
+    PCU2: ControllerValues
 
+
+DemandRequest = Mapping[str, Any]
+"""Parameters of one `demand.set` request."""
 
 RequestValues = Mapping[str, Mapping[str, Any]]
-"""The part of a demand that says what: `values`, or `controllers`."""
+"""The members of a `DemandRequest` that hold values: `values`, `controllers`."""
 
 # Both tracks, because the gateway may require the second.
 NO_MOTION: RequestValues = {
@@ -43,27 +55,132 @@ NO_MOTION: RequestValues = {
 }
 
 
-def request_values(asked: Mapping[str, Any]) -> RequestValues:
-    """As the gateway takes it, which judges it; ValueError where a number is not finite."""
-    controllers = {name: asked[name] for name in CONTROLLERS if name in asked}
-    values = {name: asked[name] for name in asked if name not in CONTROLLERS}
-    body: dict[str, Mapping[str, Any]] = {}
+def request_values(values: Mapping[str, Any]) -> RequestValues:
+    """Demand values in the request's form; the gateway checks them.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    controllers = {name: values[name] for name in CONTROLLERS if name in values}
+    common = {name: values[name] for name in values if name not in CONTROLLERS}
+    members: dict[str, Mapping[str, Any]] = {}
     if controllers:
-        body["controllers"] = {name: _finite(one) for name, one in controllers.items()}
-    if values or not controllers:
-        body["values"] = _finite(values)
-    return body
+        members["controllers"] = {name: _finite(one) for name, one in controllers.items()}
+    if common or not controllers:
+        members["values"] = _finite(common)
+    return members
 
 
-def without_motion(body: RequestValues) -> RequestValues:
+def without_motion(values: RequestValues) -> RequestValues:
     """No throttle and no brake; the direction stays, for changing it is a request of its own."""
-    if "controllers" in body:
-        controllers = body["controllers"]
-        return {"controllers": {name: _still(controllers.get(name, {})) for name in CONTROLLERS}}
-    return {"values": _still(body["values"])}
+    if "controllers" in values:
+        controllers = values["controllers"]
+        stopped = {name: _without_motion(controllers.get(name, {})) for name in CONTROLLERS}
+        return {"controllers": stopped}
+    return {"values": _without_motion(values["values"])}
 
 
-def _still(values: Mapping[str, Any]) -> Mapping[str, Any]:
+class DeadMan:
+    """Dead-man's handle: numbers demands, repeats the last values and ends them.
+
+    Values are repeated every third of their time to live, until `hold_s` after they were set;
+    from then on no throttle and no brake is demanded. The same follows a refusal and a new
+    connection, until values are set again. Times are in nanoseconds of one monotonic clock.
+
+    Attributes:
+        refusal: the error that `new_values` raises next or raised last; None again once a later
+            demand is granted.
+        last_answer: the latest granted result; None before the first.
+        due_ns: when `repeat` is due.
+    """
+
+    def __init__(self, source: str, ttl_ms: int, hold_s: float | None) -> None:
+        self.source = source
+        self.refusal: ApiError | None = None
+        self.last_answer: results.Granted | None = None
+        self.due_ns = 0
+        self._ttl_ms = ttl_ms
+        self._hold_ns = None if hold_s is None else round(hold_s * NS_PER_S)
+        self._values: RequestValues = NO_MOTION
+        self._hold_end_ns: int | None = None
+        self._refusal_raised = True
+        self._sequence = 0
+        self._refused_in_a_row = 0
+
+    def new_values(self, values: RequestValues, now_ns: int) -> DemandRequest:
+        """The request for new values; instead raises a refusal that was not raised yet."""
+        if self.refusal is not None and not self._refusal_raised:
+            self._refusal_raised = True
+            raise self.refusal
+        self._values = values
+        self._hold_end_ns = None if self._hold_ns is None else now_ns + self._hold_ns
+        return self._request(now_ns)
+
+    def repeat(self, now_ns: int) -> DemandRequest:
+        """The request for the last values, stamped now, or for no motion after their hold."""
+        if self._hold_end_ns is not None and now_ns >= self._hold_end_ns:
+            self.end_motion()
+        return self._request(now_ns)
+
+    def end_motion(self) -> None:
+        """Demand no motion from the next request on."""
+        self._values = without_motion(self._values)
+        self._hold_end_ns = None
+
+    def next_sequence(self, now_ns: int) -> int:
+        """A rising number, also above those of an earlier process on the same machine."""
+        self._sequence = max(self._sequence + 1, now_ns // NS_PER_US)
+        return self._sequence
+
+    def granted(self, answer: results.Granted) -> None:
+        """Note that the gateway granted a demand."""
+        self.last_answer = answer
+        self._refused_in_a_row = 0
+        if self._refusal_raised:
+            self.refusal = None
+
+    def refused(self, error: ApiError) -> None:
+        """Note that the gateway refused a demand: no motion, after the first refusal at once."""
+        self.refusal, self._refusal_raised = error, False
+        self._refused_in_a_row += 1
+        self.end_motion()
+        if error.refusal == _DIRECTIONS_DIFFER:
+            self._values = NO_MOTION
+        if self._refused_in_a_row == 1:
+            self.due_ns = 0
+
+    @property
+    def answered(self) -> bool:
+        """Whether any demand was granted or refused."""
+        return bool(self.last_answer or self.refusal)
+
+    def check_first_answer(self, timeout_s: float) -> None:
+        """Raise the refusal of the first demand, or ApiTimeoutError without an answer."""
+        if self.refusal is not None:
+            raise self.refusal
+        if not self.answered:
+            raise ApiTimeoutError(f"the gateway took no demand within {timeout_s:g} s")
+
+    def _request(self, now_ns: int) -> DemandRequest:
+        self.due_ns = now_ns + self._period_ns()
+        if self._hold_end_ns is not None:
+            self.due_ns = min(self.due_ns, self._hold_end_ns)
+        return {
+            "source": self.source,
+            "sequence": self.next_sequence(now_ns),
+            "ttl_ms": self._ttl_ms,
+            "made_ns": now_ns,
+            **self._values,
+        }
+
+    def _period_ns(self) -> int:
+        """A third of the time to live; doubled with each refusal in a row, up to a second."""
+        period_ns = max(self._ttl_ms * NS_PER_MS // 3, _SHORTEST_PERIOD_NS)
+        backoff_ns = period_ns << min(self._refused_in_a_row, 10)
+        return min(backoff_ns, max(period_ns, _LONGEST_PERIOD_NS))
+
+
+def _without_motion(values: Mapping[str, Any]) -> Mapping[str, Any]:
     # Nothing else is copied: what was refused for a wrong value must not be refused again.
     if values.get("motor_reverse") is True:
         return {**NO_MOTION["values"], "motor_reverse": True}
@@ -71,10 +188,10 @@ def _still(values: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _finite(values: Mapping[str, Any]) -> Mapping[str, Any]:
-    return {name: _finite_value(name, value) for name, value in values.items()}
+    return {name: _finite_number(name, value) for name, value in values.items()}
 
 
-def _finite_value(name: str, value: object) -> object:
+def _finite_number(name: str, value: object) -> object:
     if value is None or isinstance(value, str | bool):
         return value
     try:
