@@ -1,4 +1,4 @@
-"""The other side. Tests of `gateway` need a healthy one; those of `standin` break it."""
+"""The other side. Tests of `gateway` need a healthy one; those of `fake` break it."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -7,23 +7,23 @@ from typing import Any
 import pytest
 
 from tests.client.asyncio_bridge import Bridged
-from tests.client.fake_gateway import Standin
+from tests.client.fake_gateway import FakeGateway
 from vcu_gateway.client import Client
 
 
 @pytest.fixture
-def standin(tmp_path: Path) -> Iterator[Standin]:
+def fake(tmp_path: Path) -> Iterator[FakeGateway]:
     """A gateway that can be told to misbehave."""
-    standin = Standin(tmp_path / "control.sock")
-    standin.start()
-    yield standin
-    standin.stop()
+    fake = FakeGateway(tmp_path / "control.sock")
+    fake.start()
+    yield fake
+    fake.stop()
 
 
 @pytest.fixture
-def gateway(standin: Standin) -> Path:
+def gateway(fake: FakeGateway) -> Path:
     """The socket of a healthy gateway in standby; the real one can take this place."""
-    return standin.path
+    return fake.path
 
 
 @pytest.fixture(params=[Client, Bridged], ids=["threads", "asyncio"])

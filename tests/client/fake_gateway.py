@@ -21,7 +21,6 @@ from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import METHODS
 
 PATIENCE_S = 30.0
-METRICS = "# TYPE vcu_ticks counter\nvcu_ticks 7\n"
 
 
 @dataclasses.dataclass
@@ -34,7 +33,6 @@ class Faults:
         say: sent instead of an answer, before a hang-up too.
         late: answered only once the event is set.
         one_byte: answers go out a byte at a time. full: every connection is turned away.
-        metrics: the whole HTTP page.
     """
 
     refuse: dict[str, RequestError] = dataclasses.field(default_factory=dict)
@@ -44,7 +42,6 @@ class Faults:
     late: dict[str, threading.Event] = dataclasses.field(default_factory=dict)
     one_byte: bool = False
     full: bool = False
-    metrics: bytes | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +59,7 @@ class Seen:
         return (self.params.get("values") or {}).get("throttle_pct")
 
 
-class Standin:
+class FakeGateway:
     """`seen` has every request in order; `open_connections` the numbers of those not ended."""
 
     def __init__(self, path: Path) -> None:
@@ -161,9 +158,6 @@ class Standin:
         self, connection: socket.socket, number: int, line: bytes, vehicle: Vehicle
     ) -> bool:
         """False where the connection is to end."""
-        if line.startswith(b"GET "):
-            connection.sendall(self.faults.metrics or page(METRICS))
-            return False
         message = json.loads(line)
         method, params = message["method"], message.get("params", {})
         assert message["jsonrpc"] == "2.0"
@@ -226,9 +220,3 @@ class Standin:
 
 def _line(message: Mapping[str, Any]) -> bytes:
     return json.dumps({"jsonrpc": "2.0", **message}).encode() + b"\n"
-
-
-def page(body: str, status: str = "200 OK") -> bytes:
-    """An answer to `GET /metrics`."""
-    head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n"
-    return (head + body).encode()

@@ -2,13 +2,12 @@
 
 import gc
 import os
-import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.client.fake_gateway import METRICS, PATIENCE_S, page
+from tests.client.fake_gateway import PATIENCE_S
 from tests.client.scripted_gateway import Scripted
 from tests.client.vehicle import MESSAGES
 from vcu_gateway.api.errors import ErrorCode, RequestError
@@ -71,10 +70,6 @@ def test_an_emergency_stop_needs_a_reset_at_service_level(client):
     assert client.reset("service")["mode"] == "standby"
 
 
-def test_metrics_are_text(client):
-    assert client.metrics() == METRICS
-
-
 def test_a_subscription_brings_one_update_after_the_other(client):
     with client.subscribe(["BMS_Status"], rate_hz=50) as updates:
         first, second = next(updates), next(updates)
@@ -82,22 +77,22 @@ def test_a_subscription_brings_one_update_after_the_other(client):
     assert second["state"]["monotonic_ns"] > first["state"]["monotonic_ns"]
 
 
-def test_all_calls_share_one_connection(client, standin):
+def test_all_calls_share_one_connection(client, fake):
     client.why()
     client.health()
     client.disarm()
-    assert standin.accepted == 1
+    assert fake.accepted == 1
 
 
-def test_nothing_connects_before_the_first_call(kind, standin):
-    with kind(standin.path):
-        assert standin.accepted == 0
+def test_nothing_connects_before_the_first_call(kind, fake):
+    with kind(fake.path):
+        assert fake.accepted == 0
 
 
-def test_leaving_the_client_ends_its_connection(kind, standin):
-    with kind(standin.path) as client:
+def test_leaving_the_client_ends_its_connection(kind, fake):
+    with kind(fake.path) as client:
         client.why()
-    standin.wait_for(lambda: not standin.open_connections)
+    fake.wait_for(lambda: not fake.open_connections)
 
 
 # Errors that the gateway answers with.
@@ -112,13 +107,13 @@ def test_leaving_the_client_ends_its_connection(kind, standin):
         (ErrorCode.NOT_READY, ApiError),
     ],
 )
-def test_an_error_is_raised_and_the_connection_goes_on(client, standin, code, error):
-    standin.faults.refuse["config.reload"] = RequestError(code, "no", problems=("line 3",))
+def test_an_error_is_raised_and_the_connection_goes_on(client, fake, code, error):
+    fake.faults.refuse["config.reload"] = RequestError(code, "no", problems=("line 3",))
     with pytest.raises(error) as raised:
         client.reload()
     assert raised.value.problems == ("line 3",)
     client.why()
-    assert standin.accepted == 1
+    assert fake.accepted == 1
 
 
 def test_a_wrong_parameter_is_the_gateways_to_refuse(client):
@@ -136,107 +131,96 @@ def test_a_subscription_that_is_refused_says_so(client):
         next(iter(client.subscribe(rate_hz=0)))
 
 
-def test_a_full_gateway_is_told_from_a_broken_one(client, standin):
-    standin.faults.full = True
+def test_a_full_gateway_is_told_from_a_broken_one(client, fake):
+    fake.faults.full = True
     with pytest.raises(ApiError) as raised:
         client.why()
     assert raised.value.word == "too_many_clients"
 
 
-def test_metrics_that_the_gateway_does_not_have_are_an_error_with_its_sentence(client, standin):
-    standin.faults.metrics = page("install vcu-gateway[metrics]\n", "503 Service Unavailable")
-    with pytest.raises(ApiError, match=r"install vcu-gateway\[metrics\]") as raised:
-        client.metrics()
-    assert raised.value.code == 503
-
-
-# A connection that breaks.
-
-
-def test_a_call_that_only_tells_is_sent_once_more_after_a_break(client, standin):
-    standin.faults.hang_up["why"] = 1
+def test_a_call_that_only_tells_is_sent_once_more_after_a_break(client, fake):
+    fake.faults.hang_up["why"] = 1
     assert client.why()["mode"] == "standby"
-    assert standin.methods() == ["why", "why"]
+    assert fake.methods() == ["why", "why"]
 
 
-def test_after_a_second_break_it_is_given_up(client, standin):
-    standin.faults.hang_up["why"] = 2
+def test_after_a_second_break_it_is_given_up(client, fake):
+    fake.faults.hang_up["why"] = 2
     with pytest.raises(DisconnectedError, match=r"before it answered why$"):
         client.why()
-    assert standin.methods() == ["why", "why"]
+    assert fake.methods() == ["why", "why"]
 
 
 @pytest.mark.parametrize("method", ["disarm", "estop"])
-def test_what_stops_the_vehicle_is_rather_sent_twice_than_left_in_doubt(client, standin, method):
-    standin.faults.hang_up[method] = 1
+def test_what_stops_the_vehicle_is_rather_sent_twice_than_left_in_doubt(client, fake, method):
+    fake.faults.hang_up[method] = 1
     getattr(client, method)()
-    assert standin.methods() == [method, method]
+    assert fake.methods() == [method, method]
 
 
 @pytest.mark.parametrize("method", ["arm", "reset", "reload"])
-def test_a_call_that_changes_something_is_never_sent_twice(client, standin, method):
+def test_a_call_that_changes_something_is_never_sent_twice(client, fake, method):
     wire_name = "config.reload" if method == "reload" else method
-    standin.faults.hang_up[wire_name] = 1
+    fake.faults.hang_up[wire_name] = 1
     with pytest.raises(DisconnectedError, match=f"unknown whether {wire_name} was") as raised:
         getattr(client, method)()
     assert raised.value.carried_out is None
     client.why()
-    assert standin.methods() == [wire_name, "why"]
+    assert fake.methods() == [wire_name, "why"]
 
 
-def test_a_call_after_a_restart_of_the_gateway_reaches_the_new_one(client, standin):
+def test_a_call_after_a_restart_of_the_gateway_reaches_the_new_one(client, fake):
     client.why()
-    standin.restart()
+    fake.restart()
     assert client.why()["mode"] == "standby"
 
 
-def test_a_change_that_the_old_gateway_cannot_have_got_goes_to_the_new_one(client, standin):
+def test_a_change_that_the_old_gateway_cannot_have_got_goes_to_the_new_one(client, fake):
     client.why()
-    standin.restart()
+    fake.restart()
     client.estop()
-    assert standin.methods().count("estop") == 1
+    assert fake.methods().count("estop") == 1
 
 
-def test_a_gateway_that_is_gone_is_unreachable_and_the_sentence_says_what_to_do(client, standin):
+def test_a_gateway_that_is_gone_is_unreachable_and_the_sentence_says_what_to_do(client, fake):
     client.why()
-    standin.stop()
+    fake.stop()
     with pytest.raises(UnreachableError, match="systemctl start vcu-gateway"):
         client.why()
     with pytest.raises(UnreachableError):
-        client.metrics()
-    with pytest.raises(UnreachableError):
         next(iter(client.subscribe()))
-    standin.start()
+    fake.start()
     client.why()
 
 
-def test_a_subscription_ends_with_its_connection(client, standin):
+def test_a_subscription_ends_with_its_connection(client, fake):
     updates = client.subscribe(rate_hz=50)
     next(updates)
-    standin.hang_up()
+    fake.hang_up()
     for _ in updates:
         pass
     assert next(updates, None) is None
 
 
-def test_a_subscription_that_was_closed_brings_nothing_more(client, standin):
+def test_a_subscription_that_was_closed_brings_nothing_more(client, fake):
     updates = client.subscribe(rate_hz=50)
     next(updates)
     updates.close()
     assert next(updates, None) is None
-    standin.wait_for(lambda: len(standin.open_connections) == 0)
+    fake.wait_for(lambda: len(fake.open_connections) == 0)
 
 
 @pytest.fixture
-def open_files(client, standin):
-    """How many there are more than before the test, once the stand-in has closed its own."""
-    client.metrics()
-    standin.wait_for(lambda: not standin.open_connections)
+def open_files(client, fake):
+    """How many there are more than before the test, once the fake gateway has closed its own."""
+    client.why()
+    client.close()
+    fake.wait_for(lambda: not fake.open_connections)
     gc.collect()  # what it closed later would make up for what is left open
     before = len(os.listdir("/proc/self/fd"))
 
     def more():
-        standin.wait_for(lambda: not standin.open_connections)
+        fake.wait_for(lambda: not fake.open_connections)
         return len(os.listdir("/proc/self/fd")) - before
 
     return more
@@ -249,10 +233,10 @@ def test_a_subscription_that_was_left_leaves_nothing_open(client, open_files):
     assert next(updates, None) is None
 
 
-def test_a_subscription_that_ended_leaves_nothing_open(client, standin, open_files):
+def test_a_subscription_that_ended_leaves_nothing_open(client, fake, open_files):
     updates = client.subscribe(rate_hz=50)
     next(updates)
-    standin.hang_up()
+    fake.hang_up()
     assert all(update["lost"] == 0 for update in updates)
     assert open_files() <= 0
     assert next(updates, None) is None
@@ -268,14 +252,14 @@ def test_a_subscription_that_was_refused_leaves_nothing_open(client, open_files)
 # An answer that is slow, cut up, or none.
 
 
-def test_an_answer_in_single_bytes_is_an_answer(client, standin):
-    standin.faults.one_byte = True
+def test_an_answer_in_single_bytes_is_an_answer(client, fake):
+    fake.faults.one_byte = True
     assert client.why()["mode"] == "standby"
 
 
-def test_half_an_answer_is_no_answer(client, standin):
-    standin.faults.say["arm"] = b'{"jsonrpc":"2.0","id":1,"result":{"granted":true,'
-    standin.faults.hang_up["arm"] = 1
+def test_half_an_answer_is_no_answer(client, fake):
+    fake.faults.say["arm"] = b'{"jsonrpc":"2.0","id":1,"result":{"granted":true,'
+    fake.faults.hang_up["arm"] = 1
     with pytest.raises(DisconnectedError, match="unknown whether arm was carried out"):
         client.arm()
 
@@ -289,59 +273,52 @@ def test_a_gateway_that_ends_with_the_request_unread_is_a_break(kind, tmp_path):
 
 
 @pytest.mark.parametrize("rubbish", [b"HTTP/1.1 400 Bad\r\n\r\n", b"\xff\n", b"{}\n", b"\n"])
-def test_rubbish_instead_of_an_answer_ends_the_connection(client, standin, rubbish):
-    standin.faults.say["arm"] = rubbish
+def test_rubbish_instead_of_an_answer_ends_the_connection(client, fake, rubbish):
+    fake.faults.say["arm"] = rubbish
     with pytest.raises(GarbledError, match="unknown whether arm was carried out"):
         client.arm()
     client.why()
-    assert standin.accepted == 2
+    assert fake.accepted == 2
 
 
-def test_rubbish_instead_of_an_update_is_raised(client, standin):
+def test_rubbish_instead_of_an_update_is_raised(client, fake):
     updates = client.subscribe(rate_hz=50)
     next(updates)
-    standin.faults.say["state.update"] = b"{}\n"
+    fake.faults.say["state.update"] = b"{}\n"
     with pytest.raises(GarbledError):
         list(updates)
     assert next(updates, None) is None
 
 
-def test_rubbish_instead_of_metrics_is_raised(client, standin):
-    for rubbish in (b"7\n", b"HTTP/1.1 200 OK\r\nContent-Length: 900\r\n\r\nhalf"):
-        standin.faults.metrics = rubbish
-        with pytest.raises(GarbledError):
-            client.metrics()
-
-
-def test_what_concerns_another_request_is_not_taken_for_an_answer(client, standin):
+def test_what_concerns_another_request_is_not_taken_for_an_answer(client, fake):
     other = b'{"jsonrpc":"2.0","id":999,"result":{"mode":"active"}}\n'
     told = b'{"jsonrpc":"2.0","method":"state.update","params":{}}\n'
     mine = b'{"jsonrpc":"2.0","id":1,"result":{"mode":"standby"}}\n'
-    standin.faults.say["why"] = other + told + mine
+    fake.faults.say["why"] = other + told + mine
     assert client.why()["mode"] == "standby"
 
 
-def test_a_slow_answer_within_the_time_limit_is_waited_for(client, standin):
-    standin.faults.late["why"] = threading.Event()
-    release = threading.Thread(target=_release_after, args=(standin, "why"))
+def test_a_slow_answer_within_the_time_limit_is_waited_for(client, fake):
+    fake.faults.late["why"] = threading.Event()
+    release = threading.Thread(target=_release_after, args=(fake, "why"))
     release.start()
     assert client.why()["mode"] == "standby"
     release.join()
 
 
-def _release_after(standin, method):
-    standin.wait_for(lambda: method in standin.methods())
-    standin.faults.late[method].set()
+def _release_after(fake, method):
+    fake.wait_for(lambda: method in fake.methods())
+    fake.faults.late[method].set()
 
 
-def test_no_answer_in_time_is_a_timeout_and_the_next_call_is_undisturbed(hasty, standin):
-    standin.faults.silent.add("why")
+def test_no_answer_in_time_is_a_timeout_and_the_next_call_is_undisturbed(hasty, fake):
+    fake.faults.silent.add("why")
     with pytest.raises(ApiTimeoutError, match=rf"no answer to why within {SHORT_S} s"):
         hasty.why()
     hasty.timeout_s = PATIENCE_S
     assert hasty.disarm()["granted"]
-    standin.wait_for(lambda: len(standin.methods()) >= 2)
-    assert sorted(standin.methods()) == ["disarm", "why"], "it was asked once"
+    fake.wait_for(lambda: len(fake.methods()) >= 2)
+    assert sorted(fake.methods()) == ["disarm", "why"], "it was asked once"
 
 
 def test_an_answer_that_never_ends_is_a_timeout(kind, tmp_path):
@@ -352,43 +329,32 @@ def test_an_answer_that_never_ends_is_a_timeout(kind, tmp_path):
         dribbling.result()
 
 
-def test_a_change_without_an_answer_in_time_is_said_to_be_unknown(hasty, standin):
-    standin.faults.silent.add("arm")
+def test_a_change_without_an_answer_in_time_is_said_to_be_unknown(hasty, fake):
+    fake.faults.silent.add("arm")
     with pytest.raises(ApiTimeoutError, match="unknown whether arm was carried out"):
         hasty.arm()
 
 
-def test_a_late_answer_is_not_taken_for_the_next_one(hasty, standin):
-    standin.faults.late["why"] = threading.Event()
+def test_a_late_answer_is_not_taken_for_the_next_one(hasty, fake):
+    fake.faults.late["why"] = threading.Event()
     with pytest.raises(ApiTimeoutError):
         hasty.why()
-    standin.faults.late.pop("why").set()
+    fake.faults.late.pop("why").set()
     hasty.timeout_s = PATIENCE_S
     assert "digest" in hasty.config()
 
 
-def test_metrics_that_do_not_come_are_a_timeout(kind, tmp_path):
-    with socket.socket(socket.AF_UNIX) as mute:
-        mute.bind(str(tmp_path / "mute.sock"))
-        mute.listen()
-        with (
-            kind(tmp_path / "mute.sock", timeout_s=SHORT_S) as client,
-            pytest.raises(ApiTimeoutError),
-        ):
-            client.metrics()
-
-
-def test_a_subscription_that_falls_silent_is_a_timeout(kind, standin):
-    standin.faults.say["state.update"] = b'{"jsonrpc":"2.0","method":"other","params":{}}\n'
+def test_a_subscription_that_falls_silent_is_a_timeout(kind, fake):
+    fake.faults.say["state.update"] = b'{"jsonrpc":"2.0","method":"other","params":{}}\n'
     with (
-        kind(standin.path, timeout_s=1.5) as client,
+        kind(fake.path, timeout_s=1.5) as client,
         client.subscribe(rate_hz=50) as updates,
         pytest.raises(ApiTimeoutError, match=r"no update within 1\.52 s"),
     ):
         next(updates)
 
 
-def test_a_subscription_that_is_not_answered_is_a_timeout(hasty, standin):
-    standin.faults.late["state.subscribe"] = threading.Event()
+def test_a_subscription_that_is_not_answered_is_a_timeout(hasty, fake):
+    fake.faults.late["state.subscribe"] = threading.Event()
     with pytest.raises(ApiTimeoutError, match=r"state\.subscribe"):
         next(hasty.subscribe())

@@ -28,9 +28,9 @@ def loaded(name):
 
 
 @pytest.fixture
-def start(gateway, standin):
+def start(gateway, fake):
     running = []
-    standin.vehicle.demands_expire = False
+    fake.vehicle.demands_expire = False
 
     def start(name, *options, socket=gateway):
         program = subprocess.Popen(
@@ -53,14 +53,14 @@ def outcome(program):
     return program.returncode, stdout, stderr
 
 
-def throttles(standin):
-    return [demand.throttle_pct for demand in standin.demands()]
+def throttles(fake):
+    return [demand.throttle_pct for demand in fake.demands()]
 
 
-def assert_left_without_motion(standin):
-    standin.wait_for(lambda: not standin.open_connections)
-    assert throttles(standin)[-1] == 0
-    assert "demand.release" in standin.methods()
+def assert_left_without_motion(fake):
+    fake.wait_for(lambda: not fake.open_connections)
+    assert throttles(fake)[-1] == 0
+    assert "demand.release" in fake.methods()
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)
@@ -78,49 +78,49 @@ def test_every_program_is_in_the_readme(path):
 # control_loop.py
 
 
-def test_the_control_loop_ramps_up_holds_and_ends_without_motion(start, standin):
+def test_the_control_loop_ramps_up_holds_and_ends_without_motion(start, fake):
     program = start("control_loop.py", "--throttle-pct", 20, "--ramp-s", 0.2, "--for-s", 1.5)
     code, _, stderr = outcome(program)
     assert code == 0, stderr
-    driven = [pct for pct in throttles(standin) if pct]
+    driven = [pct for pct in throttles(fake) if pct]
     assert driven == sorted(driven)
     assert driven[-1] == 20
-    assert_left_without_motion(standin)
+    assert_left_without_motion(fake)
 
 
-def test_the_control_loop_ends_with_the_reason_when_the_mode_changes(start, standin):
+def test_the_control_loop_ends_with_the_reason_when_the_mode_changes(start, fake):
     program = start("control_loop.py", "--for-s", 60)
-    standin.wait_for(lambda: any(throttles(standin)))
-    standin.vehicle.mode = "fault"
+    fake.wait_for(lambda: any(throttles(fake)))
+    fake.vehicle.mode = "fault"
     code, _, stderr = outcome(program)
     assert code == 1
     assert "the drive ended: fault" in stderr
-    assert_left_without_motion(standin)
+    assert_left_without_motion(fake)
 
 
-def test_the_control_loop_waits_for_arming_and_says_why_it_cannot(start, standin):
-    standin.faults.refuse["arm"] = refused("not_allowed_now", "the battery is not heard of")
+def test_the_control_loop_waits_for_arming_and_says_why_it_cannot(start, fake):
+    fake.faults.refuse["arm"] = refused("not_allowed_now", "the battery is not heard of")
     code, _, stderr = outcome(start("control_loop.py", "--patience-s", 1.5))
     assert code == 1
     assert stderr.count("not armed yet: the battery is not heard of") == 1
-    assert standin.methods().count("arm") >= 2
-    assert_left_without_motion(standin)
+    assert fake.methods().count("arm") >= 2
+    assert_left_without_motion(fake)
 
 
-def test_the_control_loop_ends_cleanly_when_interrupted(start, standin):
+def test_the_control_loop_ends_cleanly_when_interrupted(start, fake):
     program = start("control_loop.py", "--for-s", 60)
-    standin.wait_for(lambda: any(throttles(standin)))
+    fake.wait_for(lambda: any(throttles(fake)))
     program.send_signal(signal.SIGINT)
     code, _, stderr = outcome(program)
     assert code == 0
     assert "Traceback" not in stderr
-    assert_left_without_motion(standin)
+    assert_left_without_motion(fake)
 
 
-def test_the_control_loop_ends_when_the_gateway_does(start, standin):
+def test_the_control_loop_ends_when_the_gateway_does(start, fake):
     program = start("control_loop.py", "--for-s", 60)
-    standin.wait_for(lambda: any(throttles(standin)))
-    standin.stop()
+    fake.wait_for(lambda: any(throttles(fake)))
+    fake.stop()
     code, _, stderr = outcome(program)
     assert code == 1
     assert "systemctl start vcu-gateway" in stderr
@@ -163,21 +163,21 @@ def test_the_logger_leaves_values_empty_that_may_not_be_relied_upon():
     assert (cells["A.X"], cells["A.Y"]) == (1.5, None)
 
 
-def test_the_logger_reports_lost_updates(start, standin):
-    state = standin.vehicle.state([])
+def test_the_logger_reports_lost_updates(start, fake):
+    state = fake.vehicle.state([])
     update = {"subscription": 1, "lost": 4, "state": state}
     message = {"jsonrpc": "2.0", "method": "state.update", "params": update}
-    standin.faults.say["state.update"] = json.dumps(message).encode() + b"\n"
+    fake.faults.say["state.update"] = json.dumps(message).encode() + b"\n"
     code, _, stderr = outcome(start("logger.py", "--rate-hz", 50, "--count", 2))
     assert code == 0
     assert "4 updates lost, 8 since the start" in stderr
 
 
-def test_the_logger_outlives_the_gateway(start, standin):
+def test_the_logger_outlives_the_gateway(start, fake):
     program = start("logger.py", "--rate-hz", 50, "--format", "json")
     program.stdout.readline()
-    standin.restart()
-    standin.wait_for(lambda: standin.methods().count("state.subscribe") == 2)
+    fake.restart()
+    fake.wait_for(lambda: fake.methods().count("state.subscribe") == 2)
     program.send_signal(signal.SIGINT)
     code, _, stderr = outcome(program)
     assert code == 0
@@ -218,51 +218,51 @@ def stick(tmp_path):
 
 
 @pytest.fixture
-def driving(start, stick, standin):
+def driving(start, stick, fake):
     """The program, armed by the stick's button."""
     program = start("joystick.py", "--device", stick.path)
     stick.send(BUTTON | INITIAL, 0, 1)
     stick.send(AXIS | INITIAL, 1, 0)
-    standin.wait_for(lambda: len(standin.demands()) > 2)
-    assert "arm" not in standin.methods()
+    fake.wait_for(lambda: len(fake.demands()) > 2)
+    assert "arm" not in fake.methods()
     stick.send(BUTTON, 0, 1)
     stick.send(BUTTON, 0, 0)
-    standin.wait_for(lambda: "arm" in standin.methods())
+    fake.wait_for(lambda: "arm" in fake.methods())
     return program
 
 
-def test_the_stick_forward_is_throttle_and_back_is_brake(driving, stick, standin):
+def test_the_stick_forward_is_throttle_and_back_is_brake(driving, stick, fake):
     stick.send(AXIS, 1, -32767)
-    standin.wait_for(lambda: throttles(standin)[-1] == 30)
+    fake.wait_for(lambda: throttles(fake)[-1] == 30)
     stick.send(AXIS, 1, 32767)
-    standin.wait_for(lambda: standin.demands()[-1].params["values"]["brake_pct"] == 100)
-    assert throttles(standin)[-1] == 0
+    fake.wait_for(lambda: fake.demands()[-1].params["values"]["brake_pct"] == 100)
+    assert throttles(fake)[-1] == 0
 
 
-def test_the_direction_changes_with_the_stick_released_only(driving, stick, standin):
+def test_the_direction_changes_with_the_stick_released_only(driving, stick, fake):
     stick.send(AXIS, 1, -32767)
-    standin.wait_for(lambda: throttles(standin)[-1] == 30)
+    fake.wait_for(lambda: throttles(fake)[-1] == 30)
     stick.send(BUTTON, 2, 1)
     stick.send(AXIS, 1, 0)
-    standin.wait_for(lambda: throttles(standin)[-1] == 0)
-    assert not standin.demands()[-1].params["values"]["motor_reverse"]
+    fake.wait_for(lambda: throttles(fake)[-1] == 0)
+    assert not fake.demands()[-1].params["values"]["motor_reverse"]
     stick.send(BUTTON, 2, 1)
-    standin.wait_for(lambda: standin.demands()[-1].params["values"]["motor_reverse"])
+    fake.wait_for(lambda: fake.demands()[-1].params["values"]["motor_reverse"])
 
 
-def test_a_joystick_that_vanishes_leaves_no_motion(driving, stick, standin):
+def test_a_joystick_that_vanishes_leaves_no_motion(driving, stick, fake):
     stick.send(AXIS, 1, -32767)
-    standin.wait_for(lambda: throttles(standin)[-1] == 30)
+    fake.wait_for(lambda: throttles(fake)[-1] == 30)
     stick.unplug()
     code, _, stderr = outcome(driving)
     assert code == 1
     assert "the joystick is gone" in stderr
-    assert_left_without_motion(standin)
+    assert_left_without_motion(fake)
 
 
-def test_a_button_stops_the_vehicle(driving, stick, standin):
+def test_a_button_stops_the_vehicle(driving, stick, fake):
     stick.send(BUTTON, 3, 1)
-    standin.wait_for(lambda: "estop" in standin.methods())
+    fake.wait_for(lambda: "estop" in fake.methods())
 
 
 def test_a_missing_joystick_is_told(start, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from vcu_gateway import client
 
 HEAVY = ("pydantic", "can", "cantools", "click", "structlog", "yaml", "textual", "asyncio")
+GATEWAY = tuple(f"vcu_gateway.{name}" for name in ("bus", "config", "core", "daemon", "server"))
 
 
 def modules_after(statement):
@@ -25,6 +26,13 @@ def test_importing_the_client_is_light():
         "vcu_gateway.api.results",
         "vcu_gateway.api.errors",
     }
+
+
+def test_the_client_needs_no_other_package_and_nothing_of_the_gateway():
+    absent = (*HEAVY, "rich", "prometheus_client", *GATEWAY)
+    without = "; ".join(f"sys.modules[{name!r}] = None" for name in absent)
+    loaded = modules_after(f"import sys; {without}; from vcu_gateway.client import Client")
+    assert "vcu_gateway.client.sync_client" in loaded
 
 
 def test_only_the_asyncio_client_loads_asyncio():

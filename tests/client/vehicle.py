@@ -1,4 +1,4 @@
-"""What the stand-in answers: as little of a gateway as its clients can see."""
+"""What the fake gateway answers: as little of a gateway as its clients can see."""
 
 import threading
 import time
@@ -148,7 +148,7 @@ class Vehicle:
         return {"sentence": f"{self.mode}; arm", "mode": self.mode, "next_step": "arm"}
 
     def _health(self, params: Mapping[str, Any], connection: int) -> Any:
-        return {"pid": 1}
+        return {"pid": 1, "config_digest": "d"}
 
     def _events(self, params: Mapping[str, Any], connection: int) -> Any:
         return {"events": [], "forgotten": params["limit"]}

@@ -1,11 +1,11 @@
-"""Talk to a running gateway from Python.
+"""Client of a running gateway.
 
     from vcu_gateway.client import Client, RefusedError
 
     with Client() as client:
         print(client.why()["sentence"])
 
-        with client.demand("driver") as owner:  # asks for no motion, so that arming is possible
+        with client.demand("driver") as owner:  # demands no motion, so that arming is possible
             client.arm()
             while driving():
                 owner.set(throttle_pct=20)  # at least twice a second: a dead-man's handle
@@ -17,15 +17,13 @@
 
 `AsyncClient` is the same for asyncio: `await client.why()`, `async with client.demand("driver")`,
 `async for update in client.subscribe()`. Results are the dictionaries of `vcu_gateway.api.results`.
-Everything that goes wrong is a `ClientError`; its subclasses say what. docs/examples has whole
-programs.
+Every failure is a `ClientError`; its subclasses tell them apart. docs/examples has whole programs.
 """
 
 from typing import TYPE_CHECKING, Any
 
-from vcu_gateway.client.blocking_subscription import Subscription
 from vcu_gateway.client.connect import default_socket_path
-from vcu_gateway.client.demand import DemandRequest
+from vcu_gateway.client.demand import ControllerValues, DemandValues
 from vcu_gateway.client.errors import (
     ApiError,
     ApiTimeoutError,
@@ -37,14 +35,12 @@ from vcu_gateway.client.errors import (
     RefusedError,
     UnreachableError,
 )
-from vcu_gateway.client.sync_client import Client
+from vcu_gateway.client.sync_client import Client, Subscription
 from vcu_gateway.client.sync_demand import DemandOwner
-from vcu_gateway.simulator.signals import Values
 
 if TYPE_CHECKING:
-    from vcu_gateway.client.async_client import AsyncClient
+    from vcu_gateway.client.async_client import AsyncClient, AsyncSubscription
     from vcu_gateway.client.async_demand import AsyncDemandOwner
-    from vcu_gateway.client.async_subscription import AsyncSubscription
 
 __all__ = [
     "ApiError",
@@ -55,29 +51,29 @@ __all__ = [
     "Client",
     "ClientError",
     "ConfigRefusedError",
+    "ControllerValues",
     "DemandOwner",
-    "DemandRequest",
+    "DemandValues",
     "DisconnectedError",
     "GarbledError",
     "NoRightError",
     "RefusedError",
     "Subscription",
     "UnreachableError",
-    "Values",
     "default_socket_path",
 ]
 
-_WITH_ASYNCIO = {
+_ASYNCIO_MODULES = {
     "AsyncClient": "async_client",
     "AsyncDemandOwner": "async_demand",
-    "AsyncSubscription": "async_subscription",
+    "AsyncSubscription": "async_client",
 }
 
 
 def __getattr__(name: str) -> Any:
     """Import asyncio for those who use it: it takes longer than all of the rest."""
-    if name not in _WITH_ASYNCIO:
+    if name not in _ASYNCIO_MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.{_WITH_ASYNCIO[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_ASYNCIO_MODULES[name]}"), name)

@@ -1,32 +1,168 @@
-"""The client for threads."""
+"""Synchronous client: `Client`, its `Subscription` and their `Connection`; for threads."""
 
+import contextlib
 import itertools
 import os
+import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Literal, Self, TypeVar
 
 from vcu_gateway.api import results
-from vcu_gateway.client import calls, metrics_page
-from vcu_gateway.client.blocking_connection import Connection, ask
-from vcu_gateway.client.blocking_subscription import Subscription
+from vcu_gateway.client import calls, jsonrpc
 from vcu_gateway.client.calls import Call
-from vcu_gateway.client.connect import default_socket_path
-from vcu_gateway.client.errors import ApiError, ApiTimeoutError, DisconnectedError
+from vcu_gateway.client.connect import connect, default_socket_path
+from vcu_gateway.client.errors import ApiError, ApiTimeoutError, DisconnectedError, GarbledError
 from vcu_gateway.client.sync_demand import DemandOwner
 
 ResultT = TypeVar("ResultT")
 
+_READ_BYTES = 65536
+_CONNECT_TIMEOUT_S = 2.0  # The gateway accepts a hundred connections a second.
+
+
+class Connection:
+    """JSON-RPC connection; each step waits until a deadline, then raises TimeoutError.
+
+    Deadlines are in time.monotonic().
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._socket = connect(path, _CONNECT_TIMEOUT_S)
+        self._decoder = jsonrpc.MessageDecoder()
+        self._received: deque[jsonrpc.Incoming] = deque()
+        self._closed = False
+
+    def request(self, request_id: int, call: Call[ResultT], deadline_s: float) -> ResultT:
+        """Send one request and return its result; an error is raised."""
+        line = jsonrpc.request(request_id, call.method, call.params)
+        sent = self.send(line, deadline_s)
+        # A gateway that closed before it had the whole request may still have said why.
+        return call.result(self._response(request_id, call, deadline_s), sent=sent)
+
+    def _response(
+        self, request_id: int, call: Call[ResultT], deadline_s: float
+    ) -> jsonrpc.Response | None:
+        """The response to this request; None where the connection ended first."""
+        try:
+            while (message := self.receive(deadline_s)) is not None:
+                if isinstance(message, jsonrpc.Response) and message.concerns(request_id):
+                    return message
+        except GarbledError as error:
+            raise call.garbled(error) from error
+        return None
+
+    def send(self, data: bytes, deadline_s: float) -> bool:
+        """Send all bytes; False where the gateway closed before it had them."""
+        self._socket.settimeout(_remaining_s(deadline_s))
+        try:
+            self._socket.sendall(data)
+        except ConnectionError:
+            return False
+        return True
+
+    def read(self, deadline_s: float) -> bytes:
+        """Some bytes; none once the connection has ended."""
+        if self._closed:
+            return b""
+        self._socket.settimeout(_remaining_s(deadline_s))
+        try:
+            return self._socket.recv(_READ_BYTES)
+        except ConnectionError:
+            return b""
+
+    def receive(self, deadline_s: float) -> jsonrpc.Incoming | None:
+        """The next message; None once the connection has ended."""
+        while not self._received:
+            data = self.read(deadline_s)
+            if not data:
+                return None
+            self._received += self._decoder.feed(data)
+        return self._received.popleft()
+
+    def shutdown(self) -> None:
+        """End the connection for a thread that waits on it; `close` is still due."""
+        with contextlib.suppress(OSError):  # It had ended.
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close and drop what was not received; again, it does nothing."""
+        self._closed = True
+        self._received.clear()
+        self._socket.close()
+
+
+class Subscription:
+    """Iterator of state updates on a connection of its own; it ends with that connection.
+
+    `update["lost"]` counts what was not sent because this reader was slow. ApiTimeoutError
+    where an update is overdue by the client's timeout. Use `with` where the loop may end early.
+    """
+
+    def __init__(
+        self, path: Path, call: Call[results.Subscribed], rate_hz: float, timeout_s: float
+    ) -> None:
+        self._update_timeout_s = calls.update_timeout_s(rate_hz, timeout_s)
+        self._reading = threading.Lock()
+        self._connection = Connection(path)
+        try:
+            self._connection.request(1, call, time.monotonic() + timeout_s)
+        except BaseException as error:
+            self._connection.close()
+            if isinstance(error, TimeoutError):
+                raise call.timed_out(timeout_s) from None
+            raise
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> results.Update:
+        with self._reading:
+            update = self._next_update()
+            if update is None:
+                self._connection.close()
+                raise StopIteration
+            return update
+
+    def _next_update(self) -> results.Update | None:
+        """The next update; None once the connection has ended."""
+        try:
+            return self._receive_update(time.monotonic() + self._update_timeout_s)
+        except TimeoutError:
+            raise ApiTimeoutError(f"no update within {self._update_timeout_s:g} s") from None
+        except GarbledError:
+            self._connection.close()
+            raise
+
+    def _receive_update(self, deadline_s: float) -> results.Update | None:
+        while (message := self._connection.receive(deadline_s)) is not None:
+            if (update := calls.update_in(message)) is not None:
+                return update
+        return None
+
+    def close(self) -> None:
+        """End it, from any thread; one that waits for an update gets no further one."""
+        self._connection.shutdown()
+        if self._reading.acquire(blocking=False):
+            self._connection.close()
+            self._reading.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
 
 class Client:
-    """Talks to the gateway; any number of threads may share one, they take turns.
+    """Synchronous client of a running gateway; threads may share one, their calls take turns.
 
-    It connects on first use and again after a break. A request that only tells is then sent
-    once more; one that changes something is not, and raises DisconnectedError, unless it is
-    certain that the gateway never got it, or it stops the vehicle (`estop`, `disarm`).
+    It connects on first use and again after a break. A read-only request is then sent once
+    more; one that changes something is not, and raises DisconnectedError, unless the gateway
+    certainly never got it, or it stops the vehicle (`estop`, `disarm`).
 
     Every method raises UnreachableError, ApiTimeoutError, DisconnectedError or ApiError.
     """
@@ -36,27 +172,27 @@ class Client:
     ) -> None:
         self.socket_path = Path(socket_path) if socket_path is not None else default_socket_path()
         self.timeout_s = timeout_s
-        self._turn = threading.Lock()
+        self._lock = threading.Lock()
         self._request_ids = itertools.count(1)
         self._connection: Connection | None = None
 
     def state(self, messages: Iterable[str] | None = None) -> results.State:
-        """What is known and commanded now, of these messages or of all."""
+        """Received signals and sent commands now, of these messages or of all."""
         return self.call(calls.state(messages))
 
     def subscribe(
         self, messages: Iterable[str] | None = None, rate_hz: float = 10.0
     ) -> Subscription:
-        """The state again and again, 0.1 to 50 times a second, on a connection of its own."""
+        """The state `rate_hz` times a second, 0.1 to 50, on a connection of its own."""
         call = calls.subscribe(messages, rate_hz)
         return Subscription(self.socket_path, call, rate_hz, self.timeout_s)
 
     def why(self) -> results.Why:
-        """Why the vehicle does or does not move, and what to do next."""
+        """Reasons why the vehicle does or does not move, and what to do next."""
         return self.call(calls.why())
 
     def health(self) -> results.Health:
-        """How the gateway itself fares: bus, ticks, counters, versions."""
+        """State of the gateway itself: bus, ticks, counters, versions."""
         return self.call(calls.health())
 
     def events(self, limit: int = 50) -> results.Events:
@@ -68,7 +204,7 @@ class Client:
         return self.call(calls.config())
 
     def protocol(self) -> results.Protocol:
-        """The bus's messages and signals."""
+        """Messages and signals of the bus."""
         return self.call(calls.protocol())
 
     def arm(self) -> results.Granted:
@@ -84,86 +220,67 @@ class Client:
         return self.call(calls.reset(level))
 
     def estop(self) -> results.Granted:
-        """Cut the power of both controllers, until a reset at service level."""
+        """Emergency stop: cut the power of both controllers until a reset at service level."""
         return self.call(calls.estop())
 
     def reload(self) -> results.Reloaded:
-        """Let the gateway read its configuration file again, all of it or nothing."""
+        """Read the configuration file again, all of it or nothing."""
         return self.call(calls.reload())
 
     def demand(self, source: str, *, ttl_ms: int = 200, hold_s: float | None = 0.5) -> DemandOwner:
-        """Ask for throttle and brake in this name; see DemandOwner."""
+        """Demand throttle and brake as `source`; see DemandOwner."""
         return DemandOwner(self.socket_path, source, ttl_ms, hold_s, self.timeout_s)
-
-    def metrics(self) -> str:
-        """The metrics in Prometheus's text format."""
-        deadline_s = time.monotonic() + self.timeout_s
-        connection = Connection(self.socket_path)
-        try:
-            return _page(connection, deadline_s).text()
-        except TimeoutError:
-            sentence = f"no page of metrics within {self.timeout_s:g} s"
-            raise ApiTimeoutError(sentence) from None
-        finally:
-            connection.close()
 
     def call(self, call: Call[ResultT]) -> ResultT:
         """Send any request of `calls` and return its result."""
         deadline_s = time.monotonic() + self.timeout_s
-        if not self._turn.acquire(timeout=self.timeout_s):
+        if not self._lock.acquire(timeout=self.timeout_s):
             raise ApiTimeoutError(f"{call.method} was not sent: other threads' requests hang")
         try:
-            return self._answered(call, deadline_s)
+            return self._call_with_retry(call, deadline_s)
         except TimeoutError:
-            raise call.late(self.timeout_s) from None
+            raise call.timed_out(self.timeout_s) from None
         finally:
-            self._turn.release()
+            self._lock.release()
 
-    def _answered(self, call: Call[ResultT], deadline_s: float) -> ResultT:
+    def _call_with_retry(self, call: Call[ResultT], deadline_s: float) -> ResultT:
         try:
-            return self._once(call, deadline_s)
-        except DisconnectedError as broken:
-            if not call.may_go_again(broken):
+            return self._call_once(call, deadline_s)
+        except DisconnectedError as error:
+            if not call.may_retry(error):
                 raise
-        return self._once(call, deadline_s)
+        return self._call_once(call, deadline_s)
 
-    def _once(self, call: Call[ResultT], deadline_s: float) -> ResultT:
+    def _call_once(self, call: Call[ResultT], deadline_s: float) -> ResultT:
         self._connection = self._connection or Connection(self.socket_path)
         try:
-            return ask(self._connection, next(self._request_ids), call, deadline_s)
+            return self._connection.request(next(self._request_ids), call, deadline_s)
         except ApiError:
             raise
         except BaseException:
             # Whatever was not an answer leaves the connection in an unknown state.
-            self._drop()
+            self._disconnect()
             raise
 
-    def _drop(self) -> None:
+    def _disconnect(self) -> None:
         if self._connection is not None:
             self._connection.close()
             self._connection = None
 
     def close(self) -> None:
         """Close the connection; the next call opens a new one."""
-        with self._turn:
-            self._drop()
+        with self._lock:
+            self._disconnect()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         self.close()
 
 
-def _page(connection: Connection, deadline_s: float) -> metrics_page.Page:
-    """All that the gateway answers before it closes."""
-    connection.send(metrics_page.REQUEST, deadline_s)
-    page = metrics_page.Page()
-    while data := connection.read(deadline_s):
-        page.feed(data)
-    return page
+def _remaining_s(deadline_s: float) -> float:
+    remaining_s = deadline_s - time.monotonic()
+    if remaining_s <= 0:
+        raise TimeoutError
+    return remaining_s
