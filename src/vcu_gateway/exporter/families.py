@@ -1,7 +1,12 @@
-"""Everything that is exposed."""
+"""All families of metrics."""
 
-from vcu_gateway.exporter import bus, program, vehicle
+from vcu_gateway.exporter import bus, process, program, vehicle
 from vcu_gateway.exporter.family import Family
 
-FAMILIES: tuple[Family, ...] = (*vehicle.FAMILIES, *bus.FAMILIES, *program.FAMILIES)
-"""In the order of the text; prometheus_client's own process_* families follow."""
+FAMILIES: tuple[Family, ...] = (
+    *vehicle.FAMILIES,
+    *bus.FAMILIES,
+    *program.FAMILIES,
+    *process.FAMILIES,
+)
+"""In the order of the text."""

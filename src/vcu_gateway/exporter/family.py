@@ -1,75 +1,20 @@
-"""What a family of metrics is, and the instant that one scrape reads."""
+"""Family of metrics: name, type, help text, labels, and its samples in a reading of the API."""
 
 from collections.abc import Callable, Iterable, Mapping
-from enum import Enum
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
-from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.core.state import Snapshot
-from vcu_gateway.daemon.loop import LastTick, TickLoop
+from vcu_gateway.api import results
+from vcu_gateway.exporter.reader import GatewayAnswers
+
+LabelT = TypeVar("LabelT", bound=str)
 
 PREFIX = "vcu_gateway_"
-NS_PER_S = 1_000_000_000
+MS_PER_S = 1_000
+US_PER_S = 1_000_000
 
 Kind = Literal["counter", "gauge", "histogram"]
 Samples = Mapping[tuple[str, ...], float]
 """Values by the values of the labels; what is not known is not in it."""
-
-
-class Facts(NamedTuple):
-    """What the program knows of itself.
-
-    Attributes:
-        started_ns: when it started, CLOCK_MONOTONIC; started_s: the same, seconds since 1970.
-        starts: since the machine booted, this one included; None where they are not counted.
-        config_digest: called at every scrape, as a reload changes it.
-    """
-
-    version: str
-    python: str
-    protocol_digest: str
-    config_digest: Callable[[], str]
-    started_ns: int
-    started_s: float
-    starts: int | None
-    log_lines_dropped: Callable[[], int]
-
-
-class Instant(NamedTuple):
-    """Where one scrape reads, on a thread of its own, while others write.
-
-    No lock is taken, so no tick waits for a scrape. Numbers and frozen values are read whole;
-    `latest` is one value with all that the last tick decided. A dict or list that another
-    thread writes is copied by one call into C (`dict(...)`, `tuple(...)`), which the interpreter
-    does not interrupt, and the copy is read. Two families may thus differ by what happened
-    between their readings; one family never contradicts itself.
-
-    Attributes:
-        latest: the last tick; None before the first.
-    """
-
-    now_ns: int
-    daemon: TickLoop
-    latest: LastTick | None
-    snapshot: Snapshot
-    api: ApiCounts
-    facts: Facts
-
-    @property
-    def gateway(self) -> Gateway:
-        """The core."""
-        return self.daemon.gateway
-
-    def since_s(self, then_ns: int) -> float:
-        """Seconds since then, never below 0: what is read may be younger than `now_ns`."""
-        return max(0, self.now_ns - then_ns) / NS_PER_S
-
-
-def look(daemon: TickLoop, api: ApiCounts, facts: Facts, now_ns: int) -> Instant:
-    """The instant that is now."""
-    snapshot = daemon.gateway.intake.store.snapshot(now_ns)
-    return Instant(now_ns, daemon, daemon.latest, snapshot, api, facts)
 
 
 class Family(NamedTuple):
@@ -78,38 +23,62 @@ class Family(NamedTuple):
     Attributes:
         name: as it is exposed; a counter's ends in _total.
         help: one sentence, with what an absent sample means.
-        labels: their names, in the order of the keys that `read` gives.
+        labels: their names, in the order of the keys of `read`'s samples.
         read: its samples. A histogram's key is the upper bound "le", its values cumulative.
+            KeyError where the gateway is too old to tell them.
     """
 
     name: str
     kind: Kind
     help: str
     labels: tuple[str, ...]
-    read: Callable[[Instant], Samples]
+    read: Callable[[GatewayAnswers], Samples]
+
+    def samples(self, reading: GatewayAnswers) -> Samples:
+        """The samples; none where the gateway is too old to tell them."""
+        try:
+            return self.read(reading)
+        except KeyError:
+            return {}
 
 
-def counter(name: str, text: str, read: Callable[[Instant], Samples], *labels: str) -> Family:
-    """A count since the start of the program."""
+def counter(
+    name: str, text: str, read: Callable[[GatewayAnswers], Samples], *labels: str
+) -> Family:
+    """A count since the start of the gateway."""
     return Family(f"{PREFIX}{name}_total", "counter", text, labels, read)
 
 
-def gauge(name: str, text: str, read: Callable[[Instant], Samples], *labels: str) -> Family:
+def gauge(name: str, text: str, read: Callable[[GatewayAnswers], Samples], *labels: str) -> Family:
     """A value that rises and falls."""
     return Family(PREFIX + name, "gauge", text, labels, read)
 
 
+def of_health(read: Callable[[results.Health], Samples]) -> Callable[[GatewayAnswers], Samples]:
+    """Samples of `health`; none where the gateway does not answer."""
+    return lambda reading: {} if reading.health is None else read(reading.health)
+
+
+def of_state(read: Callable[[results.State], Samples]) -> Callable[[GatewayAnswers], Samples]:
+    """Samples of the state; none before the first tick."""
+    return lambda reading: {} if reading.state is None else read(reading.state)
+
+
+def of_why(read: Callable[[results.Why], Samples]) -> Callable[[GatewayAnswers], Samples]:
+    """Samples of `why`; none before the first tick."""
+    return lambda reading: {} if reading.why is None else read(reading.why)
+
+
 def one(value: float | None) -> Samples:
-    """The sample of a family without labels; absent where the value is None."""
+    """The sample of a family without labels; none where the value is None."""
     return {} if value is None else {(): value}
 
 
-def by(values: Mapping[str, float]) -> Samples:
-    """A sample for each value of the only label; `values` may be written by another thread."""
-    return {(label,): value for label, value in dict(values).items()}
+def by(values: Mapping[LabelT, float]) -> Samples:
+    """One sample for each value of the only label."""
+    return {(label,): value for label, value in values.items()}
 
 
-def states(members: Iterable[Enum], standing: Iterable[Enum]) -> Samples:
-    """1 for each member that stands, 0 for the others, by value."""
-    standing = frozenset(standing)
-    return {(str(member.value),): float(member in standing) for member in members}
+def states(known: Iterable[str], standing: Iterable[str]) -> Samples:
+    """1 for each word that stands, 0 for the other known ones."""
+    return by(dict.fromkeys(known, 0.0) | dict.fromkeys(standing, 1.0))

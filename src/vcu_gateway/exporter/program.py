@@ -1,131 +1,146 @@
-"""How the gateway itself fares: ticks, API, log, and what is running."""
+"""Metrics of the gateway itself: reachability, ticks, API, log, versions and configuration."""
 
+from collections.abc import Callable, Mapping
 from itertools import accumulate
 
+from vcu_gateway.api import results
 from vcu_gateway.api.errors import ErrorCode
-from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
 from vcu_gateway.exporter.family import (
-    NS_PER_S,
+    MS_PER_S,
     PREFIX,
+    US_PER_S,
     Family,
-    Instant,
     Samples,
     by,
     counter,
     gauge,
+    of_health,
     one,
 )
 
-_BOUNDS_S = (*(str(bound_ns / NS_PER_S) for bound_ns in LATENESS_BOUNDS_NS), "+Inf")
+
+def _lateness(health: results.Health) -> Samples:
+    """Cumulative counts, as Prometheus has them; the gateway keeps no sum."""
+    bins = health["ticks"]["lateness_histogram"]
+    bounds_us = [one_bin["up_to_us"] for one_bin in bins]
+    labels = ["+Inf" if bound is None else str(bound / US_PER_S) for bound in bounds_us]
+    return by(dict(zip(labels, accumulate(one_bin["ticks"] for one_bin in bins), strict=True)))
 
 
-def _lateness(at: Instant) -> Samples:
-    """Cumulative, as Prometheus counts; there is no sum of all latenesses to expose."""
-    counts = tuple(at.daemon.schedule.lateness_counts)
-    return by(dict(zip(_BOUNDS_S, accumulate(counts), strict=True)))
-
-
-def _errors(at: Instant) -> Samples:
+def _errors(api: results.ApiCounts) -> Mapping[str, float]:
     """Every code from the start on, so that the first error counts as an increase."""
-    return by(dict.fromkeys((code.name.lower() for code in ErrorCode), 0) | at.api["errors"])
+    return dict.fromkeys((code.name.lower() for code in ErrorCode), 0) | api["errors"]
 
 
-def _config(at: Instant) -> Samples:
-    return {(at.facts.config_digest(), at.facts.protocol_digest): 1}
+def _build(health: results.Health) -> Samples:
+    versions = health["versions"]
+    return {(versions["vcu_gateway"], versions["python"]): 1}
+
+
+def _ticks(name: str, text: str, value: Callable[[results.Ticks], float]) -> Family:
+    return counter(name, text, of_health(lambda health: one(value(health["ticks"]))))
+
+
+def _api(name: str, text: str, value: Callable[[results.ApiCounts], float]) -> Family:
+    return counter(f"api_{name}", text, of_health(lambda health: one(value(health["api"]))))
+
+
+def _api_by(
+    label: str, name: str, text: str, values: Callable[[results.ApiCounts], Mapping[str, float]]
+) -> Family:
+    return counter(f"api_{name}", text, of_health(lambda health: by(values(health["api"]))), label)
 
 
 FAMILIES: tuple[Family, ...] = (
-    counter("ticks", "Ticks done.", lambda at: one(at.daemon.schedule.ticks)),
-    counter(
+    gauge(
+        "up",
+        "1 where the gateway answered at this reading, else 0; then all others are absent.",
+        lambda reading: one(float(reading.health is not None)),
+    ),
+    _ticks("ticks", "Ticks done.", lambda ticks: ticks["done"]),
+    _ticks(
         "ticks_skipped",
         "Points of the grid that were missed; never made up.",
-        lambda at: one(at.daemon.schedule.skipped),
+        lambda ticks: ticks["skipped"],
     ),
-    counter(
+    _ticks(
         "ticks_silent",
         "Ticks that sent nothing, listening before talking.",
-        lambda at: one(at.daemon.silent_ticks),
+        lambda ticks: ticks["silent"],
     ),
     gauge(
         "tick_period_seconds",
         "Period of the command frames.",
-        lambda at: one(at.daemon.schedule.period_ns / NS_PER_S),
+        of_health(lambda health: one(health["ticks"]["period_ms"] / MS_PER_S)),
     ),
     Family(
         f"{PREFIX}tick_lateness_seconds",
         "histogram",
         "How late each tick began; no _sum.",
         ("le",),
-        _lateness,
+        of_health(_lateness),
     ),
-    gauge("api_clients", "Clients connected now.", lambda at: one(at.api["clients"])),
-    counter("api_connections", "Connections accepted.", lambda at: one(at.api["accepted"])),
-    counter(
-        "api_connections_turned_away",
+    gauge(
+        "api_clients",
+        "Clients connected now.",
+        of_health(lambda health: one(health["api"]["clients"])),
+    ),
+    _api("connections", "Connections accepted.", lambda api: api["accepted"]),
+    _api(
+        "connections_turned_away",
         "Connections beyond the limit on clients.",
-        lambda at: one(at.api["turned_away"]),
+        lambda api: api["turned_away"],
     ),
-    counter(
-        "api_connections_closed",
-        "Connections that the gateway ended, by reason; absent before the first.",
-        lambda at: by(at.api["closed"]),
+    _api_by(
         "reason",
+        "connections_closed",
+        "Connections that the gateway ended, by reason; absent before the first.",
+        lambda api: api["closed"],
     ),
-    counter(
-        "api_connections_gave_way",
+    _api(
+        "connections_gave_way",
         "Idle connections that the gateway ended because a new one needed their place.",
-        lambda at: one(at.api["gave_way"]),
+        lambda api: api["gave_way"],
     ),
-    counter("api_requests", "Requests received.", lambda at: one(at.api["requests"])),
-    counter(
-        "api_errors",
-        "Answers that were errors, by the word of their code.",
-        _errors,
-        "code",
-    ),
-    counter(
-        "api_stopped_anyway",
+    _api("requests", "Requests received.", lambda api: api["requests"]),
+    _api_by("code", "errors", "Answers that were errors, by the word of their code.", _errors),
+    _api(
+        "stopped_anyway",
         "Requests of estop and disarm that were wrong in form, and done all the same.",
-        lambda at: one(at.api["stopped_anyway"]),
+        lambda api: api["stopped_anyway"],
     ),
-    counter(
-        "api_lost_updates",
+    _api(
+        "lost_updates",
         "Notifications that a slow reader did not get.",
-        lambda at: one(at.api["lost_updates"]),
+        lambda api: api["lost_updates"],
     ),
     counter(
         "log_lines_dropped",
         "Log lines lost because nobody took them.",
-        lambda at: one(at.facts.log_lines_dropped()),
+        of_health(lambda health: one(health["log_lines_dropped"])),
     ),
     counter(
         "starts",
         "Starts since the machine booted, this one included; absent where they are not counted.",
-        lambda at: one(at.facts.starts),
+        of_health(lambda health: one(health["starts"])),
     ),
     gauge(
         "start_time_seconds",
         "When the gateway started, seconds since 1970 by the clock as it was then.",
-        lambda at: one(at.facts.started_s),
+        of_health(lambda health: one(health["start_time_s"])),
     ),
     gauge(
         "uptime_seconds",
         "How long the gateway has been running, whatever was done to the clock.",
-        lambda at: one(at.since_s(at.facts.started_ns)),
+        of_health(lambda health: one(health["uptime_ms"] / MS_PER_S)),
     ),
-    gauge(
-        "build_info",
-        "What is running; always 1.",
-        lambda at: {(at.facts.version, at.facts.python): 1},
-        "version",
-        "python",
-    ),
+    gauge("build_info", "What is running; always 1.", of_health(_build), "version", "python"),
     gauge(
         "config_info",
         "Configuration and protocol in effect, by digest; always 1.",
-        _config,
+        of_health(lambda health: {(health["config_digest"], health["protocol_digest"]): 1}),
         "config_digest",
         "protocol_digest",
     ),
 )
-"""Everything that tells of the program."""
+"""In the order of the text."""

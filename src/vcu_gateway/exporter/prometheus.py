@@ -1,8 +1,10 @@
-"""The families as Prometheus's text: the one door of prometheus_client."""
+"""Prometheus's text format and HTTP server, both prometheus_client's own."""
 
 from collections.abc import Callable, Iterator
+from typing import Any
+from wsgiref.simple_server import WSGIServer
 
-from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client import CollectorRegistry, generate_latest, start_http_server
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -11,51 +13,72 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.exporter.families import FAMILIES
-from vcu_gateway.exporter.family import Facts, Family, Samples, look
+from vcu_gateway.exporter.family import Family, Samples
+from vcu_gateway.exporter.reader import GatewayAnswers
+
+_IDLE_S = 10.0
+"""Longest wait for a request on a connection: each holds a thread."""
 
 
-class Exposition:
-    """The metrics of one program."""
+class HttpServer:
+    """HTTP server on a thread of its own, until `close`; a thread for each connection.
 
-    def __init__(
-        self,
-        daemon: TickLoop,
-        api_counts: Callable[[], ApiCounts],
-        facts: Facts,
-        clock: Callable[[], int],
-    ) -> None:
-        self._registry = CollectorRegistry()
-        self._registry.register(_State(daemon, api_counts, facts, clock))
-        ProcessCollector(registry=self._registry)
+    Attributes:
+        port: the one it listens on, also where any was asked for with 0.
+    """
 
-    def text(self) -> bytes:
-        """All that is known now; on any thread, and no other thread waits for it."""
-        return generate_latest(self._registry)
+    def __init__(self, read: Callable[[], GatewayAnswers], address: str, port: int) -> None:
+        """Listen; UnavailableError, with what to do, where the port cannot be had."""
+        try:
+            self._server, self._thread = _started(read, address, port)
+        except OSError as error:
+            what = f"cannot listen on {address} port {port}: {error.strerror}"
+            remedy = f"choose another with --listen, or look who has it: ss -ltnp 'sport = :{port}'"
+            raise UnavailableError(Problem(what, remedy=remedy)) from error
+        handler: Any = self._server.RequestHandlerClass
+        handler.timeout = _IDLE_S
+        self.port: int = self._server.server_port
+
+    def close(self) -> None:
+        """Take no more connections."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
 
 
-class _State(Collector):
-    """Reads the program's state when it is asked; keeps nothing."""
+def text(read: Callable[[], GatewayAnswers]) -> bytes:
+    """The metrics in Prometheus's text format."""
+    return generate_latest(_registry(read))
 
-    def __init__(
-        self,
-        daemon: TickLoop,
-        api_counts: Callable[[], ApiCounts],
-        facts: Facts,
-        clock: Callable[[], int],
-    ) -> None:
-        self._daemon = daemon
-        self._api_counts = api_counts
-        self._facts = facts
-        self._clock = clock
+
+def _started(read: Callable[[], GatewayAnswers], address: str, port: int) -> tuple[WSGIServer, Any]:
+    return start_http_server(port, address, _registry(read))
+
+
+def _registry(read: Callable[[], GatewayAnswers]) -> CollectorRegistry:
+    registry = CollectorRegistry()
+    registry.register(_Families(read))
+    return registry
+
+
+class _Families(Collector):
+    """All families, read at each scrape."""
+
+    def __init__(self, read: Callable[[], GatewayAnswers]) -> None:
+        self._read = read
+
+    def describe(self) -> Iterator[Metric]:
+        """Every family without samples: registering asks no gateway."""
+        for family in FAMILIES:
+            yield _metric(family, {})
 
     def collect(self) -> Iterator[Metric]:
-        """Every family that has a sample, or none yet."""
-        at = look(self._daemon, self._api_counts(), self._facts, self._clock())
+        """Every family with the samples that it has now."""
+        reading = self._read()
         for family in FAMILIES:
-            yield _metric(family, family.read(at))
+            yield _metric(family, family.samples(reading))
 
 
 def _metric(family: Family, samples: Samples) -> Metric:
@@ -71,7 +94,8 @@ def _metric(family: Family, samples: Samples) -> Metric:
 def _histogram(family: Family, samples: Samples) -> Metric:
     """Buckets and their count; the library adds a count only where there is a sum."""
     metric = HistogramMetricFamily(family.name, family.help)
-    buckets = [(bound, value) for (bound,), value in samples.items()]
-    metric.add_metric([], buckets, sum_value=None)
-    metric.add_sample(f"{family.name}_count", {}, buckets[-1][1])
+    if samples:
+        buckets = [(bound, value) for (bound,), value in samples.items()]
+        metric.add_metric([], buckets, sum_value=None)
+        metric.add_sample(f"{family.name}_count", {}, buckets[-1][1])
     return metric

@@ -1,80 +1,106 @@
-"""What the gateway lets the vehicle do, and what the vehicle says."""
+"""Metrics of the vehicle: mode, causes, demand, commands, limits and received signals."""
 
 from collections.abc import Callable, Mapping
+from typing import get_args
 
-from vcu_gateway.core.causes import Effect, HeldCause
-from vcu_gateway.core.commands import Command
-from vcu_gateway.core.demand import ControllerDemand, PowerMode
-from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.core.why import Explanation
-from vcu_gateway.exporter.family import Family, Instant, Samples, by, gauge, one, states
+from vcu_gateway.api import results
+from vcu_gateway.exporter.family import (
+    MS_PER_S,
+    Family,
+    Samples,
+    by,
+    gauge,
+    of_state,
+    of_why,
+    one,
+    states,
+)
+from vcu_gateway.exporter.reader import GatewayAnswers
 
 _PCT = 100
+_MODES = get_args(results.ModeName)
+_FAULT_CLASSES = get_args(results.FaultClassName)
+_EFFECTS = get_args(results.EffectName)
+_POWER_MODES = get_args(results.PowerModeName)
 
 
-def _ticked(read: Callable[[Instant, Explanation], Samples]) -> Callable[[Instant], Samples]:
-    """What the last tick knew; nothing before the first."""
-    return lambda at: {} if at.latest is None else read(at, at.latest.why)
+def _causes(why: results.Why) -> list[results.Cause]:
+    """Every cause that counted."""
+    return [*why["blocks"], *why["limits"], *why["alarms"]]
 
 
-def _held(why: Explanation) -> tuple[HeldCause, ...]:
-    """Everything that counted."""
-    return why.blocks + why.limits + why.alarms
+def _fault_latched(why: results.Why) -> Samples:
+    latch = why["latch"]
+    return states(_FAULT_CLASSES, [latch["fault_class"]] if latch else [])
 
 
-def _causes(at: Instant, why: Explanation) -> Samples:
-    found = [(held.finding, at.since_s(held.since_ns)) for held in _held(why)]
+def _cause_seconds(why: results.Why) -> Samples:
     return {
-        (finding.cause, finding.subject, finding.effect.value): since_s
-        for finding, since_s in found
+        (cause["cause"], cause["subject"], cause["effect"]): cause["since_ms"] / MS_PER_S
+        for cause in _causes(why)
     }
 
 
-def _demand_age(at: Instant, why: Explanation) -> Samples:
-    age_ns = why.demand_age_ns
-    return one(None if age_ns is None else at.since_s(why.now_ns - age_ns))
+def _demand_fresh(why: results.Why) -> Samples:
+    demand = why["demand"]
+    return one(float(demand is not None and demand["fresh"]))
 
 
-def _asked(at: Instant, value: Callable[[ControllerDemand], float]) -> Samples:
-    """What the demand asks of each controller; nothing where none counts."""
-    demand = at.gateway.requests.desk.current
-    if demand is None or at.latest is None or not at.latest.why.demand_fresh:
-        return {}
-    return by({name: value(asked) for name, asked in demand.controllers.items()})
+def _demand_age(why: results.Why) -> Samples:
+    demand = why["demand"]
+    age_ms = None if demand is None else demand["age_ms"]
+    return one(None if age_ms is None else age_ms / MS_PER_S)
 
 
-def _told(at: Instant) -> Mapping[str, Command]:
-    """What each controller was told in the last tick; nothing where that tick sent nothing."""
-    if at.latest is None:
-        return {}
-    result = at.latest.result
-    return {frame.controller: result.commands[frame.controller] for frame in result.frames}
-
-
-def _command(name: str, text: str, value: Callable[[Command], float]) -> Family:
-    """A value of the last command frame of each controller."""
+def _demand(name: str, text: str, value: Callable[[results.DemandedValues], float]) -> Family:
+    """A value of the demand for each controller."""
     return gauge(
-        f"command_{name}",
-        f"{text} in the last tick; absent where it sent nothing.",
-        lambda at: by({controller: value(told) for controller, told in _told(at).items()}),
+        f"demand_{name}",
+        f"{text} that the demand asks for, 0 to 1; absent where none counted.",
+        of_state(lambda state: by({n: value(asked) for n, asked in state["demanded"].items()})),
         "controller",
     )
 
 
-def _power_modes(at: Instant) -> Samples:
+def _sent(state: results.State) -> Mapping[str, results.SentCommand]:
+    """Commands by controller; none where the last tick sent nothing."""
+    return {name: sent for name, sent in state["commands"].items() if sent["frame"] is not None}
+
+
+def _command(name: str, text: str, value: Callable[[results.SentCommand], float]) -> Family:
+    """A value of the last command frame of each controller."""
+    return gauge(
+        f"command_{name}",
+        f"{text} in the last tick; absent where it sent nothing.",
+        of_state(lambda state: by({n: value(sent) for n, sent in _sent(state).items()})),
+        "controller",
+    )
+
+
+def _power_modes(state: results.State) -> Samples:
     return {
-        (controller, mode.name.lower()): float(told.power_mode is mode)
-        for controller, told in _told(at).items()
-        for mode in PowerMode
+        (controller, mode): float(sent["power_mode"] == mode)
+        for controller, sent in _sent(state).items()
+        for mode in _POWER_MODES
     }
 
 
-def _signals(at: Instant) -> Samples:
+def _limit(name: str, text: str, key: str, divisor: float = 1) -> Family:
+    """A value of the configuration's section `limits`."""
+
+    def read(reading: GatewayAnswers) -> Samples:
+        config = reading.config
+        return one(None if config is None else config["values"]["limits"][key] / divisor)
+
+    return gauge(f"limit_{name}", text, read)
+
+
+def _signals(state: results.State) -> Samples:
     return {
-        (spec.name, reading.name, reading.unit): reading.good_value
-        for spec in at.snapshot.messages
-        for reading in at.snapshot.readings(spec.name)
-        if reading.good_value is not None
+        (message, name, signal["unit"]): signal["value"]
+        for message, received in state["messages"].items()
+        for name, signal in received["signals"].items()
+        if signal["quality"] == "good" and signal["value"] is not None
     }
 
 
@@ -82,25 +108,25 @@ FAMILIES: tuple[Family, ...] = (
     gauge(
         "mode",
         "1 for the mode of the last tick, 0 for the others.",
-        _ticked(lambda _, why: states(Mode, [why.mode])),
+        of_why(lambda why: states(_MODES, [why["mode"]])),
         "mode",
     ),
     gauge(
         "fault_latched",
         "1 where a fault is latched, by the level of the reset that it needs.",
-        _ticked(lambda _, why: states(FaultClass, [why.latch.fault_class] if why.latch else [])),
+        of_why(_fault_latched),
         "fault_class",
     ),
     gauge(
         "effect",
         "1 for each effect that counted in the last tick, 0 for the others.",
-        _ticked(lambda _, why: states(Effect, [held.finding.effect for held in _held(why)])),
+        of_why(lambda why: states(_EFFECTS, [cause["effect"] for cause in _causes(why)])),
         "effect",
     ),
     gauge(
         "cause_seconds",
         "How long each cause with its effect has counted; absent where it does not count.",
-        _ticked(_causes),
+        of_why(_cause_seconds),
         "cause",
         "subject",
         "effect",
@@ -108,69 +134,52 @@ FAMILIES: tuple[Family, ...] = (
     gauge(
         "demand_fresh",
         "1 where a demand counted in the last tick, else 0.",
-        _ticked(lambda _, why: one(float(why.demand_fresh))),
+        of_why(_demand_fresh),
     ),
     gauge(
         "demand_age_seconds",
         "Age of the latest demand; absent without one and for the bench demand.",
-        _ticked(_demand_age),
+        of_why(_demand_age),
     ),
-    gauge(
-        "demand_throttle_ratio",
-        "Throttle that the demand asks for, 0 to 1; absent where none counted.",
-        lambda at: _asked(at, lambda asked: asked.throttle_pct / _PCT),
-        "controller",
-    ),
-    gauge(
-        "demand_brake_ratio",
-        "Brake that the demand asks for, 0 to 1; absent where none counted.",
-        lambda at: _asked(at, lambda asked: asked.brake_pct / _PCT),
-        "controller",
-    ),
+    _demand("throttle_ratio", "Throttle", lambda asked: asked["throttle_pct"] / _PCT),
+    _demand("brake_ratio", "Brake", lambda asked: asked["brake_pct"] / _PCT),
     _command(
-        "throttle_ratio", "Commanded throttle, 0 to 1,", lambda told: told.throttle_pct / _PCT
+        "throttle_ratio", "Commanded throttle, 0 to 1,", lambda sent: sent["throttle_pct"] / _PCT
     ),
-    _command("brake_ratio", "Commanded brake, 0 to 1,", lambda told: told.brake_pct / _PCT),
-    _command("speed_limit_rpm", "Commanded speed limit", lambda told: told.speed_limit_rpm),
-    _command("power_limit_watts", "Commanded power limit", lambda told: told.power_limit_w),
-    _command("motor_reverse", "1 where reverse was commanded", lambda told: told.motor_reverse),
-    _command("regen_brake", "1 where regeneration was commanded", lambda told: told.regen_brake),
-    _command("power_cut", "1 where the power was cut", lambda told: told.power_cut),
+    _command("brake_ratio", "Commanded brake, 0 to 1,", lambda sent: sent["brake_pct"] / _PCT),
+    _command("speed_limit_rpm", "Commanded speed limit", lambda sent: sent["speed_limit_rpm"]),
+    _command("power_limit_watts", "Commanded power limit", lambda sent: sent["power_limit_w"]),
+    _command("motor_reverse", "1 where reverse was commanded", lambda sent: sent["motor_reverse"]),
+    _command("regen_brake", "1 where regeneration was commanded", lambda sent: sent["regen_brake"]),
+    _command("power_cut", "1 where the power was cut", lambda sent: sent["power_cut"]),
     gauge(
         "command_power_mode",
         "1 for the power mode commanded in the last tick; absent where it sent nothing.",
-        _power_modes,
+        of_state(_power_modes),
         "controller",
         "power_mode",
     ),
-    gauge(
-        "limit_speed_rpm",
-        "Configured maximum of the speed limit.",
-        lambda at: one(at.gateway.settings.speed_limit_max_rpm),
-    ),
-    gauge(
-        "limit_power_watts",
-        "Configured maximum of the power limit.",
-        lambda at: one(at.gateway.settings.power_limit_max_w),
-    ),
-    gauge(
-        "limit_derated_power_watts",
+    _limit("speed_rpm", "Configured maximum of the speed limit.", "speed_limit_max_rpm"),
+    _limit("power_watts", "Configured maximum of the power limit.", "power_limit_max_w"),
+    _limit(
+        "derated_power_watts",
         "Configured power limit under the effect `power limit`.",
-        lambda at: one(at.gateway.settings.derated_power_w),
+        "derated_power_w",
     ),
-    gauge(
-        "limit_regen_ratio",
+    _limit(
+        "regen_ratio",
         "Configured brake under the effect `regen limit`, 0 to 1.",
-        lambda at: one(at.gateway.settings.regen_limit_pct / _PCT),
+        "regen_limit_pct",
+        _PCT,
     ),
     gauge(
         "signal",
         "Received signals in the protocol's units, codes as numbers;"
         " absent unless fresh and in range.",
-        _signals,
+        of_state(_signals),
         "message",
         "signal",
         "unit",
     ),
 )
-"""Everything that tells of the vehicle."""
+"""In the order of the text."""
