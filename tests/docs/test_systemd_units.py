@@ -15,6 +15,11 @@ UNITS = sorted(
 )
 
 
+SERVICES = sorted(path.name for path in UNITS if path.suffix == ".service")
+MOST_EXPOSED = {"vcu-gateway.service": 1.0, "vcu-gateway@.service": 1.0}
+"""What `systemd-analyze security` may say, 0 to 10; the exporter has an internet socket."""
+
+
 def settings(path: Path) -> list[tuple[int, str]]:
     """Line numbers and names of the directives; the Match section is what, not why."""
     section, found = "", []
@@ -50,7 +55,7 @@ def test_an_instance_shares_no_folder_with_another():
     assert shared == []
 
 
-@pytest.mark.parametrize("name", ["vcu-gateway.service", "vcu-gateway@.service"])
+@pytest.mark.parametrize("name", SERVICES)
 def test_systemd_understands_every_line(name, tmp_path):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze on this machine; tests/service asks the real one")
@@ -63,3 +68,31 @@ def test_systemd_understands_every_line(name, tmp_path):
         line for line in done.stderr.splitlines() if name in line and "not executable" not in line
     ]
     assert said == []
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_a_service_is_exposed_no_more_than_it_has_to_be(name):
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("no systemd-analyze on this machine; tests/service asks the real one")
+    done = subprocess.run(
+        ["systemd-analyze", "security", "--offline=yes", "--no-pager", str(SYSTEMD / name)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", done.stdout)
+    assert found, done.stderr
+    assert float(found[1]) <= MOST_EXPOSED.get(name, 1.1)
+
+
+def test_the_exporter_listens_on_the_one_port_that_its_unit_lets_it_have():
+    text = (SYSTEMD / "vcu-gateway-exporter.service").read_text()
+    (listen,) = re.findall(r"^ExecStart=.* --listen 127\.0\.0\.1:(\d+)$", text, re.MULTILINE)
+    assert "\nSocketBindDeny=any\n" in text
+    assert re.findall(r"^SocketBindAllow=(.*)$", text, re.MULTILINE) == [f"tcp:{listen}"]
+    example = (SYSTEMD.parent / "docs/monitoring/prometheus.yml").read_text()
+    assert f'"127.0.0.1:{listen}"' in example
+
+
+def test_the_exporter_needs_the_gateway_only_for_the_order():
+    text = (SYSTEMD / "vcu-gateway-exporter.service").read_text()
+    assert "\nAfter=vcu-gateway.service\n" in text
+    assert not re.search(r"^(Requires|BindsTo|PartOf|Requisite|Wants)=", text, re.MULTILINE)

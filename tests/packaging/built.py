@@ -41,7 +41,7 @@ def epoch_s() -> int:
     """What scripts/deb takes: as given, else the time of the commit."""
     if given := os.environ.get("SOURCE_DATE_EPOCH"):
         return int(given)
-    told = ["git", "-C", REPOSITORY, "log", "-1", "--format=%ct"]
+    told: list[str | Path] = ["git", "-C", REPOSITORY, "log", "-1", "--format=%ct"]
     done = subprocess.run(told, capture_output=True, text=True)
     return int(done.stdout) if done.returncode == 0 else _EPOCH_S
 

@@ -21,6 +21,7 @@ FROM_THE_TREE = {
     "etc/vcu-gateway/gateway.yaml": "config/gateway.yaml",
     "{units}/vcu-gateway.service": "systemd/vcu-gateway.service",
     "{units}/vcu-gateway@.service": "systemd/vcu-gateway@.service",
+    "{units}/vcu-gateway-exporter.service": "systemd/vcu-gateway-exporter.service",
     "usr/lib/sysusers.d/vcu-gateway.conf": "systemd/sysusers.conf",
     "usr/lib/tmpfiles.d/vcu-gateway.conf": "systemd/tmpfiles.conf",
     "usr/share/vcu-gateway/network/can0.network": "systemd/can0.network",
@@ -33,6 +34,7 @@ FROM_THE_TREE = {
     "usr/share/vcu-gateway/examples/bench-vcan0.yaml": "config/bench-vcan0.yaml",
     "usr/share/vcu-gateway/examples/scenarios/bms-silent.yaml": "config/scenarios/bms-silent.yaml",
     "usr/share/doc/vcu-gateway/README.md": "README.md",
+    "usr/share/doc/vcu-gateway/SECURITY.md": "SECURITY.md",
     "usr/share/doc/vcu-gateway/docs/safety.md": "docs/safety.md",
     "usr/share/doc/vcu-gateway/docs/examples/control_loop.py": "docs/examples/control_loop.py",
     "{site}/vcu_gateway/data/gateway.yaml": "config/gateway.yaml",
@@ -156,7 +158,7 @@ def flags(compiled: bytes) -> int:
 
 def test_a_traceback_names_the_files_where_they_are_installed(deb):
     source = f"{deb.site}/vcu_gateway/daemon/loop.py"
-    named = re.findall(rb"[ -~]*daemon\.py", deb.contents[cached(source, deb.release.python)])
+    named = re.findall(rb"[ -~]*loop\.py", deb.contents[cached(source, deb.release.python)])
     assert {name[name.find(b"/") :].decode() for name in named} == {f"/{source}"}
 
 
@@ -186,7 +188,7 @@ def test_the_licence_of_every_library_is_named(deb):
 def test_every_program_and_file_that_the_units_name_is_there(deb):
     missing = {
         path
-        for unit in ("vcu-gateway.service", "vcu-gateway@.service")
+        for unit in ("vcu-gateway.service", "vcu-gateway@.service", "vcu-gateway-exporter.service")
         for line in deb.text(f"{deb.release.units}/{unit}").splitlines()
         if line.startswith(("Exec", "RootDirectory="))
         for path in re.findall(r"/(?:usr|etc)/[^\s%]+(?=\s|$)", line)

@@ -32,6 +32,14 @@ def test_the_script_is_one_for_every_shell(control, script):
     assert "#DEBHELPER#" not in path.read_text()
 
 
+def test_installing_enables_the_gateway_and_not_the_exporter(control):
+    script = (control / "postinst").read_text()
+    assert "deb-systemd-helper enable 'vcu-gateway.service'" in script
+    was_enabled = "if deb-systemd-helper --quiet was-enabled 'vcu-gateway-exporter.service'"
+    before, _, after = script.partition("deb-systemd-helper enable 'vcu-gateway-exporter.service'")
+    assert was_enabled in before or not after
+
+
 def test_the_sums_are_those_of_all_files_but_the_configuration(deb, control):
     listed = {line.split("  ", 1)[1] for line in (control / "md5sums").read_text().splitlines()}
     assert listed == set(deb.contents) - {"etc/vcu-gateway/gateway.yaml"}

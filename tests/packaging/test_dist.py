@@ -13,7 +13,7 @@ from vcu_gateway import __version__
 
 pytestmark = pytest.mark.timeout(600)
 NAME = f"vcu_gateway-{__version__}"
-UV = [BIN / "uv", "--quiet", "--no-config"]
+UV: list[str | Path] = [BIN / "uv", "--quiet", "--no-config"]
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +41,14 @@ def installed(rebuilt: Path, tree: Path, tmp_path_factory: pytest.TempPathFactor
     """bin of an environment with the wheel and what is locked, nothing else."""
     place = tmp_path_factory.mktemp("installed")
     subprocess.run([*UV, "venv", "--python", BIN / "python", place / "venv"], check=True)
-    install = [*UV, "pip", "install", "--python", place / "venv/bin/python"]
-    locked = ["--require-hashes", "--only-binary", ":all:", "-r", tree / "requirements.lock"]
+    install: list[str | Path] = [*UV, "pip", "install", "--python", place / "venv/bin/python"]
+    locked: list[str | Path] = [
+        "--require-hashes",
+        "--only-binary",
+        ":all:",
+        "-r",
+        tree / "requirements.lock",
+    ]
     subprocess.run([*install, *locked], check=True)
     subprocess.run([*install, "--no-deps", rebuilt], check=True)
     return place / "venv" / "bin"
