@@ -1,16 +1,24 @@
 """A gateway program in simulated time, and its metrics as Prometheus would read them."""
 
+import json
+from typing import Any
+
 from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.core.safety_world import COMMAND_IDS, Drive, active
-from vcu_gateway import exporter
+from vcu_gateway import config as configuration
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings
+from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.daemon.loop import LastTick, TickLoop
+from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.exporter import GatewayAnswers, prometheus
+from vcu_gateway.server import views
+from vcu_gateway.server.health import RunFacts, health
 
 Labels = frozenset[tuple[str, str]]
 STARTED_S = 1_700_000_000.0
@@ -59,11 +67,11 @@ class Program:
         drive: the gateway among healthy nodes; api, facts: what the metrics are told.
     """
 
-    def __init__(self, drive: Drive | None = None, interface: str = "virtual") -> None:
+    def __init__(self, drive: Drive | None = None, interface: Any = "virtual") -> None:
         self.drive = drive or Drive()
         settings = BusSettings(interface, "nowhere")
-        self.door = BusConnection(settings, (), self.drive.gateway.intake.receive)
-        self.daemon = TickLoop(self.drive.gateway, self.door, 50)
+        self.connection = BusConnection(settings, (), self.drive.gateway.receive)
+        self.loop = TickLoop(self.drive.gateway, self.connection, 50)
         self.api = ApiCounts(
             clients=0,
             accepted=0,
@@ -75,25 +83,17 @@ class Program:
             closed={},
             lost_updates=0,
         )
-        self.facts = exporter.Facts(
-            version="1.2.3",
-            python="3.11.0",
-            protocol_digest="0123",
-            config_digest=lambda: "4567",
-            started_ns=self.drive.now_ns,
-            started_s=STARTED_S,
-            starts=2,
-            log_lines_dropped=lambda: 0,
-        )
+        self.facts = RunFacts("0123", CountedStart(2, 0), lambda: 0, self.drive.now_ns)
+        self.facts.start_time_s = STARTED_S
 
     def tick(self, late_ns: int = 10_000) -> None:
         """One tick of simulated time, booked as the daemon does."""
         result = self.drive.tick()
-        schedule = self.daemon.schedule
+        schedule = self.loop.schedule
         schedule.due(schedule.next_deadline_ns + late_ns)
-        self.daemon.silent_ticks += not result.frames
-        self.door.counters.sent += len(result.frames)
-        self.daemon.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
+        self.loop.silent_ticks += not result.frames
+        self.connection.counters.sent += len(result.frames)
+        self.loop.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
 
     def run(self, duration_ms: int) -> "Program":
         """Tick for so long."""
@@ -101,19 +101,28 @@ class Program:
             self.tick()
         return self
 
-    def exposition(self):
-        return exporter.exposition(
-            self.daemon, lambda: self.api, self.facts, lambda: self.drive.now_ns
-        )
+    def reading(self) -> GatewayAnswers:
+        """What the API answers now, through JSON."""
+        now_ns, latest, config = self.drive.now_ns, self.loop.latest, Config()
+        settings = self.connection.settings
+        answers: dict[str, Any] = {}
+        answers["health"] = health(self.loop, settings, config, self.facts, self.api, now_ns)
+        answers["config"] = {"digest": "", "values": configuration.effective(config)}
+        if latest is not None:
+            gateway = self.drive.gateway
+            demand = gateway.requests.arbiter.current
+            answers["state"] = views.state(gateway.snapshot(now_ns), latest, demand)
+            answers["why"] = views.why(latest.why)
+        return GatewayAnswers(**json.loads(json.dumps(answers, allow_nan=False)))
 
     def scrape(self) -> Scrape:
-        return Scrape(self.exposition().text().decode())
+        return Scrape(prometheus.text(self.reading).decode())
 
 
 def driven() -> Program:
     """A program to which everything has happened: no family is without a sample."""
     drive = active()
-    drive.asked = ControllerDemand(throttle_pct=30, power_mode=PowerMode.NORMAL)
+    drive.demanded = ControllerDemand(throttle_pct=30, power_mode=PowerMode.NORMAL)
     drive.codes = {"BMS_Status.CellOvervoltage": 1, "BMS_Temperatures.PackTemperature5": 255}
     drive.silent = {"IMU_Attitude"}
     program = Program(drive, "socketcan").run(2000)
@@ -126,12 +135,12 @@ def driven() -> Program:
     program.run(1200)
     drive.codes |= {"ARD2_SteeringWheel.WheelSpeedFL": 5_000, "PCU1_Status2.MotorSpeed": 3_000}
     program.run(200)
-    drive.gateway.output.gate.check(
+    drive.gateway.transmitter.gate.check(
         0, 0, bytes(8), armed=False, speeds_rpm=(None, None), now_ns=drive.now_ns
     )
-    drive.gateway.intake.receive(Frame(0x18FECA15, bytes(8), drive.now_ns))
-    drive.gateway.intake.receive(Frame(COMMAND_IDS["PCU2"] ^ 0xFF, bytes(8), drive.now_ns))
-    program.door.withhold("late")
+    drive.gateway.receive(Frame(0x18FECA15, bytes(8), drive.now_ns))
+    drive.gateway.receive(Frame(COMMAND_IDS["PCU2"] ^ 0xFF, bytes(8), drive.now_ns))
+    program.connection.count_unsent("late")
     program.api |= {"clients": 2, "accepted": 5, "requests": 100}
     program.api |= {"errors": {"method_not_found": 1}, "closed": {"slow": 1}}
     program.tick()

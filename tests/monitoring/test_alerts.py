@@ -53,6 +53,6 @@ def test_the_names_of_the_rules_are_unique():
 def test_the_example_scrapes_the_job_that_the_rules_name():
     example = yaml.safe_load((MONITORING / "prometheus.yml").read_text(encoding="utf-8"))
     (job,) = example["scrape_configs"]
-    down = next(rule for rule in RULES if rule["alert"] == "VcuGatewayDown")
+    down = next(rule for rule in RULES if rule["alert"] == "VcuGatewayExporterDown")
     assert f'job="{job["job_name"]}"' in down["expr"]
     assert example["rule_files"] == [ALERTS.name]

@@ -80,5 +80,10 @@ def test_every_family_is_shown_but_the_few_named_here():
         "vcu_gateway_limit_speed_rpm",
         "vcu_gateway_link_state_seconds",
         "vcu_gateway_start_time_seconds",
+        "vcu_gateway_up",
+        "process_max_fds",
+        "process_open_fds",
+        "process_start_time_seconds",
+        "process_virtual_memory_bytes",
     }
     assert {family.name for family in exporter.FAMILIES} - shown == elsewhere

@@ -76,7 +76,8 @@ def lateness(early: int, late: int) -> Series:
 
 STARTING_AGAIN = " ".join(f"{starts}+0x14" for starts in range(1, 11))
 FIRES: dict[str, tuple[Series, set[str]]] = {
-    "VcuGatewayDown": ({name("up"): step("1", "0")}, set()),
+    "VcuGatewayDown": ({gateway("up"): step("1", "0")}, set()),
+    "VcuGatewayExporterDown": ({name("up"): step("1", "0")}, set()),
     "VcuGatewayFaultLatched": ({gateway("fault_latched", fault_class="driver"): step()}, set()),
     "VcuGatewayControllerDisobeys": ({cause("echo_direction", "stop"): step("_")}, set()),
     "VcuGatewaySpeedImplausible": ({cause("speed_step", "alarm"): step("_")}, set()),

@@ -17,7 +17,7 @@ def test_the_table_of_metrics_is_current():
 
 def test_every_metric_that_the_page_names_exists():
     known = {family.name for family in exporter.FAMILIES}
-    assert set(re.findall(r"\bvcu_gateway_\w+", TEXT)) == known
+    assert set(re.findall(r"\b(?:vcu_gateway|process)_\w+", TEXT)) == known
 
 
 def test_the_files_that_it_links_to_are_there():
