@@ -60,11 +60,11 @@ def test_a_controller_that_is_set_as_it_should_be_is_well(stand: Stand):
     ("setting", "check", "kind", "word"),
     [
         (("bitrate", "500000"), "bit_rate", "wrong", "500 kbit/s, bus.bit_rate_bit_s says 250"),
-        (("restart-ms", "0"), "restart", "warning", "would stay off for ever"),
+        (("restart-ms", "0"), "restart", "warning", "stays off for ever"),
         (("listen-only", "on"), "listen_only", "wrong", "only listens"),
         (("one-shot", "on"), "one_shot", "warning", "one-shot"),
         (("loopback", "on"), "loopback", "warning", "loopback"),
-        (("presume-ack", "on"), "presume_ack", "warning", "nobody acknowledged"),
+        (("presume-ack", "on"), "presume_ack", "warning", "unacknowledged"),
     ],
 )
 def test_a_controller_that_is_set_wrongly_is_told(

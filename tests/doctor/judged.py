@@ -1,21 +1,21 @@
-"""What an examination said, in the shape that tests compare."""
+"""Check results in the shape that tests compare."""
 
 from collections.abc import Iterable
 
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
 
 
-def complaints(findings: Iterable[CheckResult]) -> dict[str, str]:
-    """Kind by check, of all that is not well."""
+def not_ok(findings: Iterable[CheckResult]) -> dict[str, str]:
+    """Kind by check, of every result that is not ok."""
     return {one.check: one.kind.value for one in findings if one.kind is not CheckStatus.OK}
 
 
 def only(findings: Iterable[CheckResult]) -> CheckResult:
-    """The one thing that is not well."""
+    """The only result that is not ok."""
     (one,) = (one for one in findings if one.kind is not CheckStatus.OK)
     return one
 
 
 def well(findings: Iterable[CheckResult]) -> str:
-    """The lines of what is well."""
+    """The texts of the results that are ok."""
     return "\n".join(one.what for one in findings if one.kind is CheckStatus.OK)

@@ -1,10 +1,11 @@
 """Who talks on the bus: everybody at the right rate; break one thing."""
 
 from collections import Counter
+from typing import Any
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
+from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.core.settings import REQUIRED_MESSAGES
 from vcu_gateway.doctor.bus_traffic import ObservedTraffic, TrafficFacts, judge, listen
 from vcu_gateway.doctor.procfs import Unreadable
@@ -32,13 +33,15 @@ HEALTHY = TrafficFacts(
 )
 
 
-def heard(local: Counter[int], remote: Counter[int], **changed: object) -> list:
-    return list(judge(HEALTHY._replace(heard=ObservedTraffic(local, remote, SECONDS), **changed)))
+def results(local: Counter[int], remote: Counter[int], **changed: Any) -> list:
+    return list(
+        judge(HEALTHY._replace(observed=ObservedTraffic(local, remote, SECONDS), **changed))
+    )
 
 
 def test_a_whole_vehicle_is_one_line_with_every_rate():
     findings = list(judge(HEALTHY))
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     for word in ("BMS_Status 2/s", "PCU1_Status2 20/s", "IMU_Attitude 100/s", "PCU2_Command sent"):
         assert word in well(findings)
 
@@ -51,25 +54,25 @@ def test_a_whole_vehicle_is_one_line_with_every_rate():
     ],
 )
 def test_a_missing_message_is_wrong_where_nothing_moves_without_it(name, kind):
-    found = only(heard(SENT, frames(name)))
+    found = only(results(SENT, frames(name)))
     assert (found.subject, found.check, found.kind.value) == ("bus", "missing", kind)
     assert name in found.what
 
 
 def test_a_message_at_less_than_half_its_rate_is_a_warning_and_at_half_is_not():
     imu = SPEC.message("IMU_Attitude").can_id
-    assert only(heard(SENT, frames() + Counter({imu: -101}))).check == "slow"
-    assert complaints(heard(SENT, frames() + Counter({imu: -100}))) == {}
+    assert only(results(SENT, frames() + Counter({imu: -101}))).check == "slow"
+    assert not_ok(results(SENT, frames() + Counter({imu: -100}))) == {}
 
 
 def test_an_alias_and_another_priority_count_for_their_message():
     imu = SPEC.message("IMU_Attitude").can_id
     for one in (0x08F02DE2, imu ^ OTHER_PRIORITY):
         spec = HEALTHY.protocol
-        aliased = TrafficFacts("can0", HEALTHY.heard, _with_alias(spec), REQUIRED_MESSAGES, True)
+        aliased = TrafficFacts("can0", HEALTHY.observed, _with_alias(spec), REQUIRED_MESSAGES, True)
         remote = frames("IMU_Attitude") + Counter({one: 200})
         assert (
-            complaints(judge(aliased._replace(heard=ObservedTraffic(SENT, remote, SECONDS)))) == {}
+            not_ok(judge(aliased._replace(observed=ObservedTraffic(SENT, remote, SECONDS)))) == {}
         )
 
 
@@ -80,53 +83,55 @@ def _with_alias(spec):
 
 
 def test_a_silent_bus_is_one_wrong_line():
-    found = only(heard(Counter(), Counter()))
+    found = only(results(Counter(), Counter()))
     assert (found.check, found.kind.value) == ("silent", "wrong")
 
 
 def test_controllers_that_nobody_commands_need_not_answer():
     remote = frames("PCU1_Status2", "PCU2_Status2")
-    assert complaints(heard(Counter(), remote, gateway_runs=False)) == {}
-    assert complaints(heard(SENT, remote)) == {"missing": "wrong"}
+    assert not_ok(results(Counter(), remote, gateway_runs=False)) == {}
+    assert not_ok(results(SENT, remote)) == {"missing": "wrong"}
 
 
 @pytest.mark.parametrize("can_id", [COMMANDS[0], COMMANDS[1], COMMANDS[0] ^ OTHER_PRIORITY])
 def test_a_command_from_another_node_is_wrong_beside_a_gateway_or_without(can_id):
     remote = frames() + Counter({can_id: 1})
     for local, runs in ((SENT, True), (Counter(), False)):
-        found = only(heard(local, remote, gateway_runs=runs))
+        found = only(results(local, remote, gateway_runs=runs))
         assert (found.check, found.kind.value) == ("other_sender", "wrong")
         assert "another node" in found.what
 
 
 @pytest.mark.parametrize("can_id", [0x0008A755, 0x1C08A855])
 def test_a_command_from_another_source_address_is_wrong_and_named(can_id):
-    found = only(heard(SENT, frames() + Counter({can_id: 1})))
+    found = only(results(SENT, frames() + Counter({can_id: 1})))
     assert (found.check, found.kind.value) == ("other_sender", "wrong")
     assert f"({can_id:08X})" in found.what
-    found = only(heard(SENT + Counter({can_id: 1}), frames()))
+    found = only(results(SENT + Counter({can_id: 1}), frames()))
     assert found.check == "other_sender"
 
 
 def test_a_command_to_all_is_a_command_to_both_controllers():
     found = [
-        one for one in heard(SENT, frames() + Counter({0x0008FF55: 1})) if one.kind.value == "wrong"
+        one
+        for one in results(SENT, frames() + Counter({0x0008FF55: 1}))
+        if one.kind.value == "wrong"
     ]
     assert [one.check for one in found] == ["other_sender", "other_sender"]
     assert all("(0008FF55)" in one.what for one in found)
 
 
 def test_a_second_program_of_this_machine_is_known_by_too_many_commands():
-    assert complaints(heard(Counter(dict.fromkeys(COMMANDS, 60)), frames())) == {}
-    found = only(heard(Counter({COMMANDS[0]: 61, COMMANDS[1]: 40}), frames()))
+    assert not_ok(results(Counter(dict.fromkeys(COMMANDS, 60)), frames())) == {}
+    found = only(results(Counter({COMMANDS[0]: 61, COMMANDS[1]: 40}), frames()))
     assert found.check == "other_sender"
 
 
 def test_commands_of_this_machine_without_a_gateway_are_wrong():
-    assert complaints(heard(SENT, frames(), gateway_runs=False)) == {"other_sender": "wrong"}
+    assert not_ok(results(SENT, frames(), gateway_runs=False)) == {"other_sender": "wrong"}
 
 
 def test_an_interface_that_cannot_be_opened_is_unknown():
-    heard_nothing = listen("nocan9", duration_s=0.01)
-    assert isinstance(heard_nothing, Unreadable)
-    assert only(judge(HEALTHY._replace(heard=heard_nothing))).kind.value == "unknown"
+    no_socket = listen("nocan9", duration_s=0.01)
+    assert isinstance(no_socket, Unreadable)
+    assert only(judge(HEALTHY._replace(observed=no_socket))).kind.value == "unknown"

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
+from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.doctor import configuration, protocol
 from vcu_gateway.doctor.configuration import FilePermissions, judge, read
+from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.errors import Problem
 from vcu_gateway.protocol import packaged
 
@@ -34,7 +35,7 @@ def healthy(path: Path) -> configuration.ConfigurationFacts:
 
 
 def test_a_valid_file_is_one_line_with_its_digest(path, healthy):
-    assert complaints(judge(healthy)) == {}
+    assert not_ok(judge(healthy)) == {}
     assert well(judge(healthy)).startswith(f"{path}: valid, digest ")
 
 
@@ -60,19 +61,19 @@ def test_a_file_that_others_may_change_is_told(path, healthy, file, check, kind,
     ],
 )
 def test_a_file_of_roots_or_of_whoever_asks_is_well(healthy, file):
-    assert complaints(judge(healthy._replace(file=file))) == {}
+    assert not_ok(judge(healthy._replace(file=file))) == {}
 
 
 @pytest.mark.parametrize(("mode", "kinds"), [(0o777, {"folder": "wrong"}), (0o1777, {})])
 def test_a_folder_where_everybody_may_replace_the_file_is_wrong_unless_sticky(healthy, mode, kinds):
     folder = FilePermissions(stat.S_IFDIR | mode, 0, 0)
-    assert complaints(judge(healthy._replace(folder=folder))) == kinds
+    assert not_ok(judge(healthy._replace(folder=folder))) == kinds
 
 
 def test_every_mistake_is_a_line_in_check_configs_words(path):
     path.write_text("bus:\n  chanel: can0\n  reopen_ms: 1\n")
     facts = read(path)
-    assert not facts.can_be_held_to
+    assert not facts.can_be_checked
     wrong = [one for one in judge(facts) if one.kind.value == "wrong"]
     assert [one.check for one in wrong] == ["valid", "valid"]
     assert wrong[0].what == f"{path}:2: bus.chanel: unknown key"
@@ -88,29 +89,27 @@ def test_an_account_that_does_not_exist_is_wrong_and_the_file_still_valid(path):
 
 def test_a_static_demand_is_a_warning(path):
     path.write_text("bench: {demand: {bench_use_only: true}}\n")
-    assert complaints(judge(read(path))) == {"bench": "warning"}
+    assert not_ok(judge(read(path))) == {"bench": "warning"}
 
 
 def test_without_a_file_the_defaults_are_held_against_the_machine():
     facts = read(None, (Problem("there is no configuration file", "x.yaml", "give one"),))
-    assert complaints(judge(facts)) == {"valid": "wrong"}
-    assert facts.can_be_held_to
+    assert not_ok(judge(facts)) == {"valid": "wrong"}
+    assert facts.can_be_checked
     assert facts.in_effect.bus.channel == "can0"
-    assert "defaults" in well(judge(facts))
+    assert "default of every key" in well(judge(facts))
 
 
 def test_a_file_that_is_not_there_or_a_folder_is_wrong(tmp_path):
-    missing = complaints(judge(read(tmp_path / "none.yaml")))
+    missing = not_ok(judge(read(tmp_path / "none.yaml")))
     assert missing == {"valid": "wrong", "dependent": "unknown"}
-    assert complaints(judge(read(tmp_path)))["valid"] == "wrong"
+    assert not_ok(judge(read(tmp_path)))["valid"] == "wrong"
 
 
 def test_a_file_that_this_user_may_not_read_is_unknown(healthy):
-    facts = healthy._replace(
-        config=None, unread=configuration.Unreadable("this user may not read it")
-    )
+    facts = healthy._replace(config=None, unread=Unreadable("this user may not read it"))
     found = next(judge(facts))
-    assert complaints(judge(facts)) == {"readable": "unknown", "dependent": "unknown"}
+    assert not_ok(judge(facts)) == {"readable": "unknown", "dependent": "unknown"}
     assert found.remedy == "sudo vcu-gateway doctor"
 
 
@@ -132,7 +131,7 @@ def test_a_stranger_finds_a_private_file_unknown(path):
 
 def test_the_packaged_dbc_is_well():
     facts = protocol.read(read(None).in_effect)
-    assert complaints(protocol.judge(facts)) == {}
+    assert not_ok(protocol.judge(facts)) == {}
     assert "the packaged DBC: 12 messages" in well(protocol.judge(facts))
 
 
@@ -144,7 +143,7 @@ def with_dbc(path: Path, text: str) -> protocol.ProtocolFacts:
 
 def test_a_copy_of_the_packaged_dbc_is_well_and_named(path):
     facts = with_dbc(path, packaged("vcu.dbc").read_text())
-    assert complaints(protocol.judge(facts)) == {}
+    assert not_ok(protocol.judge(facts)) == {}
     assert str(path.parent / "own.dbc") in well(protocol.judge(facts))
 
 
@@ -153,7 +152,7 @@ def test_a_copy_of_the_packaged_dbc_is_well_and_named(path):
 )
 def test_a_dbc_that_contradicts_the_rules_or_is_none_is_wrong(path, old, new):
     facts = with_dbc(path, packaged("vcu.dbc").read_text().replace(old, new))
-    assert set(complaints(protocol.judge(facts)).values()) == {"wrong"}
+    assert set(not_ok(protocol.judge(facts)).values()) == {"wrong"}
 
 
 def test_a_message_that_the_protocol_does_not_have_is_wrong(path):

@@ -1,10 +1,11 @@
 """The interface: a healthy can0 at 250 kbit/s; break one thing."""
 
 import errno
+from typing import Any
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
+from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.bus.interface_info import (
     CanController,
     ControllerMode,
@@ -35,21 +36,21 @@ VCAN0 = InterfaceInfo(
     TRAFFIC,
 )
 HEALTHY = InterfaceFacts("can0", 250_000, None, CAN0)
-SHIPPED = (
+PERSISTENT = (
     "sudo cp /usr/share/vcu-gateway/network/can0.network"
     " /usr/share/vcu-gateway/network/10-can0.link /etc/systemd/network/"
 )
 
 
-def of(it: InterfaceInfo, **facts: object) -> list:
-    return list(judge(HEALTHY._replace(described=it, **facts)))
+def of(it: InterfaceInfo, **facts: Any) -> list:
+    return list(judge(HEALTHY._replace(info=it, **facts)))
 
 
-def details(**changed: object) -> InterfaceInfo:
+def details(**changed: Any) -> InterfaceInfo:
     return CAN0._replace(details=DETAILS._replace(**changed))
 
 
-def controller(**changed: object) -> InterfaceInfo:
+def controller(**changed: Any) -> InterfaceInfo:
     return CAN0._replace(controller=CONTROLLER._replace(**changed))
 
 
@@ -59,14 +60,14 @@ def past(**changed: int) -> InterfaceInfo:
 
 def test_a_healthy_interface_is_one_line():
     findings = of(CAN0)
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     expected = "can0: up, 250 kbit/s, queue of 4, restarts after 100 ms, errors tx 0 rx 0"
     assert well(findings) == expected
 
 
 def test_a_virtual_interface_has_neither_bit_rate_nor_queue_and_that_is_well():
     findings = list(judge(InterfaceFacts("vcan0", 250_000, None, VCAN0)))
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     assert well(findings) == "vcan0: up, vcan, no bit rate"
 
 
@@ -157,7 +158,7 @@ def test_each_fault_is_one_finding_with_the_command_that_mends_it(it, check, kin
     ],
 )
 def test_what_a_driver_need_not_tell_and_what_a_busy_bus_does_is_well(it):
-    assert complaints(of(it)) == {}
+    assert not_ok(of(it)) == {}
 
 
 def test_a_queue_is_told_by_the_age_of_the_commands_in_it():
@@ -180,7 +181,7 @@ def test_a_serial_adapter_is_never_told_to_restart_by_itself():
         *of(it, is_serial=True),
         *of(details(bit_rate_bit_s=500_000), is_serial=True),
     ]
-    assert complaints(findings) == {"restart": "warning", "state": "wrong", "bit_rate": "wrong"}
+    assert not_ok(findings) == {"restart": "warning", "state": "wrong", "bit_rate": "wrong"}
     assert not any("restart" in one.remedy for one in findings)
 
 
@@ -197,19 +198,19 @@ def test_an_interface_that_was_never_set_up_is_set_up_by_one_command():
         details=DETAILS._replace(bit_rate_bit_s=None, state=None, carrier=False),
     )
     findings = of(it)
-    assert complaints(findings) == {"up": "wrong"}
+    assert not_ok(findings) == {"up": "wrong"}
     command = "sudo ip link set can0 up type can bitrate 250000 restart-ms 100"
     assert only(findings).remedy == command
-    assert only(of(it, shipped=SHIPPED)).remedy == SHIPPED
+    assert only(of(it, persistent=PERSISTENT)).remedy == PERSISTENT
     assert only(of(it, is_serial=True)).remedy == command.removesuffix(" restart-ms 100")
 
 
 def test_where_networkd_runs_the_shipped_files_mend_bit_rate_and_restart():
     for it in (details(bit_rate_bit_s=500_000), controller(restart_ms=0)):
-        assert only(of(it, shipped=SHIPPED)).remedy == SHIPPED
+        assert only(of(it, persistent=PERSISTENT)).remedy == PERSISTENT
     assert (
         "listen-only off"
-        in only(of(controller(modes=ControllerMode.LISTEN_ONLY), shipped=SHIPPED)).remedy
+        in only(of(controller(modes=ControllerMode.LISTEN_ONLY), persistent=PERSISTENT)).remedy
     )
 
 
@@ -239,7 +240,7 @@ def test_a_process_that_may_not_open_can_sockets_is_told_so():
 
 
 def test_a_kernel_that_does_not_tell_is_unknown_with_the_reason():
-    found = only(judge(HEALTHY._replace(described=Unreadable("rtnetlink: timed out"))))
+    found = only(judge(HEALTHY._replace(info=Unreadable("rtnetlink: timed out"))))
     assert (found.check, found.kind.value) == ("exists", "unknown")
     assert "timed out" in found.what
 
@@ -250,7 +251,7 @@ def test_this_machines_loopback_is_read_and_no_can_interface():
 
 
 def test_an_interface_that_is_not_there_is_read_as_none():
-    assert interface.read("nocan9", 250_000).described is None
+    assert interface.read("nocan9", 250_000).info is None
 
 
 def test_what_is_down_and_set_up_is_only_taken_up():
@@ -260,7 +261,7 @@ def test_what_is_down_and_set_up_is_only_taken_up():
 
 
 def test_a_wrong_bit_rate_is_told_while_the_interface_is_down_too():
-    found = complaints(of(details(bit_rate_bit_s=500_000)._replace(up=False)))
+    found = not_ok(of(details(bit_rate_bit_s=500_000)._replace(up=False)))
     assert found == {"up": "wrong", "bit_rate": "wrong"}
 
 

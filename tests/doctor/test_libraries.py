@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
+from tests.doctor.judged import not_ok, only, well
 from tests.mf4 import PATIENCE_S, mf4_folder, with_asammdf
 from vcu_gateway.doctor import libraries
 from vcu_gateway.doctor.libraries import ForeignLibrary, ImportCost, LibraryFacts
@@ -22,12 +22,12 @@ OWN = "nothing but its own libraries delays the gateway's start"
 
 def test_a_gateway_with_its_own_libraries_is_one_line():
     assert well(libraries.judge(FACTS)) == OWN
-    assert complaints(libraries.judge(FACTS)) == {}
+    assert not_ok(libraries.judge(FACTS)) == {}
 
 
 def test_asammdf_is_told_with_what_it_costs_other_programs_and_is_well():
     findings = list(libraries.judge(FACTS._replace(asammdf=ImportCost(309.6, 100.5))))
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     assert findings[1].what == (
         "asammdf is kept out of the gateway; in every other program it makes `import can` "
         "310 ms longer and 100 MB larger"
@@ -39,18 +39,18 @@ def test_asammdf_is_told_with_what_it_costs_other_programs_and_is_well():
     ("facts", "check", "kind", "what", "remedy"),
     [
         (
-            {"strays": {"numpy": ForeignLibrary(88.4), "attrs": ForeignLibrary(19.9)}},
+            {"foreign": {"numpy": ForeignLibrary(88.4), "attrs": ForeignLibrary(19.9)}},
             *("stray", "warning"),
-            "numpy gets into the gateway, which does not need it: 88 ms a start",
+            "numpy is imported into the gateway without need: 88 ms a start",
             "pip uninstall numpy, where nothing else needs it",
         ),
         (
-            {"strays": {"sitecustomize": ForeignLibrary(20.0, "/opt/sitecustomize.py")}},
+            {"foreign": {"sitecustomize": ForeignLibrary(20.0, "/opt/sitecustomize.py")}},
             *("stray", "warning"),
-            "sitecustomize gets into the gateway, which does not need it: 20 ms a start",
+            "sitecustomize is imported into the gateway without need: 20 ms a start",
             "take /opt/sitecustomize.py out of this Python's path",
         ),
-        ({"strays": Unreadable("import vcu_gateway: no")}, "stray", "unknown", "import vcu", ""),
+        ({"foreign": Unreadable("import vcu_gateway: no")}, "stray", "unknown", "import vcu", ""),
         ({"asammdf": Unreadable("import can: no")}, "asammdf", "unknown", "import can: no", ""),
     ],
 )
@@ -62,7 +62,7 @@ def test_each_library_too_many_is_one_finding(facts, check, kind, what, remedy):
 
 
 def test_what_delays_the_start_too_little_to_tell_is_well():
-    assert well(libraries.judge(FACTS._replace(strays={"attrs": ForeignLibrary(19.9)}))) == OWN
+    assert well(libraries.judge(FACTS._replace(foreign={"attrs": ForeignLibrary(19.9)}))) == OWN
 
 
 def read(environment: dict[str, str]) -> dict:
@@ -72,21 +72,21 @@ def read(environment: dict[str, str]) -> dict:
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=110)
     assert done.returncode == 0, done.stderr
-    asammdf, strays = json.loads(done.stdout)
-    return {"asammdf": asammdf, "strays": strays}
+    asammdf, foreign = json.loads(done.stdout)
+    return {"asammdf": asammdf, "foreign": foreign}
 
 
 def test_what_python_imports_by_itself_is_found_in_the_gateway(tmp_path: Path):
     custom = tmp_path / "sitecustomize.py"
     custom.write_text("import time\ntime.sleep(0.05)\nimport hypothesis\n")
-    strays = read({**os.environ, "PYTHONPATH": str(tmp_path)})["strays"]
-    own_ms, file = strays["sitecustomize"]
+    foreign = read({**os.environ, "PYTHONPATH": str(tmp_path)})["foreign"]
+    own_ms, file = foreign["sitecustomize"]
     assert own_ms >= 50
     assert file == str(custom)
-    took_ms, file = strays["hypothesis"]
+    took_ms, file = foreign["hypothesis"]
     assert took_ms > 1
     assert file == ""
-    assert not {"can", "python-can", "pydantic", "click", "vcu-gateway"} & strays.keys()
+    assert not {"can", "python-can", "pydantic", "click", "vcu-gateway"} & foreign.keys()
 
 
 @pytest.mark.timeout(PATIENCE_S)
@@ -95,7 +95,7 @@ def test_the_cost_of_asammdf_is_measured(mf4_folder):
     time_ms, memory_mb = found["asammdf"]
     assert time_ms > 30
     assert memory_mb > 15
-    assert not {"asammdf", "numpy", "pandas"} & found["strays"].keys()
+    assert not {"asammdf", "numpy", "pandas"} & found["foreign"].keys()
 
 
 def test_where_asammdf_is_not_installed_nothing_is_measured_of_it():

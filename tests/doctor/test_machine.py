@@ -5,10 +5,11 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
+from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.doctor import buffers, clock, process
 from vcu_gateway.doctor.process import RunningProcess
 from vcu_gateway.doctor.procfs import Unreadable
@@ -22,7 +23,7 @@ def test_a_synchronised_clock_with_fine_timers_is_one_line():
     assert well(clock.judge(CLOCK)) == (
         "clock synchronised (within 12 ms), timers of 1 ns, timer slack 50 us"
     )
-    assert complaints(clock.judge(CLOCK)) == {}
+    assert not_ok(clock.judge(CLOCK)) == {}
 
 
 @pytest.mark.parametrize(
@@ -42,8 +43,8 @@ def test_each_fault_of_the_clock_is_one_finding(changed, check, kind, remedy):
 
 
 def test_what_is_just_fine_enough_is_well():
-    for changed in ({"resolution_ns": 999_999}, {"slack_ns": 1_000_000}):
-        assert complaints(clock.judge(CLOCK._replace(**changed))) == {}
+    for fine_enough in (CLOCK._replace(resolution_ns=999_999), CLOCK._replace(slack_ns=1_000_000)):
+        assert not_ok(clock.judge(fine_enough)) == {}
 
 
 def test_the_clocks_figures_are_told_in_milliseconds():
@@ -66,18 +67,18 @@ BUFFERS = buffers.BufferFacts(None, 212_992, 212_992)
 
 
 def test_the_kernels_usual_buffer_is_well_where_none_is_asked_for():
-    assert complaints(buffers.judge(BUFFERS)) == {}
-    assert complaints(buffers.judge(BUFFERS._replace(largest_bytes=Unreadable("hidden")))) == {}
+    assert not_ok(buffers.judge(BUFFERS)) == {}
+    assert not_ok(buffers.judge(BUFFERS._replace(max_bytes=Unreadable("hidden")))) == {}
 
 
 @pytest.mark.parametrize(
     ("changed", "check", "kind", "remedy"),
     [
-        ({"usual_bytes": 212_991}, "rmem_default", "warning", "net.core.rmem_default=212992"),
-        ({"usual_bytes": Unreadable("hidden")}, "rmem_default", "unknown", ""),
-        ({"asked_bytes": 212_993}, "rmem_max", "warning", "net.core.rmem_max=212993"),
+        ({"default_bytes": 212_991}, "rmem_default", "warning", "net.core.rmem_default=212992"),
+        ({"default_bytes": Unreadable("hidden")}, "rmem_default", "unknown", ""),
+        ({"wanted_bytes": 212_993}, "rmem_max", "warning", "net.core.rmem_max=212993"),
         (
-            {"asked_bytes": 4096, "largest_bytes": Unreadable("hidden")},
+            {"wanted_bytes": 4096, "max_bytes": Unreadable("hidden")},
             "rmem_max",
             "unknown",
             "",
@@ -91,9 +92,9 @@ def test_each_limit_that_is_too_low_is_one_finding(changed, check, kind, remedy)
 
 
 def test_a_buffer_that_the_kernel_gives_is_well():
-    findings = list(buffers.judge(BUFFERS._replace(asked_bytes=212_992)))
-    assert well(findings) == "receive buffer of 212992 bytes can be had"
-    assert complaints(findings) == {}
+    findings = list(buffers.judge(BUFFERS._replace(wanted_bytes=212_992)))
+    assert well(findings) == "receive buffer of 212992 bytes is available"
+    assert not_ok(findings) == {}
 
 
 def test_this_machines_buffers_are_read():
@@ -110,13 +111,13 @@ PROCESS = process.ProcessFacts(
 )
 
 
-def running(**changed: object) -> process.ProcessFacts:
+def running(**changed: Any) -> process.ProcessFacts:
     return PROCESS._replace(running=RUNNING._replace(**changed))
 
 
 def test_a_real_time_process_on_a_roomy_machine_is_two_lines():
     findings = list(process.judge(PROCESS))
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     assert [one.what for one in findings] == [
         "process 700: fifo priority 20, locked in memory",
         "machine: 878 MB memory free, governor performance, 5000 MB disk free, kernel PREEMPT_RT",
@@ -164,7 +165,7 @@ def test_each_fault_of_the_process_is_one_finding(facts, check, kind):
     ],
 )
 def test_what_is_well_or_not_there_is_not_complained_of(facts):
-    assert complaints(process.judge(facts)) == {}
+    assert not_ok(process.judge(facts)) == {}
 
 
 def test_a_process_of_this_machine_is_read_and_one_that_has_ended_is_unknown():
@@ -173,7 +174,7 @@ def test_a_process_of_this_machine_is_read_and_one_that_has_ended_is_unknown():
     assert isinstance(mine.status, dict)
     assert "VmLck" in mine.status
     beyond_the_last = 2**22 + 1
-    assert complaints(process.judge(process.read(beyond_the_last))).get("priority") == "unknown"
+    assert not_ok(process.judge(process.read(beyond_the_last))).get("priority") == "unknown"
 
 
 @pytest.mark.parametrize(
@@ -194,9 +195,9 @@ def test_the_figures_are_told_in_their_units(facts, figure):
 
 
 def test_a_limit_that_is_just_large_enough_and_half_a_swap_file_are_well():
-    assert complaints(process.judge(PROCESS._replace(running=None, memory_lock="104857600"))) == {}
+    assert not_ok(process.judge(PROCESS._replace(running=None, memory_lock="104857600"))) == {}
     half = {"MemAvailable": "900000 kB", "SwapTotal": "9 kB"}
-    assert complaints(process.judge(PROCESS._replace(memory=half))) == {}
+    assert not_ok(process.judge(PROCESS._replace(memory=half))) == {}
 
 
 def test_what_is_not_known_of_the_machine_is_not_named():
@@ -206,7 +207,7 @@ def test_what_is_not_known_of_the_machine_is_not_named():
 
 def test_a_memory_figure_that_is_none_is_unknown():
     odd = PROCESS._replace(memory={**MEMORY, "MemAvailable": "plenty kB"})
-    assert complaints(process.judge(odd)) == {"memory": "unknown"}
+    assert not_ok(process.judge(odd)) == {"memory": "unknown"}
 
 
 def test_each_processors_driver_and_governor_are_read(tmp_path: Path):
@@ -222,7 +223,7 @@ def test_each_processors_driver_and_governor_are_read(tmp_path: Path):
 
 def test_free_space_is_read_in_megabytes(tmp_path: Path):
     before = shutil.disk_usage(tmp_path).free / 2**20
-    found = process.free_mb(str(tmp_path))
+    found: Any = process.free_mb(str(tmp_path))
     after = shutil.disk_usage(tmp_path).free / 2**20
     assert min(before, after) * 0.95 <= found <= max(before, after) * 1.05  # others write, too
     assert process.free_mb(str(tmp_path / "none")) is None

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
-from vcu_gateway.api.results import Protocol
+from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.api.rights import Policy
-from vcu_gateway.config import Api, Config
+from vcu_gateway.config import ApiSection, Config, ProtocolSection
 from vcu_gateway.doctor import permissions
 from vcu_gateway.doctor.permissions import Account, PermissionFacts, ResourcePermissions, judge
 from vcu_gateway.doctor.procfs import Unreadable
@@ -35,7 +34,7 @@ HEALTHY = PermissionFacts(
 
 
 def test_an_operator_beside_an_installed_service_is_one_line():
-    assert complaints(judge(HEALTHY)) == {}
+    assert not_ok(judge(HEALTHY)) == {}
     expected = "vcu-gateway can read its files, driver may read, stop and operate"
     assert well(judge(HEALTHY)) == expected
 
@@ -61,7 +60,12 @@ def test_an_operator_beside_an_installed_service_is_one_line():
             "wrong",
             "sudo chmod o+rX /etc/vcu-gateway",
         ),
-        ({"shown": ("/usr", "/opt")}, "service_files", "wrong", "keep it in /etc/vcu-gateway"),
+        (
+            {"visible_folders": ("/usr", "/opt")},
+            "service_files",
+            "wrong",
+            "keep it in /etc/vcu-gateway",
+        ),
         ({"folder": FOLDER._replace(mode=stat.S_IFDIR | 0o777)}, "folder", "wrong", "chmod o-w"),
         ({"folder": Unreadable("no permission")}, "folder", "unknown", ""),
         ({"socket": Unreadable("no permission")}, "mine", "unknown", ""),
@@ -87,24 +91,24 @@ def test_each_missing_permission_is_one_finding(changed, check, kind, remedy):
         {"folder": FOLDER._replace(mode=stat.S_IFDIR | 0o1777)},
         {"files": ((ETC, OWN, FILE._replace(mode=stat.S_IFREG | 0o640, gid=900)),)},
         {"policy": None},
-        {"shown": ("/usr", "/etc")},
+        {"visible_folders": ("/usr", "/etc")},
         {"me": Account("root", 0, frozenset({0}))},
         {"socket_path": None, "socket": None, "folder": None, "has_operators": False},
     ],
 )
 def test_what_the_service_makes_and_what_root_may_is_well(changed):
-    assert complaints(judge(HEALTHY._replace(**changed))) == {}
+    assert not_ok(judge(HEALTHY._replace(**changed))) == {}
 
 
 def test_a_reader_is_told_what_she_may_and_that_is_well():
     findings = list(judge(HEALTHY._replace(policy=Policy(900))))
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     assert "driver may read and stop" in well(findings)
 
 
 def test_a_folder_that_lets_through_without_listing_is_no_barrier():
     way = (ETC, OWN._replace(mode=stat.S_IFDIR | 0o711), FILE)
-    assert complaints(judge(HEALTHY._replace(files=(way,)))) == {}
+    assert not_ok(judge(HEALTHY._replace(files=(way,)))) == {}
 
 
 def test_without_files_nothing_is_said_of_them():
@@ -113,9 +117,9 @@ def test_without_files_nothing_is_said_of_them():
 
 def test_a_machine_without_the_service_needs_no_operators_and_without_an_api_no_folder():
     bare = HEALTHY._replace(service=None, has_operators=False)
-    assert complaints(judge(bare)) == {}
+    assert not_ok(judge(bare)) == {}
     without_api = bare._replace(socket_path=None, socket=None, folder=None)
-    assert complaints(judge(without_api)) == {}
+    assert not_ok(judge(without_api)) == {}
     assert well(judge(without_api)) == ""
 
 
@@ -137,13 +141,13 @@ def test_without_a_service_the_sockets_folder_is_made_by_hand():
     ],
 )
 def test_the_first_class_of_bits_that_fits_decides(mode, uid, gid, may):
-    assert ResourcePermissions("x", mode, uid, gid).lets(DRIVER, 6) is may
+    assert ResourcePermissions("x", mode, uid, gid).grants(DRIVER, 6) is may
 
 
 def test_this_machines_accounts_and_files_are_read(tmp_path: Path):
     file = tmp_path / "gateway.yaml"
     file.touch()
-    api = Api(socket_path=str(tmp_path / "control.sock"), operator_groups=("root",))
+    api = ApiSection(socket_path=str(tmp_path / "control.sock"), operator_groups=("root",))
     facts = permissions.read(Config(api=api), file, "nobody")
     assert facts.me.uid == os.geteuid()
     assert isinstance(facts.service, Account)
@@ -160,11 +164,11 @@ def test_this_machines_accounts_and_files_are_read(tmp_path: Path):
 def test_an_api_that_is_off_has_no_socket_and_the_dbc_is_a_file_of_the_service(tmp_path: Path):
     dbc = tmp_path / "own.dbc"
     dbc.touch()
-    config = Config(api=Api(enabled=False), protocol=Protocol(dbc=dbc))
+    config = Config(api=ApiSection(enabled=False), protocol=ProtocolSection(dbc=dbc))
     facts = permissions.read(config, None, None, ("/etc",))
     assert (facts.socket_path, facts.socket, facts.folder) == (None, None, None)
     assert [way[-1].path for way in facts.files] == [str(dbc)]
-    assert facts.shown == ("/etc",)
+    assert facts.visible_folders == ("/etc",)
 
 
 def test_the_group_to_join_is_the_sockets_own(tmp_path: Path):
@@ -172,15 +176,16 @@ def test_the_group_to_join_is_the_sockets_own(tmp_path: Path):
     path.touch()
     group = grp.getgrgid(path.stat().st_gid).gr_name
     assert (
-        permissions.read(Config(api=Api(socket_path=str(path))), None, None).socket_group == group
+        permissions.read(Config(api=ApiSection(socket_path=str(path))), None, None).socket_group
+        == group
     )
 
 
 def test_a_service_user_that_does_not_exist_is_read_as_such():
     facts = permissions.read(Config(), None, "no_such_user")
-    assert "service_user" in complaints(judge(facts))
+    assert "service_user" in not_ok(judge(facts))
 
 
 def test_an_account_that_does_not_exist_leaves_the_policy_unknown():
-    api = Api(operator_users=("no_such_user",))
+    api = ApiSection(operator_users=("no_such_user",))
     assert permissions.read(Config(api=api), None, None).policy is None

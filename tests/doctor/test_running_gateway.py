@@ -5,10 +5,11 @@ import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
+from tests.doctor.judged import not_ok, only, well
 from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
 from vcu_gateway.client import Client
@@ -33,24 +34,26 @@ def healthy(running: Driven) -> GatewayFacts:
     def in_standby() -> bool:
         """A stall may keep the answer for too long, or a message of the vehicle."""
         found[:] = [running_gateway.read(configuration.load(running.file), expected=True)]
-        answers = found[0].answers
+        answers: Any = found[0].answers
         return isinstance(answers, tuple) and answers[0]["mode"] == "standby"
 
     wait_until(in_standby, "an answer in standby", PATIENCE_S)
-    why, health = copy.deepcopy(found[0].answers)
+    answers: Any = copy.deepcopy(found[0].answers)
+    why, health = answers
     health["ticks"]["skipped"] = health["frames"]["dropped"] = 0
     return found[0]._replace(answers=(why, health))
 
 
-def changed(facts: GatewayFacts, section: str, **values: object) -> GatewayFacts:
-    why, health = facts.answers
+def changed(facts: GatewayFacts, section: str, **values: Any) -> GatewayFacts:
+    answers: Any = facts.answers
+    why, health = answers
     target = why if section == "why" else health if section == "health" else health[section]
     target.update(values)
     return facts
 
 
 def test_a_gateway_in_standby_is_well_and_its_process_known(healthy):
-    assert complaints(judge(healthy)) == {}
+    assert not_ok(judge(healthy)) == {}
     assert healthy.pid == os.getpid()
     assert "no tick of" in well(judge(healthy))
     assert "configuration as on disk" in well(judge(healthy))
@@ -81,8 +84,8 @@ def test_each_trouble_of_a_running_gateway_is_one_finding(healthy, section, valu
 
 def test_while_somebody_drives_nothing_is_to_be_changed(healthy):
     findings = list(judge(changed(healthy, "why", mode="active")))
-    assert complaints(findings) == {}
-    assert "somebody drives: change nothing now" in well(findings)
+    assert not_ok(findings) == {}
+    assert "it is driving: change nothing now" in well(findings)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +93,7 @@ def test_while_somebody_drives_nothing_is_to_be_changed(healthy):
     [("frames", {"dropped": None}), ("health", {"config_file": "gateway.yaml"})],
 )
 def test_what_cannot_be_known_is_not_complained_of(healthy, section, values):
-    assert complaints(judge(changed(healthy, section, **values))) == {}
+    assert not_ok(judge(changed(healthy, section, **values))) == {}
 
 
 def test_only_two_requests_are_made_and_none_that_changes(running):
@@ -99,9 +102,9 @@ def test_only_two_requests_are_made_and_none_that_changes(running):
     def answered() -> bool:
         """Within its half second; where that is missed, it is asked and counted again."""
         with Client(running.socket_path, timeout_s=PATIENCE_S) as client:
-            before = client.health()["api"]
+            before: Any = client.health()["api"]
             facts = running_gateway.read(configuration.load(running.file), expected=True)
-            after = client.health()["api"]
+            after: Any = client.health()["api"]
         counted = ("accepted", "requests")
         asked[:] = [tuple(after[name] - before[name] for name in counted)]
         return isinstance(facts.answers, tuple)
@@ -111,12 +114,12 @@ def test_only_two_requests_are_made_and_none_that_changes(running):
 
 
 def at(path: Path, expected: bool) -> GatewayFacts:
-    api = configuration.Api(socket_path=str(path))
+    api = configuration.ApiSection(socket_path=str(path))
     return running_gateway.read(configuration.Config(api=api), expected)
 
 
 def test_no_gateway_is_well_unless_one_ought_to_answer(tmp_path):
-    assert complaints(judge(at(tmp_path / "none.sock", expected=False))) == {}
+    assert not_ok(judge(at(tmp_path / "none.sock", expected=False))) == {}
     found = only(judge(at(tmp_path / "none.sock", expected=True)))
     assert (found.check, found.kind.value) == ("answers", "wrong")
 
@@ -142,11 +145,9 @@ def test_a_socket_that_this_user_may_not_open_is_unknown(tmp_path):
             facts = at(path, expected=True)
         finally:
             os.seteuid(0)
-    assert complaints(judge(facts)) == {"answers": "unknown"}
+    assert not_ok(judge(facts)) == {"answers": "unknown"}
 
 
 def test_a_gateway_without_an_api_is_well():
-    api = configuration.Api(enabled=False)
-    assert (
-        complaints(judge(running_gateway.read(configuration.Config(api=api), expected=True))) == {}
-    )
+    api = configuration.ApiSection(enabled=False)
+    assert not_ok(judge(running_gateway.read(configuration.Config(api=api), expected=True))) == {}

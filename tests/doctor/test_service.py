@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.doctor.judged import complaints, only, well
+from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.doctor import service
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.doctor.service import ServiceFacts, judge, parsed, unit_of
@@ -25,7 +25,7 @@ def of(**changed: str) -> ServiceFacts:
 
 def test_a_running_service_is_one_line():
     findings = list(judge(of()))
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     expected = 'vcu-gateway.service: running as 700 ("standby, can0 up"), starts at boot'
     assert well(findings) == expected
 
@@ -49,7 +49,7 @@ def test_a_running_service_is_one_line():
             {"ActiveState": "failed", "ExecMainStatus": "78"},
             "active",
             "wrong",
-            "mend the configuration, then sudo systemctl start",
+            "fix the configuration, then sudo systemctl start",
         ),
         ({"NRestarts": "1"}, "restarts", "warning", "journalctl"),
         ({"NeedDaemonReload": "yes"}, "changed", "warning", "sudo systemctl daemon-reload"),
@@ -66,12 +66,12 @@ def test_each_fault_of_the_service_is_one_finding(changed, check, kind, remedy):
 @pytest.mark.parametrize("told", [None, {**TOLD, "LoadState": "not-found"}])
 def test_a_development_machine_without_the_service_is_well(told):
     findings = list(judge(ServiceFacts(UNIT, told)))
-    assert complaints(findings) == {}
+    assert not_ok(findings) == {}
     assert len(findings) == 1
 
 
 def test_a_machine_that_systemd_has_not_booted_is_not_asked(tmp_path):
-    assert service.read(UNIT, booted=str(tmp_path / "none")).told is None
+    assert service.read(UNIT, booted=str(tmp_path / "none")).properties is None
 
 
 def test_without_a_word_of_its_own_the_service_is_told_without_one():
@@ -83,9 +83,9 @@ def test_without_a_word_of_its_own_the_service_is_told_without_one():
 
 def test_whether_it_starts_at_boot_is_told_in_systemds_word():
     assert "(disabled)" in only(judge(of(UnitFileState="disabled"))).what
-    assert "(state not known)" in only(judge(of(UnitFileState=""))).what
+    assert "(state unknown)" in only(judge(of(UnitFileState=""))).what
     for state in ("enabled-runtime", "static", "generated"):
-        assert complaints(judge(of(UnitFileState=state))) == {}
+        assert not_ok(judge(of(UnitFileState=state))) == {}
 
 
 def test_only_an_active_service_ought_to_answer():
@@ -94,7 +94,7 @@ def test_only_an_active_service_ought_to_answer():
 
 
 def test_a_count_that_systemd_does_not_tell_is_none():
-    assert complaints(judge(of(NRestarts=""))) == {}
+    assert not_ok(judge(of(NRestarts=""))) == {}
 
 
 def test_a_systemd_that_does_not_answer_is_unknown():
@@ -130,9 +130,9 @@ def test_the_service_runs_with_its_own_configuration_alone():
 
 
 def test_a_unit_with_a_root_of_its_own_sees_only_what_it_is_shown():
-    assert of().shown is None
+    assert of().visible_folders is None
     binds = {"BindReadOnlyPaths": "/usr:/usr:rbind -/etc:/etc:rbind", "BindPaths": "/opt"}
-    assert of(RootDirectory="/run/root", **binds).shown == ("/usr", "/etc", "/opt")
+    assert of(RootDirectory="/run/root", **binds).visible_folders == ("/usr", "/etc", "/opt")
 
 
 def test_the_process_is_known_only_while_there_is_one():

@@ -111,7 +111,8 @@ def _read(master: int) -> bytes:
 def test_a_user_without_any_right_gets_every_line_and_no_error(config):
     os.chmod(config, 0o600)
     program = (  # imported before: the interpreter itself may be root's alone
-        "import os; from vcu_gateway import cli, wiring; import vcu_gateway.cli.doctor;"
+        "import difflib, os; from vcu_gateway import cli; import vcu_gateway.cli.doctor;"
+        "import vcu_gateway.config.protocol;"
         "os.setgroups([]); os.setgid(65534); os.setuid(65534); cli.main()"
     )
     command = [sys.executable, "-c", program, "doctor", "-c", str(config)]
@@ -119,12 +120,12 @@ def test_a_user_without_any_right_gets_every_line_and_no_error(config):
     assert done.stderr == ""
     assert "please report" not in done.stdout
     assert "unknown  configuration" in done.stdout
-    assert done.stdout.splitlines()[-1].endswith("; sudo vcu-gateway doctor tells more")
+    assert done.stdout.splitlines()[-1].endswith("; sudo vcu-gateway doctor checks more")
 
 
 def test_python_can_is_imported_for_the_dbc_alone(config):
     program = (
-        "import sys; import vcu_gateway.cli.doctor; from vcu_gateway.doctor import listening;"
+        "import sys; import vcu_gateway.cli.doctor; from vcu_gateway.doctor import bus_traffic;"
         "print(sorted({'can', 'cantools', 'structlog', 'asyncio'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
@@ -135,7 +136,7 @@ def test_a_room_that_breaks_is_unknown_and_hides_no_other(config, monkeypatch):
     def broken(*_: object) -> list[CheckResult]:
         raise KeyError("never thought of")
 
-    monkeypatch.setattr(interface, "can_sockets_refused", broken)
+    monkeypatch.setattr(interface, "can_socket_error", broken)
     config.write_text("bus: {channel: can0}\n")
     findings = list(checks.run_checks(config))
     found = next(one for one in findings if one.subject == "interface")

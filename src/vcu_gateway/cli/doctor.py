@@ -1,4 +1,4 @@
-"""`vcu-gateway doctor`: what this machine lacks before the gateway can drive."""
+"""`vcu-gateway doctor`: checks of this machine, and how to fix what fails."""
 
 import json
 import os
@@ -24,28 +24,28 @@ _SEVEREST_FIRST = (CheckStatus.WRONG, CheckStatus.WARNING, CheckStatus.UNKNOWN, 
 _HELP = """Check everything that the gateway needs before it can drive.
 
 Looks at the configuration and its DBC, the interface, time, permissions, buffers, process,
-service, libraries and the running gateway. A line each: how it is, the subject, what was found,
-and after a semicolon the command that mends it. Nothing is changed and nothing is sent; run as
-root it tells more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
+service, libraries and the running gateway. A line each: status, subject, finding, and
+after a semicolon how to fix it. Nothing is changed and nothing is sent; run as root it checks
+more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
 
 \b
 --json prints one object:
   healthy   true where nothing is wrong
   counts    how many lines are ok, warning, wrong, unknown
-  findings  a list of objects: subject, check (a stable word), kind, what, remedy (or "")
+  findings  a list of objects: subject, check (a stable identifier), kind, what, remedy (or "")
 """
 
 
 @click.command("doctor", help=_HELP)
 @config_option
-@click.option("--listen", is_flag=True, help="Also listen on the bus for a second: who talks?")
+@click.option("--listen", is_flag=True, help="Also receive from the bus for a second.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 def command(config_path: Path | None, listen: bool, as_json: bool) -> None:
-    """Examine, show, and exit with the answer."""
+    """Run the checks, print the results, exit with 1 where one is wrong."""
     path, missing = _file(config_path)
-    findings = list(run_checks(path, missing, listen=listen))
-    click.echo(_as_json(findings) if as_json else _as_text(findings), color=_colour())
-    if any(finding.kind is CheckStatus.WRONG for finding in findings):
+    results = list(run_checks(path, missing, listen=listen))
+    click.echo(_as_json(results) if as_json else _as_text(results), color=_colour())
+    if any(result.kind is CheckStatus.WRONG for result in results):
         sys.exit(1)
 
 
@@ -61,32 +61,32 @@ def _colour() -> bool | None:
     return False if os.environ.get("NO_COLOR") else None
 
 
-def _as_json(findings: list[CheckResult]) -> str:
-    counts = _counts(findings)
-    told = {
+def _as_json(results: list[CheckResult]) -> str:
+    counts = _counts(results)
+    document = {
         "healthy": not counts[CheckStatus.WRONG],
         "counts": {kind.value: counts[kind] for kind in CheckStatus},
-        "findings": [{**finding._asdict(), "kind": finding.kind.value} for finding in findings],
+        "findings": [{**result._asdict(), "kind": result.kind.value} for result in results],
     }
-    return json.dumps(told, ensure_ascii=False)
+    return json.dumps(document, ensure_ascii=False)
 
 
-def _as_text(findings: list[CheckResult]) -> str:
-    width = max((len(finding.subject) for finding in findings), default=0)
-    return "\n".join([*(_line(finding, width) for finding in findings), _summary(findings)])
+def _as_text(results: list[CheckResult]) -> str:
+    width = max((len(result.subject) for result in results), default=0)
+    return "\n".join([*(_line(result, width) for result in results), _summary(results)])
 
 
-def _line(finding: CheckResult, width: int) -> str:
-    kind = click.style(f"{finding.kind.value:<7}", fg=_COLOURS[finding.kind])
-    remedy = f"; {finding.remedy}" if finding.remedy else ""
-    return f"{kind}  {finding.subject:<{width}}  {finding.what}{remedy}"
+def _line(result: CheckResult, width: int) -> str:
+    kind = click.style(f"{result.kind.value:<7}", fg=_COLOURS[result.kind])
+    remedy = f"; {result.remedy}" if result.remedy else ""
+    return f"{kind}  {result.subject:<{width}}  {result.what}{remedy}"
 
 
-def _summary(findings: list[CheckResult]) -> str:
-    counts = _counts(findings)
-    told = ", ".join(_counted(kind, counts[kind]) for kind in _SEVEREST_FIRST if counts[kind])
+def _summary(results: list[CheckResult]) -> str:
+    counts = _counts(results)
+    summary = ", ".join(_counted(kind, counts[kind]) for kind in _SEVEREST_FIRST if counts[kind])
     more = counts[CheckStatus.UNKNOWN] and os.geteuid() != 0
-    return told + ("; sudo vcu-gateway doctor tells more" if more else "")
+    return summary + ("; sudo vcu-gateway doctor checks more" if more else "")
 
 
 def _counted(kind: CheckStatus, count: int) -> str:
@@ -94,5 +94,5 @@ def _counted(kind: CheckStatus, count: int) -> str:
     return f"{count} {kind.value}{plural}"
 
 
-def _counts(findings: Iterable[CheckResult]) -> Counter[CheckStatus]:
-    return Counter(finding.kind for finding in findings)
+def _counts(results: Iterable[CheckResult]) -> Counter[CheckStatus]:
+    return Counter(result.kind for result in results)

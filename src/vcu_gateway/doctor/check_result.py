@@ -1,4 +1,4 @@
-"""What an examination says: one thing a line."""
+"""Result of a check, one a line, and how a subject makes them."""
 
 from collections.abc import Iterable, Iterator
 from enum import Enum
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class CheckStatus(Enum):
-    """How it is; only WRONG keeps the gateway from driving safely."""
+    """Status of a check; only WRONG keeps the gateway from driving safely."""
 
     OK = "ok"
     WARNING = "warning"
@@ -15,12 +15,12 @@ class CheckStatus(Enum):
 
 
 class CheckResult(NamedTuple):
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes:
-        check: stable word for machines, unique within its subject but for problems of a file.
-        what: what was found, as a person reads it.
-        remedy: the command or the step that mends it; empty where there is none to take.
+        check: stable identifier, unique within its subject but for problems of a file.
+        what: the finding, for people.
+        remedy: how to fix it, a command or a step; empty where there is none.
     """
 
     subject: str
@@ -31,20 +31,20 @@ class CheckResult(NamedTuple):
 
 
 Outcome = str | CheckResult
-"""A check's answer: a few words for the line of what is well, or a finding of its own."""
+"""Outcome of a check: words for the line of what is ok, or a result of its own."""
 
 
 class CheckSubject(NamedTuple):
-    """Makes the findings of one subject."""
+    """Subject of checks, which makes their results."""
 
     name: str
 
     def ok(self, check: str, what: str, remedy: str = "") -> CheckResult:
-        """It is as it should be; a remedy here is a hint."""
+        """Check passed; a remedy here is a hint."""
         return CheckResult(self.name, check, CheckStatus.OK, what, remedy)
 
     def warning(self, check: str, what: str, remedy: str = "") -> CheckResult:
-        """It works, and should be otherwise."""
+        """It works and should be improved."""
         return CheckResult(self.name, check, CheckStatus.WARNING, what, remedy)
 
     def wrong(self, check: str, what: str, remedy: str = "") -> CheckResult:
@@ -52,13 +52,13 @@ class CheckSubject(NamedTuple):
         return CheckResult(self.name, check, CheckStatus.WRONG, what, remedy)
 
     def unknown(self, check: str, what: str, remedy: str = "") -> CheckResult:
-        """It could not be found out; `what` says why."""
+        """It could not be checked; `what` says why."""
         return CheckResult(self.name, check, CheckStatus.UNKNOWN, what, remedy)
 
-    def summed(self, opening: str, told: Iterable[Outcome | None]) -> Iterator[CheckResult]:
-        """All that is well in one line, then every finding; None says nothing."""
-        answers = [one for one in told if one]
-        well = ", ".join(one for one in answers if isinstance(one, str))
+    def summarise(self, heading: str, outcomes: Iterable[Outcome | None]) -> Iterator[CheckResult]:
+        """All that is ok in one line, then every other result; None is left out."""
+        done = [one for one in outcomes if one]
+        well = ", ".join(one for one in done if isinstance(one, str))
         if well:
-            yield self.ok("well", f"{opening}: {well}" if opening else well)
-        yield from (one for one in answers if isinstance(one, CheckResult))
+            yield self.ok("well", f"{heading}: {well}" if heading else well)
+        yield from (one for one in done if isinstance(one, CheckResult))

@@ -1,4 +1,4 @@
-"""All rooms, one after the other: what each needs to know of the others goes through here."""
+"""All checks, subject after subject, with the facts that they share."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -10,6 +10,7 @@ from vcu_gateway.doctor import (
     bus_traffic,
     clock,
     configuration,
+    exporter,
     interface,
     libraries,
     permissions,
@@ -21,139 +22,143 @@ from vcu_gateway.doctor import (
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
 from vcu_gateway.errors import Problem
 
-_SHIPPED = "/usr/share/vcu-gateway/network"
+_NETWORK_FILES = "/usr/share/vcu-gateway/network"
 _NETWORKD_RUNS = "/run/systemd/netif/state"
-_SHIPPED_FOR, _SHIPPED_BIT_S = "can0", 250_000
+_PACKAGED_CHANNEL, _PACKAGED_BIT_S = "can0", 250_000
 _ORDER = (
     *("protocol", "interface", "bus", "time", "permissions", "buffers", "process", "service"),
-    *("libraries", "gateway"),
+    *("libraries", "gateway", "exporter"),
 )
-_Room = Callable[[], Iterable[CheckResult]]
+_Check = Callable[[], Iterable[CheckResult]]
 _DEFAULT_SERVICE_USER = "root"  # what systemd takes where a unit names nobody
 
 
-class _Case(NamedTuple):
-    """What more than one room looks at."""
+class _SharedFacts(NamedTuple):
+    """Facts that more than one subject needs."""
 
     file: configuration.ConfigurationFacts
     unit: service.ServiceFacts
-    running_gateway: running_gateway.GatewayFacts
+    gateway: running_gateway.GatewayFacts
 
     @property
     def is_of_the_service(self) -> bool:
-        """The service is started with the configuration that is looked at."""
+        """Whether the service is started with the checked configuration."""
         return self.unit.runs_with(self.file.path)
 
     @property
     def pid(self) -> int | None:
-        """Of a running gateway, as the service or by hand."""
+        """Process of a running gateway, as the service or by hand."""
         return (self.unit.pid if self.is_of_the_service else None) or self.gateway.pid
 
 
 def run_checks(
     path: Path | None, missing: tuple[Problem, ...] = (), *, listen: bool = False
 ) -> Iterator[CheckResult]:
-    """Look at everything, the configuration at `path` or the defaults in mind.
+    """Run all checks for the configuration at `path`, or for the defaults.
 
-    Nothing is raised. `missing` says why there is no path; `listen` adds a second on the bus.
+    Args:
+        path: None checks for the defaults.
+        missing: why there is no path.
+        listen: also receive from the bus for a second.
+
+    Raises nothing: a check that fails by itself is an unknown result.
     """
-    case = _case(path, missing)
-    rooms = _of_machine(case)
-    if case.file.can_be_held_to:
-        rooms |= _of_configuration(case, listen=listen)
-    yield from _guarded("configuration", lambda: configuration.judge(case.file))
+    shared = _shared_facts(path, missing)
+    checks = _machine_checks(shared)
+    if shared.file.can_be_checked:
+        checks |= _configuration_checks(shared, listen=listen)
+    yield from _guarded("configuration", lambda: configuration.judge(shared.file))
     for name in _ORDER:
-        if name in rooms:
-            yield from _guarded(name, rooms[name])
+        if name in checks:
+            yield from _guarded(name, checks[name])
 
 
-def _of_configuration(case: _Case, *, listen: bool) -> dict[str, _Room]:
-    """Rooms that hold the machine to the configuration."""
-    config = case.file.in_effect
-    rooms: dict[str, _Room] = {
+def _configuration_checks(shared: _SharedFacts, *, listen: bool) -> dict[str, _Check]:
+    """Checks of the machine against the configuration."""
+    config = shared.file.in_effect
+    checks: dict[str, _Check] = {
         "protocol": lambda: protocol.judge(protocol.read(config)),
-        "interface": lambda: _interface(case),
-        "permissions": lambda: _permissions(case),
+        "interface": lambda: _interface(shared),
+        "permissions": lambda: _permissions(shared),
         "buffers": lambda: buffers.judge(buffers.read(config.bus.receive_buffer_bytes)),
     }
     if listen and config.bus.interface == "socketcan":
-        rooms["bus"] = lambda: _bus(case)
-    return rooms
+        checks["bus"] = lambda: _bus(shared)
+    return checks
 
 
-def _of_machine(case: _Case) -> dict[str, _Room]:
-    """Rooms that have something to tell whatever the configuration says."""
+def _machine_checks(shared: _SharedFacts) -> dict[str, _Check]:
+    """Checks that do not depend on the configuration."""
     return {
         "time": lambda: clock.judge(clock.read()),
-        "process": lambda: _process(case),
-        "service": lambda: service.judge(case.unit),
+        "process": lambda: _process(shared),
+        "service": lambda: service.judge(shared.unit),
         "libraries": lambda: libraries.judge(libraries.read()),
-        "gateway": lambda: running_gateway.judge(case.gateway),
+        "gateway": lambda: running_gateway.judge(shared.gateway),
+        "exporter": lambda: exporter.judge(service.read(exporter.UNIT)),
     }
 
 
-def _guarded(name: str, room: _Room) -> list[CheckResult]:
-    """A room that breaks must not hide the others."""
+def _guarded(name: str, check: _Check) -> list[CheckResult]:
+    """Results of a subject; an exception there must not hide the others."""
     try:
-        return list(room())
-    except Exception as error:  # noqa: BLE001 - told as unknown, with its reason
-        what = f"could not be looked at: {type(error).__name__}: {error}"
+        return list(check())
+    except Exception as error:  # noqa: BLE001 - an unknown result, with the reason
+        what = f"the check failed: {type(error).__name__}: {error}"
         return [CheckSubject(name).unknown("examination", what, "please report this")]
 
 
-def _case(path: Path | None, missing: tuple[Problem, ...]) -> _Case:
+def _shared_facts(path: Path | None, missing: tuple[Problem, ...]) -> _SharedFacts:
     file = configuration.read(path, missing)
     unit = service.read(service.unit_of(path))
     expected = unit.is_active and unit.runs_with(path)
-    return _Case(file, unit, running_gateway.read(file.in_effect, expected))
+    return _SharedFacts(file, unit, running_gateway.read(file.in_effect, expected))
 
 
-def _interface(case: _Case) -> Iterable[CheckResult]:
-    bus = case.file.in_effect.bus
+def _interface(shared: _SharedFacts) -> Iterable[CheckResult]:
+    bus = shared.file.in_effect.bus
     if bus.interface != "socketcan":
         what = f"{bus.interface} {bus.channel} needs no CAN interface"
         return [interface.SUBJECT.ok("exists", what)]
-    fits = (bus.channel, bus.bit_rate_bit_s) == (_SHIPPED_FOR, _SHIPPED_BIT_S)
+    fits = (bus.channel, bus.bit_rate_bit_s) == (_PACKAGED_CHANNEL, _PACKAGED_BIT_S)
     return interface.judge(
-        interface.read(bus.channel, bus.bit_rate_bit_s, _shipped() if fits else "")
+        interface.read(bus.channel, bus.bit_rate_bit_s, _networkd_command() if fits else "")
     )
 
 
-def _shipped() -> str:
-    """The command that puts our networkd files in effect; empty where networkd is not in use."""
-    network = f"{_SHIPPED}/{_SHIPPED_FOR}.network"
+def _networkd_command() -> str:
+    """Command that installs the packaged networkd files; empty where networkd is not in use."""
+    network = f"{_NETWORK_FILES}/{_PACKAGED_CHANNEL}.network"
     if not (os.path.exists(_NETWORKD_RUNS) and os.path.exists(network)):
         return ""
-    copy = f"sudo cp {network} {_SHIPPED}/10-{_SHIPPED_FOR}.link /etc/systemd/network/"
-    apply = f"sudo networkctl reload && sudo networkctl reconfigure {_SHIPPED_FOR}"
+    copy = f"sudo cp {network} {_NETWORK_FILES}/10-{_PACKAGED_CHANNEL}.link /etc/systemd/network/"
+    apply = f"sudo networkctl reload && sudo networkctl reconfigure {_PACKAGED_CHANNEL}"
     return f"{copy} && {apply}"
 
 
-def _bus(case: _Case) -> Iterable[CheckResult]:
-    config = case.file.in_effect
+def _bus(shared: _SharedFacts) -> Iterable[CheckResult]:
+    config = shared.file.in_effect
     spec = protocol.read(config).spec
     if spec is None:
-        return [
-            bus_traffic.SUBJECT.unknown("listen", "without a protocol nobody knows what to hear")
-        ]
-    heard = bus_traffic.listen(config.bus.channel)
+        return [bus_traffic.SUBJECT.unknown("listen", "needs a valid protocol")]
+    observed = bus_traffic.listen(config.bus.channel)
     required = config.safety.required_messages
-    runs = case.pid is not None
+    runs = shared.pid is not None
     return bus_traffic.judge(
-        bus_traffic.TrafficFacts(config.bus.channel, heard, spec, required, runs)
+        bus_traffic.TrafficFacts(config.bus.channel, observed, spec, required, runs)
     )
 
 
-def _permissions(case: _Case) -> Iterable[CheckResult]:
-    unit, user = case.unit, None
-    if case.is_of_the_service:
+def _permissions(shared: _SharedFacts) -> Iterable[CheckResult]:
+    unit, user = shared.unit, None
+    if shared.is_of_the_service:
         user = unit.get("User") or _DEFAULT_SERVICE_USER
     return permissions.judge(
-        permissions.read(case.file.in_effect, case.file.path, user, unit.shown)
+        permissions.read(shared.file.in_effect, shared.file.path, user, unit.visible_folders)
     )
 
 
-def _process(case: _Case) -> Iterable[CheckResult]:
-    asked = [case.unit.get(name) for name in ("LimitMEMLOCK", "CPUSchedulingPolicy")]
-    known = case.is_of_the_service
-    return process.judge(process.read(case.pid, *asked) if known else process.read(case.pid))
+def _process(shared: _SharedFacts) -> Iterable[CheckResult]:
+    unit = [shared.unit.get(name) for name in ("LimitMEMLOCK", "CPUSchedulingPolicy")]
+    known = shared.is_of_the_service
+    return process.judge(process.read(shared.pid, *unit) if known else process.read(shared.pid))

@@ -1,4 +1,4 @@
-"""Time: a wall clock that logs can be trusted by, and timers that are fine enough for ticks."""
+"""Clocks: wall clock synchronised, timers fine enough for the ticks."""
 
 import ctypes
 import math
@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable, number
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 SUBJECT = CheckSubject("time")
 _UNSYNCHRONISED = 0x40  # STA_UNSYNC of linux/timex.h
@@ -18,13 +19,13 @@ _SYNCHRONISED_BY_SYSTEMD = "/run/systemd/timesync/synchronized"
 
 
 class ClockFacts(NamedTuple):
-    """What was read.
+    """Facts about clocks and timers.
 
     Attributes:
-        synchronised: the wall clock follows a source.
-        error_us: how far off the kernel takes the wall clock to be at most.
+        synchronised: the wall clock follows a time source.
+        error_us: the kernel's largest estimated error of the wall clock.
         resolution_ns: of the monotonic clock's timers.
-        slack_ns: how much later than asked the kernel may wake an ordinary process.
+        slack_ns: timer slack of an ordinary process.
     """
 
     synchronised: bool | Unreadable
@@ -48,31 +49,31 @@ class _Timex(ctypes.Structure):
 
 
 def read() -> ClockFacts:
-    """Ask the kernel."""
+    """Read them from the kernel."""
     synchronised, error_us = _wall_clock()
     return ClockFacts(
         synchronised,
         error_us,
-        round(time.clock_getres(time.CLOCK_MONOTONIC) * 1e9),
+        round(time.clock_getres(time.CLOCK_MONOTONIC) * NS_PER_S),
         number("/proc/self/timerslack_ns"),
     )
 
 
 def _wall_clock() -> tuple[bool | Unreadable, int | None]:
-    told = _Timex()
+    timex = _Timex()
     try:
         adjtimex = ctypes.CDLL(None, use_errno=True).adjtimex
     except (OSError, AttributeError) as error:
         return Unreadable(f"adjtimex: {error}"), None
-    if adjtimex(ctypes.byref(told)) < 0:
+    if adjtimex(ctypes.byref(timex)) < 0:
         return Unreadable(f"adjtimex: {os.strerror(ctypes.get_errno())}"), None
-    followed = not told.status & _UNSYNCHRONISED
-    return followed or os.path.exists(_SYNCHRONISED_BY_SYSTEMD), told.maxerror
+    followed = not timex.status & _UNSYNCHRONISED
+    return followed or os.path.exists(_SYNCHRONISED_BY_SYSTEMD), timex.maxerror
 
 
 def judge(facts: ClockFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
-    return SUBJECT.summed("", (_synchronised(facts), _resolution(facts), _slack(facts)))
+    """Judge the clocks."""
+    return SUBJECT.summarise("", (_synchronised(facts), _resolution(facts), _slack(facts)))
 
 
 def _synchronised(facts: ClockFacts) -> Outcome:
@@ -81,14 +82,14 @@ def _synchronised(facts: ClockFacts) -> Outcome:
     if facts.synchronised:
         error_ms = math.ceil((facts.error_us or 0) / 1000)
         return "clock synchronised" + (f" (within {error_ms} ms)" if error_ms else "")
-    what = "the wall clock is not synchronised: logs tell a wrong time; ticks do not use it"
+    what = "the wall clock is not synchronised: logs have a wrong time; ticks do not use it"
     return SUBJECT.warning("synchronised", what, "sudo timedatectl set-ntp true")
 
 
 def _resolution(facts: ClockFacts) -> Outcome:
     if facts.resolution_ns < _COARSE_NS:
         return f"timers of {facts.resolution_ns} ns"
-    what = f"timers are no finer than {facts.resolution_ns / 1e6:g} ms: ticks come late"
+    what = f"timers are no finer than {facts.resolution_ns / NS_PER_MS:g} ms: ticks come late"
     return SUBJECT.warning("resolution", what, "boot a kernel with high-resolution timers")
 
 
@@ -97,5 +98,5 @@ def _slack(facts: ClockFacts) -> Outcome:
         return SUBJECT.unknown("slack", facts.slack_ns.reason)
     if facts.slack_ns <= _SLACK_AT_MOST_NS:
         return f"timer slack {facts.slack_ns / 1000:g} us"
-    what = f"a timer slack of {facts.slack_ns / 1e6:g} ms makes ticks late"
+    what = f"a timer slack of {facts.slack_ns / NS_PER_MS:g} ms makes ticks late"
     return SUBJECT.warning("slack", what, "remove TimerSlackNSec= from the unit or its slice")

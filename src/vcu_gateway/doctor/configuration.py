@@ -1,4 +1,4 @@
-"""The configuration file: found, valid, and in nobody's hands but its owner's."""
+"""Configuration file: found, valid, writable only by its owner."""
 
 import os
 import pwd
@@ -20,7 +20,7 @@ _ROOT = 0
 
 
 class FilePermissions(NamedTuple):
-    """Who may change a file or folder."""
+    """Owner and mode of a file or folder."""
 
     mode: int
     uid: int
@@ -28,14 +28,14 @@ class FilePermissions(NamedTuple):
 
 
 class ConfigurationFacts(NamedTuple):
-    """What was read.
+    """Facts about the configuration file.
 
     Attributes:
         path: None where no file was found.
         config: None where there is no valid one.
-        problems: what is wrong with it, in check-config's words.
+        problems: as check-config reports them.
         accounts: users and groups that it names and this machine does not have.
-        unread: why it could not be read by this user; None where it could be.
+        unread: why this user cannot read it; None where it can.
         own_uid: this user.
     """
 
@@ -50,8 +50,8 @@ class ConfigurationFacts(NamedTuple):
     own_uid: int = _ROOT
 
     @property
-    def can_be_held_to(self) -> bool:
-        """There is a valid one; or none at all, and the defaults stand in."""
+    def can_be_checked(self) -> bool:
+        """Whether the machine can be checked against it, or against the defaults without a file."""
         return self.config is not None or self.path is None
 
     @property
@@ -66,10 +66,10 @@ def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> ConfigurationF
         return ConfigurationFacts(None, problems=missing)
     facts = ConfigurationFacts(path, own_uid=os.geteuid())
     try:
-        file, folder = _standing(path), _standing(path.absolute().parent)
+        file, folder = _permissions(path), _permissions(path.absolute().parent)
         facts = facts._replace(file=file, folder=folder, owner=_name(file.uid))
     except PermissionError as error:
-        return facts._replace(unread=Unreadable(f"this user may not look at it: {error.strerror}"))
+        return facts._replace(unread=Unreadable(f"this user may not access it: {error.strerror}"))
     except OSError as error:
         return facts._replace(problems=(Problem(error.strerror or str(error), str(path)),))
     if not os.access(path, os.R_OK):
@@ -85,7 +85,7 @@ def _with_contents(facts: ConfigurationFacts, path: Path) -> ConfigurationFacts:
     return facts._replace(config=config, accounts=tuple(configuration.check_accounts(config)))
 
 
-def _standing(path: Path) -> FilePermissions:
+def _permissions(path: Path) -> FilePermissions:
     found = path.stat()
     return FilePermissions(found.st_mode, found.st_uid, found.st_gid)
 
@@ -98,16 +98,16 @@ def _name(uid: int) -> str:
 
 
 def judge(facts: ConfigurationFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
+    """Judge the configuration file."""
     if facts.unread is not None:
         what = f"{facts.path}: {facts.unread.reason}"
         yield SUBJECT.unknown("readable", what, "sudo vcu-gateway doctor")
     for problem in facts.problems:
         yield _problem("valid", problem)
     if facts.path is None:
-        yield SUBJECT.ok("defaults", "what follows is held against the defaults of every key")
+        yield SUBJECT.ok("defaults", "the following checks use the default of every key")
     elif facts.config is None:
-        what = "protocol, interface, permissions and buffers wait for a configuration to hold to"
+        what = "protocol, interface, permissions and buffers need a valid configuration"
         yield SUBJECT.unknown("dependent", what)
     if facts.config is not None:
         digest = configuration.digest(facts.config)
@@ -116,7 +116,7 @@ def judge(facts: ConfigurationFacts) -> Iterator[CheckResult]:
     for problem in facts.accounts:
         yield _problem("accounts", problem)
     if facts.path is not None and facts.file is not None:
-        yield from _standing_findings(facts, str(facts.path), facts.file)
+        yield from _permission_results(facts, str(facts.path), facts.file)
 
 
 def _problem(check: str, problem: Problem) -> CheckResult:
@@ -127,11 +127,11 @@ def _problem(check: str, problem: Problem) -> CheckResult:
 def _bench(path: Path | None, config: Config) -> Iterator[CheckResult]:
     if config.bench.demand is None:
         return
-    what = f"{path}: a static demand, that nobody holds and that never ends: for a bench alone"
+    what = f"{path}: a static demand, which never expires: for a test bench only"
     yield SUBJECT.warning("bench", what, "in a vehicle, remove the section bench")
 
 
-def _standing_findings(
+def _permission_results(
     facts: ConfigurationFacts, path: str, file: FilePermissions
 ) -> Iterator[CheckResult]:
     quoted = shlex.quote(path)

@@ -1,4 +1,4 @@
-"""The CAN controller behind the interface: bit rate, restart, modes, state and its past."""
+"""CAN controller of the interface: bit rate, restart, modes, state and counters."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -18,64 +18,64 @@ _WIRING = "check wiring, bit rate and termination (60 ohm between CAN_H and CAN_
 
 
 class ControllerSettings(NamedTuple):
-    """What the interface should be set to.
+    """Settings that the interface should have.
 
     Attributes:
-        shipped: the command that sets bit rate and restart for good, where networkd runs.
+        persistent: command that sets bit rate and restart for good, where networkd runs.
         is_serial: an adapter on a serial line: the kernel refuses it a restart, and every
             command that asks for one.
     """
 
     channel: str
     bit_rate_bit_s: int
-    shipped: str = ""
+    persistent: str = ""
     is_serial: bool = False
 
     @property
-    def again(self) -> str:
-        """Down and up: a controller can be set only while the interface is down."""
+    def restart_command(self) -> str:
+        """Set it down and up: a controller can be configured only while it is down."""
         return f"sudo ip link set {self.channel} down && sudo ip link set {self.channel} up"
 
     @property
-    def whole(self) -> str:
-        """All that is to be set, as words of ip's."""
+    def ip_arguments(self) -> str:
+        """Arguments of `ip link set` for all settings."""
         restart = "" if self.is_serial else f" restart-ms {_RESTART_MS}"
         return f"type can bitrate {self.bit_rate_bit_s}{restart}"
 
 
-def checks(setting: ControllerSettings, it: InterfaceInfo) -> Iterator[Outcome | None]:
-    """What to say of an interface's controller, but for the bit rate; nothing without one."""
-    controller = it.controller
+def checks(settings: ControllerSettings, info: InterfaceInfo) -> Iterator[Outcome | None]:
+    """Judge an interface's controller, but for the bit rate; nothing without one."""
+    controller = info.controller
     if controller is None:
         return
-    yield _restart(setting, controller)
-    yield from _modes(setting, controller.modes)
-    yield _state(setting, it, controller)
+    yield _restart(settings, controller)
+    yield from _modes(settings, controller.modes)
+    yield _state(settings, info, controller)
     yield _errors(controller)
-    yield _past(setting.channel, controller.counters)
-    if it.details.driver_echoes is False:
+    yield _counters(settings.channel, controller.counters)
+    if info.details.driver_echoes is False:
         what = (
-            f"{setting.channel}: the driver does not confirm what it has sent; only the"
-            " controllers' answers tell that commands leave"
+            f"{settings.channel}: the driver does not confirm what it has sent; only the"
+            " controllers' answers show that commands leave"
         )
         yield SUBJECT.warning(
             "echo", what, "use an adapter whose driver echoes, where there is one"
         )
 
 
-def bit_rate(setting: ControllerSettings, it: InterfaceInfo) -> Outcome | None:
-    """The bit rate that the controller is set to."""
-    found, wanted = it.details.bit_rate_bit_s, setting.bit_rate_bit_s
+def bit_rate(settings: ControllerSettings, info: InterfaceInfo) -> Outcome | None:
+    """Judge the controller's bit rate."""
+    found, wanted = info.details.bit_rate_bit_s, settings.bit_rate_bit_s
     if found == wanted:
         return f"{_kilo(found)} kbit/s"
-    command = setting.shipped or f"{setting.again} {setting.whole}"
-    if found is None and not it.up:
+    command = settings.persistent or f"{settings.restart_command} {settings.ip_arguments}"
+    if found is None and not info.up:
         return None  # setting it up sets it
     if found is None:
-        what = f"{setting.channel}: no bit rate is set, or the driver does not tell it"
+        what = f"{settings.channel}: no bit rate is set, or the driver does not report it"
         return SUBJECT.unknown("bit_rate", what, command)
     what = (
-        f"{setting.channel} runs at {_kilo(found)} kbit/s, bus.bit_rate_bit_s says"
+        f"{settings.channel} runs at {_kilo(found)} kbit/s, bus.bit_rate_bit_s says"
         f" {_kilo(wanted)}: one of them disturbs the bus"
     )
     return SUBJECT.wrong("bit_rate", what, command)
@@ -85,52 +85,58 @@ def _kilo(bit_s: int) -> str:
     return f"{bit_s / 1000:g}"
 
 
-def _restart(setting: ControllerSettings, controller: CanController) -> Outcome:
+def _restart(settings: ControllerSettings, controller: CanController) -> Outcome:
     restart_ms = controller.restart_ms
     if restart_ms is None:
-        return SUBJECT.unknown("restart", f"{setting.channel}: the driver does not tell restart-ms")
+        return SUBJECT.unknown(
+            "restart", f"{settings.channel}: the driver does not report restart-ms"
+        )
     if restart_ms > 0:
         return f"restarts after {restart_ms} ms"
-    if setting.is_serial:
-        what = f"{setting.channel}, a serial adapter, cannot restart by itself after bus-off"
-        return SUBJECT.warning("restart", what, f"after bus-off: {setting.again}")
-    what = f"{setting.channel} does not restart after bus-off: it would stay off for ever"
-    command = setting.shipped or f"{setting.again} type can restart-ms {_RESTART_MS}"
+    if settings.is_serial:
+        what = f"{settings.channel}, a serial adapter, cannot restart by itself after bus-off"
+        return SUBJECT.warning("restart", what, f"after bus-off: {settings.restart_command}")
+    what = f"{settings.channel} does not restart after bus-off: it stays off for ever"
+    command = settings.persistent or f"{settings.restart_command} type can restart-ms {_RESTART_MS}"
     return SUBJECT.warning("restart", what, command)
 
 
-def _modes(setting: ControllerSettings, modes: ControllerMode | None) -> Iterator[Outcome]:
-    name = setting.channel
+def _modes(settings: ControllerSettings, modes: ControllerMode | None) -> Iterator[Outcome]:
+    name = settings.channel
     if modes is None:
-        yield SUBJECT.unknown("modes", f"{name}: the driver does not tell its modes")
+        yield SUBJECT.unknown("modes", f"{name}: the driver does not report its modes")
         return
     if ControllerMode.LISTEN_ONLY in modes:
         what = f"{name} only listens: nothing can be sent"
-        yield SUBJECT.wrong("listen_only", what, f"{setting.again} type can listen-only off")
+        yield SUBJECT.wrong(
+            "listen_only", what, f"{settings.restart_command} type can listen-only off"
+        )
     if ControllerMode.LOOPBACK in modes:
-        what = f"{name} is in loopback mode: it hears itself, others may not"
-        yield SUBJECT.warning("loopback", what, f"{setting.again} type can loopback off")
+        what = f"{name} is in loopback mode: it receives its own frames, others may not"
+        yield SUBJECT.warning("loopback", what, f"{settings.restart_command} type can loopback off")
     if ControllerMode.ONE_SHOT in modes:
         what = f"{name} is in one-shot mode: a command that loses arbitration is lost"
-        yield SUBJECT.warning("one_shot", what, f"{setting.again} type can one-shot off")
+        yield SUBJECT.warning("one_shot", what, f"{settings.restart_command} type can one-shot off")
     if ControllerMode.PRESUME_ACK in modes:
-        what = f"{name} counts as sent what nobody acknowledged"
-        yield SUBJECT.warning("presume_ack", what, f"{setting.again} type can presume-ack off")
+        what = f"{name} counts unacknowledged frames as sent"
+        yield SUBJECT.warning(
+            "presume_ack", what, f"{settings.restart_command} type can presume-ack off"
+        )
     if ControllerMode.FD in modes:
         yield "CAN FD on (the protocol does not use it)"
     if ControllerMode.ERROR_REPORTING in modes:
-        yield "bus errors reported (a flood where nobody answers)"
+        yield "bus errors reported (a flood without another node)"
 
 
 def _state(
-    setting: ControllerSettings, it: InterfaceInfo, controller: CanController
+    settings: ControllerSettings, info: InterfaceInfo, controller: CanController
 ) -> Outcome | None:
-    name, state = setting.channel, it.details.state
-    if not it.up:
+    name, state = settings.channel, info.details.state
+    if not info.up:
         return None
     if state is LinkState.BUS_OFF:
-        return SUBJECT.wrong("state", f"{name} is bus-off", _WIRING + _then(setting, controller))
-    if it.details.carrier is False:
+        return SUBJECT.wrong("state", f"{name} is bus-off", _WIRING + _then(settings, controller))
+    if info.details.carrier is False:
         return SUBJECT.wrong("carrier", f"{name} has no carrier", _WIRING)
     if state is LinkState.PASSIVE:
         return SUBJECT.wrong("state", f"{name} is error passive{_counted(controller)}", _WIRING)
@@ -138,17 +144,19 @@ def _state(
         what = f"{name} is at its error warning limit{_counted(controller)}"
         return SUBJECT.warning("state", what, _WIRING)
     if state is None:
-        return SUBJECT.unknown("state", f"{name}: the driver does not tell the controller's state")
+        return SUBJECT.unknown(
+            "state", f"{name}: the driver does not report the controller's state"
+        )
     return None
 
 
-def _then(setting: ControllerSettings, controller: CanController) -> str:
-    """What ends bus-off, where nothing does by itself."""
+def _then(settings: ControllerSettings, controller: CanController) -> str:
+    """Command that ends bus-off, where no restart is configured."""
     if controller.restart_ms:
         return ""
-    if setting.is_serial:
-        return f"; then {setting.again}"
-    return f"; then sudo ip link set {setting.channel} type can restart"
+    if settings.is_serial:
+        return f"; then {settings.restart_command}"
+    return f"; then sudo ip link set {settings.channel} type can restart"
 
 
 def _counted(controller: CanController) -> str:
@@ -161,7 +169,7 @@ def _errors(controller: CanController) -> Outcome | None:
     return None if errors is None else f"errors tx {errors.transmit} rx {errors.receive}"
 
 
-def _past(name: str, counters: DeviceCounters | None) -> CheckResult | None:
+def _counters(name: str, counters: DeviceCounters | None) -> CheckResult | None:
     if counters is None:
         return None
     counted = {
@@ -172,9 +180,9 @@ def _past(name: str, counters: DeviceCounters | None) -> CheckResult | None:
         "bus errors": counters.bus_errors,
         "arbitration lost": counters.arbitrations_lost,
     }
-    # Who loses arbitration waits its turn: that alone is a bus at work.
+    # Lost arbitration alone is normal traffic.
     if not any(counters._replace(arbitrations_lost=0)):
         return None
     past = ", ".join(f"{what} {count}" for what, count in counted.items() if count)
     remedy = f"check the wiring, if it grows: ip -s -d link show {name}"
-    return SUBJECT.warning("past", f"{name} since it was made: {past}", remedy)
+    return SUBJECT.warning("past", f"{name} since it was created: {past}", remedy)

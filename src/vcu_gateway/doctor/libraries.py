@@ -1,4 +1,4 @@
-"""Libraries beside the program's own: what they cost the gateway, and other programs."""
+"""Libraries that the program does not need: their cost for the gateway and other programs."""
 
 import importlib.metadata
 import importlib.util
@@ -15,8 +15,8 @@ from vcu_gateway.doctor.procfs import Unreadable
 
 SUBJECT = CheckSubject("libraries")
 _PROGRAM = "vcu-gateway"
-_STRAY_AT_LEAST_MS = 20.0
-_PATIENCE_S = 60.0
+_LEAST_FOREIGN_MS = 20.0
+_TIMEOUT_S = 60.0
 # What else the gateway's process has imported: the top of each module's name, and its file.
 _GATEWAY = """
 import json, sys, sysconfig, vcu_gateway.cli.run
@@ -42,34 +42,34 @@ _IMPORT_TIME = re.compile(r"import time: +(\d+) \| +\d+ \| +([\w.]+)")
 
 
 class ImportCost(NamedTuple):
-    """What an import takes: time of the processor, and memory."""
+    """Cost of an import: processor time and memory."""
 
     time_ms: float
     memory_mb: float
 
 
 class ForeignLibrary(NamedTuple):
-    """A library in the gateway's process that is not of its own; `file` is empty for a package."""
+    """Library in the gateway's process that it does not require; `file` is empty for a package."""
 
     time_ms: float
     file: str = ""
 
 
 class LibraryFacts(NamedTuple):
-    """What was measured.
+    """Facts about libraries.
 
     Attributes:
-        asammdf: what it adds to `import can` in other programs; None where it is not installed.
-        strays: by the name that pip has for it or, without a package, Python.
+        asammdf: its part of `import can` in other programs; None where it is not installed.
+        foreign: by distribution name or, without one, by module name.
     """
 
     asammdf: ImportCost | Unreadable | None
-    strays: Mapping[str, ForeignLibrary] | Unreadable
+    foreign: Mapping[str, ForeignLibrary] | Unreadable
 
 
 def read() -> LibraryFacts:
-    """Import in processes of their own, and measure."""
-    return LibraryFacts(_asammdf(), _strays())
+    """Measure imports in child processes."""
+    return LibraryFacts(_asammdf(), _foreign())
 
 
 def _asammdf() -> ImportCost | Unreadable | None:
@@ -83,13 +83,13 @@ def _asammdf() -> ImportCost | Unreadable | None:
 
 
 def _python_can(hide: bool) -> ImportCost:
-    """The cheapest of two: the first may have waited for the disk."""
+    """The cheaper of two runs: the first may have waited for the disk."""
     program = _PYTHON_CAN.format(hide=hide)
-    turns = [ImportCost(*map(float, _child("-c", program).stdout.split())) for _ in range(2)]
-    return min(turns)
+    runs = [ImportCost(*map(float, _child("-c", program).stdout.split())) for _ in range(2)]
+    return min(runs)
 
 
-def _strays() -> dict[str, ForeignLibrary] | Unreadable:
+def _foreign() -> dict[str, ForeignLibrary] | Unreadable:
     try:
         child = _child("-X", "importtime", "-c", _GATEWAY)
     except (OSError, subprocess.SubprocessError) as error:
@@ -98,20 +98,20 @@ def _strays() -> dict[str, ForeignLibrary] | Unreadable:
     for duration_us, module in _IMPORT_TIME.findall(child.stderr):
         took_us[module.partition(".")[0]] += int(duration_us)
     packages, own = importlib.metadata.packages_distributions(), _own_packages()
-    strays: dict[str, ForeignLibrary] = {}
+    foreign: dict[str, ForeignLibrary] = {}
     for module, file in json.loads(child.stdout).items():
         name, *others = packages.get(module, [module])
         if own.isdisjoint(map(_normal, (name, *others))):
-            before_ms = strays[name].time_ms if name in strays else 0.0
-            file_told = "" if module in packages else file
-            strays[name] = ForeignLibrary(before_ms + took_us[module] / 1000, file_told)
-    return strays
+            before_ms = foreign[name].time_ms if name in foreign else 0.0
+            own_file = "" if module in packages else file
+            foreign[name] = ForeignLibrary(before_ms + took_us[module] / 1000, own_file)
+    return foreign
 
 
 def _child(*arguments: str) -> "subprocess.CompletedProcess[str]":
     command = [sys.executable, "-P", *arguments]
     return subprocess.run(  # noqa: S603 - our own Python and program
-        command, capture_output=True, text=True, timeout=_PATIENCE_S, check=True
+        command, capture_output=True, text=True, timeout=_TIMEOUT_S, check=True
     )
 
 
@@ -139,31 +139,31 @@ def _requirements(name: str) -> list[str]:
 
 
 def _normal(name: str) -> str:
-    """A package's name as the index compares it."""
+    """Normalised name of a distribution (PEP 503)."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def judge(facts: LibraryFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
-    yield from _of_the_gateway(facts.strays)
+    """Judge the libraries."""
+    yield from _in_the_gateway(facts.foreign)
     found = facts.asammdf
     if isinstance(found, Unreadable):
         yield SUBJECT.unknown("asammdf", found.reason)
     elif found is not None:
         what = "asammdf is kept out of the gateway; in every other program it makes `import can`"
         what += f" {found.time_ms:.0f} ms longer and {found.memory_mb:.0f} MB larger"
-        yield SUBJECT.ok("asammdf", what, "pip uninstall asammdf, where nobody decodes MF4")
+        yield SUBJECT.ok("asammdf", what, "pip uninstall asammdf, unless MF4 files are decoded")
 
 
-def _of_the_gateway(strays: Mapping[str, ForeignLibrary] | Unreadable) -> Iterator[CheckResult]:
-    if isinstance(strays, Unreadable):
-        yield SUBJECT.unknown("stray", strays.reason)
+def _in_the_gateway(foreign: Mapping[str, ForeignLibrary] | Unreadable) -> Iterator[CheckResult]:
+    if isinstance(foreign, Unreadable):
+        yield SUBJECT.unknown("stray", foreign.reason)
         return
-    told = {name: one for name, one in strays.items() if one.time_ms >= _STRAY_AT_LEAST_MS}
-    if not told:
+    slow = {name: one for name, one in foreign.items() if one.time_ms >= _LEAST_FOREIGN_MS}
+    if not slow:
         yield SUBJECT.ok("well", "nothing but its own libraries delays the gateway's start")
-    for name, one in sorted(told.items()):
-        what = f"{name} gets into the gateway, which does not need it: {one.time_ms:.0f} ms a start"
+    for name, one in sorted(slow.items()):
+        what = f"{name} is imported into the gateway without need: {one.time_ms:.0f} ms a start"
         remedy = f"pip uninstall {name}, where nothing else needs it"
         if one.file:
             remedy = f"take {one.file} out of this Python's path"

@@ -1,4 +1,4 @@
-"""Who may read, operate and service, and whether the gateway's own user can read its files."""
+"""Permissions: rights of this user and the operators, files readable by the service's user."""
 
 import grp
 import os
@@ -11,14 +11,14 @@ from typing import NamedTuple
 from vcu_gateway.api.rights import Peer, Policy, Right
 from vcu_gateway.config import Config, group_number, user_number
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable, refused
+from vcu_gateway.doctor.procfs import Unreadable, unreadable
 
 SUBJECT = CheckSubject("permissions")
 _WORDS = {Right.READ: ("read", "stop"), Right.OPERATE: ("operate",), Right.SERVICE: ("service",)}
 
 
 class Account(NamedTuple):
-    """A user: number and every group."""
+    """User with its number and all its groups."""
 
     name: str
     uid: int
@@ -26,15 +26,15 @@ class Account(NamedTuple):
 
 
 class ResourcePermissions(NamedTuple):
-    """A file, folder or socket with its permissions."""
+    """Owner and mode of a file, folder or socket."""
 
     path: str
     mode: int
     uid: int
     gid: int
 
-    def lets(self, who: Account, bits: int) -> bool:
-        """Whether the permissions give this user these bits (4 read, 2 write, 1 enter)."""
+    def grants(self, who: Account, bits: int) -> bool:
+        """Whether this user has these permission bits (4 read, 2 write, 1 enter)."""
         if who.uid == 0:
             return True
         shift = 6 if who.uid == self.uid else 3 if self.gid in who.gids else 0
@@ -42,18 +42,19 @@ class ResourcePermissions(NamedTuple):
 
 
 class PermissionFacts(NamedTuple):
-    """What was read.
+    """Facts about permissions.
 
     Attributes:
-        me: who asks. service: the gateway's own user; None where no unit is installed, Unread
-            where it does not exist.
-        policy: what api.* of the configuration says; None where an account does not exist.
+        me: the user who runs the doctor.
+        service: the gateway's own user; None where no unit is installed, Unreadable where it
+            does not exist.
+        policy: rights by api.* of the configuration; None where an account does not exist.
         socket_path: of the API; None where it is switched off.
-        socket, folder: of the API; None where they are not there.
+        socket, folder: of the API; None where they do not exist.
         files: each file that the service reads, with all folders above it.
         has_operators: api.operator_users or api.operator_groups name somebody.
-        socket_group: by name, for whom the socket is.
-        shown: the only folders that the service sees; None where it sees all.
+        socket_group: name of the socket's group.
+        visible_folders: folders visible to the service; None where all are.
     """
 
     me: Account
@@ -65,20 +66,20 @@ class PermissionFacts(NamedTuple):
     files: tuple[tuple[ResourcePermissions, ...], ...] = ()
     has_operators: bool = True
     socket_group: str = ""
-    shown: tuple[str, ...] | None = None
+    visible_folders: tuple[str, ...] | None = None
 
 
 def read(
     config: Config,
     file: Path | None,
     service_user: str | None,
-    shown: tuple[str, ...] | None = None,
+    visible_folders: tuple[str, ...] | None = None,
 ) -> PermissionFacts:
-    """Ask the account data base and the file system; `service_user` None: no unit here."""
+    """Read accounts and file permissions; `service_user` is None where no unit is installed."""
     api = config.api
     service = None if service_user is None else _account(service_user)
     path = api.socket_path if api.enabled else None
-    sock = None if path is None else _place(path)
+    sock = None if path is None else _permissions_of(path)
     group = (
         _group_name(sock.gid) if isinstance(sock, ResourcePermissions) else api.socket_group or ""
     )
@@ -89,11 +90,11 @@ def read(
         policy=_policy(config, service),
         socket_path=path,
         socket=sock,
-        folder=None if path is None else _place(os.path.dirname(path)),
-        files=tuple(tuple(_way_to(one)) for one in files),
+        folder=None if path is None else _permissions_of(os.path.dirname(path)),
+        files=tuple(tuple(_path_to(one)) for one in files),
         has_operators=bool(api.operator_users or api.operator_groups),
         socket_group=group,
-        shown=shown,
+        visible_folders=visible_folders,
     )
 
 
@@ -132,32 +133,32 @@ def _policy(config: Config, service: Account | Unreadable | None) -> Policy | No
             service_gids=frozenset(map(group_number, api.service_groups)),
         )
     except KeyError:
-        return None  # configuration says which
+        return None  # a result of configuration names it
 
 
-def _place(path: str) -> ResourcePermissions | Unreadable | None:
+def _permissions_of(path: str) -> ResourcePermissions | Unreadable | None:
     try:
         found = os.stat(path)
     except FileNotFoundError:
         return None
     except OSError as error:
-        return refused(path, error)
+        return unreadable(path, error)
     return ResourcePermissions(path, found.st_mode, found.st_uid, found.st_gid)
 
 
-def _way_to(file: Path) -> Iterator[ResourcePermissions]:
-    """The folders above and the file, as far as they can be looked at."""
+def _path_to(file: Path) -> Iterator[ResourcePermissions]:
+    """The folders above and the file, as far as this user can access them."""
     whole = file.absolute()
     for one in (*reversed(whole.parents), whole):
-        place = _place(str(one))
+        place = _permissions_of(str(one))
         if isinstance(place, ResourcePermissions):
             yield place
 
 
 def judge(facts: PermissionFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
+    """Judge the permissions."""
     service = _service(facts)
-    return SUBJECT.summed("", (*service, _folder(facts), _operators(facts), _mine(facts)))
+    return SUBJECT.summarise("", (*service, _folder(facts), _operators(facts), _mine(facts)))
 
 
 def _service(facts: PermissionFacts) -> Iterator[Outcome]:
@@ -165,32 +166,37 @@ def _service(facts: PermissionFacts) -> Iterator[Outcome]:
     if isinstance(user, Unreadable):
         yield SUBJECT.wrong("service_user", user.reason, "sudo systemd-sysusers")
     elif user is not None:
-        ways = [way for way in facts.files if way]
-        told = [one for way in ways if (one := _way(user, way, facts.shown))]
-        yield from told
-        if ways and not told:
+        paths = [places for places in facts.files if places]
+        refused = [
+            one for places in paths if (one := _file_result(user, places, facts.visible_folders))
+        ]
+        yield from refused
+        if paths and not refused:
             yield f"{user.name} can read its files"
 
 
-def _way(
-    user: Account, way: tuple[ResourcePermissions, ...], shown: tuple[str, ...] | None
+def _file_result(
+    user: Account, places: tuple[ResourcePermissions, ...], visible_folders: tuple[str, ...] | None
 ) -> CheckResult | None:
-    path = way[-1].path
-    if shown is not None and not any(Path(path).is_relative_to(folder) for folder in shown):
-        what = f"the service does not see {path}: its unit shows it {' and '.join(shown)} alone"
+    path = places[-1].path
+    if visible_folders is not None and not any(
+        Path(path).is_relative_to(folder) for folder in visible_folders
+    ):
+        bound = " and ".join(visible_folders)
+        what = f"{path} is not visible to the service: its unit binds only {bound}"
         return SUBJECT.wrong("service_files", what, "keep it in /etc/vcu-gateway")
-    barrier = _barrier(user, way)
-    if barrier is None:
+    denied = _first_denied(user, places)
+    if denied is None:
         return None
-    what = f"the service's user {user.name} cannot get to {barrier}"
-    return SUBJECT.wrong("service_files", what, f"sudo chmod o+rX {barrier}")
+    what = f"the service's user {user.name} cannot access {denied}"
+    return SUBJECT.wrong("service_files", what, f"sudo chmod o+rX {denied}")
 
 
-def _barrier(user: Account, way: tuple[ResourcePermissions, ...]) -> str | None:
-    """The first place on the way that does not let this user through."""
-    for place in way:
+def _first_denied(user: Account, places: tuple[ResourcePermissions, ...]) -> str | None:
+    """The first place of the path that denies this user; None where none does."""
+    for place in places:
         needed = 1 if stat.S_ISDIR(place.mode) else 4
-        if not place.lets(user, needed):
+        if not place.grants(user, needed):
             return place.path
     return None
 
@@ -218,7 +224,7 @@ def _no_folder(facts: PermissionFacts) -> Outcome | None:
 def _operators(facts: PermissionFacts) -> Outcome | None:
     if facts.has_operators or facts.service is None or facts.socket_path is None:
         return None
-    what = "nobody but root and the gateway's own user may demand and arm"
+    what = "only root and the gateway's own user may demand and arm"
     return SUBJECT.warning(
         "operators", what, "name them in api.operator_groups of the configuration"
     )
@@ -228,7 +234,7 @@ def _mine(facts: PermissionFacts) -> Outcome | None:
     me = facts.me
     if isinstance(facts.socket, Unreadable):
         return SUBJECT.unknown("mine", facts.socket.reason)
-    if isinstance(facts.socket, ResourcePermissions) and not facts.socket.lets(me, 2):
+    if isinstance(facts.socket, ResourcePermissions) and not facts.socket.grants(me, 2):
         what = f"{me.name} may not open {facts.socket.path}, so neither read nor stop"
         command = f"sudo usermod -aG {facts.socket_group} {me.name}, and log in again"
         return SUBJECT.warning("mine", what, command)

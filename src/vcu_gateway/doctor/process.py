@@ -1,4 +1,4 @@
-"""The gateway's process and the machine under it: priority, memory, processor, disk."""
+"""Process of the gateway and its machine: priority, memory, processor, disk."""
 
 import os
 import platform
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable, fields, names, number, refused, text
+from vcu_gateway.doctor.procfs import Unreadable, fields, names, number, text, unreadable
 
 SUBJECT = CheckSubject("process")
 STATE_FOLDER = "/var/lib/vcu-gateway"
@@ -20,7 +20,7 @@ _OWN_GOVERNORS = ("intel_pstate", "amd-pstate-epp", "amd_pstate_epp")
 
 
 class RunningProcess(NamedTuple):
-    """A running gateway."""
+    """Scheduling and memory of a running gateway."""
 
     pid: int
     policy: str | Unreadable
@@ -29,15 +29,15 @@ class RunningProcess(NamedTuple):
 
 
 class ProcessFacts(NamedTuple):
-    """What was read.
+    """Facts about the process and the machine.
 
     Attributes:
         running: None where no gateway runs.
         memory: /proc/meminfo.
-        governors: driver and governor of each group of processors; none where their speed
+        governors: cpufreq driver and governor of each group of processors; none where the speed
             is fixed.
-        preemption: the kernel's model, empty where it does not tell.
-        disk_mb: free where recordings and counters are kept; None where there is no folder.
+        preemption: the kernel's preemption model, empty where it is unknown.
+        disk_mb: free space of the state folder; None where there is none.
         memory_lock: systemd's LimitMEMLOCK=, policy: its CPUSchedulingPolicy=; empty where
             the unit is not installed.
     """
@@ -52,7 +52,7 @@ class ProcessFacts(NamedTuple):
 
 
 def read(pid: int | None, memory_lock: str = "", policy: str = "") -> ProcessFacts:
-    """Ask the kernel."""
+    """Read them from the kernel."""
     return ProcessFacts(
         None if pid is None else _running(pid),
         fields("/proc/meminfo"),
@@ -70,12 +70,12 @@ def _running(pid: int) -> RunningProcess:
         policy = _REAL_TIME.get(os.sched_getscheduler(pid) & 0xFF, "other")
         priority = os.sched_getparam(pid).sched_priority
     except OSError as error:
-        policy, priority = refused(f"process {pid}", error), 0
+        policy, priority = unreadable(f"process {pid}", error), 0
     return RunningProcess(pid, policy, priority, fields(f"/proc/{pid}/status"))
 
 
 def governors(cpus: str = _CPUS) -> Iterator[tuple[str, str]]:
-    """Driver and governor of each group of processors."""
+    """Cpufreq driver and governor of each group of processors."""
     for folder in names(cpus):
         driver, governor = (
             text(f"{cpus}/{folder}/scaling_{what}") for what in ("driver", "governor")
@@ -92,27 +92,27 @@ def _preemption() -> str:
 
 
 def free_mb(folder: str) -> int | Unreadable | None:
-    """Free on the disk of a folder for who is not root; None where there is no folder."""
+    """Disk space of a folder that is free for others than root; None where there is no folder."""
     try:
         found = os.statvfs(folder)
     except FileNotFoundError:
         return None
     except OSError as error:
-        return refused(folder, error)
+        return unreadable(folder, error)
     return found.f_bavail * found.f_frsize >> 20
 
 
 def judge(facts: ProcessFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
+    """Judge the process and the machine."""
     running = facts.running
     if running is not None:
         checks = (_policy(running), _locked(running), _swapped(running))
-        yield from SUBJECT.summed(f"process {running.pid}", checks)
+        yield from SUBJECT.summarise(f"process {running.pid}", checks)
     else:
-        yield from SUBJECT.summed("the unit", _of_unit(facts))
+        yield from SUBJECT.summarise("the unit", _of_unit(facts))
     kernel = facts.preemption and f"kernel {facts.preemption}"
     machine = (_memory(facts), _swap(facts), _governor(facts.governors), _disk(facts), kernel)
-    yield from SUBJECT.summed("machine", machine)
+    yield from SUBJECT.summarise("machine", machine)
 
 
 def _policy(running: RunningProcess) -> Outcome:
@@ -125,7 +125,7 @@ def _policy(running: RunningProcess) -> Outcome:
 
 
 def _of_unit(facts: ProcessFacts) -> Iterator[Outcome | None]:
-    """Of an installed service that does not run."""
+    """Judge the unit of an installed service that does not run."""
     if facts.memory_lock.isdecimal() and int(facts.memory_lock) < _MEMORY_AT_LEAST_KB * 1024:
         what = f"the unit may lock only {int(facts.memory_lock) >> 10} kB of memory"
         yield SUBJECT.warning("memory_lock", what, "LimitMEMLOCK=infinity in a drop-in")
@@ -159,7 +159,9 @@ def _memory(facts: ProcessFacts) -> Outcome:
     if free_kb >= _MEMORY_AT_LEAST_KB:
         return f"{free_kb >> 10} MB memory free"
     what = f"only {free_kb >> 10} MB memory are free"
-    return SUBJECT.warning("memory", what, "look who takes it: ps --sort=-rss -eo rss,comm | head")
+    return SUBJECT.warning(
+        "memory", what, "find the largest process: ps --sort=-rss -eo rss,comm | head"
+    )
 
 
 def _swap(facts: ProcessFacts) -> Outcome | None:
@@ -174,7 +176,7 @@ def _kb(found: dict[str, str] | Unreadable, name: str) -> int | Unreadable:
     if isinstance(found, Unreadable):
         return found
     amount = found.get(name, "").split()
-    return int(amount[0]) if amount and amount[0].isdecimal() else Unreadable(f"no {name} is told")
+    return int(amount[0]) if amount and amount[0].isdecimal() else Unreadable(f"no {name}")
 
 
 def _governor(governors: tuple[tuple[str, str], ...]) -> Outcome | None:
@@ -182,7 +184,7 @@ def _governor(governors: tuple[tuple[str, str], ...]) -> Outcome | None:
         governor == "powersave" and driver not in _OWN_GOVERNORS for driver, governor in governors
     )
     if slow:
-        what = "the processor is held at its lowest speed (governor powersave)"
+        what = "the processor runs at its lowest speed (governor powersave)"
         command = f"echo performance | sudo tee {_CPUS}/policy*/scaling_governor"
         return SUBJECT.warning("governor", what, command)
     used = sorted({governor for _, governor in governors})

@@ -1,26 +1,26 @@
-"""Reading a small file of the kernel's, or why it cannot be read."""
+"""Reading of small files in /proc and /sys."""
 
 import os
 from typing import NamedTuple
 
 
 class Unreadable(NamedTuple):
-    """Could not be found out."""
+    """A fact that could not be read, and why."""
 
     reason: str
 
 
 def text(path: str) -> str | Unreadable:
-    """The file's text without blanks around it."""
+    """The file's text, stripped."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
             return file.read().strip()
     except OSError as error:
-        return refused(path, error)
+        return unreadable(path, error)
 
 
 def number(path: str) -> int | Unreadable:
-    """The whole number that is all of the file."""
+    """The file's content as a natural number."""
     found = text(path)
     if isinstance(found, Unreadable):
         return found
@@ -36,13 +36,13 @@ def fields(path: str) -> dict[str, str] | Unreadable:
     return {name.strip(): value.strip() for name, _, value in pairs}
 
 
-def refused(what: str, error: OSError) -> Unreadable:
-    """An error as a reason."""
+def unreadable(what: str, error: OSError) -> Unreadable:
+    """The fact `what` as unreadable, with the error as reason."""
     return Unreadable(f"{what}: {error.strerror or error}")
 
 
 def names(folder: str) -> list[str]:
-    """What a folder holds, sorted; nothing where it cannot be listed."""
+    """Names in a folder, sorted; empty where it cannot be listed."""
     try:
         return sorted(os.listdir(folder))
     except OSError:

@@ -1,4 +1,4 @@
-"""The DBC in use: readable, and what the safety rules were written for."""
+"""DBC in use: readable and compatible with the safety rules."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -13,12 +13,12 @@ SUBJECT = CheckSubject("protocol")
 
 
 class ProtocolFacts(NamedTuple):
-    """What was read.
+    """Facts about the protocol.
 
     Attributes:
         file: the configured DBC; None is the packaged one.
         spec: None where it cannot be read.
-        contradictions: with the protocol that the safety rules know.
+        contradictions: with the protocol of the safety rules.
         unknown_names: messages of the configuration that the protocol does not have.
     """
 
@@ -30,20 +30,20 @@ class ProtocolFacts(NamedTuple):
 
 def read(config: Config) -> ProtocolFacts:
     """Read it as the gateway does; cantools is imported only here."""
-    from vcu_gateway import app
+    from vcu_gateway.config.protocol import check_protocol, load_protocol
 
     facts = ProtocolFacts(None if config.protocol.dbc is None else str(config.protocol.dbc))
     try:
-        spec = app.load_protocol(config)
+        spec = load_protocol(config)
         facts = facts._replace(spec=spec)
-        app.check_protocol(config, spec)
+        check_protocol(config, spec)
     except GatewayError as error:
         return facts._replace(contradictions=error.problems)
     return facts._replace(unknown_names=tuple(configuration.check_against(config, spec)))
 
 
 def judge(facts: ProtocolFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
+    """Judge the protocol."""
     for problem in facts.contradictions:
         yield _wrong("dbc", problem)
     for problem in facts.unknown_names:
@@ -51,7 +51,7 @@ def judge(facts: ProtocolFacts) -> Iterator[CheckResult]:
     if facts.spec is not None and not facts.contradictions:
         which = facts.file or "the packaged DBC"
         messages = len(facts.spec.messages)
-        yield SUBJECT.ok("dbc", f"{which}: {messages} messages, as the safety rules know them")
+        yield SUBJECT.ok("dbc", f"{which}: {messages} messages, compatible with the safety rules")
 
 
 def _wrong(check: str, problem: Problem) -> CheckResult:

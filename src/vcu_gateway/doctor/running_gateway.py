@@ -1,4 +1,4 @@
-"""The running gateway, asked twice through its API: how it is and why it does what it does."""
+"""Running gateway: state and health from two requests of its API."""
 
 import os
 from collections.abc import Iterator
@@ -12,23 +12,23 @@ from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable
 
 SUBJECT = CheckSubject("gateway")
-_PATIENCE_S = 0.5
-_DRIVING = "active"
+_TIMEOUT_S = 0.5
+_ACTIVE = "active"
 
 
 class GatewayFacts(NamedTuple):
-    """What was read.
+    """Answers of the running gateway, and the checked configuration.
 
     Attributes:
         answers: why and health; None where the API is switched off.
-        barred: this user may not open the socket.
-        expected: a process of it is known, so it ought to answer.
+        not_permitted: this user may not open the socket.
+        expected: its process is known, so it must answer.
         file, digest: of the configuration that was checked; empty where there is none.
     """
 
     socket_path: str
     answers: tuple[results.Why, results.Health] | Unreadable | None
-    barred: bool = False
+    not_permitted: bool = False
     expected: bool = False
     file: str = ""
     digest: str = ""
@@ -42,31 +42,31 @@ class GatewayFacts(NamedTuple):
 
 
 def read(config: Config, expected: bool) -> GatewayFacts:
-    """Two requests that only read; they wait for each other and then the socket is closed."""
+    """Send two read-only requests, one after the other."""
     path = config.api.socket_path
     file = config.source.file
     facts = GatewayFacts(path, None, expected=expected)
     if file:
         facts = facts._replace(file=os.path.abspath(file), digest=configuration.digest(config))
-    return _asked(facts) if config.api.enabled else facts
+    return _with_answers(facts) if config.api.enabled else facts
 
 
-def _asked(facts: GatewayFacts) -> GatewayFacts:
+def _with_answers(facts: GatewayFacts) -> GatewayFacts:
     try:
-        with Client(facts.socket_path, timeout_s=_PATIENCE_S) as client:
+        with Client(facts.socket_path, timeout_s=_TIMEOUT_S) as client:
             return facts._replace(answers=(client.why(), client.health()))
     except ClientError as error:
-        barred = isinstance(error.__cause__, PermissionError)
-        return facts._replace(answers=Unreadable(str(error)), barred=barred)
+        not_permitted = isinstance(error.__cause__, PermissionError)
+        return facts._replace(answers=Unreadable(str(error)), not_permitted=not_permitted)
 
 
 def judge(facts: GatewayFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
+    """Judge the running gateway."""
     if facts.answers is None:
-        yield SUBJECT.ok("answers", "api.enabled is false: nobody can ask it")
+        yield SUBJECT.ok("answers", "api.enabled is false: it cannot be asked")
     elif not isinstance(facts.answers, Unreadable):
-        yield from _alive(facts, *facts.answers)
-    elif facts.barred:
+        yield from _judge_answers(facts, *facts.answers)
+    elif facts.not_permitted:
         yield SUBJECT.unknown("answers", facts.answers.reason)
     elif facts.expected:
         what = f"a gateway runs and does not answer: {facts.answers.reason}"
@@ -75,17 +75,19 @@ def judge(facts: GatewayFacts) -> Iterator[CheckResult]:
         yield SUBJECT.ok("answers", f"no gateway runs at {facts.socket_path}")
 
 
-def _alive(facts: GatewayFacts, why: results.Why, health: results.Health) -> Iterator[CheckResult]:
+def _judge_answers(
+    facts: GatewayFacts, why: results.Why, health: results.Health
+) -> Iterator[CheckResult]:
     yield _mode(why)
     ticks, frames = health["ticks"], health["frames"]
     good = (_link(health["link"]), _skipped(ticks), _dropped(frames), _same(facts, health))
-    yield from SUBJECT.summed(f"process {health['pid']}", good)
+    yield from SUBJECT.summarise(f"process {health['pid']}", good)
 
 
 def _mode(why: results.Why) -> CheckResult:
     sentence = why["sentence"]
-    if why["mode"] == _DRIVING:
-        return SUBJECT.ok("mode", f"{sentence}; somebody drives: change nothing now")
+    if why["mode"] == _ACTIVE:
+        return SUBJECT.ok("mode", f"{sentence}; it is driving: change nothing now")
     if why["mode"] == "standby":
         return SUBJECT.ok("mode", sentence)
     if why["mode"] == "fault":
@@ -129,12 +131,14 @@ def _same(facts: GatewayFacts, health: results.Health) -> Outcome | None:
         return SUBJECT.warning("config_file", what, f"vcu-gateway doctor -c {running}")
     if health["config_digest"] != facts.digest:
         what = f"{facts.file} has changed since the gateway read it"
-        return SUBJECT.warning("config_digest", what, "vcu-gateway reload, while it stands")
+        return SUBJECT.warning(
+            "config_digest", what, "vcu-gateway reload, while the vehicle stands"
+        )
     return "configuration as on disk"
 
 
 def _is_same(running: str, checked: str) -> bool:
-    """A relative path is relative to the gateway's folder, which nobody else knows."""
+    """Whether both are the same file; the folder of a relative path is unknown."""
     if os.path.isabs(running):
         return os.path.normpath(running) == checked
     return os.path.basename(running) == os.path.basename(checked)

@@ -1,4 +1,4 @@
-"""The systemd unit: installed, enabled, running, and how often it had to be started again."""
+"""Systemd unit: installed, enabled, running, number of restarts."""
 
 import os
 import shutil
@@ -12,7 +12,7 @@ from vcu_gateway.doctor.procfs import Unreadable
 
 SUBJECT = CheckSubject("service")
 _BOOTED = "/run/systemd/system"
-_PATIENCE_S = 2.0
+_TIMEOUT_S = 2.0
 _BAD_CONFIGURATION = ("65", "66", "78")
 _INSTANCES = Path("/etc/vcu-gateway")
 _PROPERTIES = (
@@ -24,18 +24,18 @@ _PROPERTIES = (
 
 
 class ServiceFacts(NamedTuple):
-    """What was read: systemd's properties by name, Unread, or None where it does not run."""
+    """Properties of the unit by name; None where systemd does not run."""
 
     unit: str
-    told: Mapping[str, str] | Unreadable | None
+    properties: Mapping[str, str] | Unreadable | None
 
     def get(self, name: str) -> str:
         """A property; empty where it is not known."""
-        return self.told.get(name, "") if isinstance(self.told, Mapping) else ""
+        return self.properties.get(name, "") if isinstance(self.properties, Mapping) else ""
 
     @property
     def is_installed(self) -> bool:
-        """The unit's file is there and could be read."""
+        """Whether the unit is installed and loaded."""
         return self.get("LoadState") == "loaded"
 
     @property
@@ -45,19 +45,19 @@ class ServiceFacts(NamedTuple):
 
     @property
     def is_active(self) -> bool:
-        """It runs and has said that it is ready."""
+        """Whether the service has started."""
         return self.get("ActiveState") == "active"
 
     @property
-    def shown(self) -> tuple[str, ...] | None:
-        """The only folders that the unit lets its process see; None where it sees all."""
+    def visible_folders(self) -> tuple[str, ...] | None:
+        """Folders visible to the process under RootDirectory=; None where all are."""
         if not self.get("RootDirectory"):
             return None
         binds = self.get("BindReadOnlyPaths"), self.get("BindPaths")
         return tuple(word.lstrip("-").partition(":")[0] for one in binds for word in one.split())
 
     def runs_with(self, path: Path | None) -> bool:
-        """It is started with this configuration file; None is the usual one."""
+        """Whether it is started with this configuration file; None is the default one."""
         words = self.get("ExecStart").split()
         return self.is_installed and (path is None or str(path.absolute()) in words)
 
@@ -70,7 +70,7 @@ def unit_of(path: Path | None) -> str:
 
 
 def read(unit: str, booted: str = _BOOTED) -> ServiceFacts:
-    """Ask systemd, once and not for long; `booted` is a folder that only it makes."""
+    """Read the properties from systemd; `booted` is a folder that only systemd makes."""
     if not os.path.isdir(booted):
         return ServiceFacts(unit, None)
     program = shutil.which("systemctl")
@@ -84,10 +84,10 @@ def read(unit: str, booted: str = _BOOTED) -> ServiceFacts:
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=_PATIENCE_S,
+            timeout=_TIMEOUT_S,
         )
     except subprocess.TimeoutExpired:
-        return ServiceFacts(unit, Unreadable(f"systemd did not answer within {_PATIENCE_S:g} s"))
+        return ServiceFacts(unit, Unreadable(f"systemd did not answer within {_TIMEOUT_S:g} s"))
     except OSError as error:
         return ServiceFacts(unit, Unreadable(f"systemctl: {error.strerror}"))
     if done.returncode != 0:
@@ -102,11 +102,11 @@ def parsed(output: str) -> dict[str, str]:
 
 
 def judge(facts: ServiceFacts) -> Iterator[CheckResult]:
-    """What to say of it."""
-    if facts.told is None:
+    """Judge the service."""
+    if facts.properties is None:
         yield SUBJECT.ok("systemd", "no systemd here: the gateway is started by hand")
-    elif isinstance(facts.told, Unreadable):
-        yield SUBJECT.unknown("systemd", facts.told.reason)
+    elif isinstance(facts.properties, Unreadable):
+        yield SUBJECT.unknown("systemd", facts.properties.reason)
     elif facts.get("LoadState") == "not-found":
         yield SUBJECT.ok("installed", f"{facts.unit} is not installed; a vehicle computer needs it")
     elif not facts.is_installed:
@@ -115,15 +115,15 @@ def judge(facts: ServiceFacts) -> Iterator[CheckResult]:
         command = "sudo systemctl unmask" if is_masked else "systemctl status"
         yield SUBJECT.wrong("installed", what, f"{command} {facts.unit}")
     else:
-        checks = (_active(facts), _enabled(facts), _restarts(facts), _changed(facts))
-        yield from SUBJECT.summed(facts.unit, checks)
+        checks = (_active(facts), _enabled(facts), _restarts(facts), _changed_on_disk(facts))
+        yield from SUBJECT.summarise(facts.unit, checks)
 
 
 def _enabled(facts: ServiceFacts) -> Outcome:
     state = facts.get("UnitFileState")
     if state.startswith("enabled") or state in ("static", "generated"):
         return "starts at boot"
-    what = f"{facts.unit} does not start at boot ({state or 'state not known'})"
+    what = f"{facts.unit} does not start at boot ({state or 'state unknown'})"
     remedy = "unmask" if state.startswith("masked") else "enable"
     return SUBJECT.warning("enabled", what, f"sudo systemctl {remedy} {facts.unit}")
 
@@ -135,12 +135,12 @@ def _active(facts: ServiceFacts) -> Outcome:
         return f"running as {facts.pid}" + (f' ("{text}")' if text else "")
     journal = f"journalctl -u {unit} -n 50"
     if state == "failed":
-        return SUBJECT.wrong("active", f"{unit} has failed: {_why(facts)}", _mend(facts, journal))
+        return SUBJECT.wrong("active", f"{unit} has failed: {_why(facts)}", _remedy(facts, journal))
     if facts.get("SubState") == "auto-restart":
-        what = f"{unit} ends again and again: {_why(facts)}"
-        return SUBJECT.wrong("active", what, _mend(facts, journal))
+        what = f"{unit} restarts repeatedly: {_why(facts)}"
+        return SUBJECT.wrong("active", what, _remedy(facts, journal))
     if state in ("activating", "reloading", "deactivating"):
-        return SUBJECT.warning("active", f"{unit} is {state}", "look again in some seconds")
+        return SUBJECT.warning("active", f"{unit} is {state}", "check again in some seconds")
     return SUBJECT.warning("active", f"{unit} does not run", f"sudo systemctl start {unit}")
 
 
@@ -150,9 +150,9 @@ def _why(facts: ServiceFacts) -> str:
     return f"{exited} ({facts.get('StatusText')})" if facts.get("StatusText") else exited
 
 
-def _mend(facts: ServiceFacts, otherwise: str) -> str:
+def _remedy(facts: ServiceFacts, otherwise: str) -> str:
     if facts.get("ExecMainStatus") in _BAD_CONFIGURATION:
-        return f"mend the configuration, then sudo systemctl start {facts.unit}"
+        return f"fix the configuration, then sudo systemctl start {facts.unit}"
     return otherwise
 
 
@@ -160,11 +160,11 @@ def _restarts(facts: ServiceFacts) -> Outcome | None:
     count = facts.get("NRestarts")
     if not count.isdecimal() or int(count) == 0:
         return None
-    what = f"{facts.unit} had to be started again {count} times"
+    what = f"{facts.unit} was restarted {count} times after a failure"
     return SUBJECT.warning("restarts", what, f"journalctl -u {facts.unit} -p warning")
 
 
-def _changed(facts: ServiceFacts) -> Outcome | None:
+def _changed_on_disk(facts: ServiceFacts) -> Outcome | None:
     if facts.get("NeedDaemonReload") != "yes":
         return None
     what = f"{facts.unit} has changed on disk since systemd read it"
