@@ -1,4 +1,6 @@
-"""Make the README's picture of the live view: python -m tests.watch.screenshot FILE [COLUMNS LINES].
+"""The README's picture of the live view.
+
+    python -m tests.watch.screenshot FILE [COLUMNS LINES [VIEW]]
 
 The vehicle is the simulated one, in simulated time: the same picture comes out every time.
 """
@@ -8,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from tests.watch import view_models as worlds
+from tests.watch import view_models
 from vcu_gateway.watch.app import WatchApp
 
 FONTS = "Fira Code, DejaVu Sans Mono, Menlo, Consolas, monospace"
@@ -16,7 +18,7 @@ FONTS = "Fira Code, DejaVu Sans Mono, Menlo, Consolas, monospace"
 
 async def draw(columns: int, lines: int, world: str = "limited") -> str:
     """The view as SVG that fetches nothing."""
-    app = WatchApp(worlds.Scripted(getattr(worlds, world)()))
+    app = WatchApp(view_models.Scripted(getattr(view_models, world)()))
     async with app.run_test(size=(columns, lines)) as pilot:
         await pilot.pause(0.5)
         svg = app.export_screenshot(title="vcu-gateway watch")

@@ -1,15 +1,15 @@
-"""The view on a source that is written by hand: python -m tests.watch.scripted_view [WORLD [moving]]."""
+"""The live view of a fixed source: python -m tests.watch.scripted_view [VIEW [moving]]."""
 
 import random
 import sys
 
-from tests.watch import view_models as worlds
-from vcu_gateway.watch.run import watch
+from tests.watch import view_models
+from vcu_gateway.watch.terminal import watch
 
 
-def shake(source: worlds.Scripted) -> None:
+def shake(source: view_models.Scripted) -> None:
     """Change every figure, as a drive does."""
-    state = source.picture.state
+    state = source.view.state
     for message in state["messages"].values() if state else ():
         for signal in message["signals"].values():
             signal["value"] = random.uniform(-100, 1000)
@@ -17,7 +17,7 @@ def shake(source: worlds.Scripted) -> None:
 
 if __name__ == "__main__":
     name = sys.argv[1] if len(sys.argv) > 1 else "driving"
-    source = worlds.Scripted(getattr(worlds, name)())
+    source = view_models.Scripted(getattr(view_models, name)())
     if "moving" in sys.argv:
         source.on_look = lambda: shake(source)
     watch(source, "vcu-gateway")

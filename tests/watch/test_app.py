@@ -3,13 +3,14 @@
 import asyncio
 import contextlib
 import re
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
 
 import pytest
 from textual.color import Color
 from textual.pilot import Pilot
 
-from tests.watch import view_models as worlds
+from tests.watch import view_models
 from tests.watch.screenshot import draw
 from vcu_gateway.watch import app as app_module
 from vcu_gateway.watch.app import WatchApp
@@ -22,7 +23,7 @@ BLACK = Color(0, 0, 0)
 class Shown:
     """The view and what is on its screen."""
 
-    def __init__(self, pilot: Pilot, source: worlds.Scripted) -> None:
+    def __init__(self, pilot: Pilot, source: view_models.Scripted) -> None:
         self.pilot = pilot
         self.source = source
 
@@ -48,7 +49,7 @@ class Shown:
 
 @contextlib.asynccontextmanager
 async def shown(size=(80, 24), source=None, **options) -> AsyncIterator[Shown]:
-    source = source or worlds.Scripted()
+    source = source or view_models.Scripted()
     app = WatchApp(source, refresh_hz=20, **options)
     async with app.run_test(size=size) as pilot:
         view = Shown(pilot, source)
@@ -56,7 +57,7 @@ async def shown(size=(80, 24), source=None, **options) -> AsyncIterator[Shown]:
         yield view
 
 
-def run(check: Callable[[Shown], object], **options: object) -> None:
+def run(check: Callable[[Shown], Awaitable[None]], **options: Any) -> None:
     async def run_it() -> None:
         async with shown(**options) as view:
             await check(view)
@@ -71,7 +72,7 @@ def test_title_mode_controllers_bus_signals_and_keys_are_on_the_screen(size):
         assert len(lines) == size[1]
         assert lines[0].startswith("vcu-gateway  can0 (socketcan) up")
         assert lines[1].startswith(" ACTIVE  demand of bench")
-        assert re.search(r"PCU1 told +reports", view.screen)
+        assert re.search(r"PCU1 commanded +reported", view.screen)
         assert "received" in view.screen
         assert re.search(r"ARD2_SteeringWheel +57 ms old +10\.0 Hz", view.screen)
         assert re.match(r"q quit .*\? help +1-\d+/\d+$", view.last_line)
@@ -126,19 +127,19 @@ def test_the_signals_scroll_by_line_by_page_and_to_either_end():
 
 def test_new_values_appear_by_themselves():
     async def check(view: Shown) -> None:
-        view.source.picture.state["messages"]["PCU1_Status2"]["signals"]["MotorSpeed"]["value"] = 7
+        view.source.view.state["messages"]["PCU1_Status2"]["signals"]["MotorSpeed"]["value"] = 7
         await view.until(lambda: re.search(r"speed rpm +max 12000 +7 ", view.screen))
 
     run(check)
 
 
 @pytest.mark.parametrize("key", ["space", "p"])
-def test_a_paused_picture_stands_still_until_it_goes_on(key):
+def test_a_paused_view_does_not_change_until_it_resumes(key):
     async def check(view: Shown) -> None:
         await view.press(key)
         await view.until(lambda: "PAUSED" in view.screen)
         looks = view.source.looks
-        view.source.picture = worlds.faulty()
+        view.source.view = view_models.faulty()
         await view.pilot.pause(0.2)
         assert view.source.looks == looks
         assert "ACTIVE" in view.screen
@@ -153,7 +154,7 @@ def test_a_paused_picture_stands_still_until_it_goes_on(key):
 
 def test_m_shows_one_message_after_the_other_and_then_all():
     async def check(view: Shown) -> None:
-        names = list(view.source.picture.state["messages"])
+        names = list(view.source.view.state["messages"])
         await view.press("m")
         await view.until(lambda: f"only {names[0]}" in view.last_line)
         assert names[1] not in view.screen
@@ -247,10 +248,10 @@ def test_escape_takes_the_question_back():
 
 def test_a_question_is_not_taken_back_by_an_earlier_one(monkeypatch):
     async def check(view: Shown) -> None:
-        monkeypatch.setattr(app_module, "_TOLD_S", 0.3)
+        monkeypatch.setattr(app_module, "_NOTICE_S", 0.3)
         await view.press("d")
         await view.until(lambda: "q quit" in view.last_line)  # its time is over
-        monkeypatch.setattr(app_module, "_TOLD_S", 4.0)
+        monkeypatch.setattr(app_module, "_NOTICE_S", 4.0)
         await view.press("d")
         await view.pilot.pause(2.0)
         await view.press("e")
@@ -303,15 +304,15 @@ def test_it_ends_by_itself_when_it_is_over():
         over.append(True)
         await view.until(lambda: not view.pilot.app.is_running)
 
-    run(check, over=lambda: bool(over))
+    run(check, finished=lambda: bool(over))
 
 
 def test_a_gateway_that_goes_away_and_comes_back_is_told_each_time():
     async def check(view: Shown) -> None:
-        view.source.picture = worlds.unreachable()
+        view.source.view = view_models.unreachable()
         await view.until(lambda: "NOT REACHABLE  since 14:03:11" in view.screen)
         assert re.search(r"SteeringAngle +\S+ deg +old", view.screen)
-        view.source.picture = worlds.driving()
+        view.source.view = view_models.driving()
         await view.until(lambda: "ACTIVE" in view.screen)
         assert not re.search(r"(?<!ms) old\b|^old", view.screen, re.MULTILINE)
 
@@ -322,11 +323,11 @@ def test_a_picture_that_does_not_change_writes_nothing():
     async def check(view: Shown) -> None:
         drawn: list[int] = []
         for lines in view.pilot.app.query(LinesWidget):
-            lines.refresh_line = drawn.append
+            lines.refresh_line = drawn.append  # type: ignore[assignment]
         looks = view.source.looks
         await view.until(lambda: view.source.looks >= looks + 3)
         assert drawn == []
-        view.source.picture.state["messages"]["BMS_Status"]["signals"]["SOC"]["value"] = 7
+        view.source.view.state["messages"]["BMS_Status"]["signals"]["SOC"]["value"] = 7
         await view.until(lambda: drawn)
         assert len(set(drawn)) == 1
 
@@ -357,21 +358,21 @@ def test_there_are_colours_but_with_no_color_none_at_all(monkeypatch):
         await view.press("slash")
         assert colours(view) == set()
 
-    run(coloured, source=worlds.Scripted(worlds.faulty()))
+    run(coloured, source=view_models.Scripted(view_models.faulty()))
     monkeypatch.setenv("NO_COLOR", "")
-    run(coloured, source=worlds.Scripted(worlds.faulty()))
+    run(coloured, source=view_models.Scripted(view_models.faulty()))
     monkeypatch.setenv("NO_COLOR", "1")
-    run(colourless, source=worlds.Scripted(worlds.faulty()))
+    run(colourless, source=view_models.Scripted(view_models.faulty()))
 
 
 def test_old_values_are_dim():
     async def check(view: Shown) -> None:
         strips = view.pilot.app.screen._compositor.render_strips()
-        for words in ("PCU1 told", "received", "SteeringAngle"):
+        for words in ("PCU1 commanded", "received", "SteeringAngle"):
             strip = next(strip for strip in strips if words in strip.text)
             assert all(one.style.dim for one in strip if one.text.strip())
 
-    run(check, source=worlds.Scripted(worlds.unreachable()))
+    run(check, source=view_models.Scripted(view_models.unreachable()))
 
 
 def test_the_readmes_picture_can_be_drawn_and_fetches_nothing():

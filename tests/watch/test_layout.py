@@ -1,4 +1,4 @@
-"""What stands on the page: everything important in 80 x 24, more where there is room."""
+"""The layout: everything important in 80 x 24, more where there is room."""
 
 import copy
 import re
@@ -6,7 +6,7 @@ import re
 import pytest
 from rich.text import Text
 
-from tests.watch import view_models as worlds
+from tests.watch import view_models
 from vcu_gateway.watch.bus import panel_lines, short_lines
 from vcu_gateway.watch.controllers import controller_lines
 from vcu_gateway.watch.formatting import cell, duration, wrapped
@@ -17,20 +17,26 @@ from vcu_gateway.watch.reasons import reason_lines
 from vcu_gateway.watch.signals import signal_lines
 from vcu_gateway.watch.view_model import ViewModel
 
-WORLDS = [worlds.driving, worlds.starting, worlds.faulty, worlds.unreachable, ViewModel]
+VIEWS = [
+    view_models.driving,
+    view_models.starting,
+    view_models.faulty,
+    view_models.unreachable,
+    ViewModel,
+]
 SIZES = [(80, 24), (120, 40), (100, 30), (160, 50), (40, 10)]
 
 
-def page(picture: ViewModel, width: int = 80, height: int = 24) -> str:
-    return text_of(upper_lines("vcu-gateway", picture, width, height))
+def page(view: ViewModel, width: int = 80, height: int = 24) -> str:
+    return text_of(upper_lines("vcu-gateway", view, width, height))
 
 
 def text_of(lines: list[Text]) -> str:
     return "\n".join(line.plain.rstrip() for line in lines) + "\n"
 
 
-def signals(picture: ViewModel, width: int = 80, wanted: str = "", old: bool = False) -> str:
-    return text_of(signal_lines(picture.state, width, wanted, old))
+def signals(view: ViewModel, width: int = 80, wanted: str = "", old: bool = False) -> str:
+    return text_of(signal_lines(view.state, width, wanted, old))
 
 
 def styles(lines: list[Text], words: str) -> str:
@@ -39,31 +45,31 @@ def styles(lines: list[Text], words: str) -> str:
     return " ".join([str(line.style), *(str(span.style) for span in line.spans)])
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", VIEWS)
 @pytest.mark.parametrize(("width", "height"), SIZES[:4])
 def test_nothing_is_wider_than_the_terminal(world, width, height):
-    picture = world()
-    lines = upper_lines("vcu-gateway", picture, width, height)
-    lines += signal_lines(picture.state, width)
+    view = world()
+    lines = upper_lines("vcu-gateway", view, width, height)
+    lines += signal_lines(view.state, width)
     assert max(line.cell_len for line in lines) <= width
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", VIEWS)
 def test_in_80_by_24_four_lines_are_left_for_signals_and_keys(world):
     assert len(upper_lines("vcu-gateway", world(), 80, 24)) <= 20
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", VIEWS)
 @pytest.mark.parametrize(("width", "height"), SIZES)
 def test_every_world_can_be_shown_in_every_size(world, width, height):
-    picture = world()
-    assert upper_lines("vcu-gateway", picture, width, height)
-    assert signal_lines(picture.state, width)
-    assert plain("vcu-gateway", picture).endswith("\n")
+    view = world()
+    assert upper_lines("vcu-gateway", view, width, height)
+    assert signal_lines(view.state, width)
+    assert plain("vcu-gateway", view).endswith("\n")
 
 
 def test_the_first_lines_say_what_where_mode_and_why():
-    first, second = page(worlds.driving()).splitlines()[:2]
+    first, second = page(view_models.driving()).splitlines()[:2]
     assert re.fullmatch(r"vcu-gateway  can0 \(socketcan\) up +pid 812  up 12:44", first)
     assert second == " ACTIVE  demand of bench; drive; disarm to end"
 
@@ -79,16 +85,16 @@ def test_the_first_lines_say_what_where_mode_and_why():
     ],
 )
 def test_the_mode_stands_in_its_colour_and_as_a_word(mode, style):
-    picture = worlds.driving()
-    picture.state["mode"] = mode
-    line = mode_lines(picture, 80, 2)[0]
+    view = view_models.driving()
+    view.state["mode"] = mode
+    line = mode_lines(view, 80, 2)[0]
     assert line.plain.startswith(f" {mode.upper()} ")
     assert style in str(line.spans[0].style)
 
 
 def test_commanded_stands_beside_actual():
-    table = text_of(controller_lines(worlds.driving().state, roomy=True))
-    assert re.search(r"PCU1 told +reports +PCU2 told +reports", table)
+    table = text_of(controller_lines(view_models.driving().state, roomy=True))
+    assert re.search(r"PCU1 commanded +reported +PCU2 commanded +reported", table)
     assert re.search(r"throttle % +40\.0 +40\.2 +40\.0 +40\.2", table)
     assert re.search(r"mode +turbo forward +turbo forward +turbo forward +turbo forward", table)
     assert re.search(r"speed rpm +max 12000 +3\d{3} +max 12000 +3\d{3}", table)
@@ -100,75 +106,75 @@ def test_commanded_stands_beside_actual():
 
 
 def test_a_power_cut_is_told_and_reported_as_such():
-    picture = worlds.driving()
-    picture.state["commands"]["PCU1"]["power_cut"] = True
-    picture.state["messages"]["PCU2_Status1"]["signals"]["PowerCut"]["raw"] = 1
-    table = text_of(controller_lines(picture.state, roomy=False))
+    view = view_models.driving()
+    view.state["commands"]["PCU1"]["power_cut"] = True
+    view.state["messages"]["PCU2_Status1"]["signals"]["PowerCut"]["raw"] = 1
+    table = text_of(controller_lines(view.state, roomy=False))
     assert re.search(r"mode +POWER CUT +turbo forward +turbo forward +POWER CUT", table)
 
 
 def test_regeneration_is_told_and_reported_beside_the_brake():
-    picture = worlds.driving()
-    picture.state["commands"]["PCU2"] |= {"brake_pct": 7.8, "regen_brake": True}
-    picture.state["messages"]["PCU1_Status1"]["signals"]["RegenBrake"]["raw"] = 1
-    table = text_of(controller_lines(picture.state, roomy=False))
+    view = view_models.driving()
+    view.state["commands"]["PCU2"] |= {"brake_pct": 7.8, "regen_brake": True}
+    view.state["messages"]["PCU1_Status1"]["signals"]["RegenBrake"]["raw"] = 1
+    table = text_of(controller_lines(view.state, roomy=False))
     assert re.search(r"brake % +0\.0 +regen 0\.0 +regen 7\.8 +0\.0", table)
 
 
 def test_a_controller_without_a_frame_is_silent():
-    picture = worlds.driving()
-    picture.state["commands"]["PCU1"]["frame"] = None
-    table = text_of(controller_lines(picture.state, roomy=True))
+    view = view_models.driving()
+    view.state["commands"]["PCU1"]["frame"] = None
+    table = text_of(controller_lines(view.state, roomy=True))
     assert re.search(r"frame +silent +0008A8D0#", table)
 
 
 @pytest.mark.parametrize("quality", ["out of range", "saturated", "stale"])
 def test_a_value_that_is_not_good_is_marked_whatever_the_colours(quality):
-    picture = worlds.driving()
-    picture.state["messages"]["PCU1_Status2"]["signals"]["MotorSpeed"]["quality"] = quality
-    table = text_of(controller_lines(picture.state, roomy=False))
+    view = view_models.driving()
+    view.state["messages"]["PCU1_Status2"]["signals"]["MotorSpeed"]["quality"] = quality
+    table = text_of(controller_lines(view.state, roomy=False))
     assert re.search(r"speed rpm +max 12000 +3\d{3}! +max 12000 +3\d{3}\n", table)
-    assert re.search(rf"MotorSpeed +3\d{{3}} rpm +{quality}\b", signals(picture))
+    assert re.search(rf"MotorSpeed +3\d{{3}} rpm +{quality}\b", signals(view))
 
 
 def test_the_power_is_marked_where_voltage_or_current_is_not_good():
     for name in ("BatteryVoltage", "BatteryCurrent"):
-        picture = worlds.driving()
-        picture.state["messages"]["PCU1_Status2"]["signals"][name]["quality"] = "stale"
-        table = text_of(controller_lines(picture.state, roomy=False))
+        view = view_models.driving()
+        view.state["messages"]["PCU1_Status2"]["signals"][name]["quality"] = "stale"
+        table = text_of(controller_lines(view.state, roomy=False))
         assert re.search(r"power W +max 60000 +5\d{3}! +max 60000 +5\d{3}\n", table)
 
 
 def test_what_was_never_received_is_a_dash_and_the_word_never():
-    picture = worlds.starting()
-    assert re.search(r"speed rpm +max 12000 +- +max 12000 +-\n", page(picture))
-    assert re.search(r"PCU1_Status2 +never +stale", signals(picture))
-    assert re.search(r"MotorSpeed +- rpm +never", signals(picture))
+    view = view_models.starting()
+    assert re.search(r"speed rpm +max 12000 +- +max 12000 +-\n", page(view))
+    assert re.search(r"PCU1_Status2 +never +stale", signals(view))
+    assert re.search(r"MotorSpeed +- rpm +never", signals(view))
 
 
 def test_every_signal_has_value_unit_and_quality_and_its_message_age_and_rate():
-    picture = worlds.driving()
-    listed = signals(picture)
+    view = view_models.driving()
+    listed = signals(view)
     assert re.search(r"BMS_Status +456 ms old +2\.0 Hz\n", listed)
     assert re.search(r"  PackVoltage +75\.\d\d V +good", listed)
     assert re.search(r"  SOC +80 % +good", listed)
     assert re.search(r"  VoltageLevel +low_to_high +good", listed)
     assert re.search(r"IMU_Acceleration +4 ms old +100\.0 Hz\n", listed)
-    names = {name for one in picture.state["messages"].values() for name in one["signals"]}
+    names = {name for one in view.state["messages"].values() for name in one["signals"]}
     assert all(f"  {name} " in listed for name in names)
 
 
 def test_a_good_value_is_green_by_its_word_alone_and_a_stale_one_is_red():
-    picture = worlds.faulty()
-    lines = signal_lines(picture.state, 80)
+    view = view_models.faulty()
+    lines = signal_lines(view.state, 80)
     assert "green" in styles(lines, "PackVoltage")
     assert "red" in styles(lines, "PowerMode")
     assert "green" not in styles(lines, "PowerMode")
 
 
 def test_two_columns_of_signals_hold_all_that_one_holds():
-    picture = worlds.driving()
-    one, two = (signal_lines(picture.state, width) for width in (80, 120))
+    view = view_models.driving()
+    one, two = (signal_lines(view.state, width) for width in (80, 120))
     assert len(two) <= len(one) / 2 + 13  # messages are not torn apart
     for line in one:
         words = line.plain.split()[0]
@@ -176,33 +182,33 @@ def test_two_columns_of_signals_hold_all_that_one_holds():
 
 
 def test_a_filter_shows_the_messages_and_signals_with_that_in_their_name():
-    picture = worlds.driving()
-    by_message = signals(picture, wanted="bms_temp")
+    view = view_models.driving()
+    by_message = signals(view, wanted="bms_temp")
     assert by_message.splitlines()[0].startswith("BMS_Temperatures")
     assert len(by_message.splitlines()) == 6
-    by_signal = signals(picture, wanted="motorspeed")
+    by_signal = signals(view, wanted="motorspeed")
     assert [line.split()[0] for line in by_signal.splitlines()] == [
         "PCU1_Status2",
         "MotorSpeed",
         "PCU2_Status2",
         "MotorSpeed",
     ]
-    assert "“xyz”" in signals(picture, wanted="xyz")
+    assert "“xyz”" in signals(view, wanted="xyz")
 
 
 def test_every_reason_is_there_with_its_effect_and_since_when():
-    text = page(worlds.faulty(), 120, 40)
+    text = page(view_models.faulty(), 120, 40)
     assert re.search(r"latched +until a service reset: BMS_Status.* 4\.3 s\n", text)
     assert re.search(r"cut +BMS_Status.Overtemperature 2 \(level2\) +3\.2 s\n", text)
     assert re.search(r"power limit +PCU1_Status1 1700 ms, stale +3\.2 s \(gone\)", text)
     assert re.search(r"alarm +ARD2_SteeringWheel never received, stale +3\.2 s\n", text)
     assert re.search(r"next +first: BMS_Status.*; then service reset\n", text)
-    sentence = worlds.faulty().why["sentence"].removeprefix("fault; ")
+    sentence = view_models.faulty().why["sentence"].removeprefix("fault; ")
     assert sentence in " ".join(text.split())
 
 
 def test_in_a_small_terminal_the_reasons_and_the_next_step_are_there_too():
-    text = page(worlds.faulty())
+    text = page(view_models.faulty())
     for label in ("latched", "cut", "power limit", "alarm"):
         assert re.search(rf"^{label} ", text, re.MULTILINE)
     told = " ".join(text.split())
@@ -210,12 +216,12 @@ def test_in_a_small_terminal_the_reasons_and_the_next_step_are_there_too():
 
 
 def test_what_is_waited_for_is_there():
-    text = page(worlds.starting())
+    text = page(view_models.starting())
     assert re.search(r"^wait +listening for another sender of our frames", text, re.MULTILINE)
 
 
 def test_reasons_that_have_no_room_are_counted():
-    why = worlds.faulty().why
+    why = view_models.faulty().why
     why["alarms"] *= 9
     lines = text_of(reason_lines(why, 80, 4)).splitlines()
     assert len(lines) == 4
@@ -223,7 +229,7 @@ def test_reasons_that_have_no_room_are_counted():
 
 
 def test_the_bus_is_told_in_counts_and_what_ought_to_be_0_stands_out():
-    healthy, broken = worlds.driving().health, worlds.faulty().health
+    healthy, broken = view_models.driving().health, view_models.faulty().health
     text = text_of(short_lines(broken))
     for words in ("up 12:43", "received 273294", "sent 30496", "rejected 4", "dropped 12"):
         assert words in text
@@ -233,7 +239,7 @@ def test_the_bus_is_told_in_counts_and_what_ought_to_be_0_stands_out():
 
 
 def test_where_there_is_room_the_reasons_behind_the_counts_are_told():
-    text = text_of(panel_lines(worlds.faulty().health, 60))
+    text = text_of(panel_lines(view_models.faulty().health, 60))
     assert re.search(r"rejected +unknown 3, length 1", text)
     assert re.search(r"confirmed +PCU1 15248, PCU2 15248", text)
 
@@ -243,7 +249,7 @@ def test_where_there_is_room_the_reasons_behind_the_counts_are_told():
     [("up", "green"), ("error warning", "yellow"), ("error passive", "red"), ("bus off", "red")],
 )
 def test_the_link_stands_in_its_colour_and_as_a_word(state, style):
-    health = worlds.driving().health
+    health = view_models.driving().health
     health["link"]["state"] = state
     for lines in (short_lines(health), panel_lines(health, 60)):
         assert state in lines[0].plain
@@ -251,21 +257,21 @@ def test_the_link_stands_in_its_colour_and_as_a_word(state, style):
 
 
 def test_a_lost_link_says_why():
-    health = worlds.driving().health
+    health = view_models.driving().health
     health["link"] |= {"state": "lost", "lost": "can0 is down"}
     assert "can0 is down" in panel_lines(health, 60)[0].plain
 
 
 def test_a_gateway_that_has_gone_is_said_to_be_and_its_values_are_old():
-    text = page(worlds.unreachable())
+    text = page(view_models.unreachable())
     assert " NOT REACHABLE  since 14:03:11, trying again: /run/vcu" in text
     assert "old values" in text
     for size in ((80, 24), (120, 40)):
-        lines = upper_lines("vcu-gateway", worlds.unreachable(), *size)
-        assert styles(lines, "PCU1 told") == "dim"
+        lines = upper_lines("vcu-gateway", view_models.unreachable(), *size)
+        assert styles(lines, "PCU1 commanded") == "dim"
         assert not re.search("green|red", styles(lines, "received"))
     assert "ACTIVE" not in text
-    listed = signals(worlds.unreachable(), old=True)
+    listed = signals(view_models.unreachable(), old=True)
     assert re.search(r"PackVoltage +75\.\d\d V +old", listed)
     assert not re.search(r"good$|ms old|Hz", listed, re.MULTILINE)
 
@@ -275,12 +281,12 @@ def test_before_the_first_answer_it_says_that_it_waits():
 
 
 def test_a_picture_that_stands_still_says_so():
-    assert "PAUSED" in title_line("vcu-gateway", worlds.driving(), 80, paused=True).plain
+    assert "PAUSED" in title_line("vcu-gateway", view_models.driving(), 80, paused=True).plain
 
 
 def test_as_plain_text_the_sentence_is_whole_and_no_word_is_torn():
-    text = plain("vcu-gateway demo", worlds.faulty())
-    assert worlds.faulty().why["sentence"] in " ".join(text.split())
+    text = plain("vcu-gateway demo", view_models.faulty())
+    assert view_models.faulty().why["sentence"] in " ".join(text.split())
     assert re.search(r"ARD2_SteeringWheel +never ", text)
     assert re.search(r"PCU1_Status2 +49 +20\.0  .*MotorSpeed 3\d{3} rpm", text, re.DOTALL)
     assert "MotorSpeed 6400 rpm!" in text
@@ -320,7 +326,7 @@ def test_a_long_sentence_ends_with_an_ellipsis():
     assert wrapped("", 40, 2) == [""]
 
 
-def test_the_worlds_are_not_shared():
-    before = copy.deepcopy(worlds.driving())
-    worlds.faulty()
-    assert worlds.driving() == before
+def test_the_view_models_are_not_shared():
+    before = copy.deepcopy(view_models.driving())
+    view_models.faulty()
+    assert view_models.driving() == before

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.watch import view_models as worlds
+from tests.watch import view_models
 from vcu_gateway.watch import poller
 from vcu_gateway.watch.poller import GatewaySource
 from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel
@@ -23,7 +23,7 @@ class Gateway:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.picture = worlds.driving()
+        self.view = view_models.driving()
         self.requests: list[str] = []
         self.error: dict[str, object] | None = None
         self._connections: list[socket.socket] = []
@@ -57,8 +57,8 @@ class Gateway:
     def _answer(self, method: str) -> dict[str, object]:
         if self.error is not None:
             return {"error": self.error}
-        picture = self.picture
-        results = {"state.get": picture.state, "why": picture.why, "health": picture.health}
+        view = self.view
+        results = {"state.get": view.state, "why": view.why, "health": view.health}
         return {"result": results.get(method, {"granted": True, "mode": "standby"})}
 
 
@@ -78,42 +78,42 @@ def gateway(path: Path) -> Iterator[Gateway]:
 
 
 def seen(source: GatewaySource, wanted: Callable[[ViewModel], object]) -> ViewModel:
-    """The first picture like this, however slow this machine is."""
+    """The first view like this, however slow this machine is."""
     end_s = time.monotonic() + WAIT_S
     while time.monotonic() < end_s:
-        picture = source.latest()
-        if wanted(picture):
-            return picture
+        view = source.latest()
+        if wanted(view):
+            return view
         time.sleep(0.01)
-    raise AssertionError(f"not seen, but {source.latest().trouble}")
+    raise AssertionError(f"not seen, but {source.latest().problem}")
 
 
 def test_state_why_and_health_are_what_the_gateway_says(path):
     with gateway(path) as made, GatewaySource(path) as source:
-        assert seen(source, lambda picture: picture.state) == made.picture
+        assert seen(source, lambda view: view.state) == made.view
 
 
 def test_new_values_arrive(path):
     with gateway(path) as made, GatewaySource(path) as source:
-        seen(source, lambda picture: picture.state)
-        made.picture.state["monotonic_ns"] = 1
-        made.picture.health["frames"]["sent"] = 2
-        picture = seen(source, lambda picture: picture.state["monotonic_ns"] == 1)
-        assert picture.trouble is None
-        seen(source, lambda picture: picture.health["frames"]["sent"] == 2)
+        seen(source, lambda view: view.state)
+        made.view.state["monotonic_ns"] = 1
+        made.view.health["frames"]["sent"] = 2
+        view = seen(source, lambda view: view.state["monotonic_ns"] == 1)
+        assert view.problem is None
+        seen(source, lambda view: view.health["frames"]["sent"] == 2)
 
 
 def test_a_new_mode_is_explained_at_once(path, monkeypatch):
-    monkeypatch.setattr(poller, "_REST_EVERY_S", 3600)
+    monkeypatch.setattr(poller, "_REST_PERIOD_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
-        seen(source, lambda picture: picture.state)
-        made.picture = worlds.faulty()
-        picture = seen(source, lambda picture: picture.state["mode"] == "fault")
-        assert picture.why["mode"] == "fault"
+        seen(source, lambda view: view.state)
+        made.view = view_models.faulty()
+        view = seen(source, lambda view: view.state["mode"] == "fault")
+        assert view.why["mode"] == "fault"
 
 
 def test_the_state_is_asked_for_more_often_than_the_rest(path, monkeypatch):
-    monkeypatch.setattr(poller, "_REST_EVERY_S", 3600)
+    monkeypatch.setattr(poller, "_REST_PERIOD_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
         seen(source, lambda _: made.requests.count("state.get") >= 3)
     assert made.requests.count("why") == made.requests.count("health") == 1
@@ -121,43 +121,43 @@ def test_the_state_is_asked_for_more_often_than_the_rest(path, monkeypatch):
 
 def test_a_gateway_that_is_not_there_yet_is_waited_for(path):
     with GatewaySource(path) as source:
-        before = seen(source, lambda picture: picture.trouble)
+        before = seen(source, lambda view: view.problem)
         assert before.state is None
-        assert str(path) in before.trouble.sentence
+        assert str(path) in before.problem.sentence
         with gateway(path):
-            assert seen(source, lambda picture: picture.state).trouble is None
+            assert seen(source, lambda view: view.state).problem is None
 
 
 def test_a_gateway_that_goes_away_is_told_with_the_time_and_found_again(path):
     with GatewaySource(path) as source:
         with gateway(path):
-            seen(source, lambda picture: picture.state)
-        first = seen(source, lambda picture: picture.trouble)
+            seen(source, lambda view: view.state)
+        first = seen(source, lambda view: view.problem)
         assert first.state is not None
-        later = seen(source, lambda picture: picture is not first)
-        assert later.trouble.since == first.trouble.since
+        later = seen(source, lambda view: view is not first)
+        assert later.problem.since == first.problem.since
         with gateway(path):
-            assert seen(source, lambda picture: picture.trouble is None).state is not None
+            assert seen(source, lambda view: view.problem is None).state is not None
 
 
-def test_an_error_of_the_gateway_is_trouble_and_passes(path, monkeypatch):
-    monkeypatch.setattr(poller, "_REST_EVERY_S", 3600)
+def test_an_error_of_the_gateway_is_a_problem_and_passes(path, monkeypatch):
+    monkeypatch.setattr(poller, "_REST_PERIOD_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
-        seen(source, lambda picture: picture.state)
+        seen(source, lambda view: view.state)
         made.error = {"code": -32004, "message": "the gateway is ending", "data": {}}
-        assert seen(source, lambda picture: picture.trouble).trouble.sentence.endswith("is ending")
+        assert seen(source, lambda view: view.problem).problem.sentence.endswith("is ending")
         made.error = None
-        seen(source, lambda picture: picture.trouble is None)
+        seen(source, lambda view: view.problem is None)
 
 
-def test_a_gateway_of_another_version_is_trouble_and_no_traceback(path):
+def test_a_gateway_of_another_version_is_a_problem_and_no_traceback(path):
     with gateway(path) as made, GatewaySource(path) as source:
-        seen(source, lambda picture: picture.state)
-        made.picture.state["mode"] = "flying"
-        assert "another version" in seen(source, lambda picture: picture.trouble).trouble.sentence
-        made.picture = worlds.driving()
-        del made.picture.why["waits"]
-        seen(source, lambda picture: picture.trouble and "Why" in picture.trouble.sentence)
+        seen(source, lambda view: view.state)
+        made.view.state["mode"] = "flying"  # type: ignore[typeddict-item]
+        assert "another version" in seen(source, lambda view: view.problem).problem.sentence
+        made.view = view_models.driving()
+        del made.view.why["waits"]  # type: ignore[misc]
+        seen(source, lambda view: view.problem and "Why" in view.problem.sentence)
 
 
 @pytest.mark.parametrize("what", ["estop", "disarm"])

@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -136,7 +137,7 @@ def test_a_gateway_that_is_not_there_is_waited_for(tmp_path):
         assert b"Traceback" not in view.output
 
 
-def vcu(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
+def vcu(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "vcu_gateway", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=90, cwd=ROOT, **options)
 

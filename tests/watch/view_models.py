@@ -1,10 +1,11 @@
-"""Pictures to look at: the core driving the simulated vehicle, as the API would tell it."""
+"""View models for tests: the core driving the simulated vehicle, as the API reports it."""
 
 import copy
 import functools
 import threading
 from collections.abc import Callable
 from datetime import datetime
+from typing import Any
 
 from tests.simulator.driving import CRUISE, S_NS, START_NS
 from vcu_gateway import simulator
@@ -21,6 +22,7 @@ from vcu_gateway.watch.view_model import SourceProblem, SourceRefusedError, View
 HEALTH: Health = {
     "pid": 812,
     "uptime_ms": 764_000.0,
+    "start_time_s": 1_700_000_000.0,
     "starts": 1,
     "unexpected_restarts": 0,
     "config_file": "/etc/vcu-gateway/gateway.yaml",
@@ -43,6 +45,7 @@ HEALTH: Health = {
         "lateness_p99_us": 223.0,
         "lateness_max_us": 238.0,
         "lateness_ticks": 1200,
+        "lateness_histogram": [],
     },
     "frames": {
         "received": 273_294,
@@ -69,6 +72,13 @@ HEALTH: Health = {
         "lost_updates": 0,
     },
     "log_lines_dropped": 0,
+    "process": {
+        "cpu_time_s": 31.5,
+        "resident_memory_bytes": 60_000_000,
+        "virtual_memory_bytes": 300_000_000,
+        "open_fds": 16,
+        "max_fds": 1024,
+    },
     "versions": {
         "vcu_gateway": "0.1.0",
         "python": "3.11.7",
@@ -87,16 +97,16 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
     while now_ns < START_NS + seconds * S_NS:
         now_ns = min(tick_ns, nodes.next_due_ns())
         for frame in nodes.due(now_ns):
-            gateway.intake.receive(Frame(frame.can_id, frame.data, now_ns))
+            gateway.receive(Frame(frame.can_id, frame.data, now_ns))
         if now_ns == tick_ns:
             result = gateway.tick(now_ns)
             for sent in result.frames:
                 gateway.sent(sent, True, now_ns)
-                gateway.intake.receive(Frame(sent.can_id, sent.data, now_ns, own_echo=True))
+                gateway.receive(Frame(sent.can_id, sent.data, now_ns, own_echo=True))
                 nodes.receive(sent.can_id, sent.data, now_ns)
             tick_ns += gateway.settings.period_ns
     why = gateway.why(result.snapshot.now_ns)
-    state = views.state(result.snapshot, LastTick(result, why))
+    state = views.state(result.snapshot, LastTick(result, why), None)
     return ViewModel(state, views.why(why), HEALTH)
 
 
@@ -115,7 +125,7 @@ def starting() -> ViewModel:
     return copy.deepcopy(_driven(0.06))
 
 
-def cause(effect: str = "stop", **changes: object) -> Cause:
+def cause(effect: str = "stop", **changes: Any) -> Cause:
     """One reason as the API tells it."""
     made = {
         "cause": "stale",
@@ -130,8 +140,8 @@ def cause(effect: str = "stop", **changes: object) -> Cause:
 
 def faulty() -> ViewModel:
     """Latched, with reasons of every kind, and counts that ought to be 0."""
-    picture = driving()
-    state, why, health = picture.state, picture.why, picture.health
+    view = driving()
+    state, why, health = view.state, view.why, view.health
     assert state is not None
     assert why is not None
     assert health is not None
@@ -169,24 +179,24 @@ def faulty() -> ViewModel:
     }
     health["frames"] |= {"rejected": {"unknown": 3, "length": 1}, "dropped": 12}
     health["ticks"]["skipped"] = 2
-    return picture
+    return view
 
 
 def unreachable() -> ViewModel:
     """The gateway that drove has gone."""
     gone = driving()
-    trouble = SourceProblem(
+    problem = SourceProblem(
         "/run/vcu-gateway/control.sock: Connection refused; is the gateway running?",
         datetime(2026, 5, 4, 14, 3, 11),
     )
-    return ViewModel(gone.state, gone.why, gone.health, trouble)
+    return ViewModel(gone.state, gone.why, gone.health, problem)
 
 
 class Scripted:
-    """A source that shows what it is told to, and notes what was asked of it."""
+    """View source with a settable view model, which records the requests."""
 
-    def __init__(self, picture: ViewModel | None = None) -> None:
-        self.picture = driving() if picture is None else picture
+    def __init__(self, view: ViewModel | None = None) -> None:
+        self.view = driving() if view is None else view
         self.asked: list[str] = []
         self.refusal = ""
         self.may_answer = threading.Event()
@@ -197,7 +207,7 @@ class Scripted:
     def latest(self) -> ViewModel:
         self.looks += 1
         self.on_look()
-        return self.picture
+        return self.view
 
     def estop(self) -> None:
         self._ask("estop")

@@ -52,7 +52,7 @@ def command(duration_s: float | None, throttle_pct: float, battery_speedup: floa
         from vcu_gateway.watch import terminal
         from vcu_gateway.watch.plain_text import plain
         from vcu_gateway.watch.poller import GatewaySource
-        from vcu_gateway.watch.run import watch
+        from vcu_gateway.watch.terminal import watch
     real = vcan0_is_up()
     interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
     wanted = DemoOptions(interface, channel, throttle_pct, battery_speedup, duration_s)

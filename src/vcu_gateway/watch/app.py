@@ -1,4 +1,4 @@
-"""The view on a terminal: filled a few times a second, and its keys."""
+"""Textual app of the live view: refresh, keys, emergency stop and disarm."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -21,11 +21,11 @@ from vcu_gateway.watch.signals import signal_lines
 from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel, ViewSource
 
 REFRESH_HZ = 5.0
-_TOLD_S = 6.0
+_NOTICE_S = 6.0
 
 
 class Colourless(LineFilter):
-    """Takes every colour out; bold, dim and reverse stay."""
+    """Line filter for NO_COLOR: removes colours; bold, dim and reverse stay."""
 
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
         """The same text without colour."""
@@ -37,13 +37,13 @@ class Colourless(LineFilter):
 
 
 class WatchApp(App[None]):
-    """One picture, again and again.
+    """Live view of one source.
 
     Args:
-        source: where the picture comes from.
-        title: what is shown, for the first line.
-        over: True when the view is to end by itself.
-        refresh_hz: looks at the source a second.
+        source: polled `refresh_hz` times a second.
+        title: name of the program, for the first line.
+        finished: True once the view is to end by itself.
+        refresh_hz: refreshes a second.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -79,20 +79,20 @@ class WatchApp(App[None]):
         self,
         source: ViewSource,
         title: str = "vcu-gateway",
-        over: Callable[[], bool] = lambda: False,
+        finished: Callable[[], bool] = lambda: False,
         refresh_hz: float = REFRESH_HZ,
     ) -> None:
         super().__init__(ansi_color=True)
         self.animation_level = "none"
         self._source = source
-        self._heading = title
-        self._over = over
+        self._program_title = title
+        self._finished = finished
         self._refresh_s = 1 / refresh_hz
-        self._picture = ViewModel()
+        self._view = ViewModel()
         self._paused = False
         self._filter = ""
-        self._asked = ""
-        self._told = ""
+        self._pending = ""
+        self._notice = ""
         # Held here: at the end a timer may still fire when the screen has no widgets any more.
         self._upper, self._signals, self._keys = (
             LinesWidget("upper"),
@@ -107,23 +107,23 @@ class WatchApp(App[None]):
         return [Colourless()] if os.environ.get("NO_COLOR") else []
 
     def compose(self) -> ComposeResult:
-        """Help or page, the signals, and the line of keys or of the text to find."""
+        """Help or upper lines, the signals, and the line of hints or of the text to find."""
         yield from (self._help, self._upper, self._signals, self._keys, self._find)
 
     def on_mount(self) -> None:
-        """Begin to look."""
+        """Start refreshing."""
         self.screen.set_focus(self._signals)
-        self._forgetting = self.set_timer(_TOLD_S, self._forget)
-        self.set_interval(self._refresh_s, self._look)
-        self._look()
+        self._notice_timer = self.set_timer(_NOTICE_S, self._clear_notice)
+        self.set_interval(self._refresh_s, self._refresh_view)
+        self._refresh_view()
 
-    def _look(self) -> None:
-        if self._over():
+    def _refresh_view(self) -> None:
+        if self._finished():
             self.exit()
         elif self._paused:
             self._show_hints()
         else:
-            self._picture = self._source.latest()
+            self._view = self._source.latest()
             self._show()
 
     def on_resize(self, event: Resize) -> None:
@@ -133,25 +133,25 @@ class WatchApp(App[None]):
 
     def _show(self) -> None:
         width, height = self.size
-        page = upper_lines(self._heading, self._picture, width, height, self._paused)
-        old = self._picture.trouble is not None
-        rows = signal_lines(self._picture.state, width, self._filter, old)
-        self._upper.styles.height = len(page)
-        self._upper.show(page)
+        upper = upper_lines(self._program_title, self._view, width, height, self._paused)
+        old = self._view.problem is not None
+        rows = signal_lines(self._view.state, width, self._filter, old)
+        self._upper.styles.height = len(upper)
+        self._upper.show(upper)
         self._signals.show(rows)
         self._show_hints()
 
     def _show_hints(self) -> None:
-        where = self._signals.where()
-        room = self.size.width - len(where) - 1
-        hints = line(cell(self._hints(), room), " ", where)
+        position = self._signals.position()
+        room = self.size.width - len(position) - 1
+        hints = line(cell(self._hints(), room), " ", position)
         self._keys.show([hints])
 
     def _hints(self) -> Text:
-        if self._asked:
-            return Text(keys.confirmation(self._asked), "bold reverse")
-        if self._told:
-            return Text(self._told, "bold")
+        if self._pending:
+            return Text(keys.confirmation(self._pending), "bold reverse")
+        if self._notice:
+            return Text(self._notice, "bold")
         if self._filter:
             return Text(f"only {self._filter}: Esc shows all, m the next message, / find another")
         return Text(keys.HINTS, "dim")
@@ -159,7 +159,7 @@ class WatchApp(App[None]):
     # Keys
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """While a text to find is written, most keys are letters of it."""
+        """While a search text is typed, most keys are letters of it."""
         del parameters
         if self._find.display:
             return action in ("quit", "keep", "leave")
@@ -170,19 +170,19 @@ class WatchApp(App[None]):
         self.exit()
 
     def action_pause(self) -> None:
-        """Let the picture stand still, or go on."""
+        """Freeze the view, or resume."""
         self._paused = not self._paused
         self._show()
 
     def action_step(self, step: int) -> None:
         """Show the next message alone; all of them after the last."""
-        state = self._picture.state
+        state = self._view.state
         choices = ["", *(state["messages"] if state else ())]
         now = choices.index(self._filter) if self._filter in choices else 0
-        self._show_only(choices[(now + step) % len(choices)])
+        self._set_filter(choices[(now + step) % len(choices)])
 
-    def _show_only(self, wanted: str) -> None:
-        self._filter = wanted
+    def _set_filter(self, text: str) -> None:
+        self._filter = text
         self._signals.scroll_home(animate=False)
         self._show()
 
@@ -194,23 +194,23 @@ class WatchApp(App[None]):
         self.screen.set_focus(self._find)
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Show what has it in its name while it is written."""
-        self._show_only(event.value.strip())
+        """Filter signals by the text while it is typed."""
+        self._set_filter(event.value.strip())
 
     def action_keep(self) -> None:
-        """Keep what was found."""
+        """Keep the filter."""
         self._keys.display, self._find.display = True, False
         self.screen.set_focus(self._signals)
 
     def action_leave(self) -> None:
-        """End whatever was begun: question, help, finding, filter."""
-        self._asked = self._told = ""
+        """Cancel question, help, search and filter."""
+        self._pending = self._notice = ""
         self._show_help(False)
         self.action_keep()
-        self._show_only("")
+        self._set_filter("")
 
     def action_help(self) -> None:
-        """Show what the keys do, or end that."""
+        """Show or hide the help."""
         self._show_help(not self._help.display)
 
     def _show_help(self, shown: bool) -> None:
@@ -222,16 +222,16 @@ class WatchApp(App[None]):
     # Stopping
 
     def action_ask(self, what: str) -> None:
-        """Ask before stopping: a key is pressed easily."""
-        self._say("", asked=what)
+        """Ask for confirmation: a key is pressed easily."""
+        self._show_notice("", pending=what)
 
     def action_confirm(self, what: str) -> None:
-        """Stop, if that was asked for a moment ago."""
-        if self._asked == what:
-            self._say(f"{keys.NAMES[what]} ...")
-            self.run_worker(lambda: self._stop(what), thread=True)
+        """Send the request whose confirmation is pending."""
+        if self._pending == what:
+            self._show_notice(f"{keys.NAMES[what]} ...")
+            self.run_worker(lambda: self._send_request(what), thread=True)
 
-    def _stop(self, what: str) -> None:
+    def _send_request(self, what: str) -> None:
         request = {"estop": self._source.estop, "disarm": self._source.disarm}[what]
         try:
             request()
@@ -239,14 +239,14 @@ class WatchApp(App[None]):
             answer = f"{keys.NAMES[what]} not granted: {refusal}"
         else:
             answer = f"{keys.NAMES[what]} granted"
-        self.call_from_thread(lambda: self._say(answer, self._asked))
+        self.call_from_thread(lambda: self._show_notice(answer, self._pending))
 
-    def _say(self, words: str, asked: str = "") -> None:
-        self._told, self._asked = words, asked
-        self._forgetting.stop()  # that of the words before
-        self._forgetting = self.set_timer(_TOLD_S, self._forget)
+    def _show_notice(self, notice: str, pending: str = "") -> None:
+        self._notice, self._pending = notice, pending
+        self._notice_timer.stop()  # of the notice before
+        self._notice_timer = self.set_timer(_NOTICE_S, self._clear_notice)
         self._show_hints()
 
-    def _forget(self) -> None:
-        self._asked = self._told = ""
+    def _clear_notice(self) -> None:
+        self._pending = self._notice = ""
         self._show_hints()

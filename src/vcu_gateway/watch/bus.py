@@ -1,4 +1,4 @@
-"""The bus, the ticks and the API in figures: three lines, or a panel where there is room."""
+"""Figures of bus, ticks and API: three lines, or a panel where there is room."""
 
 from collections.abc import Mapping
 
@@ -8,12 +8,12 @@ from vcu_gateway.api.results import FrameCounts, Health
 from vcu_gateway.watch.formatting import ABSENT, cell, duration, line, milliseconds
 
 PANEL_COLUMNS = 44
-"""The least that the panel needs."""
+"""Least width of the panel."""
 
 _LABEL_COLUMNS = 10
 _FIGURE_COLUMNS = 17
 _LINK_STYLES = {"up": "green", "error warning": "yellow"}
-_BAD = "bold yellow"
+_BAD_STYLE = "bold yellow"
 
 
 def short_lines(health: Health | None) -> list[Text]:
@@ -23,17 +23,17 @@ def short_lines(health: Health | None) -> list[Text]:
     frames, ticks = health["frames"], health["ticks"]
     first = [
         _link(health),
-        _figure("received", frames["received"]),
-        _figure("sent", frames["sent"]),
-        _wrong("rejected", sum(frames["rejected"].values())),
+        _count("received", frames["received"]),
+        _count("sent", frames["sent"]),
+        _bad("rejected", sum(frames["rejected"].values())),
     ]
     second = [
-        _wrong("unsent", sum(frames["unsent"].values())),
-        _wrong("dropped", frames["dropped"]),
-        _wrong("foreign", sum(frames["foreign_commands"].values())),
-        _wrong("blocked", sum(frames["blocked_by_gate"].values())),
+        _bad("unsent", sum(frames["unsent"].values())),
+        _bad("dropped", frames["dropped"]),
+        _bad("foreign", sum(frames["foreign_commands"].values())),
+        _bad("blocked", sum(frames["blocked_by_gate"].values())),
     ]
-    third = [_figure("done", ticks["done"]), _wrong("skipped", ticks["skipped"])]
+    third = [_count("done", ticks["done"]), _bad("skipped", ticks["skipped"])]
     third.append(line("late ms ", _lateness(health)))
     return [_row("bus", first), _row("", second), _row("ticks", third)]
 
@@ -49,7 +49,7 @@ def panel_lines(health: Health | None, width: int) -> list[Text]:
         ("bus", bus if link["lost"] is None else Text(link["lost"], "red")),
         ("received", Text(f"{frames['received']}, {_out_of_order(frames)}")),
         ("rejected", _counted(frames["rejected"])),
-        ("dropped", _wrong("by the kernel", frames["dropped"])),
+        ("dropped", _bad("by the kernel", frames["dropped"])),
         ("sent", Text(str(frames["sent"]))),
         ("confirmed", Text(_listed(dict(frames["confirmed"].items())))),
         ("unsent", _counted(frames["unsent"])),
@@ -58,7 +58,8 @@ def panel_lines(health: Health | None, width: int) -> list[Text]:
         (
             "ticks",
             line(
-                f"{ticks['done']}, silent {ticks['silent']}, ", _wrong("skipped", ticks["skipped"])
+                f"{ticks['done']}, silent {ticks['silent']}, ",
+                _bad("skipped", ticks["skipped"]),
             ),
         ),
         ("late ms", _lateness(health)),
@@ -88,14 +89,14 @@ def _link_style(health: Health) -> str:
     return _LINK_STYLES.get(health["link"]["state"], "bold red")
 
 
-def _figure(word: str, count: int | None) -> Text:
+def _count(word: str, count: int | None) -> Text:
     return Text(f"{word} {ABSENT if count is None else count}")
 
 
-def _wrong(word: str, count: int | None) -> Text:
-    """A count that ought to be 0."""
-    figure = _figure(word, count)
-    figure.stylize(_BAD if count else "")
+def _bad(word: str, count: int | None) -> Text:
+    """A count that is 0 in good order."""
+    figure = _count(word, count)
+    figure.stylize(_BAD_STYLE if count else "")
     return figure
 
 
@@ -109,7 +110,7 @@ def _lateness(health: Health) -> Text:
 
 def _counted(counts: Mapping[str, int]) -> Text:
     listed = _listed({reason: count for reason, count in counts.items() if count})
-    return Text(listed, _BAD) if listed else Text("0")
+    return Text(listed, _BAD_STYLE) if listed else Text("0")
 
 
 def _listed(counts: Mapping[str, int]) -> str:

@@ -1,4 +1,4 @@
-"""What each controller was told, beside what it reports."""
+"""Table of the controllers: commanded beside reported values."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from vcu_gateway.watch.formatting import ABSENT, cell, line, number
 from vcu_gateway.watch.quality import marked
 
 COLUMNS = 74
-"""How wide the table is."""
+"""Width of the table."""
 
 _LABEL_COLUMNS = 10
 _CELL_COLUMNS = 16
@@ -18,7 +18,7 @@ _NAMES: tuple[ControllerName, ControllerName] = ("PCU1", "PCU2")
 
 
 class ControllerReports:
-    """The signals of one controller, by name and message kind."""
+    """Reported signals of one controller, by message kind and name."""
 
     def __init__(self, state: State, controller: ControllerName) -> None:
         self._messages = state["messages"]
@@ -50,30 +50,30 @@ class ControllerReports:
 
 
 class ControllerRow(NamedTuple):
-    """One line of the table: how to say what was told, and what is reported."""
+    """One row of the table: label, text of the command, text of the report."""
 
     label: str
-    told: Callable[[SentCommand], str]
+    commanded: Callable[[SentCommand], str]
     reported: Callable[[ControllerReports], Text]
 
 
-def _mode(reports: ControllerReports) -> Text:
+def _reported_mode(reports: ControllerReports) -> Text:
     if reports.is_set("PowerCut"):
         return Text("POWER CUT", "bold red")
     return line(reports.word("PowerMode"), " ", reports.word("MotorReverse"))
 
 
-def _mode_told(command: SentCommand) -> str:
+def _commanded_mode(command: SentCommand) -> str:
     if command["power_cut"]:
         return "POWER CUT"
     return f"{command['power_mode']} {'reverse' if command['motor_reverse'] else 'forward'}"
 
 
-def _brake_told(command: SentCommand) -> str:
+def _commanded_brake(command: SentCommand) -> str:
     return f"{'regen ' if command['regen_brake'] else ''}{command['brake_pct']:.1f}"
 
 
-def _brake(reports: ControllerReports) -> Text:
+def _reported_brake(reports: ControllerReports) -> Text:
     regen = "regen " if reports.is_set("RegenBrake") else ""
     return line(regen, reports.figure("Status1", "Brake", 1))
 
@@ -110,8 +110,8 @@ _ROWS = (
         lambda c: f"{c['throttle_pct']:.1f}",
         lambda r: r.figure("Status1", "Throttle", 1),
     ),
-    ControllerRow("brake %", _brake_told, _brake),
-    ControllerRow("mode", _mode_told, _mode),
+    ControllerRow("brake %", _commanded_brake, _reported_brake),
+    ControllerRow("mode", _commanded_mode, _reported_mode),
     ControllerRow(
         "speed rpm",
         lambda c: f"max {c['speed_limit_rpm']:.0f}",
@@ -130,14 +130,14 @@ _MORE_ROWS = (
 
 
 def controller_lines(state: State | None, roomy: bool, old: bool = False) -> list[Text]:
-    """The table, with more lines where there is room; `old` where the gateway has gone."""
+    """The table; more rows where `roomy`, marked `old` while the gateway is not reachable."""
     rows = _ROWS + _MORE_ROWS if roomy else _ROWS
     lines = [_header(old), *(_line(row, state) for row in rows)]
     return [*lines, _frames(state)] if roomy else lines
 
 
 def _header(old: bool) -> Text:
-    heads = [head for name in _NAMES for head in (f"{name} told", "reports")]
+    heads = [head for name in _NAMES for head in (f"{name} commanded", "reported")]
     cells = [cell(head, _CELL_COLUMNS, "bold", ">") for head in heads]
     return line(cell("old values" if old else "", _LABEL_COLUMNS), *cells)
 
@@ -146,7 +146,7 @@ def _line(row: ControllerRow, state: State | None) -> Text:
     cells: list[Text] = []
     for name in _NAMES:
         command = state["commands"].get(name) if state else None
-        cells.append(cell(row.told(command) if command else ABSENT, _CELL_COLUMNS, align=">"))
+        cells.append(cell(row.commanded(command) if command else ABSENT, _CELL_COLUMNS, align=">"))
         reported = row.reported(ControllerReports(state, name)) if state else Text(ABSENT, "dim")
         cells.append(cell(reported, _CELL_COLUMNS, align=">"))
     return line(cell(row.label, _LABEL_COLUMNS, "dim"), *cells)

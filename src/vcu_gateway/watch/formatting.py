@@ -1,4 +1,4 @@
-"""Figures and columns: how a value stands in its cell."""
+"""Formatting of values and cells."""
 
 import textwrap
 from typing import Literal
@@ -12,7 +12,7 @@ _MINUTES_PER_HOUR = 60
 
 
 def cell(content: str | Text, width: int, style: str = "", align: Literal["<", ">"] = "<") -> Text:
-    """Exactly so many columns: padded, or cut with an ellipsis."""
+    """Cell of exactly `width` columns: padded, or cut with an ellipsis."""
     if width <= 0:
         return Text()
     text = content.copy() if isinstance(content, Text) else Text(content, style)
@@ -31,16 +31,16 @@ def line(*parts: str | Text) -> Text:
     return text
 
 
-def wrapped(sentence: str, width: int, most: int, indent: int = 0) -> list[str]:
-    """The sentence in at most so many lines; the first begins after `indent` columns."""
+def wrapped(sentence: str, width: int, max_lines: int, indent: int = 0) -> list[str]:
+    """The sentence in at most `max_lines`; the first begins after `indent` columns."""
     lines = textwrap.wrap(
-        sentence, max(width, 20), initial_indent=" " * indent, max_lines=most, placeholder=" …"
+        sentence, max(width, 20), initial_indent=" " * indent, max_lines=max_lines, placeholder=" …"
     )
     return [lines[0][indent:], *lines[1:]] if lines else [""]
 
 
 def number(value: float | None, decimals: int = 0) -> str:
-    """The value with so many decimals; a dash for what is not known."""
+    """The value with `decimals`; a dash for None."""
     return ABSENT if value is None else f"{value:.{decimals}f}"
 
 

@@ -1,4 +1,4 @@
-"""The first lines: what runs where, its mode, and why."""
+"""First lines: program, bus and process; mode and reason."""
 
 from rich.text import Text
 
@@ -14,42 +14,42 @@ MODE_STYLES = {
 }
 
 
-def title_line(title: str, picture: ViewModel, width: int, paused: bool = False) -> Text:
-    """What is shown, the bus, and the process; whether the picture stands still."""
-    right = Text("PAUSED, space goes on", "reverse bold") if paused else _process(picture)
-    left = line(Text(title, "bold"), _where(picture))
+def title_line(title: str, view: ViewModel, width: int, paused: bool = False) -> Text:
+    """Title, bus and process; whether the view is paused."""
+    right = Text("PAUSED, space resumes", "reverse bold") if paused else _process(view)
+    left = line(Text(title, "bold"), _bus(view))
     return line(cell(left, width - right.cell_len - 1), " ", right)
 
 
-def _where(picture: ViewModel) -> str:
-    if picture.health is None:
+def _bus(view: ViewModel) -> str:
+    if view.health is None:
         return ""
-    link = picture.health["link"]
+    link = view.health["link"]
     return f"  {link['channel']} ({link['interface']}) {link['state']}"
 
 
-def _process(picture: ViewModel) -> Text:
-    health = picture.health
+def _process(view: ViewModel) -> Text:
+    health = view.health
     if health is None:
         return Text()
     return Text(f"pid {health['pid']}  up {duration(health['uptime_ms'])}", "dim")
 
 
-def mode_lines(picture: ViewModel, width: int, most: int, sentence: str = "") -> list[Text]:
+def mode_lines(view: ViewModel, width: int, max_lines: int, sentence: str = "") -> list[Text]:
     """The mode and a sentence, the gateway's own by default, in at most so many lines."""
-    mark, style, own = _told(picture)
+    mark, style, own = _mode_and_sentence(view)
     block = f" {mark} "
-    first, *rest = wrapped(sentence or own, width, most, len(block) + 1)
+    first, *rest = wrapped(sentence or own, width, max_lines, len(block) + 1)
     lines = [line(Text(block, f"bold reverse {style}"), " ", first)]
     return lines + [line(words) for words in rest]
 
 
-def _told(picture: ViewModel) -> tuple[str, str, str]:
-    state, why, trouble = picture.state, picture.why, picture.trouble
-    if trouble is not None:
-        since = trouble.since.strftime("%H:%M:%S")
-        below = "; below is what it said last" if state is not None else ""
-        return "NOT REACHABLE", "red", f"since {since}, trying again: {trouble.sentence}{below}"
+def _mode_and_sentence(view: ViewModel) -> tuple[str, str, str]:
+    state, why, problem = view.state, view.why, view.problem
+    if problem is not None:
+        since = problem.since.strftime("%H:%M:%S")
+        below = "; below are its last values" if state is not None else ""
+        return "NOT REACHABLE", "red", f"since {since}, trying again: {problem.sentence}{below}"
     if why is None or state is None:
         return "CONNECTING", "yellow", "waiting for the gateway's first answer"
     mode = state["mode"]

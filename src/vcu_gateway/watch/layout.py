@@ -1,4 +1,4 @@
-"""Everything above the signals, for a terminal of this size."""
+"""Layout of the lines above the signals, by the terminal's size."""
 
 from rich.text import Text
 
@@ -18,45 +18,45 @@ _PANEL_LINES = 13
 
 
 def upper_lines(
-    title: str, picture: ViewModel, width: int, height: int, paused: bool = False
+    title: str, view: ViewModel, width: int, height: int, paused: bool = False
 ) -> list[Text]:
-    """What, where, mode, why, controllers and bus: 19 lines at most in 80 x 24."""
+    """Header, reasons, controllers and bus: 19 lines at most in 80 x 24."""
     tall = height >= TALL_LINES
     gap = [Text()] if tall else []
     return [
-        header.title_line(title, picture, width, paused),
-        *_explanation(picture, width, tall),
+        header.title_line(title, view, width, paused),
+        *_explanation(view, width, tall),
         *gap,
-        *_figures(picture, width, tall),
+        *_figures(view, width, tall),
         *gap,
     ]
 
 
-def _explanation(picture: ViewModel, width: int, tall: bool) -> list[Text]:
+def _explanation(view: ViewModel, width: int, tall: bool) -> list[Text]:
     """Mode and reasons; where room is short, what to do stands for the long sentence."""
-    why = picture.why
-    if why is None or picture.trouble is not None:
-        return header.mode_lines(picture, width, _SENTENCE_LINES)
+    why = view.why
+    if why is None or view.problem is not None:
+        return header.mode_lines(view, width, _SENTENCE_LINES)
     reasons = reason_lines(why, width, _REASON_LINES_TALL if tall else _REASON_LINES)
     if not reasons:
-        return header.mode_lines(picture, width, _SENTENCE_LINES)
+        return header.mode_lines(view, width, _SENTENCE_LINES)
     if not tall:
         sentence = f"next: {why['next_step']}"
-        return header.mode_lines(picture, width, _SENTENCE_LINES, sentence) + reasons
-    mode = header.mode_lines(picture, width, _SENTENCE_LINES_TALL)
+        return header.mode_lines(view, width, _SENTENCE_LINES, sentence) + reasons
+    mode = header.mode_lines(view, width, _SENTENCE_LINES_TALL)
     return [*mode, Text(), *reasons, *next_lines(why, width)]
 
 
-def _figures(picture: ViewModel, width: int, tall: bool) -> list[Text]:
+def _figures(view: ViewModel, width: int, tall: bool) -> list[Text]:
     """Controllers above the bus, or beside it where the terminal is wide."""
     wide = width >= _WIDE_COLUMNS
-    old = picture.trouble is not None
-    left = controllers.controller_lines(picture.state, tall, old)
+    old = view.problem is not None
+    left = controllers.controller_lines(view.state, tall, old)
     if not wide:
-        lines = left + bus.short_lines(picture.health)
+        lines = left + bus.short_lines(view.health)
         return _faded(lines) if old else lines
     room = width - controllers.COLUMNS - _GAP
-    right = bus.panel_lines(picture.health, room)[: max(len(left), _PANEL_LINES)]
+    right = bus.panel_lines(view.health, room)[: max(len(left), _PANEL_LINES)]
     lines = [
         line(_at(left, row, controllers.COLUMNS), " " * _GAP, _at(right, row, room))
         for row in range(max(len(left), len(right)))
@@ -69,5 +69,5 @@ def _at(lines: list[Text], row: int, width: int) -> Text:
 
 
 def _faded(lines: list[Text]) -> list[Text]:
-    """What is old: without its colours."""
+    """Old values: without colours."""
     return [Text(one.plain, "dim") for one in lines]

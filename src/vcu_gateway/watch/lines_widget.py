@@ -1,4 +1,4 @@
-"""Lines of text on the screen; only those that changed are written again."""
+"""Scrollable widget of styled lines; only changed lines are redrawn."""
 
 from collections.abc import Sequence
 
@@ -11,9 +11,9 @@ from vcu_gateway.watch.formatting import line
 
 
 class LinesWidget(ScrollView):
-    """Shows lines, from the first in sight on; scrolls where there are more than fit."""
+    """Shows lines of text; scrolls where there are more than fit."""
 
-    DEFAULT_CSS = "Lines { scrollbar-size: 0 0; }"
+    DEFAULT_CSS = "LinesWidget { scrollbar-size: 0 0; }"
 
     def __init__(self, name: str) -> None:
         super().__init__(id=name)
@@ -28,8 +28,8 @@ class LinesWidget(ScrollView):
             if before[row : row + 1] != self._lines[row : row + 1]:
                 self.refresh_line(row)
 
-    def where(self) -> str:
-        """Which lines are in sight; empty where all of them are."""
+    def position(self) -> str:
+        """Range of the visible lines as `1-20/80`; empty where all are visible."""
         count, top, height = len(self._lines), round(self.scroll_y), self.size.height
         return f"{top + 1}-{min(top + height, count)}/{count}" if count > height > 0 else ""
 

@@ -1,4 +1,4 @@
-"""The picture as plain text, for a pipe or a file: a line or two a message."""
+"""View model as plain text, for a pipe or a file."""
 
 from collections.abc import Iterator
 
@@ -14,30 +14,29 @@ _COLUMNS = 120
 _MOST_LINES = 12
 _DECIMALS = 2
 _MS_PER_S = 1000
-_FIRM = "\u00a0"
-"""A space where no line is broken."""
+_NO_BREAK_SPACE = "\u00a0"
 
 
-def plain(title: str, picture: ViewModel) -> str:
-    """Everything of this instant; ends with a line feed."""
+def plain(title: str, view: ViewModel) -> str:
+    """The whole view model; ends with a line feed."""
     lines = [
-        header.title_line(title, picture, _COLUMNS),
-        *_sentence(picture),
-        *reasons.reason_lines(picture.why, _COLUMNS, _MOST_LINES),
-        *controllers.controller_lines(picture.state, roomy=True),
-        *bus.short_lines(picture.health),
+        header.title_line(title, view, _COLUMNS),
+        *_sentence(view),
+        *reasons.reason_lines(view.why, _COLUMNS, _MOST_LINES),
+        *controllers.controller_lines(view.state, roomy=True),
+        *bus.short_lines(view.health),
     ]
     shown = [line.plain.rstrip() for line in lines]
-    if picture.state is not None:
-        shown += _messages(picture.state)
+    if view.state is not None:
+        shown += _messages(view.state)
     return "\n".join(shown) + "\n"
 
 
-def _sentence(picture: ViewModel) -> list[Text]:
+def _sentence(view: ViewModel) -> list[Text]:
     """The gateway's own sentence, whole; or why there is none."""
-    if picture.why is None or picture.trouble is not None:
-        return header.mode_lines(picture, _COLUMNS, _MOST_LINES)
-    return [Text(part) for part in wrapped(picture.why["sentence"], _COLUMNS, _MOST_LINES)]
+    if view.why is None or view.problem is not None:
+        return header.mode_lines(view, _COLUMNS, _MOST_LINES)
+    return [Text(part) for part in wrapped(view.why["sentence"], _COLUMNS, _MOST_LINES)]
 
 
 def _messages(state: State) -> Iterator[str]:
@@ -55,7 +54,7 @@ def _messages(state: State) -> Iterator[str]:
 def _signals(message: Message) -> str:
     """Quantities, and codes that are not 0: what a person looks for."""
     return ", ".join(
-        f"{name} {_value(signal)}".replace(" ", _FIRM)
+        f"{name} {_value(signal)}".replace(" ", _NO_BREAK_SPACE)
         for name, signal in message["signals"].items()
         if signal["value"] is not None and (signal["unit"] or signal["raw"])
     )
@@ -69,4 +68,4 @@ def _value(signal: Signal) -> str:
 
 
 def _spaced(line: str) -> str:
-    return line.replace(_FIRM, " ").rstrip()
+    return line.replace(_NO_BREAK_SPACE, " ").rstrip()

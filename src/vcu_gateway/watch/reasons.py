@@ -1,4 +1,4 @@
-"""What blocks, limits or is waited for, a line each."""
+"""Reasons why the vehicle does not move or moves less, one line each."""
 
 from collections.abc import Iterator
 
@@ -14,17 +14,17 @@ _LIMIT_STYLE = "yellow"
 _CODE = "code"  # says nothing that the signal's name and code do not
 
 
-def reason_lines(why: Why | None, width: int, most: int) -> list[Text]:
-    """At most so many lines; none where there is no reason."""
+def reason_lines(why: Why | None, width: int, max_lines: int) -> list[Text]:
+    """The reasons, at max_lines `max_lines`; none where there is no reason."""
     reasons = [] if why is None else list(_reasons(why, width))
-    if len(reasons) <= most:
+    if len(reasons) <= max_lines:
         return reasons
-    left = len(reasons) - most + 1
-    return [*reasons[: most - 1], _row(f"and {left} more", "dim", "", "", width)]
+    left = len(reasons) - max_lines + 1
+    return [*reasons[: max_lines - 1], _row(f"and {left} more", "dim", "", "", width)]
 
 
 def next_lines(why: Why | None, width: int) -> list[Text]:
-    """What to do now, in a line or two."""
+    """The next step, in a line or two."""
     if why is None:
         return []
     first, *rest = wrapped(why["next_step"], width - _LABEL_COLUMNS, 2)

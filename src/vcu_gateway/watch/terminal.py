@@ -1,4 +1,4 @@
-"""The terminal that a full-screen view needs, and leaving it whatever happens.
+"""Running the live view on a terminal, and terminal_exit the terminal as it was whatever happens.
 
 Textual writes to stderr and reads stdin. A signal ends the view in order; where that cannot be
 done, because the terminal hangs or has gone away, the process ends by itself a moment later.
@@ -9,11 +9,16 @@ import signal
 import sys
 import termios
 import threading
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
-_ENDING = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
-_PATIENCE_S = 2.0
+from vcu_gateway import streams
+from vcu_gateway.watch.app import WatchApp
+from vcu_gateway.watch.view_model import ViewSource
+
+_EXIT_SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+_EXIT_TIMEOUT_S = 2.0
 
 
 def is_full() -> bool:
@@ -33,42 +38,64 @@ def has_gone() -> bool:
 
 
 class TerminalExit:
-    """Notes that the view has to end, and sees to it that it does.
+    """Exit request for the view; without an answer it ends the process after two seconds.
 
     Attributes:
-        asked: True from the first signal on, or the end of the terminal.
+        requested: True from the first signal on, or the end of the terminal.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
         self._attributes = _attributes()
         self._finished = threading.Event()
 
     def handle_signals(self) -> None:
-        """From now on SIGTERM, SIGHUP and SIGINT ask; only in the main thread."""
-        for number in _ENDING:
+        """Take SIGTERM, SIGHUP and SIGINT as the request; only in the main thread."""
+        for number in _EXIT_SIGNALS:
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
-        self.ask()
+        self.request()
 
-    def ask(self) -> None:
+    def request(self) -> None:
         """Have the view end; in two seconds the process does, whatever the view does."""
-        if not self.asked:
-            self.asked = True
-            threading.Thread(target=self._insist, name="exit", daemon=True).start()
+        if not self.requested:
+            self.requested = True
+            threading.Thread(target=self._enforce, name="exit", daemon=True).start()
 
     def finished(self) -> None:
-        """The view has ended and the terminal is as it was."""
+        """Note that the view has ended and the terminal is restored."""
         self._finished.set()
 
-    def _insist(self) -> None:
-        if self._finished.wait(_PATIENCE_S):
+    def _enforce(self) -> None:
+        if self._finished.wait(_EXIT_TIMEOUT_S):
             return
         if self._attributes is not None:
             _restore(self._attributes)
         os._exit(os.EX_OK)
+
+
+def watch(source: ViewSource, title: str, finished: Callable[[], bool] = lambda: False) -> None:
+    """Show the source until a key or a signal ends it, the terminal goes away, or `finished`.
+
+    Only in the main thread, and where `is_full`. The process ends with 70 after a bug.
+    """
+    terminal_exit = TerminalExit()
+    terminal_exit.handle_signals()
+
+    def done() -> bool:
+        if has_gone():
+            terminal_exit.request()
+        return terminal_exit.requested or finished()
+
+    app = WatchApp(source, title, done)
+    # Without the mouse the terminal keeps its own way to select and copy.
+    app.run(mouse=False)
+    streams.flush()  # the terminal may be gone
+    terminal_exit.finished()
+    if app.return_code:
+        raise SystemExit(os.EX_SOFTWARE)
 
 
 def _attributes() -> list[Any] | None:

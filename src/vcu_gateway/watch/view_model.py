@@ -1,4 +1,4 @@
-"""What the view shows, and what it needs of whoever knows it."""
+"""View model: the data that the live view shows, and the protocol of its source."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -8,7 +8,7 @@ from vcu_gateway.api.results import Health, State, Why
 
 
 class SourceProblem(NamedTuple):
-    """Why nothing new is known: a sentence, and since when, in local time."""
+    """Reason why the gateway cannot be polled, and since when, in local time."""
 
     sentence: str
     since: datetime
@@ -16,30 +16,30 @@ class SourceProblem(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ViewModel:
-    """The latest that is known; None where nothing was heard yet.
+    """Latest results of the gateway; None before the first.
 
     Attributes:
-        trouble: None while the gateway answers; else the rest is what it said last.
+        problem: None while the gateway answers; else the rest are its last results.
     """
 
     state: State | None = None
     why: Why | None = None
     health: Health | None = None
-    trouble: SourceProblem | None = None
+    problem: SourceProblem | None = None
 
 
 class SourceRefusedError(Exception):
-    """A request was not granted, or not heard; the text says why."""
+    """A request was refused or not answered; the message says why."""
 
 
 class ViewSource(Protocol):
-    """Where the picture comes from. `latest` never waits; the others may, for a second or two."""
+    """Source of view models. `latest` never waits; the others may, for a second or two."""
 
     def latest(self) -> ViewModel:
-        """What is known now."""
+        """The latest view model."""
 
     def estop(self) -> None:
-        """Cut the power of both controllers; RefusedError where that was not granted."""
+        """Cut the power of both controllers; SourceRefusedError where it was not granted."""
 
     def disarm(self) -> None:
-        """From active to standby; RefusedError where that was not granted."""
+        """From active to standby; SourceRefusedError where it was not granted."""
