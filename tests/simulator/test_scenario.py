@@ -5,6 +5,7 @@ import random
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -16,7 +17,8 @@ from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.errors import ConfigError
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.simulator.scenario import FAULTS, Scenario, load, parse
+from vcu_gateway.simulator.scenario import Scenario, load, parse
+from vcu_gateway.simulator.steps import FAULTS
 
 ROOT = Path(__file__).parents[2]
 READY = ROOT / "config/scenarios"
@@ -28,7 +30,7 @@ NAMES = ", ".join(FAULTS)
 CHECKED = set(re.findall(r'ready\("([a-z0-9-]+)"', Path(__file__).read_text()))
 
 
-def ready(name: str, seconds: float, asked: Asked = CRUISE, **settings: object) -> Drive:
+def ready(name: str, seconds: float, asked: Asked = CRUISE, **settings: Any) -> Drive:
     """A drive with a ready scenario, all of which break at 10 s; it drives until then."""
     scenario = load(READY / f"{name}.yaml", CODEC.protocol)
     done = drive(CODEC, scenario, seconds, asked, **settings)
@@ -176,7 +178,7 @@ def test_a_lossy_bus_ends_in_zero_torque_and_nothing_is_rejected():
     assert fault.why.latch.fault_class is FaultClass.DRIVER
     assert "Status" in fault.why.latch.reason
     assert set(done.ticks[-1].frames) == {ZERO_TORQUE}
-    assert not any(done.gateway.intake.rejected.values())
+    assert not any(done.gateway.receiver.rejected.values())
 
 
 def test_a_corrupt_bus_ends_in_zero_torque_and_every_short_frame_is_counted():
@@ -186,7 +188,7 @@ def test_a_corrupt_bus_ends_in_zero_torque_and_every_short_frame_is_counted():
     fault = done.first(Mode.FAULT)
     assert fault.at_s - [at for at in status2 if at < 13.1][-1] <= 0.2 + TICK_S
     short = sum(len(frame.data) < 8 for _, frame in done.heard)
-    rejected = {reason: count for reason, count in done.gateway.intake.rejected.items() if count}
+    rejected = {reason: count for reason, count in done.gateway.receiver.rejected.items() if count}
     assert rejected == {Reason.SHORT: short}
     after = {frame for tick in done.ticks if tick.at_s >= fault.at_s for frame in tick.frames}
     assert after <= {ZERO_TORQUE, POWER_CUT}
@@ -278,7 +280,7 @@ def test_wheels_that_differ_for_a_second_are_an_alarm_and_no_more():
 
 def roughly(dice: random.Random) -> Callable[[float], ControllerDemand]:
     """Throttle and brake in jumps, and from one direction into the other; from 8 s on."""
-    asked = {"throttle_pct": 0.0}
+    asked: dict[str, Any] = {"throttle_pct": 0.0}
 
     def demand(at_s: float) -> ControllerDemand:
         if at_s > 8 and dice.random() < 0.03:
@@ -382,7 +384,7 @@ def test_a_text_that_is_no_scenario_is_refused(text: str):
 def test_what_yaml_itself_refuses_is_refused_as_in_a_configuration():
     assert problems("steps: {\n")[0].startswith("s.yaml:2: is not valid YAML")
     assert problems("steps: []\nsteps: []\n") == [
-        "s.yaml:2: steps: stands twice, first in line 1; remove one of them"
+        "s.yaml:2: steps: duplicate key, first defined in line 1; remove one of them"
     ]
     assert problems("steps: 3\n") == ["s.yaml:1: steps: must be a list, - item in each line, not 3"]
 
@@ -392,11 +394,11 @@ def test_a_scenario_without_steps_starts_the_vehicle_otherwise():
     assert (scenario.start.soc_pct, scenario.steps) == (12, ())
 
 
-def test_each_step_is_told_when_it_begins_and_ends():
+def test_each_step_is_reported_when_it_begins_and_ends():
     scenario = parse(
         "steps: [{at_s: 1, for_s: 0.5, fault: drop, of: IMU, share_pct: 50}]", "s", CODEC.protocol
     )
-    assert drive(CODEC, scenario, 2).told == [
+    assert drive(CODEC, scenario, 2).reports == [
         "1.0 s: drop of IMU share_pct 50.0 begins",
         "1.5 s: drop of IMU share_pct 50.0 ends",
     ]

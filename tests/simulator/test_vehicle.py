@@ -12,8 +12,14 @@ from vcu_gateway.simulator.vehicle import LEFT, RIGHT, STEP_NS, Vehicle
 
 S_NS = 1_000_000_000
 COMMAND_PERIOD_NS = 50_000_000
-FULL = {"PowerMode": 2, "Throttle": 99.45, "SpeedLimit": 12000, "PowerLimit": 60000, "PowerCut": 0}
-ZERO_TORQUE = {"PowerMode": 3, "SpeedLimit": 12000, "PowerCut": 0}
+FULL: dict[str, float] = {
+    "PowerMode": 2,
+    "Throttle": 99.45,
+    "SpeedLimit": 12000,
+    "PowerLimit": 60000,
+    "PowerCut": 0,
+}
+ZERO_TORQUE: dict[str, float] = {"PowerMode": 3, "SpeedLimit": 12000, "PowerCut": 0}
 
 
 class Drive:

@@ -2,16 +2,14 @@
 
 import contextlib
 import logging
-import signal
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 
 import click
 
 from vcu_gateway import simulator
+from vcu_gateway.cli.signals import stopped_by_signals
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator.play import CommandListener, Played, open_bus, open_log, play
@@ -49,7 +47,7 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
     "scenario_path",
     metavar="FILE",
     type=click.Path(path_type=Path),
-    help="What breaks when; each step is told on stderr.",
+    help="Faults and their times; each step is reported on stderr.",
 )
 @click.option(
     "--soc",
@@ -62,9 +60,9 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
     "--battery-speedup",
     type=click.FloatRange(0, 10_000),
     show_default="the scenario's, else 1",
-    help="Charge flows so many times as fast as it really would.",
+    help="Factor of the battery's charge and discharge; 1 is real time.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the sensors' noise.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the sensors' noise.")
 @click.option(
     "--log",
     "log_path",
@@ -99,7 +97,7 @@ def command(
         faults=scenario.faults(codec, start_ns, _note),
     )
     with (
-        _stopped_by_signals() as stop,
+        stopped_by_signals() as stop,
         open_bus(interface, channel, nodes.command_ids) as bus,
         _log(log_path, channel) as log,
     ):
@@ -114,7 +112,7 @@ def command(
 
 
 def summary(played: Played) -> str:
-    """What was done, in one line."""
+    """Summary of a run, in one line."""
     parts = [f"played {played.duration_s:.1f} s", f"sent {_counted(played.sent)}"]
     parts.append(f"received {_counted(played.received)}")
     if played.lost:
@@ -142,22 +140,3 @@ def _log(path: Path | None, channel: str) -> Iterator[CommandListener | None]:
         raise click.BadParameter(f"cannot write it: {error}", param_hint="--log") from error
     with writer:
         yield writer
-
-
-@contextlib.contextmanager
-def _stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set; the old handlers come back afterwards."""
-    stop = threading.Event()
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        del number, frame
-        stop.set()
-
-    before = {
-        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

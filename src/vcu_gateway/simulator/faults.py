@@ -1,4 +1,4 @@
-"""What can break in the simulated vehicle: each fault is one small function.
+"""Faults of the simulated vehicle: each one is one small function.
 
 A transform changes a frame on its way to the bus, a change the vehicle itself, and an
 intruder sends by itself. `FaultInterval` says from when until when.
@@ -13,7 +13,7 @@ from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.simulator.nodes import NodeFrame, Transform
 from vcu_gateway.simulator.vehicle import Vehicle
-from vcu_gateway.units import NS_PER_MS
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 NEVER_NS = 2**62
 """Later than anything happens."""
@@ -22,33 +22,33 @@ _BYTE_BITS = 8
 _ALL_PCT = 100.0
 
 Change = Callable[[Vehicle, bool], None]
-"""Breaks the vehicle where it is told True, mends it where it is told False."""
+"""Breaks the vehicle on True, repairs it on False."""
 
 Report = Callable[[str], None]
-"""Takes one sentence for the person who watches."""
+"""Takes one sentence for the person at the terminal."""
 
 
 # What may happen to a frame.
 
 
 def whole(frame: NodeFrame) -> Iterable[NodeFrame]:
-    """Nothing happens to it."""
+    """The frame unchanged."""
     return (frame,)
 
 
 def lost(frame: NodeFrame) -> Iterable[NodeFrame]:
-    """It never leaves."""
+    """No frame: it is lost."""
     del frame
     return ()
 
 
 def doubled(frame: NodeFrame) -> Iterable[NodeFrame]:
-    """It leaves twice."""
+    """The frame twice."""
     return (frame, frame)
 
 
 def delayed(delay_ms: int) -> Transform:
-    """It leaves so much later."""
+    """The frame, sent later by this delay."""
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         return (frame._replace(due_ns=frame.due_ns + delay_ms * NS_PER_MS),)
@@ -57,7 +57,7 @@ def delayed(delay_ms: int) -> Transform:
 
 
 def shortened(length_bytes: int) -> Transform:
-    """It carries so many bytes only."""
+    """The frame, cut to this number of bytes."""
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         return (frame._replace(data=frame.data[:length_bytes]),)
@@ -66,7 +66,7 @@ def shortened(length_bytes: int) -> Transform:
 
 
 def corrupted(flip_bits: int, seed: int) -> Transform:
-    """So many of its bits are wrong, others in each frame."""
+    """The frame with this number of inverted bits, others in each frame."""
     dice = _dice(seed)
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
@@ -78,7 +78,7 @@ def corrupted(flip_bits: int, seed: int) -> Transform:
 
 
 def overridden(signal: SignalSpec, raw: int) -> Transform:
-    """One signal says this code."""
+    """The frame with one signal at this code."""
     mask = _placed(signal, -1)
     bits = _placed(signal, raw)
 
@@ -89,7 +89,7 @@ def overridden(signal: SignalSpec, raw: int) -> Transform:
 
 
 def frozen(signal: SignalSpec) -> Transform:
-    """One signal keeps the code of the first frame that comes here."""
+    """The frame with one signal frozen at the code of the first frame."""
     mask = _placed(signal, -1)
     kept: list[int] = []
 
@@ -102,7 +102,7 @@ def frozen(signal: SignalSpec) -> Transform:
 
 
 def shifted(signal: SignalSpec, by: int) -> Transform:
-    """One signal says so many codes more, and its last code beyond that."""
+    """The frame with one signal raised by this number of codes, at most to its last code."""
     mask = _placed(signal, -1)
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
@@ -113,7 +113,7 @@ def shifted(signal: SignalSpec, by: int) -> Transform:
 
 
 def negated(signal: SignalSpec) -> Transform:
-    """One signal says its code below 0, in two's complement."""
+    """The frame with one signal negated, in two's complement."""
     mask = _placed(signal, -1)
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
@@ -126,12 +126,12 @@ def negated(signal: SignalSpec) -> Transform:
 
 
 def only(messages: Collection[str], transform: Transform) -> Transform:
-    """Do this to these messages and nothing to the others."""
+    """Transform of these messages alone."""
     return lambda frame: transform(frame) if frame.message in messages else (frame,)
 
 
 def sometimes(share_pct: float, seed: int, transform: Transform) -> Transform:
-    """Do this to a share of the frames, always the same ones for the same seed."""
+    """Transform of a share of the frames, always the same ones for the same seed."""
     if share_pct >= _ALL_PCT:
         return transform
     dice = _dice(seed)
@@ -146,11 +146,11 @@ def _dice(seed: int) -> random.Random:
 
 
 def untouched(vehicle: Vehicle, broken: bool) -> None:
-    """Nothing happens to the vehicle."""
+    """The vehicle unchanged."""
 
 
 def ignoring(controllers: Sequence[str], throttle_pct: float | None) -> Change:
-    """These controllers go on with what they obey now, or with another throttle of it."""
+    """Controllers that keep their present command, or another throttle of it."""
 
     def change(vehicle: Vehicle, broken: bool) -> None:
         for name in controllers:
@@ -163,7 +163,7 @@ def ignoring(controllers: Sequence[str], throttle_pct: float | None) -> Change:
 
 
 def turned_round(controllers: Sequence[str]) -> Change:
-    """These controllers take forwards for reverse and reverse for forwards."""
+    """Controllers that swap forwards and reverse."""
 
     def change(vehicle: Vehicle, broken: bool) -> None:
         for name in controllers:
@@ -186,7 +186,7 @@ class ForeignNode(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What is broken; a part that is not given is whole."""
+    """One fault by its parts; a part that is not given is healthy."""
 
     transform: Transform = whole
     change: Change = untouched
@@ -194,34 +194,34 @@ class Fault:
 
 
 class FaultInterval:
-    """A fault from begin_ns on until just before end_ns; None is for ever."""
+    """A fault from begin_ns on until just before end_ns; None is without end."""
 
     def __init__(
-        self, name: str, fault: Fault, begin_ns: int, end_ns: int | None, tell: Report
+        self, name: str, fault: Fault, begin_ns: int, end_ns: int | None, report: Report
     ) -> None:
-        """`tell` hears when it begins and when it ends."""
+        """`report` is called when it begins and when it ends."""
         self._name = name
         self._fault = fault
         self._changes = [(begin_ns, True), (NEVER_NS if end_ns is None else end_ns, False)]
         self._begin_ns, self._end_ns = begin_ns, self._changes[-1][0]
-        self._tell = tell
+        self._report = report
         self._grid = fault.intruder and Schedule(begin_ns, fault.intruder.period_ns)
 
     def next_due_ns(self) -> int:
-        """When `due` has something to do; NEVER_NS once nothing is left."""
+        """Time at which `due` has something to do; NEVER_NS once nothing is left."""
         changes_ns = self._changes[0][0] if self._changes else NEVER_NS
         if self._grid is None or self._grid.next_deadline_ns >= self._end_ns:
             return changes_ns
         return min(changes_ns, self._grid.next_deadline_ns)
 
     def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
-        """Break or mend the vehicle where it is time to; what an intruder sends now."""
+        """Break or repair the vehicle where that is due; the frames that an intruder sends now."""
         while self._changes and self._changes[0][0] <= now_ns:
             at_ns, broken = self._changes.pop(0)
             vehicle.advance(at_ns)
             self._fault.change(vehicle, broken)
-            at_s = (at_ns - vehicle.start_ns) / 1e9
-            self._tell(f"{at_s:.1f} s: {self._name} {'begins' if broken else 'ends'}")
+            at_s = (at_ns - vehicle.start_ns) / NS_PER_S
+            self._report(f"{at_s:.1f} s: {self._name} {'begins' if broken else 'ends'}")
         return self._intrusion(now_ns)
 
     def _intrusion(self, now_ns: int) -> Iterable[NodeFrame]:
@@ -232,7 +232,7 @@ class FaultInterval:
         return (NodeFrame(intruder.can_id, intruder.data, intruder.message, tick.deadline_ns),)
 
     def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
-        """What becomes of a frame that is due while this lasts."""
+        """Frames sent in place of a due frame while the fault lasts."""
         lasts = self._begin_ns <= frame.due_ns < self._end_ns
         return self._fault.transform(frame) if lasts else (frame,)
 

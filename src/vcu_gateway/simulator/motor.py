@@ -1,4 +1,4 @@
-"""One motor with its controller: what it makes of the commands that reach it."""
+"""Motor with its controller: torque, speed and warnings from the commands it receives."""
 
 import math
 from collections.abc import Mapping
@@ -7,7 +7,7 @@ from typing import NamedTuple
 from vcu_gateway.core.demand import PowerMode
 
 COMMAND_TIMEOUT_NS = 500_000_000
-"""A controller that hears no command for so long goes to zero torque by itself."""
+"""Time without a command after which a controller goes to zero torque by itself."""
 
 _PEAK_TORQUE_NM = 30.0
 _TORQUE_SHARE = {
@@ -44,7 +44,7 @@ _RAD_S_PER_RPM = math.pi / 30
 
 
 class MotorCommand(NamedTuple):
-    """What a controller is told; the defaults make no torque.
+    """Command to a controller; the defaults make no torque.
 
     throttle_pct and brake_pct 0..100, speed_limit_rpm and power_limit_w 0 and up.
     """
@@ -104,12 +104,12 @@ class Motor:
         self.ignores_commands = False
         self.turned_round = False
         self._ambient_c = ambient_c
-        self._told = MotorCommand()
-        self._told_at_ns: int | None = None
+        self._received = MotorCommand()
+        self._received_ns: int | None = None
 
     def command(self, order: MotorCommand, now_ns: int) -> None:
         """Take an order; it counts from the next step on."""
-        self._told, self._told_at_ns = order, now_ns
+        self._received, self._received_ns = order, now_ns
 
     @property
     def current_level(self) -> int:
@@ -147,15 +147,15 @@ class Motor:
         """The order as far as the time-out and the temperatures let it pass."""
         if self.ignores_commands:
             return self.order
-        told = self._told
+        received = self._received
         if self.turned_round:
-            told = told._replace(reverse=not told.reverse)
-        if self._told_at_ns is None or now_ns - self._told_at_ns > COMMAND_TIMEOUT_NS:
-            return MotorCommand(reverse=told.reverse)
+            received = received._replace(reverse=not received.reverse)
+        if self._received_ns is None or now_ns - self._received_ns > COMMAND_TIMEOUT_NS:
+            return MotorCommand(reverse=received.reverse)
         level = self.temperature_protect_level
-        if level == 1 and told.power_mode is PowerMode.TURBO:
-            return told._replace(power_mode=PowerMode.NORMAL)
-        return told._replace(power_mode=PowerMode.SAFETY) if level > 1 else told
+        if level == 1 and received.power_mode is PowerMode.TURBO:
+            return received._replace(power_mode=PowerMode.NORMAL)
+        return received._replace(power_mode=PowerMode.SAFETY) if level > 1 else received
 
     def _torque_nm(self, power_available_w: float) -> float:
         order, rpm = self.order, self.speed_rpm

@@ -4,11 +4,11 @@ from typing import Annotated
 
 from pydantic import AfterValidator, ValidationInfo
 
-from vcu_gateway.config.value_types import refusal
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
-from vcu_gateway.strict_yaml import validation
+from vcu_gateway.errors import did_you_mean
+from vcu_gateway.strict_yaml.section import refusal
 
 PROTOCOL = "protocol"
 """Key of the validation's context; it holds the ProtocolSpec that names must be in."""
@@ -22,13 +22,13 @@ def protocol_of(info: ValidationInfo) -> ProtocolSpec:
 
 def _one_of(name: str, known: list[str], what: str) -> str:
     if name not in known:
-        near = validation.did_you_mean(name, known)
+        near = did_you_mean(name, known)
         raise refusal(f"must be {what}", near or f"these are {', '.join(known)}")
     return name
 
 
 def _spoken(info: ValidationInfo) -> dict[str, list[str]]:
-    """What every node but the gateway sends: message names by node."""
+    """Names of the messages that every node but the gateway sends, by node."""
     protocol = protocol_of(info)
     nodes = [node for node in protocol.nodes if node != OWN_NODE]
     return {node: [message.name for message in protocol.sent_by(node)] for node in nodes}
@@ -45,7 +45,7 @@ def _signal(name: str, info: ValidationInfo) -> str:
     messages = [message for names in _spoken(info).values() for message in names]
     message, _, signal = name.partition(".")
     if message not in messages:
-        nearest = validation.did_you_mean(message, messages)
+        nearest = did_you_mean(message, messages)
         remedy = nearest or f"the messages are {', '.join(messages)}"
         raise refusal("must be MESSAGE.SIGNAL, such as BMS_Status.SOC", remedy)
     _one_of(signal, list(protocol.message(message).signal_names), f"a signal of {message}")

@@ -1,4 +1,4 @@
-"""A scenario: what breaks when, read from a file as strictly as the configuration."""
+"""Scenario: faults and their times, read from a file as strictly as the configuration."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from pydantic import Field
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.errors import ConfigError, Problem, did_you_mean
 from vcu_gateway.simulator.faults import FaultInterval, Report
 from vcu_gateway.simulator.names import PROTOCOL
 from vcu_gateway.simulator.steps import FAULTS, Step
@@ -35,7 +35,7 @@ class ScenarioStart(Section):
 
 
 class _File(Section):
-    """A scenario as it is written; its steps are looked at one by one."""
+    """Scenario as it is written; its steps are validated one by one."""
 
     start: ScenarioStart = ScenarioStart()
     steps: list[Any] = Field(default_factory=list)
@@ -43,22 +43,22 @@ class _File(Section):
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """How the vehicle starts and what breaks when."""
+    """Start of the vehicle and the faults in time."""
 
     start: ScenarioStart
     steps: tuple[Step, ...]
 
     def faults(
-        self, codec: Codec, start_ns: int, tell: Report = lambda _: None
+        self, codec: Codec, start_ns: int, report: Report = lambda _: None
     ) -> list[FaultInterval]:
-        """What `Nodes` takes; `tell` hears when each step begins and ends."""
-        return [_spell(step, codec, start_ns, tell) for step in self.steps]
+        """Faults for `Nodes`; `report` is called when each step begins and ends."""
+        return [_interval(step, codec, start_ns, report) for step in self.steps]
 
 
-def _spell(step: Step, codec: Codec, start_ns: int, tell: Report) -> FaultInterval:
+def _interval(step: Step, codec: Codec, start_ns: int, report: Report) -> FaultInterval:
     begin_ns = start_ns + round(step.at_s * NS_PER_S)
     end_ns = None if step.for_s is None else begin_ns + round(step.for_s * NS_PER_S)
-    return FaultInterval(step.told(), step.broken(codec), begin_ns, end_ns, tell)
+    return FaultInterval(step.sentence(), step.broken(codec), begin_ns, end_ns, report)
 
 
 def load(path: Path, protocol: ProtocolSpec) -> Scenario:
@@ -87,7 +87,7 @@ def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
 
 
 def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[FileProblem]]:
-    """One step, or what is wrong with it."""
+    """One step, or its problems."""
     if wrong := list(_without_fault(value, at)):
         return None, wrong
     step, refused = validation.validated(FAULTS[value["fault"]], value, {PROTOCOL: protocol})
@@ -95,13 +95,13 @@ def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None,
 
 
 def _without_fault(value: Any, at: KeyPath) -> Iterator[FileProblem]:
-    """Why it cannot be told which fault is meant; nothing where it can."""
+    """Problem of a step that names no fault or several; none where it names one."""
     names = ", ".join(FAULTS)
     if not isinstance(value, dict):
         yield FileProblem(at, f"must be a step such as {_EXAMPLE}, not {shown(value)}")
     elif "fault" not in value:
         yield FileProblem(at, "has no fault", f"add `fault:` and one of {names}")
     elif not isinstance(value["fault"], str) or value["fault"] not in FAULTS:
-        near = validation.did_you_mean(str(value["fault"]), FAULTS)
+        near = did_you_mean(str(value["fault"]), FAULTS)
         what = f"must be one of {names}, not {shown(value['fault'])}"
         yield FileProblem((*at, "fault"), what, near)

@@ -1,4 +1,4 @@
-"""What each message says of the vehicle, in physical values."""
+"""Signal values of each message, from the state of the vehicle, in physical units."""
 
 import random
 from collections.abc import Callable, Mapping
@@ -28,7 +28,7 @@ _PACK_OFFSETS_K = (-1.0, -0.3, 0.4, 0.0, -0.7)
 
 def sources(vehicle: Vehicle, noise: random.Random) -> Mapping[str, Source]:
     """The source of each message's values, by message name."""
-    say: dict[str, Source] = {
+    sources: dict[str, Source] = {
         "ARD2_SteeringWheel": partial(_steering_wheel, vehicle, noise),
         "BMS_Status": partial(_bms_status, vehicle, noise),
         "BMS_Temperatures": partial(_bms_temperatures, vehicle),
@@ -37,9 +37,9 @@ def sources(vehicle: Vehicle, noise: random.Random) -> Mapping[str, Source]:
         "IMU_Attitude": partial(_attitude, vehicle, noise),
     }
     for controller in (LEFT, RIGHT):
-        say[f"{controller}_Status1"] = partial(_status1, vehicle, controller)
-        say[f"{controller}_Status2"] = partial(_status2, vehicle, controller)
-    return say
+        sources[f"{controller}_Status1"] = partial(_status1, vehicle, controller)
+        sources[f"{controller}_Status2"] = partial(_status2, vehicle, controller)
+    return sources
 
 
 def _steering_wheel(vehicle: Vehicle, noise: random.Random, count: int) -> Values:
@@ -52,7 +52,7 @@ def _steering_wheel(vehicle: Vehicle, noise: random.Random, count: int) -> Value
 
 
 def _wheel_speed_km_h(speed_m_s: float, noise: random.Random) -> float:
-    """The sensor cannot tell the direction."""
+    """Speed without sign: the sensor has no direction."""
     return abs(speed_m_s) * _KM_H_PER_M_S * (1 + noise.gauss(0, _WHEEL_SPEED_NOISE_SHARE))
 
 

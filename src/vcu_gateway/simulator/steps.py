@@ -1,13 +1,17 @@
-"""What a step of a scenario can say: a class for each fault, `FAULTS` is the whole list."""
+"""Steps of a scenario: a class for each fault; `FAULTS` is the whole list."""
 
 from collections.abc import Mapping
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from vcu_gateway.config.value_types import refusal
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import message_name
-from vcu_gateway.core.demand import CONTROLLERS, PowerMode
+from vcu_gateway.core.demand import (
+    CONTROLLERS,
+    POWER_LIMIT_HIGHEST_W,
+    SPEED_LIMIT_HIGHEST_RPM,
+    PowerMode,
+)
 from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.faults import Fault
@@ -19,7 +23,7 @@ from vcu_gateway.simulator.names import (
     signal_spec,
 )
 from vcu_gateway.simulator.nodes import Transform
-from vcu_gateway.strict_yaml.section import Section
+from vcu_gateway.strict_yaml.section import Section, refusal
 from vcu_gateway.units import NS_PER_MS
 
 _LONGEST_S = 86_400
@@ -41,7 +45,7 @@ class Step(Section):
     def _fault(self, codec: Codec) -> Fault:
         raise NotImplementedError
 
-    def told(self) -> str:
+    def sentence(self) -> str:
         """The fault and its parameters, for a person."""
         given = self.model_dump(exclude={"at_s", "for_s", "fault"}, exclude_unset=True)
         return " ".join([self.fault, *(f"{key} {value}" for key, value in given.items())])
@@ -204,7 +208,7 @@ class _ControllerStep(Step):
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """Which are meant."""
+        """Names of the controllers that the step names; all without a name."""
         return CONTROLLERS if self.controller is None else (self.controller,)
 
 
@@ -240,12 +244,12 @@ class ForeignSender(Step):
 
     def _fault(self, codec: Codec) -> Fault:
         command = codec.by_name[message_name(self.controller)]
-        asked = {"PowerMode": PowerMode.NORMAL, "Throttle": self.throttle_pct}
-        limits = {"SpeedLimit": 12_000, "PowerLimit": 60_000}
+        values = {"PowerMode": PowerMode.NORMAL, "Throttle": self.throttle_pct}
+        limits = {"SpeedLimit": SPEED_LIMIT_HIGHEST_RPM, "PowerLimit": POWER_LIMIT_HIGHEST_W}
         return Fault(
             intruder=faults.ForeignNode(
                 command.spec.can_id,
-                command.encode({**asked, **limits}),
+                command.encode({**values, **limits}),
                 command.spec.name,
                 self.period_ms * NS_PER_MS,
             )

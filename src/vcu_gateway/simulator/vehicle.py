@@ -8,12 +8,13 @@ from collections.abc import Mapping
 
 from vcu_gateway.simulator.battery import Battery
 from vcu_gateway.simulator.motor import Motor, order_of
+from vcu_gateway.units import NS_PER_S
 
 LEFT, RIGHT = "PCU1", "PCU2"
 """The controllers, by the rear wheel that their motor drives."""
 
 STEP_NS = 10_000_000
-_STEP_S = STEP_NS / 1e9
+_STEP_S = STEP_NS / NS_PER_S
 _CATCH_UP_NS = 1_000_000_000
 
 _AMBIENT_C = 25.0
@@ -97,7 +98,7 @@ class Vehicle:
         return math.radians(self.yaw_rate_deg_s) * _TRACK_M / 2
 
     def _step(self, now_ns: int) -> None:
-        self._steer((now_ns - self.start_ns) / 1e9)
+        self._steer((now_ns - self.start_ns) / NS_PER_S)
         self._drive(now_ns)
         self._roll_on()
         self._lean()
@@ -132,7 +133,7 @@ class Vehicle:
         self.acceleration_m_s2 = (self.speed_m_s - before_m_s) / _STEP_S
 
     def _resistance_n(self) -> float:
-        """Rolling, air, and the foot brake: the pedal that the controllers are told."""
+        """Rolling, air, and the foot brake: the pedal position that the controllers receive."""
         pedal_pct = max(motor.order.brake_pct for motor in self.motors.values())
         air_n = _AIR_DRAG_N_PER_M2_S2 * self.speed_m_s**2
         return _ROLLING_RESISTANCE_N + air_n + _FRICTION_BRAKE_N * pedal_pct / 100
