@@ -48,7 +48,7 @@ class Ran(NamedTuple):
         return [json.loads(line) for line in self.out.splitlines()]
 
     @property
-    def complaints(self) -> list[str]:
+    def problems(self) -> list[str]:
         return [line for line in self.err.splitlines() if re.match(r"\S+(:| frame )\d+: ", line)]
 
     @property
@@ -231,7 +231,7 @@ def test_a_30_bit_identifier_is_an_error_frame_and_never_data(tmp_path):
     assert [frame["signals"]["AccelerationX"]["raw"] for frame in ran.frames] == [0x1EA8]
     says = "has bit 29 set, SocketCAN's error-frame flag; the source prints such 30-bit identifiers"
     says += " for the IMU (docs/protocol.md E2); on the wire it is"
-    assert ran.complaints == [
+    assert ran.problems == [
         f"{path}:1: identifier 240AD079 {says} 040AD079",
         f"{path}:3: identifier 240BD079 {says} 040BD079",
     ]
@@ -246,7 +246,7 @@ def test_a_30_bit_identifier_is_an_error_frame_and_never_data(tmp_path):
 def test_the_kernels_own_error_frames_need_no_explanation(tmp_path):
     ran = run(log(tmp_path, line("20000088#0000000000000000"), line("20000204#0000000000006080")))
     assert ran.summary[0] == "frames 2: decoded 0, not decoded 2"
-    assert ran.complaints == []
+    assert ran.problems == []
 
 
 @pytest.mark.parametrize(
@@ -267,22 +267,20 @@ def test_the_kernels_own_error_frames_need_no_explanation(tmp_path):
 def test_flags_in_an_identifier_are_refused_with_an_explanation(tmp_path, identifier, what):
     path = log(tmp_path, *[line(f"{identifier}#0011223344556677")] * 2, line(ACCELERATION))
     ran = run(path)
-    assert ran.complaints == [
-        f"{path}:1: identifier {identifier} {what}; on the wire it is 040AD079"
-    ]
+    assert ran.problems == [f"{path}:1: identifier {identifier} {what}; on the wire it is 040AD079"]
     assert ran.summary[0] == "frames 1: decoded 1, not decoded 0; unreadable 2"
 
 
 def test_only_the_first_ten_identifiers_are_explained(tmp_path):
     frames = [line(f"{0x240AD000 + n:08X}#0011223344556677") for n in range(30)]
     ran = run(log(tmp_path, *frames))
-    assert len(ran.complaints) == 10
+    assert len(ran.problems) == 10
     assert ran.summary == ["frames 30: decoded 0, not decoded 30", "not decoded:", "  error 30"]
 
 
 def test_the_highest_identifiers_are_no_errors(tmp_path):
     ran = run(log(tmp_path, line("1FFFFFFF#0011223344556677"), line("7FF#0011223344556677")))
-    assert ran.complaints == []
+    assert ran.problems == []
     assert ran.summary[2:] == [
         "  unknown 1",
         "    1FFFFFFF 1",
@@ -360,12 +358,12 @@ DAMAGED = [
 
 
 @pytest.mark.parametrize("damaged", DAMAGED)
-def test_a_damaged_line_is_told_and_does_not_end_the_reading(tmp_path, damaged):
+def test_a_damaged_line_is_reported_and_does_not_end_the_reading(tmp_path, damaged):
     path = log(tmp_path, line(ACCELERATION), "", damaged, line(ACCELERATION))
     ran = run(path)
     assert ran.code == 0
     assert len(ran.frames) == 2
-    assert [complaint.split(": ")[0] for complaint in ran.complaints] == [f"{path}:3"]
+    assert [complaint.split(": ")[0] for complaint in ran.problems] == [f"{path}:3"]
     assert ran.summary[0] == "frames 2: decoded 2, not decoded 0; unreadable 1"
 
 
@@ -377,11 +375,11 @@ def test_bytes_that_are_no_text_damage_their_line_only(tmp_path):
     assert ran.summary[0].endswith("unreadable 1")
 
 
-def test_only_the_first_ten_damaged_lines_are_told(tmp_path):
+def test_only_the_first_ten_damaged_lines_are_reported(tmp_path):
     path = log(tmp_path, *["nonsense"] * 25, line(ACCELERATION))
     ran = run(path)
-    assert ran.complaints[-1] == f"{path}:10: further damage is only counted"
-    assert len(ran.complaints) == 11
+    assert ran.problems[-1] == f"{path}:10: further damage is only counted"
+    assert len(ran.problems) == 11
     assert ran.summary[0] == "frames 1: decoded 1, not decoded 0; unreadable 25"
 
 
@@ -474,7 +472,7 @@ def test_no_format_decodes_a_30_bit_identifier(tmp_path, suffix):
     ran = run(path)
     assert ran.code == 0
     assert [frame["message"] for frame in ran.frames] == ["IMU_Acceleration"]
-    (complaint,) = ran.complaints
+    (complaint,) = ran.problems
     assert "identifier 240AD079 has bit 29 set" in complaint
     assert ran.summary[-1] == "  error 2"
     where = complaint.split(": ")[0]
@@ -491,7 +489,7 @@ def test_no_format_decodes_flags_in_an_identifier(tmp_path, suffix):
     bad.arbitration_id |= 1 << 31
     ran = run(written(tmp_path / f"drive.{suffix}", [good, bad]))
     assert ran.summary[0] == "frames 1: decoded 1, not decoded 0; unreadable 1"
-    assert "has bit 31 set" in ran.complaints[0]
+    assert "has bit 31 set" in ran.problems[0]
 
 
 def test_a_number_that_is_no_identifier_at_all_is_unreadable(tmp_path):
@@ -505,7 +503,7 @@ def test_a_number_that_is_no_identifier_at_all_is_unreadable(tmp_path):
     )
     ran = run(path)
     assert ran.summary[0] == "frames 1: decoded 1, not decoded 0; unreadable 3"
-    assert [complaint.split(": ", 1)[0] for complaint in ran.complaints] == [
+    assert [complaint.split(": ", 1)[0] for complaint in ran.problems] == [
         f"{path}:3",
         f"{path}:4",
         f"{path}:5",
@@ -521,7 +519,7 @@ def test_a_database_row_that_is_no_frame_is_unreadable(tmp_path):
         base.commit()
     ran = run(path)
     assert ran.summary[0] == "frames 33: decoded 33, not decoded 0; unreadable 3"
-    assert ran.complaints[0] == (
+    assert ran.problems[0] == (
         f"{path}, frame 2: time None or identifier {0x1808D0F4} is no number"
     )
 
@@ -663,7 +661,7 @@ def test_only_the_messages_asked_for_are_written(tmp_path):
 def test_an_unknown_message_is_a_wrong_command_line(tmp_path):
     ran = run(log(tmp_path, line(ACCELERATION)), "--message", "IMU_Altitude")
     assert ran.code == 2
-    assert "no message IMU_Altitude; is IMU_Attitude meant?" in ran.err
+    assert 'no message IMU_Altitude; did you mean "IMU_Attitude"?' in ran.err
 
 
 def test_another_dbc_decodes_other_messages(tmp_path):
@@ -699,7 +697,7 @@ def test_the_recording_is_never_the_output(tmp_path):
 
 
 @pytest.mark.parametrize("target", ["/dev/full", "nowhere/out.jsonl"])
-def test_an_output_that_cannot_be_written_is_told(tmp_path, target):
+def test_an_output_that_cannot_be_written_is_reported(tmp_path, target):
     path = log(tmp_path, line(ACCELERATION))
     ran = run(path, "-o", tmp_path / target)
     assert ran.code == os.EX_UNAVAILABLE

@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import difflib
 import io
 import os
 import sys
@@ -14,7 +13,13 @@ from typing import TextIO
 import click
 
 from vcu_gateway.core.codec import Codec, Reason
-from vcu_gateway.errors import DataError, GatewayError, Problem, UnavailableError
+from vcu_gateway.errors import (
+    DataError,
+    GatewayError,
+    Problem,
+    UnavailableError,
+    did_you_mean,
+)
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.recording import RecordedFrame, Recording, open_recording
 from vcu_gateway.recording.summary import Summary
@@ -96,11 +101,11 @@ def command(
     text_format = FORMATS[format_name]
     writers = _writers(codec, messages, text_format)
     try:
-        with open_recording(log, _tell) as recording, _opened(output, log) as out:
+        with open_recording(log, _report) as recording, _opened(output, log) as out:
             out.write(text_format.head)
             _decode_all(recording, codec, writers, out)
     except BrokenPipeError:
-        # The reader is gone (`| head`): that is no failure, though click would say so.
+        # The reader is gone (`| head`): that is no failure, though click would report one.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(0) from None
     except OSError as error:
@@ -109,7 +114,7 @@ def command(
         raise UnavailableError(Problem(what, str(output or "standard output"))) from error
 
 
-def _tell(problem: Problem) -> None:
+def _report(problem: Problem) -> None:
     click.echo(str(problem), err=True)
 
 
@@ -121,18 +126,18 @@ def _codec(dbc_path: Path | None, *, aliased: bool) -> Codec:
 
 
 def _writers(
-    codec: Codec, asked: tuple[str, ...], text_format: FrameFormat
+    codec: Codec, wanted: tuple[str, ...], text_format: FrameFormat
 ) -> dict[str, FrameWriter]:
-    for name in asked:
+    for name in wanted:
         if name not in codec.by_name:
-            near = difflib.get_close_matches(name, codec.by_name, n=1, cutoff=0.4)
-            meant = f"; is {near[0]} meant?" if near else ""
+            near = did_you_mean(name, codec.by_name, cutoff=0.4)
+            meant = f"; {near}" if near else ""
             known = ", ".join(codec.by_name)
             raise click.BadParameter(f"no message {name}{meant} Known are {known}.")
     return {
         name: FrameWriter(message.spec, text_format)
         for name, message in codec.by_name.items()
-        if not asked or name in asked
+        if not wanted or name in wanted
     }
 
 
@@ -166,7 +171,7 @@ def _decode_all(
         raise
     _sum_up(summary, recording)
     if not summary.frames:
-        remedy = "" if recording.complaints.unreadable else "it is empty"
+        remedy = "" if recording.problems.unreadable else "it is empty"
         raise DataError(Problem("holds no frame that can be read", recording.name, remedy))
 
 
@@ -214,5 +219,5 @@ def _with_progress(recording: Recording) -> Iterator[RecordedFrame]:
 
 
 def _sum_up(summary: Summary, recording: Recording) -> None:
-    for line in summary.lines(recording.complaints.unreadable):
+    for line in summary.lines(recording.problems.unreadable):
         click.echo(line, err=True)

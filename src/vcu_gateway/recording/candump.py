@@ -25,32 +25,32 @@ _STANDARD_DIGITS = 3
 _REMEDY = "record with `candump -L` or `candump -l`"
 
 
-def frames(lines: LineReader, complaints: LineProblems) -> Iterator[RecordedFrame]:
-    """Every frame of the text; damaged lines and flags in identifiers go to `complaints`."""
+def frames(lines: LineReader, problems: LineProblems) -> Iterator[RecordedFrame]:
+    """Every frame of the text; damaged lines and flags in identifiers go to `problems`."""
     match = _LINE.fullmatch
     for line in lines:
         found = match(line)
         if found is None:
             if not line.isspace():
                 what = "is no line of a candump log, `(time) channel identifier#data`"
-                complaints.damaged(lines.number, what, _REMEDY)
-        elif recorded := _recorded(found, lines.number, complaints):
+                problems.damaged(lines.number, what, _REMEDY)
+        elif recorded := _recorded(found, lines.number, problems):
             yield recorded
 
 
-def _recorded(found: re.Match[str], number: int, complaints: LineProblems) -> RecordedFrame | None:
+def _recorded(found: re.Match[str], number: int, problems: LineProblems) -> RecordedFrame | None:
     seconds, fraction, channel, digits, payload = found.groups("0")
     can_id = int(digits, 16)
     extended = len(digits) > _STANDARD_DIGITS
     error = can_id > (j1939.ID_MASK if extended else _STANDARD_MASK)
-    if error and _refused(can_id, extended, number, complaints):
+    if error and _refused(can_id, extended, number, problems):
         return None
     try:
         data, remote, fd = bytes.fromhex(payload), False, False
     except ValueError:
         unusual = _unusual(payload)
         if unusual is None:
-            complaints.damaged(number, f"the payload {payload[:40]!r} is damaged")
+            problems.damaged(number, f"the payload {payload[:40]!r} is damaged")
             return None
         data, remote, fd = unusual
     arrival_ns = int(seconds) * NS_PER_S + int(fraction) * _NS_BY_DIGITS[len(fraction)]
@@ -58,11 +58,11 @@ def _recorded(found: re.Match[str], number: int, complaints: LineProblems) -> Re
     return RecordedFrame(frame, channel, number, fd)
 
 
-def _refused(can_id: int, extended: bool, number: int, complaints: LineProblems) -> bool:
-    """Complain of a number that is too large; True where the line is no frame at all."""
+def _refused(can_id: int, extended: bool, number: int, problems: LineProblems) -> bool:
+    """Report an identifier that is too large; True where the line is no frame at all."""
     if extended:
-        return complaints.flagged(number, can_id) is Verdict.UNREADABLE
-    complaints.damaged(number, f"identifier {can_id:X} of three digits does not fit 11 bits")
+        return problems.flagged(number, can_id) is Verdict.UNREADABLE
+    problems.damaged(number, f"identifier {can_id:X} of three digits does not fit 11 bits")
     return True
 
 

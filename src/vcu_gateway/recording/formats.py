@@ -1,4 +1,4 @@
-"""The formats that python-can reads, as frames."""
+"""Formats that python-can reads, as frames."""
 
 from collections.abc import Iterator
 from typing import IO, Any
@@ -13,15 +13,14 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.recording.lines import LineReader
 from vcu_gateway.recording.problems import LineProblems, Verdict
 from vcu_gateway.recording.recorded import RecordedFrame
+from vcu_gateway.units import NS_PER_S
 
 Content = LineReader | IO[bytes] | str
 """The lines of a text format, the open file of a binary one, or the name of a database."""
 
-_NS_PER_S = 1e9
-
 
 def suffixes() -> tuple[str, ...]:
-    """Of every format that python-can reads."""
+    """File suffixes of every format that python-can reads."""
     return tuple(sorted(can.io.MESSAGE_READERS))
 
 
@@ -35,7 +34,7 @@ def is_binary(suffix: str) -> bool:
     return issubclass(can.io.MESSAGE_READERS[suffix], BinaryIOMessageReader)
 
 
-def frames(suffix: str, content: Content, complaints: LineProblems) -> Iterator[RecordedFrame]:
+def frames(suffix: str, content: Content, problems: LineProblems) -> Iterator[RecordedFrame]:
     """Every frame; ends with an error at the first damage, as python-can cannot go on."""
     messages = _messages(suffix, content)
     place = 0
@@ -43,13 +42,13 @@ def frames(suffix: str, content: Content, complaints: LineProblems) -> Iterator[
         try:
             message = next(messages, None)
         except Exception as error:
-            # Any bytes went into somebody else's parser: its errors have no family.
+            # Any bytes go into python-can's parsers: their errors have no common base.
             place = content.number if isinstance(content, LineReader) else place + 1
-            raise complaints.failure(place, error) from error
+            raise problems.failure(place, error) from error
         if message is None:
             return
         place = content.number if isinstance(content, LineReader) else place + 1
-        if recorded := _recorded(message, place, complaints):
+        if recorded := _recorded(message, place, problems):
             yield recorded
 
 
@@ -59,19 +58,19 @@ def _messages(suffix: str, content: Content) -> Iterator[can.Message]:
         yield from reader
 
 
-def _recorded(message: can.Message, place: int, complaints: LineProblems) -> RecordedFrame | None:
+def _recorded(message: can.Message, place: int, problems: LineProblems) -> RecordedFrame | None:
     try:
-        # A database holds whatever somebody put into its columns.
-        arrival_ns = round(float(message.timestamp) * _NS_PER_S)
+        # A database may hold any type in its columns.
+        arrival_ns = round(float(message.timestamp) * NS_PER_S)
         can_id = int(message.arbitration_id)
     except (TypeError, ValueError, OverflowError):
         what = f"time {message.timestamp!r} or identifier {message.arbitration_id!r} is no number"
-        complaints.damaged(place, what)
+        problems.damaged(place, what)
         return None
     error = message.is_error_frame
     if not error and can_id & j1939.ID_MASK != can_id:
         error = True
-        if complaints.flagged(place, can_id) is Verdict.UNREADABLE:
+        if problems.flagged(place, can_id) is Verdict.UNREADABLE:
             return None
     frame = Frame(
         can_id & j1939.ID_MASK,

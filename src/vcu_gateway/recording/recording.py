@@ -1,4 +1,4 @@
-"""Opens a recording by its name."""
+"""Recording of any format, opened by its name."""
 
 import gzip
 import importlib.util
@@ -8,7 +8,6 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import PurePath
-from types import TracebackType
 from typing import IO, cast
 
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
@@ -30,9 +29,9 @@ class Recording:
 
     Attributes:
         name: the file's, for people.
-        size_bytes: as stored; 0 where nobody knows.
+        size_bytes: as stored; 0 where it is not known.
         live: frames may still come while it is read.
-        complaints: what could not be read so far.
+        problems: counter of what could not be read so far.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class Recording:
         self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
         self._suffix = suffix
         self._lines = self._counted() if self._is_text() else None
-        self.complaints = LineProblems(self._where, report)
+        self.problems = LineProblems(self._where, report)
 
     def _is_text(self) -> bool:
         if self._suffix == _CANDUMP:
@@ -72,13 +71,7 @@ class Recording:
     def __enter__(self) -> "Recording":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        del kind, error, trace
+    def __exit__(self, *exc: object) -> None:
         if not self.live:
             self._stored.close()
 
@@ -92,13 +85,13 @@ class Recording:
             content = self._lines
         elif not formats.is_binary(self._suffix):
             content = self.name
-        return formats.frames(self._suffix, content, self.complaints)
+        return formats.frames(self._suffix, content, self.problems)
 
     def _candump(self, lines: LineReader) -> Iterator[RecordedFrame]:
         try:
-            yield from candump.frames(lines, self.complaints)
+            yield from candump.frames(lines, self.problems)
         except (OSError, EOFError, zlib.error) as error:
-            raise self.complaints.failure(lines.number, error) from error
+            raise self.problems.failure(lines.number, error) from error
 
     def share_read(self) -> float | None:
         """How much of the file was read, 0..1; None where nobody knows."""
@@ -120,7 +113,7 @@ def open_recording(name: str, report: Callable[[Problem], None]) -> Recording:
     packed = path.suffix.lower() == _GZIP
     suffix = PurePath(path.stem if packed else path).suffix.lower()
     try:
-        stored = open(name, "rb")  # noqa: SIM115 - the recording closes it
+        stored = open(name, "rb")  # noqa: PTH123, SIM115 - as it was named; the recording closes it
     except OSError as error:
         problem = Problem(f"cannot be read: {error.strerror or error}", name)
         raise MissingInputError(problem) from error

@@ -14,10 +14,10 @@ from functools import lru_cache
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.snapshot import Quality, mark
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
+from vcu_gateway.units import NS_PER_S
 
 # Codes of one signal whose texts are kept; 16-bit noise must not fill the memory.
 _KEPT_CODES = 8192
-_NS_PER_S = 1e9
 _CSV_COLUMNS = "time,channel,message,signal,value,unit,raw,quality,name\n"
 
 
@@ -51,7 +51,7 @@ class FrameWriter:
             signals = [kept[raw] for kept, raw in zip(self._kept, decoded.raws, strict=True)]
         except KeyError:
             signals = [self._signal(index, decoded) for index in range(len(decoded.raws))]
-        time_s = f"{arrival_ns / _NS_PER_S:.6f}"
+        time_s = f"{arrival_ns / NS_PER_S:.6f}"
         return self._format.frame(time_s, channel, self._message, signals)
 
     def _signal(self, index: int, decoded: Decoded) -> str:
