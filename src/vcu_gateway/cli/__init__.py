@@ -1,4 +1,4 @@
-"""The command line: one module a verb, imported only when it is called."""
+"""Command line: one module for a verb or a group of like verbs, imported on use."""
 
 import contextlib
 import functools
@@ -17,25 +17,28 @@ from vcu_gateway.errors import GatewayError
 _VERBS = {
     "run": "run the gateway on the bus",
     "status": "the running gateway in a few lines",
-    "why": "why the vehicle does or does not move, and what to do next",
-    "watch": "the running gateway live, filling the terminal",
+    "why": "why the vehicle does or does not move, and the next step",
+    "watch": "live view of the running gateway",
     "demand": "hold throttle and brake from a terminal",
     "arm": "let the vehicle move: from standby to active",
     "disarm": "end the drive: from active to standby",
     "reset": "from a latched fault to standby",
     "estop": "emergency stop: cut the power now",
-    "events": "what happened lately, counted",
+    "events": "the latest events, counted",
     "reload": "read the configuration file again, all of it or nothing",
+    "exporter": "serve the gateway's metrics to Prometheus",
     "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
     "demo": "gateway and simulated vehicle together, live",
     "decode": "decode a recording to JSON lines or CSV",
     "check-config": "check a configuration file",
-    "doctor": "check this machine, and say what mends it",
+    "doctor": "check this machine, and say how to fix what fails",
     "schema": "JSON Schema of the configuration, OpenRPC document of the API",
     "dbc": "generate the DBC and the protocol page, or check that they are current",
     "completion": "print the completion script of a shell",
     "version": "print the versions that matter for a bug report",
 }
+
+_OPERATOR_VERBS = {"arm", "disarm", "estop", "reset", "reload", "why", "events"}
 
 _EPILOG = """\b
 Exit codes: 0 done, 1 a check answered no, 2 wrong command line, 65 wrong file contents,
@@ -44,28 +47,28 @@ or not answered in time, 77 not permitted, 78 wrong configuration.
 A first look: vcu-gateway demo"""
 
 
-class _ReaderGoneError(Exception):
-    """Whoever read our output has gone (`| head`)."""
+class _BrokenOutputError(Exception):
+    """The reader of the output has gone (`| head`)."""
 
 
 @contextlib.contextmanager
-def _without_a_reader() -> Iterator[None]:
-    """Say it in our own words: click makes exit code 1 of a broken pipe."""
+def _own_broken_pipe() -> Iterator[None]:
+    """Broken pipes as an error of our own: click makes exit code 1 of them."""
     try:
         yield
     except BrokenPipeError as error:
-        raise _ReaderGoneError from error
+        raise _BrokenOutputError from error
 
 
-class _Verbs(click.Group):
-    """Knows every verb's name and help without importing it."""
+class _VerbGroup(click.Group):
+    """Command group that imports a verb's module when the verb is used."""
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
-        with _without_a_reader():
+        with _own_broken_pipe():
             return super().make_context(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> object:
-        with _without_a_reader():
+        with _own_broken_pipe():
             return super().invoke(ctx)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -76,8 +79,10 @@ class _Verbs(click.Group):
         del ctx
         if cmd_name not in _VERBS:
             return None
-        module = importlib.import_module(f"vcu_gateway.cli.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
+        name = cmd_name.replace("-", "_")
+        in_operator = cmd_name in _OPERATOR_VERBS
+        module = importlib.import_module(f"vcu_gateway.cli.{'operator' if in_operator else name}")
+        command: click.Command = getattr(module, name if in_operator else "command")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -86,7 +91,9 @@ class _Verbs(click.Group):
             formatter.write_dl(list(_VERBS.items()))
 
 
-@click.group(cls=_Verbs, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=_VerbGroup, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"]}
+)
 def group() -> None:
     """Vehicle-control-unit gateway for a two-motor electric vehicle on Linux SocketCAN.
 
@@ -100,25 +107,25 @@ def main() -> None:
     _fill_standard_descriptors()
     try:
         group.main(standalone_mode=False, prog_name="vcu-gateway")
-        with _without_a_reader():
+        with _own_broken_pipe():
             _flush()
     except click.ClickException as error:
-        _tell(error.show)
+        _echo_error(error.show)
         sys.exit(error.exit_code)
     except click.exceptions.Abort:
         sys.exit(128 + signal.SIGINT)
     except GatewayError as error:
         for problem in error.problems:
-            _tell(functools.partial(click.echo, f"error: {problem}", err=True))
+            _echo_error(functools.partial(click.echo, f"error: {problem}", err=True))
         sys.exit(error.exit_code)
-    except _ReaderGoneError:
-        sys.exit(0)  # nobody is left to tell
+    except _BrokenOutputError:
+        sys.exit(0)  # no reader is left
     finally:
         streams.flush()
 
 
 def _fill_standard_descriptors() -> None:
-    """Where one is closed, put /dev/null: else the bus's socket would get its number."""
+    """Open /dev/null for each closed one: else the bus's socket would get its number."""
     for number in range(3):
         try:
             os.fstat(number)
@@ -131,7 +138,7 @@ def _flush() -> None:
         sys.stdout.flush()
 
 
-def _tell(say: Callable[[], None]) -> None:
-    """Say it on stderr, where anybody reads it."""
+def _echo_error(echo: Callable[[], None]) -> None:
+    """Print an error; a closed stderr is no further error."""
     with contextlib.suppress(OSError):
-        say()
+        echo()

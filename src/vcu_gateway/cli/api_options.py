@@ -1,4 +1,4 @@
-"""What the verbs that talk to a running gateway share: connecting, printing, exit codes."""
+"""Shared by the verbs that use the API: options, connection, printing, exit codes."""
 
 import contextlib
 import json
@@ -31,20 +31,20 @@ json_option = click.option("--json", "as_json", is_flag=True, help="One JSON obj
 
 
 def api_options(command: _Command) -> _Command:
-    """--socket and --json."""
+    """Decorator for the options --socket and --json."""
     return socket_option(json_option(command))
 
 
 @contextlib.contextmanager
 def connected(socket_path: Path | None) -> Iterator[Client]:
-    """A client; what it raises becomes a line for a person and an exit code."""
+    """Client whose errors become a line on stderr and an exit code."""
     with command_line_errors(), Client(socket_path) as client:
         yield client
 
 
 @contextlib.contextmanager
 def command_line_errors() -> Iterator[None]:
-    """Errors of the client as errors of the command line."""
+    """Errors of the client as errors with an exit code."""
     try:
         yield
     except ConfigRefusedError as error:
@@ -60,12 +60,12 @@ def command_line_errors() -> Iterator[None]:
 
 
 def show(result: Any, as_json: bool, text: Callable[[], str]) -> None:
-    """Print a result for a program or for a person."""
+    """Print a result as JSON or as text."""
     click.echo(json.dumps(result, ensure_ascii=False) if as_json else text())
 
 
-def age(duration_ms: float | None) -> str:
-    """An age as people say it: 34 ms, 1.2 s, 3 min, 2 h."""
+def duration(duration_ms: float | None) -> str:
+    """Duration for people: 34 ms, 1.2 s, 3 min, 2.0 h; `never` for None."""
     if duration_ms is None:
         return "never"
     if duration_ms < 1000:

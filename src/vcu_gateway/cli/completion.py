@@ -1,9 +1,9 @@
-"""`vcu-gateway completion`: the tab key in a shell."""
+"""`vcu-gateway completion`: completion script of a shell."""
 
 import click
 from click.shell_completion import get_completion_class
 
-_WHERE = {
+_FILES = {
     "bash": "/etc/bash_completion.d/vcu-gateway",
     "zsh": "/usr/share/zsh/vendor-completions/_vcu-gateway",
     "fish": "/usr/share/fish/vendor_completions.d/vcu-gateway.fish",
@@ -11,7 +11,7 @@ _WHERE = {
 
 
 @click.command("completion")
-@click.argument("shell", type=click.Choice(list(_WHERE)))
+@click.argument("shell", type=click.Choice(list(_FILES)))
 @click.pass_context
 def command(context: click.Context, shell: str) -> None:
     """Print the completion script of a shell.
