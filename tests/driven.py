@@ -9,13 +9,14 @@ from pathlib import Path
 
 import can
 
-from vcu_gateway import app, simulator
 from vcu_gateway import config as configuration
+from vcu_gateway import simulator
+from vcu_gateway.app import Application
 from vcu_gateway.client import Client
+from vcu_gateway.config.protocol import load_protocol
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Explanation
 from vcu_gateway.daemon.restarts import CountedStart
-from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
 
 PATIENCE_S = 60.0
@@ -39,19 +40,19 @@ class Driven:
         )
         self.configure(config)
         loaded = configuration.load(self.file)
-        protocol = app.load_protocol(loaded)
-        self.daemon = app.build(loaded, protocol)
-        self.serving = Serving(loaded, protocol, self.daemon, lambda: 0, CountedStart(3, 1))
-        self.daemon.observe_with(self.serving.observe)
+        protocol = load_protocol(loaded)
+        application = Application(loaded, protocol)
+        application.facts.start = CountedStart(3, 1)
+        self.loop, self.api = application.loop, application.api
         self.nodes = simulator.build(Codec(protocol), time.monotonic_ns())
-        self.ear = can.Bus(interface="virtual", channel=channel)
+        self.other_node = can.Bus(interface="virtual", channel=channel)
         self._vehicle_bus = open_bus("virtual", channel, self.nodes.command_ids)
         self._stop = threading.Event()
         self._threads = [
             threading.Thread(
                 target=play, args=(self._vehicle_bus, self.nodes), kwargs={"stop": self._stop}
             ),
-            threading.Thread(target=self.daemon.run),
+            threading.Thread(target=self.loop.run),
         ]
 
     def configure(self, config: str) -> None:
@@ -59,24 +60,24 @@ class Driven:
         self.file.write_text(self._head + config)
 
     def start(self) -> None:
-        self.serving.open()
+        self.api.open()
         for thread in self._threads:
             thread.start()
 
     def end(self) -> None:
-        self.daemon.stop("the test is over")
+        self.loop.stop("the test is over")
         self._threads[1].join()
-        self.serving.close()
+        self.api.close()
         self._stop.set()
         self._threads[0].join()
         self._vehicle_bus.shutdown()
-        self.ear.shutdown()
+        self.other_node.shutdown()
 
     def client(self) -> Client:
         return Client(self.socket_path)
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
-        wait_until(condition, f"{what}; {self.daemon.gateway.why(time.monotonic_ns()).sentence()}")
+        wait_until(condition, f"{what}; {self.loop.gateway.why(time.monotonic_ns()).sentence()}")
 
     def until_mode(self, mode: str) -> None:
         self.until(lambda: self.mode == mode, f"mode {mode}")
@@ -88,18 +89,18 @@ class Driven:
 
     @property
     def latest_why(self) -> Explanation:
-        latest = self.daemon.latest
+        latest = self.loop.latest
         assert latest is not None
         return latest.why
 
     @property
     def mode(self) -> str:
-        return self.daemon.gateway.supervisor.mode.value
+        return self.loop.gateway.supervisor.mode.value
 
     def throttles(self) -> set[int]:
         """Throttle codes of every command heard since the last call."""
         heard = set()
-        while frame := self.ear.recv(0):
+        while frame := self.other_node.recv(0):
             if frame.arbitration_id in self.nodes.command_ids:
                 heard.add(frame.data[1])
         return heard

@@ -1,92 +1,116 @@
-"""Configuration -> gateway, bus and tick loop, put together; `serving` adds the API."""
+"""Composition root: configuration -> gateway, bus connection, tick loop and API server.
 
-import dataclasses
+The command line, the demo and the tests put the program together here and nowhere else.
+"""
+
+import hashlib
+import os
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Self
 
+from vcu_gateway import config as configuration
+from vcu_gateway.api.results import ApiCounts
+from vcu_gateway.api.rights import Policy
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import BenchDemandSection, Config
+from vcu_gateway.config.protocol import dbc_path
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
-from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.schedule import Tick
+from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon.loop import Observer, TickLoop
-from vcu_gateway.errors import DataError, Problem
-from vcu_gateway.protocol import compatibility, dbc, packaged
+from vcu_gateway.daemon.log import log_event
+from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
+from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
+from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
+from vcu_gateway.errors import UnavailableError
+from vcu_gateway.server import health
+from vcu_gateway.server.context import ServerContext
+from vcu_gateway.server.dispatch import Dispatcher
+from vcu_gateway.server.server import Server
+from vcu_gateway.server.settings import ServerSettings
+from vcu_gateway.server.tick_gaps import TickGaps
+from vcu_gateway.server.views import definition
 
-_MOST_DIFFERENCES = 20
-
-
-def load_protocol(config: Config) -> ProtocolSpec:
-    """The configured DBC, or the packaged one, with the configured aliases."""
-    return dataclasses.replace(dbc.load(dbc_path(config)), aliases=config.protocol.aliases)
-
-
-def dbc_path(config: Config) -> Path:
-    """The DBC in use."""
-    return packaged("vcu.dbc") if config.protocol.dbc is None else config.protocol.dbc
-
-
-def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
-    """DataError where a DBC contradicts the protocol that the safety rules were written for."""
-    if config.protocol.dbc is None:
-        return
-    found = list(compatibility.differences(protocol, dbc.load(packaged("vcu.dbc"))))
-    if found:
-        remedy = "the safety rules are written for dbc/vcu.yaml; change it, and the rules with it"
-        where = str(config.protocol.dbc)
-        raise DataError(*[Problem(what, where, remedy) for what in found[:_MOST_DIFFERENCES]])
+_DIGEST_CHARACTERS = 16
 
 
-def build(config: Config, protocol: ProtocolSpec, observer: Observer | None = None) -> TickLoop:
-    """Gateway, bus door and tick loop of this configuration; the bus is not opened yet."""
+def _none_lost() -> int:
+    return 0
+
+
+class Application:
+    """The whole program of one configuration; neither bus nor API is open yet.
+
+    The accounts that the configuration names exist. `log_lines_dropped` counts the lines that the
+    log has lost so far.
+
+    Attributes:
+        loop: gateway and bus, ticked on the thread that calls `run`.
+        api: answers from its `open` to its `close`.
+        facts: of this run; `start` is None until `begin_service` has counted it.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        protocol: ProtocolSpec,
+        log_lines_dropped: Callable[[], int] = _none_lost,
+    ) -> None:
+        self.loop = _tick_loop(config, protocol)
+        self.loop.event_log.subscribe(log_event)
+        self.facts = health.RunFacts(_protocol_digest(config), None, log_lines_dropped)
+        self.api = ApiRunner(config, protocol, self.loop, self.facts)
+        self.loop.add_observer(self.api.observe)
+        self._service: ServiceReporter | None = None
+
+    def begin_service(self, manager: SystemdNotifier, runtime: Path | None) -> None:
+        """Take over what the last run left, keep it for the next one, report to the manager.
+
+        The interface's lock is held: two gateways must not write the same files. `runtime` is the
+        service's RuntimeDirectory; None: starts are not counted and no safe frames are kept.
+        """
+        bus = self.loop.connection.settings
+        folder = folder_for(bus, runtime)
+        others = other_folders(bus, folder)
+        restart_state = RestartState(folder, bus, self.loop.gateway, self.loop.event_log, others)
+        restart_state.begin()
+        self._service = ServiceReporter(manager, runtime, self.loop)
+        self._service.begin()
+        self.facts.start = self._service.start
+        self.loop.add_observer(restart_state.observe)
+        self.loop.add_observer(self._service.observe)
+
+    def run(self, duration_s: float | None = None) -> None:
+        """Tick until the loop is stopped, or for `duration_s`; then record the orderly end."""
+        self.loop.run(duration_s)
+        if self._service is not None:
+            self._service.end()
+
+
+def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
     codec = Codec(protocol)
     gateway = Gateway(codec, settings(config), time.monotonic_ns())
-    intake = gateway.intake
-    door = BusConnection(
-        bus_settings(config), codec.identifiers(), intake.receive, intake.command_groups
+    connection = BusConnection(
+        bus_settings(config), codec.identifiers(), gateway.receive, gateway.command_groups
     )
-    return TickLoop(gateway, door, reopen_ms=config.bus.reopen_ms, observer=observer)
+    return TickLoop(gateway, connection, reopen_ms=config.bus.reopen_ms)
 
 
 def settings(config: Config) -> Settings:
-    """What the core is told."""
-    limits, safety, demand = config.limits, config.safety, config.bench.demand
-    return Settings(
-        late_after_ms=config.freshness.late_after_ms,
-        stale_after_ms=config.freshness.stale_after_ms,
-        transmit_priority=config.protocol.transmit_priority,
-        required=safety.required_messages,
-        listen_before_talk_ms=safety.listen_before_talk_ms,
-        qualify_frames=safety.qualify_frames,
-        clear_hold_ms=safety.clear_hold_ms,
-        speed_limit_max_rpm=limits.speed_limit_max_rpm,
-        power_limit_max_w=limits.power_limit_max_w,
-        derated_power_w=limits.derated_power_w,
-        regen_limit_pct=limits.regen_limit_pct,
-        throttle_slew_pct_per_s=limits.throttle_slew_pct_per_s,
-        power_slew_w_per_s=limits.power_slew_w_per_s,
-        regen_slew_pct_per_s=limits.regen_slew_pct_per_s,
-        speed_slew_rpm_per_s=limits.speed_slew_rpm_per_s,
-        direction_change_rpm=limits.direction_change_rpm,
-        regen_min_rpm=limits.regen_min_rpm,
-        echo_below_max_pct=safety.echo_below_max_pct,
-        motor_speed_step_max_rpm=safety.motor_speed_step_max_rpm,
-        wheel_speed_step_max_kmh=safety.wheel_speed_step_max_kmh,
-        wheel_speed_difference_max_kmh=safety.wheel_speed_difference_max_kmh,
-        ttl_max_ms=config.demand.ttl_max_ms,
-        ttl_default_ms=config.demand.ttl_default_ms,
-        priorities=config.demand.priorities,
-        independent_directions=config.demand.independent_directions,
-        second_track_required=config.demand.second_track_required,
-        bench_demand=None if demand is None else _bench_demand(demand),
-        auto_arm=config.bench.auto_arm,
-    )
+    """Settings of the core that this configuration gives."""
+    values = {name: getattr(getattr(config, key.section), name) for name, key in KEYS.items()}
+    demand = config.bench.demand
+    return Settings(**values, bench_demand=None if demand is None else _bench_demand(demand))
 
 
 def bus_settings(config: Config) -> BusSettings:
-    """What the bus door is told."""
+    """The bus connection's settings."""
     bus = config.bus
     return BusSettings(
         interface=bus.interface,
@@ -99,12 +123,102 @@ def bus_settings(config: Config) -> BusSettings:
 
 
 def _bench_demand(demand: BenchDemandSection) -> ControllerDemand:
-    return ControllerDemand(
-        throttle_pct=demand.throttle_pct,
-        brake_pct=demand.brake_pct,
-        power_mode=PowerMode[demand.power_mode.upper()],
-        motor_reverse=demand.motor_reverse,
-        regen_brake=demand.regen_brake,
-        speed_limit_rpm=demand.speed_limit_rpm,
-        power_limit_w=demand.power_limit_w,
+    values = demand.model_dump(exclude={"bench_use_only", "power_mode"})
+    return ControllerDemand(**values, power_mode=PowerMode[demand.power_mode.upper()])
+
+
+class ApiRunner:
+    """The API server of one run; a context manager that opens and closes it.
+
+    An API that cannot be opened is an event, and the gateway goes on without: the controllers
+    must hear from it in any case.
+
+    Attributes:
+        reloader: takes a new configuration, on a request or on SIGHUP.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        protocol: ProtocolSpec,
+        loop: TickLoop,
+        facts: health.RunFacts,
+    ) -> None:
+        self._loop = loop
+        self._config = config
+        in_effect = EffectiveConfig(config)
+        self.reloader = Reloader(in_effect, protocol, loop, settings)
+        context = ServerContext(
+            loop=loop,
+            bus=bus_settings(config),
+            in_effect=in_effect,
+            reloader=self.reloader,
+            facts=facts,
+            protocol=definition(protocol, facts.protocol_digest),
+            api_counts=self._api_counts,
+        )
+        gaps = TickGaps(lambda: loop.schedule.next_deadline_ns, loop.schedule.period_ns)
+        self._server = Server(server_settings(config), Dispatcher(context), gaps)
+        self._failure_reported = False
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Listen, where the configuration enables the API."""
+        if not self._config.api.enabled:
+            return
+        try:
+            self._server.open()
+        except UnavailableError as error:
+            self._emit_error("api_unavailable", str(error))
+        else:
+            self._server.start()
+            fields = {"socket": self._config.api.socket_path}
+            self._loop.event_log.emit(Event("api_open", Severity.INFO, fields))
+
+    def close(self) -> None:
+        """Close every connection and remove the socket."""
+        self._server.close()
+
+    def observe(self, tick: Tick, result: TickResult) -> None:
+        """After each tick: one event where the API has failed."""
+        del tick, result
+        if self._server.failed is not None and not self._failure_reported:
+            self._failure_reported = True
+            self._emit_error("api_failed", self._server.failed)
+
+    def _api_counts(self) -> ApiCounts:
+        return self._server.counts()
+
+    def _emit_error(self, name: str, reason: str) -> None:
+        self._loop.event_log.emit(Event(name, Severity.ERROR, {"reason": reason}))
+
+
+def server_settings(config: Config) -> ServerSettings:
+    """The API server's settings; the accounts exist."""
+    api = config.api
+    users, groups = configuration.user_number, configuration.group_number
+    return ServerSettings(
+        socket_path=Path(api.socket_path),
+        policy=Policy(
+            own_uid=os.geteuid(),
+            operator_uids=frozenset(map(users, api.operator_users)),
+            operator_gids=frozenset(map(groups, api.operator_groups)),
+            service_uids=frozenset(map(users, api.service_users)),
+            service_gids=frozenset(map(groups, api.service_groups)),
+        ),
+        owner=None if api.socket_owner is None else users(api.socket_owner),
+        group=None if api.socket_group is None else groups(api.socket_group),
+        mode=int(api.socket_mode, 8),
     )
+
+
+def _protocol_digest(config: Config) -> str:
+    """The beginning of the SHA-256 of the DBC in use."""
+    contents = dbc_path(config).read_bytes()
+    return hashlib.sha256(contents).hexdigest()[:_DIGEST_CHARACTERS]

@@ -1,6 +1,7 @@
 """Every method against a running gateway: its answer has the documented shape."""
 
 import json
+import time
 
 import pytest
 
@@ -75,6 +76,34 @@ def test_health_accounts_for_every_tick_and_tells_its_lateness(client):
     assert ticks["period_ms"] == 50
 
 
+def test_health_bins_every_tick_by_its_lateness(client):
+    ticks = client.health()["ticks"]
+    bounds_us = [bin_["up_to_us"] for bin_ in ticks["lateness_histogram"]]
+    assert bounds_us == [50, 100, 200, 500, 1000, 2000, 5000, 10_000, 25_000, None]
+    counted = sum(bin_["ticks"] for bin_ in ticks["lateness_histogram"])
+    assert counted - ticks["done"] in (0, 1)  # a tick may come between the two
+
+
+def test_health_tells_the_start_of_the_process_and_what_it_uses(client):
+    health = client.health()
+    assert health["start_time_s"] == pytest.approx(time.time() - health["uptime_ms"] / 1000, abs=1)
+    used = health["process"]
+    assert 10_000_000 < used["resident_memory_bytes"] < used["virtual_memory_bytes"]
+    assert 0 < used["cpu_time_s"] <= time.process_time()
+    assert 3 < used["open_fds"] < used["max_fds"]
+
+
+def test_the_state_tells_what_a_fresh_demand_asks_and_nothing_without_one(client, running):
+    assert client.state()["demanded"] == {}
+    with running.client().demand("pedal") as demand:
+        demand.set(brake_pct=12)
+        asked = {"throttle_pct": 0, "brake_pct": 12}
+        running.until(
+            lambda: client.state()["demanded"] == {"PCU1": asked, "PCU2": asked}, "the demand"
+        )
+    running.until(lambda: client.state()["demanded"] == {}, "the demand to end")
+
+
 def test_health_tells_the_starts_since_the_boot_and_the_unexpected_ones(client):
     health = client.health()
     assert (health["starts"], health["unexpected_restarts"]) == (3, 1)
@@ -100,10 +129,6 @@ def test_a_refusal_has_a_word_for_programs_and_a_sentence_for_people(client):
         client.arm()
     assert caught.value.refusal == "not_allowed_now"
     assert caught.value.sentence == "there is no fresh demand"
-
-
-def test_the_metrics_are_on_the_same_socket(client):
-    assert "\nvcu_gateway_ticks_total " in client.metrics()
 
 
 def test_who_asked_for_what_is_in_the_events(client):

@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,7 +32,7 @@ class Raw:
         self._reader = self.socket.makefile("r")
         self._id = 0
 
-    def ask(self, method: str, **params: object) -> dict[str, object]:
+    def ask(self, method: str, **params: Any) -> dict[str, object]:
         self._id += 1
         request = {"jsonrpc": "2.0", "id": self._id, "method": method, "params": params}
         self.socket.sendall(json.dumps(request).encode() + b"\n")
@@ -39,7 +40,7 @@ class Raw:
         assert answer["id"] == self._id
         return answer
 
-    def demand(self, sequence: int, throttle_pct: float = 0.0, **params: object):
+    def demand(self, sequence: int, throttle_pct: float = 0.0, **params: Any):
         values = {"throttle_pct": throttle_pct, "power_mode": "normal"}
         params = {"source": self.source, "sequence": sequence, "values": values} | params
         return self.ask("demand.set", **params)

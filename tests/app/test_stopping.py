@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -30,7 +31,7 @@ def driving(fresh: Driven) -> Iterator[Driven]:
         yield fresh
 
 
-def told(gateway: Driven, message: dict[str, object]) -> dict[str, object]:
+def told(gateway: Driven, message: dict[str, Any]) -> dict[str, Any]:
     """The answer to one line of a connection of its own."""
     with socket.socket(socket.AF_UNIX) as one:
         one.settimeout(30)
@@ -103,17 +104,17 @@ def test_who_had_the_demand_gives_way_once_it_has_expired(fresh: Driven):
 
 
 def test_what_fills_the_queue_of_the_ticking_thread_leaves_room_for_a_stop(fresh: Driven):
-    begun, held, inbox = threading.Event(), threading.Event(), fresh.daemon.inbox
+    begun, held, work_queue = threading.Event(), threading.Event(), fresh.loop.work_queue
 
     def hold() -> None:
         begun.set()
         held.wait(30)
 
-    inbox.post(hold)
+    work_queue.post(hold)
     assert begun.wait(30)
     with fresh.client() as client:
-        while not inbox.full:
-            inbox.post(lambda: None)
+        while not work_queue.full:
+            work_queue.post(lambda: None)
         with pytest.raises(ApiError, match="too many requests wait"):
             client.arm()
         threading.Timer(0.05, held.set).start()

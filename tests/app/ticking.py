@@ -22,7 +22,7 @@ def main(folder: Path) -> None:
         ticks.write(f"{tick.deadline_ns} {tick.lateness_ns}\n")
 
     with open(folder / "lateness", "w", buffering=1) as ticks, driven(folder) as gateway:
-        gateway.daemon.observe_with(note)
+        gateway.loop.add_observer(note)
         gateway.until_ready()
         print("ready", flush=True)
         end.wait()

@@ -1,4 +1,4 @@
-"""`vcu-gateway demand`: hold the pedals from a terminal."""
+"""`vcu-gateway demand`: throttle and brake from a terminal."""
 
 import getpass
 import json
@@ -14,8 +14,8 @@ from vcu_gateway.api import results
 from vcu_gateway.cli.api_options import api_options, connected
 from vcu_gateway.client import Client, DemandOwner
 
-_SET_EVERY_S = 0.1
-_TELL_EVERY_S = 0.5
+_SET_PERIOD_S = 0.1
+_PRINT_PERIOD_S = 0.5
 
 _PEDALS = (
     click.option("--throttle", "throttle_pct", type=float, default=0.0, help="Percent, 0 to 100."),
@@ -54,7 +54,7 @@ def _pedal_options(command: Any) -> Any:
 @click.option("--source", help="Name of the source; default: your user name.")
 @click.option("--ttl-ms", type=int, default=200, show_default=True, help="Time to live.")
 @click.option("--for", "for_s", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS")
-@click.option("--arm", "arming", is_flag=True, help="Arm before the throttle is asked for.")
+@click.option("--arm", "arming", is_flag=True, help="Arm before the throttle is demanded.")
 def command(
     socket_path: Path | None,
     as_json: bool,
@@ -66,43 +66,42 @@ def command(
 ) -> None:
     """Hold a demand for both controllers until Ctrl-C, or for so many seconds.
 
-    Leaving lets go of everything, and so does killing this program: the gateway ends the
-    demand with its connection, at the latest after its time to live. What happens meanwhile is
-    printed as it changes.
+    The demand ends with this program, also when it is killed: the gateway ends it with its
+    connection, at the latest after its time to live. Mode and reasons are printed as they change.
     """
-    end = threading.Event()
+    stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda _number, _frame: end.set())
-    asked = {name: value for name, value in pedals.items() if value is not None}
+        signal.signal(number, lambda _number, _frame: stop.set())
+    values = {name: value for name, value in pedals.items() if value is not None}
     name = source or getpass.getuser()
     with connected(socket_path) as client, client.demand(name, ttl_ms=ttl_ms) as owner:
         if arming:
             client.arm()
-        _hold(client, owner, asked, end, for_s, as_json)
+        _hold(client, owner, values, stop, for_s, as_json)
 
 
 def _hold(
     client: Client,
     owner: DemandOwner,
-    asked: dict[str, Any],
-    end: threading.Event,
+    values: dict[str, Any],
+    stop: threading.Event,
     for_s: float | None,
     as_json: bool,
 ) -> None:
-    begun_s = told_s = time.monotonic()
-    told = ""
-    while not end.is_set() and (for_s is None or time.monotonic() - begun_s < for_s):
-        owner.set(**asked)
-        if time.monotonic() >= told_s:
-            told_s += _TELL_EVERY_S
-            told = _tell(client.why(), told, as_json)
-        end.wait(_SET_EVERY_S)
+    begun_s = next_print_s = time.monotonic()
+    printed = ""
+    while not stop.is_set() and (for_s is None or time.monotonic() - begun_s < for_s):
+        owner.set(**values)
+        if time.monotonic() >= next_print_s:
+            next_print_s += _PRINT_PERIOD_S
+            printed = _print_change(client.why(), printed, as_json)
+        stop.wait(_SET_PERIOD_S)
 
 
-def _tell(why: results.Why, told: str, as_json: bool) -> str:
-    """Print what changed; ages do not count."""
+def _print_change(why: results.Why, printed: str, as_json: bool) -> str:
+    """Print mode and reasons where they changed; returns what is compared the next time."""
     reasons = [one["subject"] for one in why["blocks"] + why["limits"]]
     now = json.dumps([why["mode"], reasons, why["next_step"]])
-    if now != told:
+    if now != printed:
         click.echo(json.dumps(why) if as_json else why["sentence"])
     return now

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway import app
 from vcu_gateway import config as configuration
+from vcu_gateway.app import Application
 from vcu_gateway.cli.options import config_option, resolve_config
+from vcu_gateway.config.protocol import check_protocol, load_protocol
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import log, realtime, safe_frames
+from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
-from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
+from vcu_gateway.daemon.systemd import SystemdNotifier
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
 from vcu_gateway.server import health, views
-from vcu_gateway.serving import Serving
 
 
 @click.command("run")
@@ -53,7 +53,7 @@ def command(
     JSON lines unless stderr is a terminal. A missing interface is waited for: the gateway opens
     it when it appears.
 
-    A service manager is told over $NOTIFY_SOCKET when it is ready, how it fares and that it
+    A service manager is notified over $NOTIFY_SOCKET when it is ready, of its status and that it
     lives. Starts are counted, and the safe frames are kept for `safe_stop`, in
     $RUNTIME_DIRECTORY where that is set. A latched CUT and the directions are kept there for the
     next start in this boot; without it in /run/vcu-gateway, $XDG_RUNTIME_DIR/vcu-gateway or
@@ -75,8 +75,8 @@ def _run(
     lock_memory: bool,
 ) -> None:
     config = configuration.load(resolve_config(config_path))
-    protocol = app.load_protocol(config)
-    app.check_protocol(config, protocol)
+    protocol = load_protocol(config)
+    check_protocol(config, protocol)
     problems = [
         *configuration.check_against(config, protocol),
         *configuration.check_accounts(config),
@@ -84,47 +84,31 @@ def _run(
     if problems:
         raise ConfigError(*problems)
     writer = log.configure(config.log.level, config.log.format)
-    daemon = app.build(config, protocol)
-    daemon.journal.tell(health.started(config))
-    runtime = _runtime_folder()
+    application = Application(config, protocol, lambda: writer.dropped)
+    loop, runtime = application.loop, _runtime_folder()
+    loop.event_log.emit(health.started(config))
     if runtime is not None:
         safe_frames.forget(runtime)
-    daemon.door.claim()
+    loop.connection.acquire_lock()
     if lock_memory:
-        _lock_memory(daemon)
-    folder = folder_for(daemon.door.settings, runtime)
-    restart_state = RestartState(
-        folder,
-        daemon.door.settings,
-        daemon.gateway,
-        daemon.journal,
-        other_folders(daemon.door.settings, folder),
-    )
-    restart_state.begin()
-    service = ServiceReporter(manager, runtime, daemon)
-    service.begin()
-    serving = Serving(config, protocol, daemon, lambda: writer.dropped, service.start)
-    daemon.handle_signals(on_hangup=serving.reloader.on_hangup)
-    daemon.observe_with(restart_state.observe)
-    daemon.observe_with(serving.observe)
-    daemon.observe_with(service.observe)
-    serving.open()
+        _lock_memory(loop.event_log)
+    application.begin_service(manager, runtime)
+    loop.handle_signals(on_hangup=application.api.reloader.on_hangup)
     try:
-        daemon.run(duration_s)
-        service.end()
+        with application.api:
+            application.run(duration_s)
     finally:
-        serving.close()
         writer.drain()
     if state_path is not None:
-        _write_state(state_path, daemon)
+        _write_state(state_path, loop)
 
 
-def _lock_memory(daemon: TickLoop) -> None:
+def _lock_memory(event_log: EventLog) -> None:
     try:
-        realtime.lock()
+        realtime.lock_memory()
     except UnavailableError as error:
         reason = str(error)
-        daemon.journal.tell(Event("memory_not_locked", Severity.WARNING, {"reason": reason}))
+        event_log.emit(Event("memory_not_locked", Severity.WARNING, {"reason": reason}))
 
 
 def _runtime_folder() -> Path | None:
@@ -133,23 +117,23 @@ def _runtime_folder() -> Path | None:
     return Path(first) if first else None
 
 
-def _write_state(path: Path, daemon: TickLoop) -> None:
+def _write_state(path: Path, loop: TickLoop) -> None:
     try:
-        path.write_text(json.dumps(_last_state(daemon), indent=1) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(_last_state(loop), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         what = f"cannot be written: {error.strerror}"
         raise UnavailableError(Problem(what, str(path))) from error
 
 
-def _last_state(daemon: TickLoop) -> dict[str, object]:
-    snapshot = daemon.gateway.intake.store.snapshot(time.monotonic_ns())
+def _last_state(loop: TickLoop) -> dict[str, object]:
+    snapshot = loop.gateway.snapshot(time.monotonic_ns())
     return {
         "messages": views.messages(snapshot),
-        "counters": views.counters(daemon.gateway),
-        "bus": daemon.door.report(),
+        "counters": views.counters(loop.gateway),
+        "bus": loop.connection.report(),
         "ticks": {
-            "done": daemon.schedule.ticks,
-            "skipped": daemon.schedule.skipped,
-            "silent": daemon.silent_ticks,
+            "done": loop.schedule.ticks,
+            "skipped": loop.schedule.skipped,
+            "silent": loop.silent_ticks,
         },
     }

@@ -1,4 +1,4 @@
-"""`vcu-gateway status`: the running gateway in a few lines."""
+"""`vcu-gateway status`: summary of the running gateway."""
 
 import sys
 from pathlib import Path
@@ -6,18 +6,18 @@ from pathlib import Path
 import click
 
 from vcu_gateway.api import results
-from vcu_gateway.cli.api_options import age, api_options, connected, show
+from vcu_gateway.cli.api_options import api_options, connected, duration, show
 
 
 @click.command("status")
 @api_options
 @click.option("--check", is_flag=True, help="Exit with 1 unless the mode is standby or active.")
 def command(socket_path: Path | None, as_json: bool, check: bool) -> None:
-    """Tell mode, reasons, demand, bus, ticks and commands of the running gateway."""
+    """Print mode, reasons, demand, bus, ticks and commands of the running gateway."""
     with connected(socket_path) as client:
         why, health, state = client.why(), client.health(), client.state(())
-    found = {"why": why, "health": health, "commands": state["commands"]}
-    show(found, as_json, lambda: "\n".join(_lines(why, health, state)))
+    summary = {"why": why, "health": health, "commands": state["commands"]}
+    show(summary, as_json, lambda: "\n".join(_lines(why, health, state)))
     if check and why["mode"] not in ("standby", "active"):
         sys.exit(1)
 
@@ -41,9 +41,9 @@ def _demand(demand: results.DemandState | None) -> str:
     if demand is None:
         return "none"
     if demand["age_ms"] is None:
-        return f"{demand['source']}, for ever"
-    fresh = "counts" if demand["fresh"] else "expired"
-    return f"{demand['source']}, {age(demand['age_ms'])} old, {fresh}"
+        return f"{demand['source']}, never expires"
+    fresh = "fresh" if demand["fresh"] else "expired"
+    return f"{demand['source']}, {duration(demand['age_ms'])} old, {fresh}"
 
 
 def _command(command: results.SentCommand) -> str:
@@ -59,9 +59,8 @@ def _command(command: results.SentCommand) -> str:
 def _bus(health: results.Health) -> str:
     link = health["link"]
     reason = f": {link['lost']}" if link["lost"] else ""
-    return (
-        f"{link['interface']} {link['channel']} {link['state']} for {age(link['since_ms'])}{reason}"
-    )
+    state = f"{link['state']} for {duration(link['since_ms'])}{reason}"
+    return f"{link['interface']} {link['channel']} {state}"
 
 
 def _frames(frames: results.FrameCounts) -> str:
@@ -94,6 +93,7 @@ def _program(health: results.Health) -> str:
     if health["unexpected_restarts"]:
         starts += f", {health['unexpected_restarts']} of them unexpected in this drive"
     return (
-        f"{health['versions']['vcu_gateway']}, pid {health['pid']}, up {age(health['uptime_ms'])}"
-        f"{starts}, {health['config_file']} ({health['config_digest']})"
+        f"{health['versions']['vcu_gateway']}, pid {health['pid']},"
+        f" up {duration(health['uptime_ms'])}{starts},"
+        f" {health['config_file']} ({health['config_digest']})"
     )

@@ -1,14 +1,14 @@
-"""`vcu-gateway version`: what a bug report needs to say."""
+"""`vcu-gateway version`: versions for a bug report."""
 
 import hashlib
 import importlib.metadata
 import json
 import platform
-import socket
 
 import click
 
 from vcu_gateway import __version__
+from vcu_gateway.bus.interface import can_socket_error
 from vcu_gateway.protocol import packaged
 
 _LIBRARIES = ("python-can", "cantools")
@@ -21,7 +21,8 @@ def command(as_json: bool) -> None:
 
     "can" tells whether this kernel gives the program a raw CAN socket; it needs no interface.
     """
-    missing = _kernel_can_missing()
+    error = can_socket_error()
+    missing = error and (error.strerror or str(error))
     facts = {
         "vcu-gateway": __version__,
         "python": platform.python_version(),
@@ -35,14 +36,3 @@ def command(as_json: bool) -> None:
     for name, value in facts.items():
         click.echo(f"{name} {value}")
     click.echo(f"can {'yes' if missing is None else f'no: {missing}'}")
-
-
-def _kernel_can_missing() -> str | None:
-    """Why there is no raw CAN socket here, or None where there is."""
-    try:
-        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-    except AttributeError:
-        return "this Python was built without CAN"
-    except OSError as error:
-        return error.strerror or str(error)
-    return None

@@ -1,8 +1,8 @@
 """Gateway and simulated vehicle in one process, as the child of `vcu-gateway demo`.
 
-Its one argument is a JSON object of `child.Wanted`. It writes the path of the API's socket as the
-first line of stdout, a summary as the last, and ends with its stdin, with SIGTERM, or when the
-duration is over.
+Its one argument is a JSON object of `process.DemoOptions`. It writes the path of the API's socket
+as the first line of stdout, a summary as the last, and ends with its stdin, with SIGTERM, or when
+the duration is over.
 """
 
 import json
@@ -13,14 +13,15 @@ import threading
 import time
 from pathlib import Path
 
-from vcu_gateway import app, simulator
 from vcu_gateway import config as configuration
+from vcu_gateway import simulator
+from vcu_gateway.app import Application
+from vcu_gateway.config.protocol import load_protocol
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.demo.process import DemoOptions
 from vcu_gateway.errors import GatewayError
-from vcu_gateway.serving import Serving
 from vcu_gateway.simulator.play import open_bus, play
 
 
@@ -38,28 +39,26 @@ def main() -> None:
 
 
 def run(wanted: DemoOptions, folder: Path) -> None:
-    """Drive the vehicle until the end; `folder` is for the socket."""
+    """Run gateway and vehicle until the end; `folder` holds the API's socket."""
     writer = log.configure("error", "console")
     config = configuration.parse(_config(wanted, folder / "control.sock"), "demo")
-    protocol = app.load_protocol(config)
-    daemon = app.build(config, protocol)
-    daemon.door.claim()
-    serving = Serving(config, protocol, daemon, lambda: writer.dropped)
-    daemon.handle_signals()
-    daemon.observe_with(serving.observe)
+    protocol = load_protocol(config)
+    application = Application(config, protocol, lambda: writer.dropped)
+    loop = application.loop
+    loop.connection.acquire_lock()
+    loop.handle_signals()
     stop = threading.Event()
     vehicle = _vehicle(wanted, Codec(protocol), stop)
-    serving.open()
-    threading.Thread(target=_end_with_stdin, args=(daemon,), daemon=True).start()
-    _say(config.api.socket_path)
-    vehicle.start()
-    try:
-        daemon.run(wanted.duration_s)
-    finally:
-        stop.set()
-        vehicle.join()
-        _say(_summary(daemon))  # while the API answers: the view never sees it gone
-        serving.close()
+    with application.api:
+        threading.Thread(target=_end_with_stdin, args=(loop,), daemon=True).start()
+        _say(config.api.socket_path)
+        vehicle.start()
+        try:
+            application.run(wanted.duration_s)
+        finally:
+            stop.set()
+            vehicle.join()
+            _say(_summary(loop))  # while the API answers: the view never sees it gone
 
 
 def _config(wanted: DemoOptions, socket_path: Path) -> str:
@@ -89,10 +88,10 @@ def _vehicle(wanted: DemoOptions, codec: Codec, stop: threading.Event) -> thread
     return threading.Thread(target=run_vehicle, name="vehicle")
 
 
-def _end_with_stdin(daemon: TickLoop) -> None:
-    """Whoever started this may die without a word; stdin ends in any case."""
+def _end_with_stdin(loop: TickLoop) -> None:
+    """Stop with the parent: stdin ends however the parent does."""
     sys.stdin.read()
-    daemon.stop("the view has ended")
+    loop.stop("the view has ended")
 
 
 def _say(line: str) -> None:
@@ -100,8 +99,8 @@ def _say(line: str) -> None:
     sys.stdout.flush()
 
 
-def _summary(daemon: TickLoop) -> str:
-    schedule, counters = daemon.schedule, daemon.door.counters
+def _summary(loop: TickLoop) -> str:
+    schedule, counters = loop.schedule, loop.connection.counters
     return (
         f"{schedule.ticks} ticks, {schedule.skipped} skipped, "
         f"{counters.sent} command frames sent, {counters.received} frames received"

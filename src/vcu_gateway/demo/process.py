@@ -1,4 +1,4 @@
-"""The process in which gateway and simulated vehicle run, as whoever started it sees it."""
+"""Child process of the demo: gateway and simulated vehicle, seen from the parent."""
 
 import json
 import os
@@ -17,10 +17,10 @@ _PATIENCE_S = 10.0
 
 
 class DemoOptions(NamedTuple):
-    """What the demonstration does.
+    """Options of the demo.
 
     Attributes:
-        battery_speedup: charge flows so many times as fast as it really would.
+        battery_speedup: factor of the battery's charge and discharge; 1 is real time.
         duration_s: None is until its stdin ends.
     """
 
@@ -32,7 +32,7 @@ class DemoOptions(NamedTuple):
 
 
 class DemoProcess:
-    """Started at once, and over at the end of the `with`, however that comes.
+    """Child process, started at once and ended with the `with` block.
 
     Attributes:
         socket_path: where its API listens.
@@ -87,18 +87,18 @@ class DemoProcess:
         self._stdout.close()
 
     def _failure(self) -> GatewayError:
-        """What it wrote before it failed; its exit code is ours."""
+        """Error with the lines and the exit code of the failed child."""
         with self._errors:
             self._errors.seek(0)
             lines = self._errors.read().splitlines()
         code = self._process.returncode
-        told = [line.removeprefix("error: ") for line in lines] or [f"it ended with {code}"]
-        failure = UnavailableError(*map(Problem, told))
+        problems = [line.removeprefix("error: ") for line in lines] or [f"it ended with {code}"]
+        failure = UnavailableError(*map(Problem, problems))
         failure.exit_code = code if code > 0 else os.EX_SOFTWARE
         return failure
 
 
 def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
     if process.stdin is None or process.stdout is None:
-        raise AssertionError("both were asked for")
+        raise AssertionError("both are pipes")
     return process.stdin, process.stdout
