@@ -1,4 +1,4 @@
-"""SAFETY.md's invariants on a recorded bus, from the frames and the gateway's word on its mode.
+"""The invariants (docs/safety.md) on a recorded bus, from the frames and the mode that is told.
 
     checked = check(recording.frames(), log=gateway.log())
 
@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 MS = 1_000_000
 COMMANDS = (0x0008A7D0, 0x0008A8D0)
@@ -34,6 +34,9 @@ class Recorded(Protocol):
     def can_id(self) -> int: ...
     @property
     def data(self) -> bytes: ...
+
+
+AnyRecorded = TypeVar("AnyRecorded", bound=Recorded)
 
 
 @dataclass(frozen=True)
@@ -81,10 +84,10 @@ class _Bus:
 
 
 def check(
-    frames: Sequence[Recorded],
+    frames: Sequence[AnyRecorded],
     *,
     log: Iterable[Mapping[str, Any]] | None = None,
-    foreign: Callable[[Recorded], bool] = lambda frame: False,
+    foreign: Callable[[AnyRecorded], bool] = lambda frame: False,
     limits: Limits | None = None,
 ) -> Checked:
     """Hold every command frame of a recording against the invariants.
@@ -185,7 +188,7 @@ def _slow(bus: _Bus, at_ns: int) -> bool:
     )
 
 
-def _figures(own: list[Recorded], limits: Limits) -> Checked:
+def _figures(own: Sequence[Recorded], limits: Limits) -> Checked:
     gaps_ms, missing = [], []
     for can_id in COMMANDS:
         stamps_ns = [frame.stamp_ns for frame in own if frame.can_id == can_id]

@@ -3,7 +3,7 @@
     python -m tests.faults.random_frames --frames 10000000 [--seed 1]
 
 Half of the rounds are calm: what is wrong in them must not take the torque. After every frame the
-second opinion has counted the same, after every tick SAFETY.md's invariants hold
+second opinion has counted the same, after every tick the invariants of docs/safety.md hold
 (tests/core/test_invariants.py). Status 1, with the seed, where anything does not.
 """
 
@@ -160,11 +160,11 @@ def run(frames: int, seed: int, tell_every: int = 0) -> Ran:
     )
 
 
-def intake_rate(frames: int = 200_000) -> float:
-    """Frames a second through `Gateway.intake` alone, of the same kinds."""
+def receiver_rate(frames: int = 200_000) -> float:
+    """Frames a second through `Gateway.receive` alone, of the same kinds."""
     maker = Maker(0)
     made = [maker.frame(0, calm=False) for _ in range(frames)]
-    receive = Gateway(CODEC, Settings(), 0).intake.receive
+    receive = Gateway(CODEC, Settings(), 0).receive
     begun_s = time.perf_counter()
     for frame in made:
         receive(frame)
@@ -178,7 +178,7 @@ def main() -> int:
     given = parser.parse_args()
     print(f"seed {given.seed}", flush=True)
     ran = run(given.frames, given.seed, tell_every=1_000_000)
-    print(f"{ran}\nthrough the intake alone {intake_rate():,.0f} frames a second")
+    print(f"{ran}\nthrough the receiver alone {receiver_rate():,.0f} frames a second")
     return 0 if ran.growth_kb < GROWTH_MAX_KB else 1
 
 

@@ -2,9 +2,9 @@
 
     tests/lab/lab run --timeout 720 -- .venv/bin/python -m tests.faults.soak --minutes 10
 
-The recorded bus is held against SAFETY.md's invariants all the while. At the end: memory does not
-grow, no descriptor is left over, every tick is accounted for, every frame sent is on the bus.
-Status 1, with the seed, where anything of this is not so.
+The recorded bus is held against the invariants of docs/safety.md all the while. At the end: memory
+does not grow, no descriptor is left over, every tick is accounted for, every frame sent is on the
+bus. Status 1, with the seed, where anything of this is not so.
 """
 
 import argparse
@@ -423,7 +423,7 @@ class Soak:
 
     def _ask(self, throttle_pct: float) -> dict[str, Any]:
         """On in the direction that is applied: turning waits until the vehicle has rolled out."""
-        commands: dict[str, Any] = dict(self.one.client.state(())["commands"])
+        commands: Any = self.one.client.state(())["commands"]
         reverse = commands["PCU1"]["motor_reverse"]
         self.one.owner.set(throttle_pct=throttle_pct, power_mode="normal", motor_reverse=reverse)
         return commands

@@ -58,6 +58,10 @@ def counted(state: dict[str, Any]) -> int:
     return taken + counters["out_of_order"] + sum(sum(group.values()) for group in groups)
 
 
+def _is_told(driving: Driving, lines: int, told: str) -> bool:
+    return any(one.startswith(told) for one in causes(driving, lines))
+
+
 def test_f31_frames_that_come_twice_or_out_of_order_are_no_news(
     driving: Driving, disturb: Disturb, seen: Seen
 ):
@@ -66,9 +70,7 @@ def test_f31_frames_that_come_twice_or_out_of_order_are_no_news(
     time.sleep(DISTURBED_S)
     # Twice is no sign of life, and a copy is another sender's.
     for told in ("life_signal BMS_Status.LifeSignal power limit", "foreign_sender"):
-        wait_until(
-            lambda told=told: any(one.startswith(told) for one in causes(driving, lines)), told
-        )
+        wait_until(functools.partial(_is_told, driving, lines, told), told)
     state = driving.ended()
     driving.check_own_choice(lines)
     assert state["bus"]["receiver_bugs"] == 0
@@ -163,18 +165,18 @@ class Sent(NamedTuple):
     def through(cls, how: str, disturb: Disturb) -> "Sent":
         disturb("pfifo_fast")  # empty again
         disturb(how)
-        door = BusConnection(
+        connection = BusConnection(
             BusSettings("socketcan", "vcan0"), [COMMAND.can_id], lambda frame: None
         )
-        door.open()
-        door.admit()
+        connection.open()
+        connection.start_sending()
         took_us = []
         for _ in range(200):
             begun_ns = time.monotonic_ns()
-            door.send(COMMAND)
+            connection.send(COMMAND)
             took_us.append((time.monotonic_ns() - begun_ns) / 1000)
-        counters = door.counters
-        door.close()
+        counters = connection.counters
+        connection.close()
         slow_us = statistics.quantiles(took_us, n=10)[-1]
         return cls(counters.sent, dict(counters.refused), statistics.median(took_us), slow_us)
 

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,7 +82,7 @@ def without_an_end(path: Path) -> str:
     return f"a line without an end: {sent // 1024} KiB taken"
 
 
-def refused(text: bytes) -> str:
+def refused(text: bytes) -> Callable[[Path], str]:
     def speak(path: Path) -> str:
         with connected(path) as one:
             with contextlib.suppress(OSError):
@@ -99,7 +99,7 @@ def twice(path: Path) -> str:
     return refused(b'{"jsonrpc":"2.0","id":1,"method":"why","method":"estop"}')(path)
 
 
-ABUSES = {
+ABUSES: dict[str, Callable[[Path], str]] = {
     "ten thousand a second": connect_and_go,
     "half open": half_open,
     "one byte now and then": byte_by_byte,
@@ -137,7 +137,7 @@ class Abused(NamedTuple):
 
 def test_f68_an_abused_api_is_bounded_and_no_tick_is_late_by_it(tmp_path, seen: Seen):
     with bystander(tmp_path) as other, driven(tmp_path) as whole, moving(whole) as driver:
-        schedule = whole.daemon.schedule
+        schedule = whole.loop.schedule
         told = {what: abuse(whole.socket_path) for what, abuse in ABUSES.items()}  # warms up
 
         def abused() -> Abused:

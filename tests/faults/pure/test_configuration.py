@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -18,6 +18,7 @@ from tests.faults.machine import program
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
 from tests.faults.pure.test_process import commands, moving, next_commands
 from vcu_gateway import config as configuration
+from vcu_gateway.config.protocol import load_protocol
 from vcu_gateway.errors import ConfigError
 from vcu_gateway.protocol import packaged
 
@@ -90,6 +91,7 @@ WRONG = {
 
 @pytest.mark.parametrize("what", WRONG)
 def test_f60_a_wrong_configuration_is_refused_and_nothing_starts(what, tmp_path, seen: Seen):
+    contents: Any
     contents, expected = WRONG[what]
     path = tmp_path / "gateway.yaml"
     path = contents(path) if callable(contents) else written(path, contents)
@@ -107,9 +109,8 @@ def test_f60_a_wrong_configuration_is_refused_and_nothing_starts(what, tmp_path,
 
 def _loaded(path: Path) -> None:
     config = configuration.load(path)
-    from vcu_gateway import app
 
-    if problems := configuration.check_against(config, app.load_protocol(config)):
+    if problems := configuration.check_against(config, load_protocol(config)):
         raise ConfigError(*problems)
 
 
@@ -176,7 +177,7 @@ class Reloaded(NamedTuple):
 def test_f61_an_invalid_reload_changes_nothing_and_leaves_no_gap(tmp_path, seen: Seen):
     with bystander(tmp_path) as other, driven(tmp_path) as whole, moving(whole) as driver:
         before = driver.result("config.get")
-        schedule, counters = whole.daemon.schedule, whole.daemon.door.counters
+        schedule, counters = whole.loop.schedule, whole.loop.connection.counters
 
         def reloaded() -> Reloaded:
             driver.until_driving()
@@ -361,7 +362,7 @@ def test_f63_a_throttle_in_another_place_never_leaves_the_gate(tmp_path, seen: S
     )
     with driven(tmp_path, config) as whole:
         whole.until_mode("fault")
-        blocked = dict(whole.daemon.gateway.output.gate.blocked)
+        blocked = dict(whole.loop.gateway.transmitter.gate.blocked)
         sentence = whole.latest_why.sentence()
         assert set(next_commands(whole, 20)) == {ZERO_TORQUE}
     assert blocked

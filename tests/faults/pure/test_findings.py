@@ -13,7 +13,7 @@ from vcu_gateway.errors import ConfigError
 
 
 def test_a_restart_while_rolling_backwards_keeps_the_direction():
-    """SAFETY.md: ZERO_TORQUE has MotorReverse as last applied; Status1 tells what that is."""
+    """ZERO_TORQUE has MotorReverse as last applied, says docs/safety.md; Status1 tells it."""
     drive = Drive()
     drive.codes = {f"PCU{n}_Status1.MotorReverse": 1 for n in (1, 2)}
     drive.codes |= {f"PCU{n}_Status2.MotorSpeed": 1000 for n in (1, 2)}
@@ -34,10 +34,10 @@ def test_a_reload_that_cannot_be_started_does_not_end_the_gateway(tmp_path, monk
 
     with driven(tmp_path) as whole, moving(whole):
         monkeypatch.setattr(threading.Thread, "start", refuse)
-        whole.daemon.inbox.post(whole.serving.reloader.on_hangup)
+        whole.loop.work_queue.post(whole.api.reloader.on_hangup)
         whole.until(refused.is_set, "the reload that cannot be started")
-        ticks = whole.daemon.schedule.ticks
-        whole.until(lambda: whole.daemon.schedule.ticks > ticks + 3, "further ticks")
+        ticks = whole.loop.schedule.ticks
+        whole.until(lambda: whole.loop.schedule.ticks > ticks + 3, "further ticks")
 
 
 def test_a_default_time_to_live_above_the_longest_is_refused():

@@ -7,6 +7,7 @@ import math
 import random
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -47,7 +48,7 @@ def driving(asked: ControllerDemand = THROTTLE, **settings) -> Drive:
     """A drive in ACTIVE that has had a second to reach what is asked."""
     drive = active(**settings)
     drive.silent |= QUIET
-    drive.asked = asked
+    drive.demanded = asked
     drive.run(1000)
     assert drive.mode is Mode.ACTIVE, drive.sentence
     return drive
@@ -66,22 +67,23 @@ def until_safe_ms(drive: Drive, within_ms: int) -> float:
 @pytest.mark.parametrize("length", range(8))
 def test_f01_a_short_frame_is_counted_and_not_decoded_and_the_last_value_ages(length, seen: Seen):
     drive = driving()
-    intake = drive.gateway.intake
-    before = intake.store._latest.copy()
+    receiver = drive.gateway.receiver
+    before = receiver.store._latest.copy()
     for name in (*RECEIVED, *COMMANDS):
         frame = Frame(CODEC.by_name[name].spec.can_id, b"\xff" * length, drive.now_ns)
-        intake.receive(dataclasses.replace(frame, own_echo=name in COMMANDS))
-    assert intake.store._latest == before
-    assert intake.rejected[Reason.SHORT] == len(RECEIVED) + len(COMMANDS)
+        receiver.receive(dataclasses.replace(frame, own_echo=name in COMMANDS))
+    assert receiver.store._latest == before
+    assert receiver.rejected[Reason.SHORT] == len(RECEIVED) + len(COMMANDS)
     last_ns = before[STATUS].arrival_ns
     drive.silent.add(STATUS)
     while drive.now_ns - last_ns < 1550 * MS:
-        intake.receive(Frame(ID_OF[STATUS], bytes(length), drive.now_ns))
+        receiver.receive(Frame(ID_OF[STATUS], bytes(length), drive.now_ns))
         drive.tick()
         assert drive.mode is Mode.ACTIVE
     until_safe_ms(drive, 300)
+    short = receiver.rejected[Reason.SHORT]
     seen(
-        f"{intake.rejected[Reason.SHORT]} frames of {length} bytes counted; zero torque once stale",
+        f"{short} frames of {length} bytes counted; zero torque once stale",
         reaction_ms=(drive.now_ns - last_ns) / MS,
     )
     assert (drive.now_ns - last_ns) / MS <= 1650
@@ -92,55 +94,55 @@ def test_f02_a_frame_that_is_too_long_is_counted_and_its_bytes_count_not_its_len
     tmp_path, seen: Seen
 ):
     drive = driving()
-    intake = drive.gateway.intake
-    before = intake.store._latest.copy()
+    receiver = drive.gateway.receiver
+    before = receiver.store._latest.copy()
     lengths = (*range(9, 17), 20, 24, 32, 48, 64)
     for name in RECEIVED:
         for length in lengths:
-            intake.receive(Frame(ID_OF[name], b"\xff" * length, drive.now_ns))
-    assert intake.store._latest == before
-    assert intake.rejected[Reason.LONG] == len(RECEIVED) * len(lengths)
+            receiver.receive(Frame(ID_OF[name], b"\xff" * length, drive.now_ns))
+    assert receiver.store._latest == before
+    assert receiver.rejected[Reason.LONG] == len(RECEIVED) * len(lengths)
     with driven(tmp_path) as whole:
-        counted = _sent_through_the_door(whole)
+        counted = _sent_through_the_connection(whole)
     assert counted == {"long": 2, "short": 0}
-    seen(f"{intake.rejected[Reason.LONG]} long frames counted; length codes 9 to 15 are 8 bytes")
+    seen(f"{receiver.rejected[Reason.LONG]} long frames counted; length codes 9 to 15 are 8 bytes")
 
 
-def _sent_through_the_door(whole) -> dict[str, int]:
+def _sent_through_the_connection(whole) -> dict[str, int]:
     """FD frames, and eight bytes under every length code above 8."""
     import can
 
     whole.until_ready()
-    intake = whole.daemon.gateway.intake
-    message = {"arbitration_id": ID_OF["BMS_Temperatures"], "is_extended_id": True}
-    temperatures = intake.store._latest["BMS_Temperatures"]
+    receiver = whole.loop.gateway.receiver
+    message: dict[str, Any] = {"arbitration_id": ID_OF["BMS_Temperatures"], "is_extended_id": True}
+    temperatures = receiver.store._latest["BMS_Temperatures"]
     for length in (12, 64):
-        whole.ear.send(can.Message(**message, data=bytes(length), is_fd=True))
+        whole.other_node.send(can.Message(**message, data=bytes(length), is_fd=True))
     for code in range(9, 16):
-        whole.ear.send(can.Message(**message, data=bytes(range(8)), dlc=code))
+        whole.other_node.send(can.Message(**message, data=bytes(range(8)), dlc=code))
 
     def taken() -> bool:
-        latest = intake.store._latest["BMS_Temperatures"]
+        latest = receiver.store._latest["BMS_Temperatures"]
         return latest.frame_count >= temperatures.frame_count + 7
 
     whole.until(taken, "seven frames of eight bytes")
-    assert whole.daemon.door.counters.receiver_bugs == 0
+    assert whole.loop.connection.counters.receiver_bugs == 0
     whole.until_mode("standby")  # a machine that stands still leaves it for a while
-    rejected = intake.rejected
+    rejected = receiver.rejected
     return {"long": rejected[Reason.LONG], "short": rejected[Reason.SHORT]}
 
 
 def test_f07_another_priority_is_the_same_message_and_never_another(seen: Seen):
     drive = driving()
-    intake = drive.gateway.intake
+    receiver = drive.gateway.receiver
     for name in RECEIVED:
         for priority in range(8):
             can_id = ID_OF[name] & 0x03FF_FFFF | priority << 26
-            before = {one: latest.frame_count for one, latest in intake.store._latest.items()}
-            intake.receive(Frame(can_id, data(name), drive.now_ns))
-            after = {one: latest.frame_count for one, latest in intake.store._latest.items()}
+            before = {one: latest.frame_count for one, latest in receiver.store._latest.items()}
+            receiver.receive(Frame(can_id, data(name), drive.now_ns))
+            after = {one: latest.frame_count for one, latest in receiver.store._latest.items()}
             assert after == before | {name: before.get(name, 0) + 1}
-    assert sum(intake.rejected.values()) == 0
+    assert sum(receiver.rejected.values()) == 0
     seen(f"{8 * len(RECEIVED)} frames with priorities 0 to 7: each taken as its own message")
 
 
@@ -178,7 +180,7 @@ def test_f09_an_identifier_with_flag_bits_is_refused_with_file_and_line(
 
 def test_f10_a_million_unknown_identifiers_are_counted_and_nothing_grows(seen: Seen):
     drive = driving()
-    intake = drive.gateway.intake
+    receiver = drive.gateway.receiver
     chance = random.Random(10)
     known = {*ID_OF.values(), 0x08F02DE2, *(CODEC.by_name[name].spec.can_id for name in COMMANDS)}
     ours = {can_id & 0x03FF_FFFF for can_id in known}
@@ -187,17 +189,17 @@ def test_f10_a_million_unknown_identifiers_are_counted_and_nothing_grows(seen: S
     frames += [
         Frame(one, bytes(8), drive.now_ns) for one in extended if one & 0x03FF_FFFF not in ours
     ]
-    counted = sum(intake.rejected.values())
+    counted = sum(receiver.rejected.values())
     events = len(drive.events)
     total = before_kb = 0
     while total < 1_000_000:
         before_kb = before_kb or resident_kb()
         for frame in frames:
-            intake.receive(frame)
+            receiver.receive(frame)
         total += len(frames)
         drive.tick()
     grown_kb = resident_kb() - before_kb
-    assert sum(intake.rejected.values()) - counted == total
+    assert sum(receiver.rejected.values()) - counted == total
     assert grown_kb < 1024
     assert len(drive.events) == events, "nothing in the log"
     assert drive.mode is Mode.ACTIVE
@@ -274,7 +276,7 @@ def test_f19_codes_that_are_no_numbers_are_not_used_as_numbers(name, fill, seen:
     drive = driving()
     spec = CODEC.by_name[name].spec
     drive.silent.add(name)
-    drive.gateway.intake.receive(Frame(ID_OF[name], bytes([fill]) * 8, drive.now_ns))
+    drive.gateway.receive(Frame(ID_OF[name], bytes([fill]) * 8, drive.now_ns))
     snapshot = drive.tick().snapshot
     refused = 0
     for signal in spec.signals:
@@ -303,14 +305,14 @@ def test_f20_a_value_out_of_its_range_is_told_and_the_rest_of_its_message_counts
 ):
     drive = driving()
     message, _, name = signal.partition(".")
-    marked = drive.gateway.intake.store._latest[message].marked_count
+    marked = drive.gateway.receiver.store._latest[message].marked_count
     drive.codes = {signal: raw}
     drive.receive(message)
     snapshot = drive.tick().snapshot
     assert snapshot.reading(message, name).quality is Quality.OUT_OF_RANGE
     assert snapshot.reading(message, name).good_value is None
     assert snapshot.reading(message, other).quality is Quality.GOOD
-    assert drive.gateway.intake.store._latest[message].marked_count > marked
+    assert drive.gateway.receiver.store._latest[message].marked_count > marked
     assert [event for event in drive.events if signal in str(event.fields)], "an alarm"
     assert drive.mode is Mode.ACTIVE
     seen(f"{signal} of {raw}: alarm, not used; {other} is good and the drive goes on")
@@ -330,7 +332,8 @@ def test_f21_numbers_that_are_none_are_refused_at_every_door(tmp_path, seen: See
     names = ("throttle_pct", "brake_pct", "speed_limit_rpm", "power_limit_w")
     for name in names:
         for value in (math.nan, math.inf, -math.inf, 1e308, 10**400):
-            answer = drive.offer(dataclasses.replace(THROTTLE, **{name: value}))
+            changed: dict[str, Any] = {name: value}
+            answer = drive.offer(dataclasses.replace(THROTTLE, **changed))
             assert answer.refusal in (Refusal.NOT_FINITE, Refusal.OUT_OF_RANGE)
     with driven(tmp_path) as whole:
         whole.until_ready()
@@ -368,18 +371,18 @@ def _refusal(speaker: Speaker, name: str, text: str) -> str:
 def test_f25_brake_and_throttle_together_take_the_throttle_until_it_is_released(seen: Seen):
     drive = driving()
     assert drive.commands[0][1] > 100
-    drive.asked = dataclasses.replace(THROTTLE, throttle_pct=60, brake_pct=10)
+    drive.demanded = dataclasses.replace(THROTTLE, throttle_pct=60, brake_pct=10)
     drive.tick()
     assert {frame[1] for frame in drive.commands} == {0}
-    drive.asked = dataclasses.replace(THROTTLE, throttle_pct=60)
+    drive.demanded = dataclasses.replace(THROTTLE, throttle_pct=60)
     drive.run(2000)
     assert {frame[1] for frame in drive.commands} == {0}, "the brake is released"
-    drive.asked = dataclasses.replace(THROTTLE, throttle_pct=5)
+    drive.demanded = dataclasses.replace(THROTTLE, throttle_pct=5)
     drive.run(500)
     assert {frame[1] for frame in drive.commands} == {0}, "5 % is not less than 5 %"
-    drive.asked = dataclasses.replace(THROTTLE, throttle_pct=4.9)
+    drive.demanded = dataclasses.replace(THROTTLE, throttle_pct=4.9)
     drive.tick()
-    drive.asked = THROTTLE
+    drive.demanded = THROTTLE
     drive.run(1000)
     assert {frame[1] for frame in drive.commands} == {103}
     assert drive.mode is Mode.ACTIVE
@@ -389,7 +392,7 @@ def test_f25_brake_and_throttle_together_take_the_throttle_until_it_is_released(
 @pytest.mark.parametrize("throttle_pct", [0.01, 1.0, 100.0])
 def test_f26_throttle_at_arming_and_at_reset_is_refused(throttle_pct, seen: Seen):
     drive = standby()
-    drive.asked = dataclasses.replace(THROTTLE, throttle_pct=throttle_pct)
+    drive.demanded = dataclasses.replace(THROTTLE, throttle_pct=throttle_pct)
     drive.tick()
     armed = drive.arm()
     assert (armed.granted, drive.mode) == (False, Mode.STANDBY)
@@ -400,7 +403,7 @@ def test_f26_throttle_at_arming_and_at_reset_is_refused(throttle_pct, seen: Seen
     reset = drive.reset()
     assert (reset.granted, drive.mode) == (False, Mode.FAULT)
     assert "throttle" in reset.sentence
-    drive.asked = ControllerDemand()
+    drive.demanded = ControllerDemand()
     drive.tick()
     assert drive.reset().granted
     drive.tick()
@@ -413,7 +416,7 @@ def test_f27_reverse_at_speed_waits_with_throttle_0_until_both_motors_are_slow(s
     speeds = [f"PCU{n}_Status2.MotorSpeed" for n in (1, 2)]
     drive.codes = dict.fromkeys(speeds, 3000)
     drive.run(200)
-    drive.asked = dataclasses.replace(THROTTLE, throttle_pct=20, motor_reverse=True)
+    drive.demanded = dataclasses.replace(THROTTLE, throttle_pct=20, motor_reverse=True)
     drive.tick()
     assert {(frame[1], frame[0] & 0x10) for frame in drive.commands} == {(0, 0)}
     drive.codes = {speeds[0]: 3000, speeds[1]: 0}

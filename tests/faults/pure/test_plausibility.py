@@ -21,7 +21,7 @@ def driving(asked: ControllerDemand = THROTTLE, **settings) -> Drive:
     """A drive in ACTIVE that has had two seconds to reach what is asked, with nothing held."""
     drive = active(**settings)
     drive.silent |= IMU
-    drive.asked = asked
+    drive.demanded = asked
     drive.run(2000)
     assert (drive.mode, found(drive)) == (Mode.ACTIVE, set())
     return drive
@@ -65,7 +65,7 @@ def test_f22_a_motor_speed_that_jumps_is_told_and_not_believed_until_three_plaus
     drive.tick()
     alarm = ("speed_step", signal, "alarm")
     assert (found(drive), drive.mode) == ({alarm}, Mode.ACTIVE)
-    drive.asked = dataclasses.replace(THROTTLE, motor_reverse=True)
+    drive.demanded = dataclasses.replace(THROTTLE, motor_reverse=True)
     for speed_rpm in (1, 0):
         drive.codes[signal] = speed_rpm
         drive.tick()
@@ -165,19 +165,19 @@ def pressed(throttle_pct: float, track2_pct: float) -> ControllerDemand:
 def test_f24_tracks_that_differ_take_the_throttle_until_both_are_released(apart, seen: Seen):
     drive = driving(pressed(40, 30))
     assert commanded(drive, "Throttle") == [pytest.approx(40, abs=0.3)] * 2, "10 % are allowed"
-    drive.asked = pressed(*apart)
+    drive.demanded = pressed(*apart)
     for _ in range(3):
         drive.tick()
         assert 0 not in commanded(drive, "Throttle"), "no more than 100 ms yet"
     drive.tick()
     assert commanded(drive, "Throttle") == [0, 0]
     for throttle_pct, track2_pct in ((40, 40), (5, 4.9), (4.9, 5)):
-        drive.asked = pressed(throttle_pct, track2_pct)
+        drive.demanded = pressed(throttle_pct, track2_pct)
         drive.run(500)
         assert commanded(drive, "Throttle") == [0, 0], (throttle_pct, track2_pct)
-    drive.asked = pressed(4.9, 4.9)
+    drive.demanded = pressed(4.9, 4.9)
     drive.tick()
-    drive.asked = pressed(40, 40)
+    drive.demanded = pressed(40, 40)
     drive.run(1000)
     assert commanded(drive, "Throttle") == [pytest.approx(40, abs=0.3)] * 2
     assert (found(drive), drive.mode) == (set(), Mode.ACTIVE)
@@ -187,9 +187,9 @@ def test_f24_tracks_that_differ_take_the_throttle_until_both_are_released(apart,
 def test_f24_tracks_that_differ_for_100_ms_again_and_again_take_nothing(seen: Seen):
     drive = driving(pressed(40, 40))
     for _ in range(10):
-        drive.asked = pressed(40, 0)
+        drive.demanded = pressed(40, 0)
         drive.run(100)
-        drive.asked = pressed(40, 40)
+        drive.demanded = pressed(40, 40)
         drive.run(50)
         assert commanded(drive, "Throttle") == [pytest.approx(40, abs=0.3)] * 2
     seen("two ticks of every three: nothing")
@@ -197,14 +197,14 @@ def test_f24_tracks_that_differ_for_100_ms_again_and_again_take_nothing(seen: Se
 
 def test_f24_without_the_second_track_a_demand_is_refused_where_it_is_required(seen: Seen):
     drive = Drive(second_track_required=True)
-    drive.asked = pressed(0, 0)
+    drive.demanded = pressed(0, 0)
     drive.until(Mode.STANDBY).run(1500)
     assert drive.arm().granted
-    drive.asked = pressed(40, 40)
+    drive.demanded = pressed(40, 40)
     drive.run(1000)
     answer = drive.offer(THROTTLE)
     assert (answer.granted, answer.refusal) == (False, Refusal.SECOND_TRACK_MISSING)
-    drive.asked = None
+    drive.demanded = None
     drive.run(300)
     assert (drive.mode, commanded(drive, "Throttle")) == (Mode.STANDBY, [0, 0])
     seen(answer.sentence)
@@ -301,9 +301,9 @@ def test_f30_a_throttle_that_rose_in_the_last_second_is_no_lack_of_torque(seen: 
     drive = driving(ControllerDemand())
     drive.codes = {f"PCU{number}_Status1.Throttle": 0 for number in (1, 2)}
     for _ in range(10):
-        drive.asked = dataclasses.replace(THROTTLE, throttle_pct=100)
+        drive.demanded = dataclasses.replace(THROTTLE, throttle_pct=100)
         drive.run(1400)
         assert (found(drive), drive.mode) == (set(), Mode.ACTIVE)
-        drive.asked = ControllerDemand()
+        drive.demanded = ControllerDemand()
         drive.run(200)
     seen("echo 0 under throttle that was 0 within the second before: nothing")

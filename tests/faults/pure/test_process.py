@@ -89,7 +89,7 @@ def moving(whole: Driven, throttle_pct: float = 30.0) -> Iterator[Driver]:
 def commands(whole: Driven) -> list[bytes]:
     """Every command frame heard since the last call."""
     heard = []
-    while frame := whole.ear.recv(0):
+    while frame := whole.other_node.recv(0):
         if frame.arbitration_id in whole.nodes.command_ids:
             heard.append(bytes(frame.data))
     return heard
@@ -106,7 +106,7 @@ class Heard(NamedTuple):
 
 def heard(whole: Driven) -> list[Heard]:
     frames = []
-    while frame := whole.ear.recv(0):
+    while frame := whole.other_node.recv(0):
         if frame.arbitration_id in whole.nodes.command_ids:
             stamp_ns = int(frame.timestamp * 1e9)
             frames.append(Heard(stamp_ns, 4, frame.arbitration_id, bytes(frame.data)))
@@ -156,8 +156,8 @@ def test_f53_a_decoder_that_raises_costs_its_frame_and_a_reader_that_is_gone_the
     tmp_path, seen: Seen
 ):
     with driven(tmp_path) as whole, moving(whole) as driver:
-        counters = whole.daemon.door.counters
-        store = whole.daemon.gateway.intake.store
+        counters = whole.loop.connection.counters
+        store = whole.loop.gateway.receiver.store
         put = store.put
 
         def broken(name, decoded, arrival_ns):
@@ -195,7 +195,7 @@ def test_f54_a_tick_that_hangs_sends_nothing_and_the_next_one_is_zero_torque_and
     tmp_path, seen: Seen
 ):
     with driven(tmp_path) as whole, moving(whole):
-        schedule = whole.daemon.schedule
+        schedule = whole.loop.schedule
         skipped, ticks = schedule.skipped, schedule.ticks
         hung, over = threading.Event(), threading.Event()
 
@@ -203,7 +203,7 @@ def test_f54_a_tick_that_hangs_sends_nothing_and_the_next_one_is_zero_torque_and
             hung.set()
             over.wait(PATIENCE_S)
 
-        whole.daemon.inbox.post(hang)
+        whole.loop.work_queue.post(hang)
         assert hung.wait(PATIENCE_S)
         commands(whole)  # of the ticks before
         time.sleep(0.7)
@@ -247,7 +247,7 @@ def test_f58_a_thread_that_never_yields_leaves_the_cadence(tmp_path, seen: Seen)
         driven(tmp_path) as whole,
         moving(whole) as driver,
     ):
-        schedule = whole.daemon.schedule
+        schedule = whole.loop.schedule
 
         def hogged() -> Hogged:
             over = threading.Event()
@@ -437,9 +437,9 @@ def test_f65_a_reader_of_our_output_that_has_gone_is_no_failure(seen: Seen):
         os.close(writing)
         assert (done.returncode, done.stderr) == (0, ""), verb
     writing = pipe_without_reader()
-    done = subprocess.run([sys.executable, "-m", "vcu_gateway", "fly"], stderr=writing, cwd=ROOT)
+    failed = subprocess.run([sys.executable, "-m", "vcu_gateway", "fly"], stderr=writing, cwd=ROOT)
     os.close(writing)
-    assert done.returncode == 2, "a failure stays one, though nobody reads of it"
+    assert failed.returncode == 2, "a failure stays one, though nobody reads of it"
     seen(f"{len(VERBS)} verbs end with 0 and without a word; a wrong verb with 2")
 
 
@@ -510,7 +510,7 @@ def no_descriptors() -> Iterator[None]:
 
 def test_f66_without_descriptors_the_bus_goes_on_and_the_api_recovers(tmp_path, seen: Seen):
     with bystander(tmp_path) as other, driven(tmp_path) as whole, moving(whole) as driver:
-        schedule = whole.daemon.schedule
+        schedule = whole.loop.schedule
 
         def starve() -> Starved:
             driver.until_driving()

@@ -19,8 +19,8 @@ from vcu_gateway.core.supervisor import Mode
 )
 def test_f78_random_frames_break_nothing_and_leave_nothing(frames, seen: Seen):
     ran = random_frames.run(frames, seed=78)
-    alone = random_frames.intake_rate()
-    seen(f"{ran}; through the intake alone {alone:,.0f} a second")
+    alone = random_frames.receiver_rate()
+    seen(f"{ran}; through the receiver alone {alone:,.0f} a second")
     assert ran.frames >= frames
     # Half of the rounds are hostile from their first frame: 19 to 21 % is what the others give.
     assert ran.active > 0.15 * ran.ticks, "it must drive, not only stand"

@@ -35,7 +35,7 @@ DAY_NS = 86_400 * 1_000_000_000
 def on_the_bench(ticks: int) -> Drive:
     """Driving on a demand that never expires, its throttle still on the rise."""
     drive = Drive(bench_demand=FULL, auto_arm=True)
-    drive.asked = None
+    drive.demanded = None
     drive.until(Mode.ACTIVE)
     for _ in range(ticks):
         drive.tick()
@@ -89,7 +89,7 @@ def test_f59_a_full_collection_finds_nothing_to_walk_and_a_forced_pause_is_a_lat
     with driven(tmp_path) as whole, moving(whole) as driver:
         assert gc.get_freeze_count() > len(heap)
         assert not gc.isenabled(), "none by itself"
-        schedule = whole.daemon.schedule
+        schedule = whole.loop.schedule
         pauses_ms: list[float] = []
 
         def collect() -> None:
@@ -101,7 +101,7 @@ def test_f59_a_full_collection_finds_nothing_to_walk_and_a_forced_pause_is_a_lat
             driver.until_driving()
             wanted = len(pauses_ms) + 5
             for _ in range(5):
-                whole.daemon.inbox.post(collect)
+                whole.loop.work_queue.post(collect)
                 time.sleep(0.06)
             whole.until(lambda: len(pauses_ms) == wanted, "five collections")
             return whole.mode
@@ -109,7 +109,7 @@ def test_f59_a_full_collection_finds_nothing_to_walk_and_a_forced_pause_is_a_lat
         once_more(mode_after_collections, lambda mode: mode == "active")
         driver.until_driving()
         skipped = schedule.skipped
-        whole.daemon.inbox.post(lambda: time.sleep(0.3))
+        whole.loop.work_queue.post(lambda: time.sleep(0.3))
         whole.until_mode("fault")
         commands(whole)
         next_commands(whole, 2)  # of the tick that saw it
@@ -139,7 +139,7 @@ def history(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[objec
     monkeypatch.setattr(safety_world, "NOW_NS", origin_ns)
     told: list[tuple[object, ...]] = []
     drive = active(clear_hold_ms=1000)
-    drive.asked = FULL
+    drive.demanded = FULL
     schedule = Schedule(drive.now_ns, PERIOD_NS)
     for tick in range(300):
         drive.codes = {"BMS_Status.CellUndervoltage": 1} if 60 <= tick < 90 else {}
@@ -151,7 +151,7 @@ def history(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[objec
         lateness_ns = due and due.lateness_ns
         told.append((drive.mode, tuple(drive.commands), age_ns, lateness_ns, schedule.skipped))
         if tick == 220:
-            drive.asked = ControllerDemand()
+            drive.demanded = ControllerDemand()
             drive.tick()
             told.append((drive.reset().sentence, drive.mode))
     return told
@@ -192,19 +192,19 @@ def test_f81_a_long_uptime_is_as_exact_as_the_first_second(uptime, monkeypatch, 
 
 def test_f82_counters_at_their_end_stay_right(tmp_path, seen: Seen):
     drive = active()
-    drive.asked = FULL
-    intake = drive.gateway.intake
+    drive.demanded = FULL
+    receiver = drive.gateway.receiver
     highest = (2**32 - 1, 2**53, 2**64 - 1)
     for value in highest:
-        intake.rejected = dict.fromkeys(Reason, value)
-        intake.store.out_of_order = value
-        intake.confirmed = dict.fromkeys(intake.confirmed, value)
+        receiver.rejected = dict.fromkeys(Reason, value)
+        receiver.store.out_of_order = value
+        receiver.confirmed = dict.fromkeys(receiver.confirmed, value)
         drive.run(500)
         assert drive.mode is Mode.ACTIVE
         assert drive.commands[0][1] > 0
-        drive.gateway.intake.receive(safety_world.Frame(0x123, b"", drive.now_ns, extended=False))
+        drive.gateway.receive(safety_world.Frame(0x123, b"", drive.now_ns, extended=False))
         assert counters(drive.gateway)["rejected"]["standard_id"] == value + 1
-        assert intake.confirmed["PCU1"] == value + 10
+        assert receiver.confirmed["PCU1"] == value + 10
     drive._sequence = 2**63 - 20
     drive.run(500)
     assert drive.commands[0][1] > 0
@@ -214,7 +214,7 @@ def test_f82_counters_at_their_end_stay_right(tmp_path, seen: Seen):
     drops = _drops_over_the_end()
     with driven(tmp_path) as whole:
         whole.until_ready()
-        whole.daemon.gateway.intake.rejected[Reason.UNKNOWN] = 2**64
+        whole.loop.gateway.receiver.rejected[Reason.UNKNOWN] = 2**64
         with Speaker(whole.socket_path) as speaker:
             told = speaker.result("health")["frames"]["rejected"]["unknown"]
             beyond = speaker.demand(2**63, 0)["error"]["message"]
@@ -226,7 +226,7 @@ def test_f82_counters_at_their_end_stay_right(tmp_path, seen: Seen):
 
 
 def _drops_over_the_end() -> str:
-    """The kernel's counter as the door takes it over, given a socket that rolls over."""
+    """The kernel's counter as the bus connection takes it over, given a socket that rolls over."""
     told = iter([2**32 - 5, 2**32 - 1, 3])
 
     def getsockopt(*_: int) -> bytes:

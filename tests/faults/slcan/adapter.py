@@ -16,6 +16,7 @@ import subprocess
 import threading
 import time
 import tty
+from typing import Any
 
 TIOCSETD, SIOCGIFNAME = 0x5423, 0x8910
 N_SLCAN = 17
@@ -111,7 +112,8 @@ class Adapter:
                 time.sleep(0.005)
                 continue
             with contextlib.suppress(OSError):
-                ready, _, _ = select.select([master, self._wire], [], [], 0.02)
+                sources: list[Any] = [master, self._wire]
+                ready, _, _ = select.select(sources, [], [], 0.02)
                 with self._turn:
                     if self.reading and master == self._master:
                         self._pass_on(master, ready)

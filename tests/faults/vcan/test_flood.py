@@ -103,7 +103,8 @@ def ready(
     """The same, begun by calling what is returned: it drives and every process is there."""
     path = driving.stand.folder / "beats"
     beat = functools.partial(metronome.beat, path, duration_s, bystander_busy_s)
-    begins = [driving.stand.held(work) for work in (beat, *beside)]
+    works: list[Callable[[], None]] = [beat, *beside]
+    begins = [driving.stand.held(work) for work in works]
     driving.until_driving()
 
     def measured() -> Spell:
