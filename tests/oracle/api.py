@@ -3,6 +3,7 @@
 import json
 import socket
 import time
+from typing import Any
 
 
 class RefusedError(Exception):
@@ -27,7 +28,7 @@ class Client:
         self.lines = self.socket.makefile("rb")
         self.number = 0
 
-    def line(self, method: str, **params: object) -> bytes:
+    def line(self, method: str, **params: Any) -> bytes:
         self.number += 1
         request = {"jsonrpc": "2.0", "id": self.number, "method": method, "params": params}
         return json.dumps(request).encode() + b"\n"
@@ -42,14 +43,14 @@ class Client:
             raise ConnectionError("the gateway closed the connection")
         return json.loads(line)
 
-    def call(self, method: str, **params: object) -> dict:
+    def call(self, method: str, **params: Any) -> dict:
         self.write(self.line(method, **params))
         answer = self.answer()
         if "error" in answer:
             raise RefusedError(answer["error"])
         return answer["result"]
 
-    def refusal(self, method: str, **params: object) -> RefusedError | None:
+    def refusal(self, method: str, **params: Any) -> RefusedError | None:
         """What a request is refused with, or None where it was granted."""
         try:
             self.call(method, **params)
@@ -57,16 +58,16 @@ class Client:
             return refused
         return None
 
-    def demand_params(self, source: str, ttl_ms: int | None = 1000, **values: object) -> dict:
+    def demand_params(self, source: str, ttl_ms: int | None = 1000, **values: Any) -> dict:
         """values: of both controllers; or controllers=..."""
         what = values if "controllers" in values else {"values": values}
         sequence = time.monotonic_ns() // 1000
         return {"source": source, "sequence": sequence, "ttl_ms": ttl_ms, **what}
 
-    def demand(self, source: str, ttl_ms: int | None = 1000, **values: object) -> dict:
+    def demand(self, source: str, ttl_ms: int | None = 1000, **values: Any) -> dict:
         return self.call("demand.set", **self.demand_params(source, ttl_ms, **values))
 
-    def refused_demand(self, source: str, **values: object) -> str | None:
+    def refused_demand(self, source: str, **values: Any) -> str | None:
         refused = self.refusal("demand.set", **self.demand_params(source, **values))
         return None if refused is None else (refused.refusal or refused.message)
 

@@ -5,6 +5,7 @@ controllers answer every command with Status2 and echo it in Status1.
 """
 
 import contextlib
+import functools
 import heapq
 import itertools
 import os
@@ -12,6 +13,7 @@ import select
 import signal
 import socket
 import time
+from collections.abc import Callable
 
 from tests.oracle import wire
 
@@ -41,7 +43,7 @@ class Node:
         self.orders = orders
         self.bus = wire.open_bus([(c & 0x03FF_FFFF, 0x03FF_FFFF) for c in wire.COMMANDS])
         self.number = itertools.count()
-        self.heap: list[tuple[float, int, object]] = []
+        self.heap: list[tuple[float, int, Callable[[], None]]] = []
         self.life = 0
         self.heard = dict.fromkeys(CONTROLLERS, wire.ZERO_TORQUE)
         self.waiting: tuple[float, list] | None = None  # a script for after the next command
@@ -62,7 +64,7 @@ class Node:
 
     # --- what is due ---
 
-    def at(self, when: float, action: object) -> None:
+    def at(self, when: float, action: Callable[[], None]) -> None:
         heapq.heappush(self.heap, (when, next(self.number), action))
 
     def again(self, name: str, when: float) -> None:
@@ -117,7 +119,7 @@ class Node:
     def send(self, name: str, changes: dict | None = None) -> None:
         self.put(wire.IDENTIFIERS[name], self.data(name, changes or {}))
         for delay_s, following in self.followers.get(name, []):
-            self.at(time.monotonic() + delay_s, lambda v=following: self.send_alone(name, v))
+            self.at(time.monotonic() + delay_s, functools.partial(self.send_alone, name, following))
 
     def send_alone(self, name: str, changes: dict) -> None:
         self.put(wire.IDENTIFIERS[name], self.data(name, changes))
@@ -153,9 +155,9 @@ class Node:
         """items: (after s, message, values) or (after s, None, whole CAN frame)."""
         for after_s, name, what in items:
             if name is None:
-                self.at(base + after_s, lambda f=what: self.put_raw(f))
+                self.at(base + after_s, functools.partial(self.put_raw, what))
             else:
-                self.at(base + after_s, lambda n=name, v=what: self.once(n, v))
+                self.at(base + after_s, functools.partial(self.once, name, what))
 
     def once(self, name: str, values: dict) -> None:
         if period_ms := self.periods_ms.get(name):

@@ -72,11 +72,12 @@ class Gateway:
             try:
                 client = Client(str(self.folder / "control.sock"))
                 client.call("why")
-                return client
             except (OSError, RefusedError):
                 self.must_run()
                 assert time.monotonic() < deadline, f"no API in {PATIENCE_S} s\n{self.told()}"
                 time.sleep(0.02)
+            else:
+                return client
 
     def must_run(self) -> None:
         assert self.process is not None

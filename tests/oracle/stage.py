@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from tests.oracle import wire
 from tests.oracle.api import Client, RefusedError
@@ -102,7 +103,7 @@ class Stage:
             with contextlib.suppress(RefusedError):
                 self._renew()
 
-    def wait(self, condition: Condition, what: str, patience_s: float = PATIENCE_S) -> object:
+    def wait(self, condition: Condition, what: str, patience_s: float = PATIENCE_S) -> Any:
         deadline = time.monotonic() + patience_s
         while True:
             self.pump()
@@ -131,7 +132,7 @@ class Stage:
         self.renewed = sent
         self.rules.asked(sent, time.monotonic(), self.pedals)
 
-    def demand(self, **values: object) -> None:
+    def demand(self, **values: Any) -> None:
         """Put the foot here, and keep it here."""
         was_pressed = self.pedals is None or self.pedals.get("throttle_pct", 0)
         if was_pressed and not values.get("throttle_pct", 0):
@@ -197,7 +198,7 @@ class Stage:
             lambda: self.client.refusal("reset", level="service") is None, "a service reset", 4.0
         )
 
-    def drive(self, **values: object) -> None:
+    def drive(self, **values: Any) -> None:
         """From wherever it is to ACTIVE with the throttle where it was asked."""
         for left in (2, 1, 0):
             if self.mode() != "active":

@@ -2,6 +2,7 @@
 
 import time
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -23,7 +24,7 @@ def drive(bench: Bench) -> None:
     bench.wait(lambda: bench.command() == AT_FULL, f"{bench.command()}", 3.0)
 
 
-def tell(bench: Bench, message: str, **values: object) -> float:
+def tell(bench: Bench, message: str, **values: Any) -> float:
     """Change a signal; the stamp of the first frame that says so."""
     since = time.monotonic()
     bench.vehicle.set(message, **values)

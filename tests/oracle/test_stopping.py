@@ -3,6 +3,7 @@
 import json
 import socket
 import time
+from typing import Any
 
 import pytest
 
@@ -89,7 +90,7 @@ def test_disarming_ends_the_drive_without_a_latch(bench):
     assert bench.mode() == "standby"
 
 
-MALFORMED = [
+MALFORMED: list[dict[str, Any]] = [
     {"jsonrpc": "2.0", "id": 1, "params": []},
     {"jsonrpc": "2.0", "id": None, "params": {}},
     {"jsonrpc": "2.0", "id": None},

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import socket
+from typing import Any
 
 from tests.oracle import node, wire
 
@@ -17,14 +18,14 @@ class Vehicle:
         theirs.close()
         self.orders.settimeout(20)
 
-    def _order(self, do: str, **arguments: object) -> None:
+    def _order(self, do: str, **arguments: Any) -> None:
         self.orders.send(repr({"do": do, **arguments}).encode())
         assert self.orders.recv(64) == b"done"
 
     def heal(self) -> None:
         self._order("heal")
 
-    def set(self, message: str, *, now: bool = True, **values: object) -> None:
+    def set(self, message: str, *, now: bool = True, **values: Any) -> None:
         """Change signals for good; the frame that tells so is sent at once."""
         self._order("set", message=message, values=values, now=now)
 
