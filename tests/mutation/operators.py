@@ -6,8 +6,8 @@ Module-level constants and tables are mutated too: the core's limits and transit
 import ast
 import copy
 import difflib
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 _COMPARISONS = {
     ast.Lt: (ast.LtE, ast.GtE),
@@ -131,8 +131,7 @@ def _is_fixed(node: ast.AST) -> bool:
 
 
 def _removals(node: ast.AST, path: tuple, scope: str, line: int) -> Iterator[_Change]:
-    stored = isinstance(node, ast.Assign) and not isinstance(node.targets[0], ast.Name)
-    stored = stored and not isinstance(node.targets[0], ast.Tuple)
+    stored = isinstance(node, ast.Assign) and not isinstance(node.targets[0], ast.Name | ast.Tuple)
     if isinstance(node, _REMOVABLE) or stored:
         yield _Change(path, ast.Pass(), line, scope)
 
@@ -205,7 +204,7 @@ def _sequence(node: ast.Tuple) -> Iterator[ast.AST]:
             yield ast.Tuple([*node.elts[:index], other, *node.elts[index + 1 :]], node.ctx)
 
 
-_BY_KIND = {
+_BY_KIND: dict[type[ast.AST], Callable[[Any], Iterator[ast.AST]]] = {
     ast.Compare: _compare,
     ast.BinOp: _arithmetic,
     ast.BoolOp: _boolean,

@@ -1,0 +1,17 @@
+"""The survivors that are explained are mutants of today's source."""
+
+import tomllib
+
+import pytest
+
+from tests.mutation.operators import mutants
+from tests.mutation.run import CORE, SURVIVORS, TESTS
+
+ENTRIES = tomllib.loads(SURVIVORS.read_text(encoding="utf-8"))["survivor"]
+
+
+@pytest.mark.parametrize("module", sorted({entry["module"] for entry in ENTRIES}))
+def test_each_survivor_of_a_module_is_one_of_its_mutants(module: str) -> None:
+    keys = {mutant.key for mutant in mutants((CORE / f"{module}.py").read_text("utf-8"))}
+    assert module in TESTS
+    assert [e["key"] for e in ENTRIES if e["module"] == module and e["key"] not in keys] == []
