@@ -184,7 +184,7 @@ def test_nothing_outlives_a_killed_lab():
 
 def test_two_labs_at_once_have_a_vcan0_each():
     script = "ip link del vcan0 && sleep 1 && ip link add dev vcan0 type vcan"
-    argv = [LAB, "run", "--timeout", str(PATIENCE_S), "--", "sh", "-c", script]
+    argv: list[str | Path] = [LAB, "run", "--timeout", str(PATIENCE_S), "--", "sh", "-c", script]
     pair = [subprocess.Popen(argv) for _ in range(2)]
     assert [process.wait() for process in pair] == [0, 0]
 

@@ -90,7 +90,7 @@ def test_a_command_meets_its_own_surroundings_and_two_controllers_on_one_bus(tmp
 
 def test_the_interpreter_is_the_one_of_venv_and_a_signal_reaches_the_command():
     script = "trap 'echo asked; exit 7' TERM; .venv/bin/python -c 'import can; print(can.__name__)'"
-    argv = [LAB, "run", "--qemu", "--timeout", str(PATIENCE_S), "--", "sh", "-c"]
+    argv: list[str | Path] = [LAB, "run", "--qemu", "--timeout", str(PATIENCE_S), "--", "sh", "-c"]
     with subprocess.Popen(
         [*argv, f"{script}; sleep 10000 & wait"], stdout=subprocess.PIPE, text=True, cwd=HERE
     ) as process:

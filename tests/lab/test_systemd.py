@@ -139,7 +139,7 @@ def test_output_is_the_commands_and_its_interpreter_the_one_of_venv():
     script = "import sys; print(sys.base_prefix); print('error', file=sys.stderr); sys.exit(3)"
     done = lab(str(HERE / ".venv/bin/python"), "-c", script, cwd=HERE)
     inside = (done.returncode, done.stdout, done.stderr)
-    base = [HERE / ".venv/bin/python", "-c", "import sys; print(sys.base_prefix)"]
+    base: list[str | Path] = [HERE / ".venv/bin/python", "-c", "import sys; print(sys.base_prefix)"]
     assert inside == (3, subprocess.run(base, capture_output=True, text=True).stdout, "error\n")
 
 
@@ -159,7 +159,17 @@ def test_a_timeout_during_the_boot_ends_the_guest_in_one_line(tmp_path):
 
 def test_a_signal_reaches_the_command_which_may_choose_its_status():
     script = "trap 'echo asked; exit 7' TERM; echo begun; sleep 300 & wait"
-    argv = [LAB, "run", "--systemd", "--timeout", str(PATIENCE_S), "--", "sh", "-c", script]
+    argv: list[str | Path] = [
+        LAB,
+        "run",
+        "--systemd",
+        "--timeout",
+        str(PATIENCE_S),
+        "--",
+        "sh",
+        "-c",
+        script,
+    ]
     with subprocess.Popen(argv, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "begun\n"
         process.terminate()

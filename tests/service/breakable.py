@@ -36,4 +36,4 @@ signal.signal(signal.SIGUSR1, stand_still)
 signal.signal(signal.SIGUSR2, end_reader)
 signal.signal(signal.SIGRTMIN, leak)
 sys.argv[0] = "vcu-gateway"
-sys.exit(main())
+main()

@@ -323,6 +323,7 @@ NOTES_OF_SYSTEMD = {
     "/etc/systemd/system/multi-user.target.wants/vcu-gateway.service",
     "/var/lib/systemd/deb-systemd-helper-enabled/multi-user.target.wants/vcu-gateway.service",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway.service.dsh-also",
+    "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-exporter.service.dsh-also",
 }
 
 

@@ -98,7 +98,7 @@ class Visit:
             for line in TOLD.findall(text):
                 self.say(line)
         found = PYTHON.search(text)
-        return Outcome(0, "; ".join(self.done), found and found[1])
+        return Outcome(0, "; ".join(self.done), found[1] if found else None)
 
     def newcomer(self, terminal: Terminal) -> None:
         """From nothing: what the README says, and the demo until it drives."""

@@ -55,7 +55,7 @@ class CannotError(Exception):
 
 def clean_root(system: System, folder: Path) -> str:
     """Lay a clean root of the system into the folder; the command of its terminal."""
-    command = [CLEAN_ROOT, "newcomer", system.suite, "sudo,apt,tzdata", *NEWCOMER]
+    command: list[str | Path] = [CLEAN_ROOT, "newcomer", system.suite, "sudo,apt,tzdata", *NEWCOMER]
     built = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     if built.returncode:
         raise CannotError(f"no root of {system.name} can be had")

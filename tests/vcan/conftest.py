@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.context import ForkProcess
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import pytest
 
@@ -108,7 +108,7 @@ class Process:
     def has_logged(self, event: str) -> bool:
         return any(entry["event"] == event for entry in self.log())
 
-    def logged(self, event: str) -> dict[str, object]:
+    def logged(self, event: str) -> dict[str, Any]:
         return next(entry for entry in self.log() if entry["event"] == event)
 
 
@@ -280,8 +280,11 @@ def wait_until(condition: Callable[[], bool], what: str, patience_s: float = PAT
         time.sleep(0.05)
 
 
+StandType = TypeVar("StandType", bound=Stand)
+
+
 @contextlib.contextmanager
-def ended_after(stand: Stand) -> Iterator[Stand]:
+def ended_after(stand: StandType) -> Iterator[StandType]:
     """A stand whose children do not outlive the block."""
     try:
         yield stand

@@ -218,7 +218,7 @@ class Raw:
     connection: socket.socket
     reader: TextIO
 
-    def say(self, method: str, **params: object) -> dict[str, Any]:
+    def say(self, method: str, **params: Any) -> dict[str, Any]:
         request = {"jsonrpc": "2.0", "id": 1, "method": method, "params": params}
         self.connection.sendall(json.dumps(request).encode() + b"\n")
         answer: dict[str, Any] = json.loads(self.reader.readline())
