@@ -22,13 +22,14 @@ from bench import CHANNEL, DBC
 _SOL_CAN_RAW = 101
 _PRIORITY = 40
 
-# A test bench that arms itself: the gateway has all its work to do.
+# A test bench that arms itself: the gateway has all its work to do. The traffic's controllers stand
+# still; below 15 % that is no controller that does not obey, which would be found in every tick.
 _CONFIG = """
 bus: {{channel: {channel}{gather}}}
 log: {{level: error}}
 bench:
   auto_arm: true
-  demand: {{bench_use_only: true, throttle_pct: 20}}
+  demand: {{bench_use_only: true, throttle_pct: 10}}
 """
 
 
@@ -74,7 +75,7 @@ def stand_in(descriptor: int) -> None:
 
     vars(socketcan).update(
         create_socket=lambda: _StandIn(fileno=descriptor),
-        bind_socket=lambda sock, channel: None,
+        bind_socket=lambda *_: None,
     )
     logging.getLogger("can").setLevel(logging.CRITICAL)
 
@@ -87,7 +88,7 @@ def stand_in_for_confirm() -> None:
     from vcu_gateway.bus import interface, socketcan
 
     there = interface.Interface(number=1, is_can=True, up=True, carrier=True, tx_queue_frames=0)
-    setattr(interface.Interfaces, "look", lambda self, name: there)  # noqa: B010
+    setattr(interface.Interfaces, "look", lambda *_: there)  # noqa: B010
     vars(socketcan).update(_FD_FRAME_BYTES=16)
     vars(socket).update(MSG_CONFIRM=socket.MSG_TRUNC)
 
@@ -180,15 +181,16 @@ def naive() -> NoReturn:
 
 def receive_ours(config: str, seconds: float) -> dict[str, Any]:
     """Socket to store, without ticks."""
-    from vcu_gateway import app
     from vcu_gateway import config as configuration
+    from vcu_gateway.app import Application
+    from vcu_gateway.config.protocol import load_protocol
 
     parsed = configuration.parse(config, "bench")
-    daemon = app.build(parsed, app.load_protocol(parsed))
+    loop = Application(parsed, load_protocol(parsed)).loop
     gc.disable()  # as the daemon does while it runs
-    daemon.door.open()
-    found = _window(lambda: daemon.door.counters.received, seconds)
-    daemon.door.close()
+    loop.connection.open()
+    found = _window(lambda: loop.connection.counters.received, seconds)
+    loop.connection.close()
     return found
 
 

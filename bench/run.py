@@ -93,7 +93,7 @@ figure where there is nothing to divide by.
 - system: {platform.system()} {platform.release()}, {platform.python_implementation()} \
 {platform.python_version()}, vcu-gateway {version("vcu-gateway")} · {packages}
 - bus: {bus_name()}
-- traffic: PROTOCOL.md's own, 358 frames/s; 7600 frames/s is a saturated bus of 1 Mbit/s
+- traffic: that of docs/protocol.md, 358 frames/s; 7600 frames/s is a saturated bus of 1 Mbit/s
 - C program beside ours, sleeping to absolute deadlines: {yardstick}
 
 {table}
@@ -112,6 +112,6 @@ kernel's stamps at the receiving end are compared.
 
 
 def _processor() -> str:
-    with open("/proc/cpuinfo", encoding="utf-8") as file:
+    with Path("/proc/cpuinfo").open(encoding="utf-8") as file:
         names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
     return names[0] if names else platform.machine()

@@ -12,6 +12,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 from bench import CHANNEL
 from bench.traffic import timetable
@@ -131,5 +132,5 @@ def cpu_ns(pid: int) -> int:
 
 def resident_mb(pid: int) -> float:
     """Resident memory of a process."""
-    with open(f"/proc/{pid}/statm", encoding="ascii") as file:
+    with Path(f"/proc/{pid}/statm").open(encoding="ascii") as file:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
