@@ -30,7 +30,7 @@ def replace_step(folder: Path, step: str, *recipe: str) -> None:
 
 
 def suite(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    command = [SCRIPT, "quick", "-C", folder, *options]
+    command: list[str | Path] = [SCRIPT, "quick", "-C", folder, *options]
     return subprocess.run(command, capture_output=True, text=True)
 
 
