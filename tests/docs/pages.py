@@ -9,11 +9,19 @@ ROOT = Path(__file__).parents[2]
 INSTALL = ROOT / "docs" / "install.md"
 OPERATIONS = ROOT / "docs" / "operations.md"
 PAGES = (INSTALL, OPERATIONS)
+SAFETY = ROOT / "docs" / "safety.md"
+PROTOCOL = ROOT / "docs" / "protocol.md"
+SECURITY = ROOT / "SECURITY.md"
 UNIT = ROOT / "systemd" / "vcu-gateway.service"
 
 
 def text(page: Path) -> str:
     return page.read_text(encoding="utf-8")
+
+
+def headings(page: Path) -> list[str]:
+    """Every heading, without its level."""
+    return re.findall(r"^#+ (.*)$", text(page), re.MULTILINE)
 
 
 def section(page: Path, heading: str) -> str:
