@@ -69,8 +69,9 @@ class Module:
     @staticmethod
     def _level(call: ast.Call) -> str:
         func = call.func
-        is_log = isinstance(func, ast.Attribute) and ast.unparse(func.value) in ("log", "log.log")
-        return func.attr if is_log and func.attr in LEVELS else ""
+        if not isinstance(func, ast.Attribute) or func.attr not in LEVELS:
+            return ""
+        return func.attr if ast.unparse(func.value) in ("log", "log.log") else ""
 
     def _of_log(self, call: ast.Call, level: str) -> Told:
         if any(keyword.arg is None for keyword in call.keywords):
@@ -134,8 +135,9 @@ class Module:
         """What the name was given last before the call, in its function."""
         found: list[tuple[int, ast.expr]] = []
         for node in ast.walk(place.function or self._tree):
-            targets = node.targets if isinstance(node, ast.Assign) else []
-            targets = [node.target] if isinstance(node, ast.AnnAssign) else targets
+            if not isinstance(node, ast.Assign | ast.AnnAssign):
+                continue
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             is_it = any(isinstance(one, ast.Name) and one.id == name for one in targets)
             if is_it and node.value is not None and node.lineno <= place.call.lineno:
                 found.append((node.lineno, node.value))

@@ -21,6 +21,7 @@ from tests.docs.pages import (
     OPERATIONS,
     PAGES,
     ROOT,
+    SECURITY,
     blocks,
     codes,
     command_lines,
@@ -40,7 +41,7 @@ pytestmark = pytest.mark.timeout(400)  # a trial may be begun again
 
 NETWORK = ROOT / "systemd"
 READING = ("status", "why", "events", "version", "check-config", "doctor", "reload")
-LINES = [(page.name, line) for page in PAGES for line in command_lines(page)]
+LINES = [(page.name, line) for page in (*PAGES, SECURITY) for line in command_lines(page)]
 READ_LINES = [line for _, line in LINES if words(line)[0] in READING]
 SOCKETS = re.compile(r"/run/vcu-gateway\S*/control\.sock")
 FILES = re.compile(r"/etc/vcu-gateway/\S+\.yaml")
@@ -140,12 +141,12 @@ def first_arming() -> tuple[str, list[str], str]:
 
 
 def headline(driven: Driven) -> str:
-    assert driven.daemon.latest is not None
-    return driven.daemon.latest.why.headline()
+    assert driven.loop.latest is not None
+    return driven.loop.latest.why.headline()
 
 
 def throttles(driven: Driven) -> set[float]:
-    latest = driven.daemon.latest
+    latest = driven.loop.latest
     assert latest is not None
     return {command.throttle_pct for command in latest.result.commands.values()}
 
@@ -244,7 +245,7 @@ def test_the_trial_of_the_emergency_stop_goes_as_the_page_says(driven):
             code for code in codes(text(INSTALL)) if code.startswith("fault; latched (service)")
         )
         assert shown.startswith(told)
-        frames = driven.daemon.latest.result.frames
+        frames = driven.loop.latest.result.frames
         assert {frame.data[0] for frame in frames} == {0x8C}
         assert "service level" in says(driven, "vcu-gateway reset", 75)
     driven.until(lambda: "first:" not in headline(driven), "nothing stands against a reset")
@@ -266,7 +267,7 @@ def test_a_configuration_of_the_page_is_valid(tmp_path, number):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [*PAGES, SECURITY], ids=lambda page: page.name)
 def test_every_block_is_shell(page):
     for block in blocks(page, "sh"):
         done = subprocess.run(["bash", "-n"], input=block, capture_output=True, text=True)
@@ -315,7 +316,7 @@ def test_the_files_of_the_source_tree_that_the_page_installs_are_there():
     (block,) = (block for block in blocks(INSTALL, "sh") if "systemd/sysusers.conf" in block)
     named = re.findall(r"\b((?:systemd|config)/\S+|requirements\.lock)", block)
     named = [name for name in named if not name.endswith("/")]
-    assert len(named) == 6
+    assert len(named) == 7
     for name in named:
         assert (ROOT / name).is_file(), name
 
@@ -333,7 +334,7 @@ def test_the_releases_of_the_pages_are_those_that_the_package_is_tested_on():
 
 def test_every_path_that_a_unit_needs_is_in_the_table_of_places():
     places = " ".join(codes(section(INSTALL, "## What lies where")))
-    for name in ("vcu-gateway.service", "vcu-gateway@.service"):
+    for name in ("vcu-gateway.service", "vcu-gateway@.service", "vcu-gateway-exporter.service"):
         unit = (ROOT / "systemd" / name).read_text().replace("%i", "can1")
         for found in re.findall(r"(?<=[= :])/(?:etc|run|var/lib|usr/lib)/vcu-gateway[\w-]*", unit):
             assert found in places, found
