@@ -36,9 +36,8 @@ def test_a_controller_that_does_not_answer_for_200_ms_stops_both(bench, pcu):
 @pytest.mark.parametrize("message", [LEFT, RIGHT])
 def test_a_status_1_silent_for_1600_ms_limits(bench, message):
     bench.drive(throttle_pct=20, power_mode="turbo")
+    last = bench.frame(message, time.monotonic()).t  # one that came before drove without turbo
     bench.vehicle.silence(message)
-    bench.pump()
-    last = bench.recorder.of(message)[-1].t
     bench.until(last + 1.8)
     frames = bench.commands(last)
     eco = [f for f in frames if f.command.power_mode == wire.ECO]
