@@ -76,7 +76,7 @@ def test_a_pointer_to_a_section_or_an_erratum_that_is_not_there_is_seen():
     assert wrong_pointers(good) == []
     assert wrong_pointers(f"{safety}, Mode.") == ["Mode."]
     assert wrong_pointers(f"{safety}, Nodes; {protocol}, Nodes") == [f"Nodes; {protocol}, Nodes"]
-    assert wrong_pointers(f"{protocol} E14; erratum" + " E0") == ["E14", "E0"]
+    assert wrong_pointers(f"{protocol} E99; erratum" + " E0") == ["E99", "E0"]
 
 
 def test_the_safety_page_has_every_effect_mode_and_invariant_and_no_other():
