@@ -3,9 +3,11 @@
 import dataclasses
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -14,10 +16,12 @@ from vcu_gateway import app
 from vcu_gateway.cli import main
 from vcu_gateway.config import Config, gateway_yaml, parse
 from vcu_gateway.core.demand import POWER_LIMIT_HIGHEST_W, RANGES, SPEED_LIMIT_HIGHEST_RPM
-from vcu_gateway.core.settings import KEYS, Settings
+from vcu_gateway.core.settings import KEYS, Reload, Settings
+from vcu_gateway.daemon.reload import is_live
 from vcu_gateway.protocol import dbc, packaged
 
 ROOT = Path(__file__).parents[2]
+API = ROOT / "docs" / "api.md"
 
 BEFORE = "    regen_limit_pct: Annotated[\n"
 LINE = (
@@ -82,7 +86,7 @@ def test_a_line_in_the_settings_is_in_the_schema(with_line) -> None:
 def test_a_line_in_the_settings_is_in_the_generated_yaml(with_line) -> None:
     assert (
         "  # Throttle in snow.\n"
-        "  # Unit %; default 30; minimum 5; maximum 40.\n"
+        "  # Unit %; default 30; minimum 5; maximum 40; live, while active only a smaller value.\n"
         "  snow_limit_pct: 30\n"
     ) in with_line["yaml"]
 
@@ -102,6 +106,30 @@ def test_a_line_in_the_settings_is_checked_in_a_file_and_reaches_the_core(with_l
         'f:1: limits.snow_limit_pct: must be a number in %, not "soon"',
     ]
     assert with_line["setting"] == 7.0
+
+
+def test_the_yaml_and_the_api_page_name_the_live_keys_and_no_others() -> None:
+    comments = re.findall(r"((?:^ +#.*\n)+) +#?(\w+):", gateway_yaml.text(), re.MULTILINE)
+    marked = {name for comment, name in comments if re.search(r";\s+(?:# )?live,", comment)}
+    assert marked == {name for name, key in KEYS.items() if is_live(f"{key.section}.{name}")}
+    (sentence,) = re.findall(r"a running gateway takes are ([^;]*);", API.read_text())
+    patterns = re.findall(r"`([\w.*]+)`", sentence)
+    for name in (f"{key.section}.{name}" for name, key in KEYS.items()):
+        assert is_live(name) == any(fnmatch(name, pattern) for pattern in patterns), name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "echo_below_max_pct",
+        "motor_speed_step_max_rpm",
+        "wheel_speed_step_max_kmh",
+        "wheel_speed_difference_max_kmh",
+    ],
+)
+def test_a_limit_that_judges_several_frames_together_needs_a_restart(name: str) -> None:
+    assert KEYS[name].reload is Reload.NEVER
+    assert not is_live(f"{KEYS[name].section}.{name}")
 
 
 def test_the_default_configuration_gives_the_default_settings() -> None:

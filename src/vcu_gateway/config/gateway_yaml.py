@@ -5,7 +5,8 @@ Generated from the model, for people who write a configuration:
     # Limits of every command, whoever asks.
     limits:
       # Largest SpeedLimit that is ever sent to a motor controller.
-      # Unit rpm; default 12000; minimum 500; maximum 12000.
+      # Unit rpm; default 12000; minimum 500; maximum 12000; live, while active only a smaller
+      # value.
       speed_limit_max_rpm: 12000
 
 A key whose default is null is commented out and shows its example, and so is the whole section
@@ -22,6 +23,7 @@ from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
 
 from vcu_gateway.config.model import Config
+from vcu_gateway.core.settings import KEYS, Reload
 from vcu_gateway.strict_yaml import parser, validation
 
 _COLUMNS = 97
@@ -37,6 +39,9 @@ _HEAD = """\
 #
 # A key that is left out has its default. An unknown key, a wrong type or a value out of range
 # is refused and nothing starts. The last word of a number's name is its unit.
+#
+# A running gateway takes changes of the keys marked live, by `vcu-gateway reload` or `systemctl
+# reload`; a change of any other key needs a restart.
 """
 
 
@@ -103,7 +108,7 @@ def _assignment(name: str, value: Any, indent: str) -> list[str]:
 
 
 def _facts(name: str, field: FieldInfo, default: Any) -> Iterator[str]:
-    """Unit, default, choices and range, as far as the key has them."""
+    """Unit, default, choices, range and reload rule, as far as the key has them."""
     if unit := validation.unit(name):
         yield f"unit {unit}"
     if field.is_required():
@@ -113,6 +118,8 @@ def _facts(name: str, field: FieldInfo, default: Any) -> Iterator[str]:
     if words := _choices(field.annotation):
         yield f"one of {', '.join(words)}"
     yield from _ranges(field)
+    if (key := KEYS.get(name)) and key.reload is not Reload.NEVER:
+        yield key.reload.value
 
 
 def _choices(kind: Any) -> tuple[str, ...]:

@@ -27,10 +27,10 @@ Priority = Annotated[int, Interval(ge=0, le=100)]
 class Reload(Enum):
     """When a running gateway takes a changed value."""
 
-    NEVER = "at the next start only"
-    LIVE = "in any mode but ACTIVE"
-    SMALLER = "in any mode but ACTIVE; while ACTIVE a smaller value, the stricter one"
-    LARGER = "in any mode but ACTIVE; while ACTIVE a larger value, the stricter one"
+    NEVER = "at the next start"
+    LIVE = "live, but not while active"
+    SMALLER = "live, while active only a smaller value"
+    LARGER = "live, while active only a larger value"
 
 
 @dataclass(frozen=True, slots=True)
