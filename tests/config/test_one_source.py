@@ -15,9 +15,9 @@ import pytest
 from vcu_gateway import app
 from vcu_gateway.cli import main
 from vcu_gateway.config import Config, gateway_yaml, parse
-from vcu_gateway.core.demand import POWER_LIMIT_HIGHEST_W, RANGES, SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.core.settings import KEYS, Reload, Settings
 from vcu_gateway.daemon.reload import is_live
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, RANGES, SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.protocol import dbc, packaged
 
 ROOT = Path(__file__).parents[2]

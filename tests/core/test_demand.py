@@ -11,7 +11,6 @@ from vcu_gateway.core.demand import (
     BENCH_SOURCE,
     CONTROLLERS,
     GRANTED,
-    RANGES,
     ControllerDemand,
     Demand,
     DemandArbiter,
@@ -21,6 +20,7 @@ from vcu_gateway.core.demand import (
     fault_of,
     refused,
 )
+from vcu_gateway.demand_ranges import RANGES
 
 MS = 1_000_000
 TTL_MAX_MS = 1000

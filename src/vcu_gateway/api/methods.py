@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from vcu_gateway.api import results
 from vcu_gateway.api.rights import Right
+from vcu_gateway.demand_ranges import span
 
 MAX_RATE_HZ = 50.0
 
@@ -53,21 +54,22 @@ class ControllerParams(Params):
     The ranges are checked where the demand is taken, which answers with the reason.
     """
 
-    throttle_pct: float = Field(default=0.0, description="0 to 100 %.")
+    throttle_pct: float = Field(default=0.0, description=f"{span('throttle_pct')} %.")
     throttle_track2_pct: float | None = Field(
         default=None,
-        description="The pedal's second track, 0 to 100 %; null where there is none. A difference"
-        " of more than 10 % for more than 100 ms takes the throttle away.",
+        description=f"The pedal's second track, {span('throttle_track2_pct')} %; null where there"
+        " is none. A difference of more than 10 % for more than 100 ms takes the throttle away.",
     )
-    brake_pct: float = Field(default=0.0, description="0 to 100 %.")
+    brake_pct: float = Field(default=0.0, description=f"{span('brake_pct')} %.")
     power_mode: Literal["eco", "normal", "turbo", "safety"] = "eco"
     motor_reverse: bool = False
     regen_brake: bool = False
     speed_limit_rpm: float | None = Field(
-        default=None, description="0 to 12000 rpm; null is the configured maximum."
+        default=None,
+        description=f"{span('speed_limit_rpm')} rpm; null is the configured maximum.",
     )
     power_limit_w: float | None = Field(
-        default=None, description="0 to 60000 W; null is the configured maximum."
+        default=None, description=f"{span('power_limit_w')} W; null is the configured maximum."
     )
 
 

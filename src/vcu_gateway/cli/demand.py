@@ -13,19 +13,28 @@ import click
 from vcu_gateway.api import results
 from vcu_gateway.cli.api_options import api_options, connected
 from vcu_gateway.client import Client, DemandOwner
+from vcu_gateway.demand_ranges import span
 
 _SET_PERIOD_S = 0.1
 _PRINT_PERIOD_S = 0.5
 
 _PEDALS = (
-    click.option("--throttle", "throttle_pct", type=float, default=0.0, help="Percent, 0 to 100."),
+    click.option(
+        "--throttle",
+        "throttle_pct",
+        type=float,
+        default=0.0,
+        help=f"Percent, {span('throttle_pct')}.",
+    ),
     click.option(
         "--throttle-track2",
         "throttle_track2_pct",
         type=float,
         help="The pedal's second track, percent; where demand.second_track_required is set.",
     ),
-    click.option("--brake", "brake_pct", type=float, default=0.0, help="Percent, 0 to 100."),
+    click.option(
+        "--brake", "brake_pct", type=float, default=0.0, help=f"Percent, {span('brake_pct')}."
+    ),
     click.option(
         "--mode",
         "power_mode",

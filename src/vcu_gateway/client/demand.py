@@ -19,21 +19,22 @@ RELEASED_BEFORE_ARMING_S = 0.2
 
 
 class ControllerValues(TypedDict, total=False):
-    """Demand for one controller; what is left out is at the gateway's default."""
+    """Demand for one controller; what is left out is at the gateway's default.
+
+    The gateway refuses a value outside its range in `vcu_gateway.demand_ranges.RANGES`.
+    """
 
     throttle_pct: float
-    """0 to 100."""
     throttle_track2_pct: float | None
-    """0 to 100, the pedal's second track; None where there is none."""
+    """The pedal's second track; None where there is none."""
     brake_pct: float
-    """0 to 100."""
     power_mode: results.PowerModeName
     motor_reverse: bool
     regen_brake: bool
     speed_limit_rpm: float | None
-    """0 to 12000; None is the configured maximum."""
+    """None is the configured maximum."""
     power_limit_w: float | None
-    """0 to 60000; None is the configured maximum."""
+    """None is the configured maximum."""
 
 
 class DemandValues(ControllerValues, total=False):

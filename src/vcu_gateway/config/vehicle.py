@@ -9,8 +9,8 @@ from pydantic import Field, field_validator
 
 from vcu_gateway.config.settings_section import SettingsSection, with_settings
 from vcu_gateway.config.value_types import Confirmation
-from vcu_gateway.core.demand import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.core.settings import REQUIRED_MESSAGES
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.strict_yaml.section import Section, refusal
 
 

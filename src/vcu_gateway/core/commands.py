@@ -11,7 +11,6 @@ from typing import NamedTuple
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import (
     CONTROLLERS,
-    SPEED_LIMIT_HIGHEST_RPM,
     ControllerDemand,
     ControllerDemands,
     PowerMode,
@@ -19,6 +18,7 @@ from vcu_gateway.core.demand import (
 )
 from vcu_gateway.core.pedals import Pedals
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.demand_ranges import SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.units import NS_PER_S
 
 _SPEED_LIMIT_MIN_RPM = 500.0

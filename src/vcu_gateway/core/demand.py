@@ -6,6 +6,12 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
+from vcu_gateway.demand_ranges import (
+    POWER_LIMIT_HIGHEST_W,
+    RANGES,
+    SPEED_LIMIT_HIGHEST_RPM,
+    span,
+)
 from vcu_gateway.units import NS_PER_MS
 
 CONTROLLERS = ("PCU1", "PCU2")
@@ -15,12 +21,6 @@ BENCH_SOURCE = "bench"
 
 MOST_SOURCES = 64
 """Sources whose last sequence number is kept, for as long as the gateway runs."""
-
-SPEED_LIMIT_HIGHEST_RPM = 12_000
-"""Largest SpeedLimit of the command (docs/protocol.md); a test compares it with the definition."""
-
-POWER_LIMIT_HIGHEST_W = 60_000
-"""Largest PowerLimit of the command (docs/protocol.md); a test compares it with the definition."""
 
 
 class PowerMode(IntEnum):
@@ -36,7 +36,7 @@ class PowerMode(IntEnum):
 class ControllerDemand:
     """Demand of one controller.
 
-    Every quantity is within its entry in `RANGES`; throttle_track2_pct is what the pedal's second
+    Every quantity is within its range in `RANGES`; throttle_track2_pct is what the pedal's second
     track says, None where it has none.
     """
 
@@ -48,16 +48,6 @@ class ControllerDemand:
     speed_limit_rpm: float = float(SPEED_LIMIT_HIGHEST_RPM)
     power_limit_w: float = float(POWER_LIMIT_HIGHEST_W)
     throttle_track2_pct: float | None = None
-
-
-RANGES: Mapping[str, tuple[float, float]] = {
-    "throttle_pct": (0, 100),
-    "brake_pct": (0, 100),
-    "speed_limit_rpm": (0, SPEED_LIMIT_HIGHEST_RPM),
-    "power_limit_w": (0, POWER_LIMIT_HIGHEST_W),
-    "throttle_track2_pct": (0, 100),
-}
-"""Lowest and highest value of each quantity of a demand."""
 
 
 ControllerDemands = Mapping[str, ControllerDemand]
@@ -162,15 +152,15 @@ def _fault_of_values(
     if terms.second_track_required and demanded.throttle_track2_pct is None:
         sentence = f"{controller} throttle_track2_pct is missing; the configuration requires it"
         return refused(Refusal.SECOND_TRACK_MISSING, sentence)
-    for name, (low, high) in RANGES.items():
+    for name, (lowest, highest) in RANGES.items():
         given = getattr(demanded, name)
         if given is None:
             continue
         value = _as_float(given)
         if not math.isfinite(value):
             return refused(Refusal.NOT_FINITE, f"{controller} {name} is {value}")
-        if not low <= value <= high:
-            sentence = f"{controller} {name} must be {low:g} to {high:g}, not {value:g}"
+        if not lowest <= value <= highest:
+            sentence = f"{controller} {name} must be {span(name)}, not {value:g}"
             return refused(Refusal.OUT_OF_RANGE, sentence)
     return GRANTED
 

@@ -13,7 +13,8 @@ from typing import Annotated, get_type_hints
 
 from annotated_types import Interval, Len, MinLen
 
-from vcu_gateway.core.demand import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM, ControllerDemand
+from vcu_gateway.core.demand import ControllerDemand
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
 
 REQUIRED_MESSAGES = ("BMS_Status", "PCU1_Status2", "PCU2_Status2")
 """Messages that are always required; the configuration may add others."""

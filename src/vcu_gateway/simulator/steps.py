@@ -6,13 +6,9 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import message_name
-from vcu_gateway.core.demand import (
-    CONTROLLERS,
-    POWER_LIMIT_HIGHEST_W,
-    SPEED_LIMIT_HIGHEST_RPM,
-    PowerMode,
-)
+from vcu_gateway.core.demand import CONTROLLERS, PowerMode
 from vcu_gateway.core.spec import SignalSpec
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.faults import Fault
 from vcu_gateway.simulator.names import (
