@@ -172,7 +172,7 @@ class BusConnection:
 
         Also what came before the interface was lost. Only where frames wait in a socket of ours
         (socketcan); elsewhere the reader has every frame as soon as it is there. False where the
-        reader has something in its hands and could not be waited for: nothing was taken in.
+        reader holds a frame that it does not hand on in time: nothing was taken in.
         """
         opening = self._opening
         return opening is None or opening.read_waiting(until_ns)

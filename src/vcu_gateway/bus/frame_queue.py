@@ -12,7 +12,7 @@ from collections.abc import Callable
 from vcu_gateway.python_can import can
 from vcu_gateway.units import NS_PER_S
 
-# The reader needs some microseconds for the frame in its hands, and gets them while the ticking
+# The reader needs some microseconds for the frame that it holds, and gets them while the ticking
 # thread sleeps; frames of a tick may leave until 25 ms after it.
 _PATIENCE_NS = 15_000_000
 _GIVE_WAY_S = 0.000_05
@@ -24,7 +24,7 @@ class FrameQueue:
     Attributes:
         lock: held while frames are put in.
         pending: frames in the order of their arrival.
-        with_reader: the reader has one in its hands; until then it is in `pending`.
+        with_reader: the reader holds one; until it takes it, a frame is in `pending`.
     """
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class FrameQueue:
         return True
 
     def _reader_is_done(self) -> bool:
-        """Take the lock with no frame in the reader's hands; False where that took too long."""
+        """Take the lock while the reader holds no frame; False where that took too long."""
         end_ns = time.monotonic_ns() + _PATIENCE_NS
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
             if self.lock.acquire(timeout=left_ns / NS_PER_S):

@@ -50,7 +50,7 @@ class EchoingMulticastBus(UdpMulticastBus):
         datagram, _, stamp_s = received
         try:
             message = unpack_message(datagram, replace={"timestamp": stamp_s}, check=True)
-        except Exception:  # noqa: BLE001 - whatever a stranger sends
+        except Exception:  # noqa: BLE001 - whatever the group carries
             self._counters.undecodable += 1
             return None, False
         message.is_rx = not self._is_own(datagram)  # whatever flag the datagram carries

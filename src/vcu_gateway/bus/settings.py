@@ -31,7 +31,7 @@ class BusCounters:
         dropped: frames that the kernel's receive buffer had no room for, or that waited in it
             when the socket was closed.
         repeated_errors: error frames equal to the one before; not evaluated.
-        reader_not_awaited: ticks that went on without what the reader had in its hands.
+        reader_not_awaited: ticks that went on without the frame that the reader held.
         undecodable: datagrams of a multicast group that hold no frame.
         receiver_bugs: exceptions of our own receiving code; the frame is lost, the rest goes on.
     """

@@ -136,8 +136,8 @@ class DrainingSocketcanBus(SocketcanBus):
     def _may_wait(self) -> bool:
         """Whether any frame that has arrived may not have been handed on yet.
 
-        A frame goes from the socket through the lock's holder and the queue into the reader's
-        hands: looked for in this order it cannot slip through.
+        A frame goes from the socket through the lock's holder and the queue to the reader:
+        looked for in this order it is not missed.
         """
         if self._glance.poll(0):
             return True
@@ -147,8 +147,8 @@ class DrainingSocketcanBus(SocketcanBus):
     def read_waiting(self, until_ns: int, hand_on: Callable[[can.Message], None]) -> bool:
         """Hand on, on the calling thread, all unread frames that arrived until this time.
 
-        It goes on until nothing waits or a frame that arrived later was handed on. What the reader
-        has in its hands is waited for; where that takes longer than some milliseconds the reader
+        It goes on until nothing waits or a frame that arrived later was handed on. A frame that
+        the reader holds is waited for; where that takes longer than some milliseconds the reader
         goes on alone, and `BusCounters.reader_not_awaited` counts it: False, and nothing was read.
         `hand_on` must not raise.
 

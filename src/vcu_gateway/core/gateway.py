@@ -80,7 +80,7 @@ class TickResult(NamedTuple):
 
 
 class Gateway:
-    """Gateway core of two motor controllers; all that the shell talks to.
+    """Gateway core of two motor controllers; all that the shell calls.
 
     Attributes:
         settings: those in effect.

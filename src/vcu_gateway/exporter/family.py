@@ -25,7 +25,7 @@ class Family(NamedTuple):
         help: one sentence, with what an absent sample means.
         labels: their names, in the order of the keys of `read`'s samples.
         read: its samples. A histogram's key is the upper bound "le", its values cumulative.
-            KeyError where the gateway is too old to tell them.
+            KeyError where the gateway is too old to report them.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Family(NamedTuple):
     read: Callable[[GatewayAnswers], Samples]
 
     def samples(self, reading: GatewayAnswers) -> Samples:
-        """The samples; none where the gateway is too old to tell them."""
+        """The samples; none where the gateway is too old to report them."""
         try:
             return self.read(reading)
         except KeyError:

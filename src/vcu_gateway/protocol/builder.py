@@ -71,7 +71,7 @@ class Builder:
 
     def _check_source_ids(self, key: str, row: MessageRow) -> None:
         if any(node not in self._addresses for node in row.for_each):
-            return  # that is told already, and this comes of it
+            return  # that is reported already, and this follows from it
         for node in row.source_ids:
             if node not in row.for_each:
                 self._refuse(f"{node} is not in for_each", "messages", key, "source_ids", node)

@@ -30,7 +30,7 @@ A session beyond its rate, its pending requests or its output is not read, so th
 holds its sender up. The end of a peer is seen even then (EPOLLRDHUP): a demand must not outlive
 its connection. A slow reader loses updates; one that does not read at all is closed.
 
-Places. Where all are taken, the longest idle session is evicted for the newcomer; a user with more
+Places. Where all are taken, the longest idle session is evicted for the new one; a user with more
 than half of the places makes room among its own. Some places are reserved for peers that may do
 more than read. A session that owns a fresh demand is never evicted, and whatever a session had
 sent before is carried out first. So nobody can be kept from `estop` and `disarm` by others, short

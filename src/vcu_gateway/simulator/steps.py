@@ -119,7 +119,7 @@ class Shorten(_FrameStep):
 
 
 class Set(Step):
-    """A signal says something else."""
+    """A signal has a fixed other value."""
 
     signal: SignalName = Field(description="MESSAGE.SIGNAL.")
     raw: int | None = Field(default=None, description="The code on the wire.")
@@ -168,10 +168,10 @@ def _of_signal(signal: str, transform: Transform) -> Fault:
 
 
 class Shift(Step):
-    """A signal says more than it is, or less."""
+    """A signal is too high or too low by a constant."""
 
     signal: SignalName = Field(description="MESSAGE.SIGNAL, such as PCU1_Status2.MotorSpeed.")
-    by: float = Field(description="So much more, in the signal's unit; less below 0.")
+    by: float = Field(description="Added to the value, in the signal's unit; may be negative.")
 
     @field_validator("by")
     @classmethod
@@ -189,7 +189,7 @@ class Shift(Step):
 
 
 class Freeze(Step):
-    """A signal keeps what it says first."""
+    """A signal keeps its first value."""
 
     signal: SignalName = Field(description="MESSAGE.SIGNAL, such as BMS_Status.LifeSignal.")
 
@@ -220,7 +220,7 @@ class WrongDirection(_ControllerStep):
 
 
 class IgnoreCommands(_ControllerStep):
-    """What was obeyed last is obeyed on."""
+    """Commands are ignored: the last one stays in effect, or a given throttle."""
 
     throttle_pct: float | None = Field(
         default=None, ge=0, le=100, description="Of the order obeyed; without it, as it was."

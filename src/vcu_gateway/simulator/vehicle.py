@@ -1,4 +1,4 @@
-"""One plausible moving vehicle: two motors, a battery, and the road under them.
+"""Vehicle model: two motors, battery, driving resistance and body movements.
 
 Axes as in ISO 8855: x forwards, y left, z up; a positive steering angle turns left.
 """
@@ -104,7 +104,7 @@ class Vehicle:
         self._lean()
 
     def _steer(self, elapsed_s: float) -> None:
-        """A gentle wiggle, and the driver's hand against drifting off."""
+        """Steering angle: a slow sine, and a correction towards heading 0."""
         wiggle_deg = _WIGGLE_DEG * math.sin(2 * math.pi * elapsed_s / _WIGGLE_PERIOD_S)
         rolling = _within(self.speed_m_s / _LANE_KEEPING_SPEED_M_S, 1.0)
         correction_deg = _LANE_KEEPING * self.heading_deg * rolling
@@ -133,7 +133,7 @@ class Vehicle:
         self.acceleration_m_s2 = (self.speed_m_s - before_m_s) / _STEP_S
 
     def _resistance_n(self) -> float:
-        """Rolling, air, and the foot brake: the pedal position that the controllers receive."""
+        """Rolling, air and friction brake; the brake by the highest pedal that a controller has."""
         pedal_pct = max(motor.order.brake_pct for motor in self.motors.values())
         air_n = _AIR_DRAG_N_PER_M2_S2 * self.speed_m_s**2
         return _ROLLING_RESISTANCE_N + air_n + _FRICTION_BRAKE_N * pedal_pct / 100

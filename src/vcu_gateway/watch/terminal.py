@@ -1,4 +1,4 @@
-"""Running the live view on a terminal, and terminal_exit the terminal as it was whatever happens.
+"""Live view on a terminal, which is left as it was, whatever happens.
 
 Textual writes to stderr and reads stdin. A signal ends the view in order; where that cannot be
 done, because the terminal hangs or has gone away, the process ends by itself a moment later.
