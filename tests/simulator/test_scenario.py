@@ -355,7 +355,7 @@ def problems(text: str) -> list[str]:
         ("{at_s: 1, fault: shift, signal: ARD2_SteeringWheel.WheelSpeedFL, by: 66}",
          ".by: must be -65.535 to 65.535 km/h, not 66"),
         ("{at_s: 1, fault: shift, signal: BMS_Status.SOC}",
-         ".by: is missing; so much more, in the signal's unit; less below 0"),
+         ".by: is missing; added to the value, in the signal's unit; may be negative"),
         ("{at_s: 1, fault: foreign_sender, controller: PCU3}",
          '.controller: must be a motor controller, not "PCU3"; did you mean "PCU2"?'),
     ],
