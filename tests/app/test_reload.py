@@ -5,10 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
 from tests.config.test_config import LEAVES, one_key
+from tests.core.test_settings import OTHER_VALUES, STRICTER_AND_LOOSER
 from tests.driven import wait_until
 from vcu_gateway import app
 from vcu_gateway import config as configuration
@@ -90,26 +92,13 @@ def test_every_key_is_taken_by_a_running_gateway_or_named_as_needing_a_restart()
         assert not set(settings) & set(RESTART_ONLY), name
 
 
-OTHER = {
-    "limits.speed_limit_max_rpm": 600,
-    "limits.power_limit_max_w": 1,
-    "limits.derated_power_w": 1,
-    "limits.regen_limit_pct": 1,
-    "limits.throttle_slew_pct_per_s": 11,
-    "limits.power_slew_w_per_s": 7000,
-    "limits.regen_slew_pct_per_s": 11,
-    "limits.speed_slew_rpm_per_s": 600,
-    "limits.direction_change_rpm": 1,
-    "limits.regen_min_rpm": 200,
-    "safety.required_messages": [*configuration.Config().safety.required_messages, "IMU_Attitude"],
-    "safety.qualify_frames": 4,
-    "safety.clear_hold_ms": 2000,
-    "demand.ttl_max_ms": 500,
-    "demand.ttl_default_ms": 100,
-    "demand.priorities": {"remote_stop": 10},
-    "demand.independent_directions": True,
-    "demand.second_track_required": True,
-}
+def other_value(key: str) -> Any:
+    """A value that the file may say, other than the default."""
+    name = key.rpartition(".")[2]
+    return STRICTER_AND_LOOSER[name][0] if name in STRICTER_AND_LOOSER else OTHER_VALUES[name]
+
+
+OTHER = {name: other_value(name) for name in LEAVES if is_live(name)}
 
 
 def test_every_setting_that_a_running_gateway_takes_comes_from_a_live_key():

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
+from vcu_gateway.core.settings import REQUIRED_MESSAGES, RESTART_ONLY, Settings, changed, loosened
 
 STRICTER_AND_LOOSER = {
     "speed_limit_max_rpm": (11_999, 12_001),
@@ -25,7 +25,7 @@ OTHER_VALUES = {
     "late_after_ms": {"BMS_Status": 1000},
     "stale_after_ms": {"BMS_Status": 1000},
     "transmit_priority": 3,
-    "required_messages": ("BMS_Status",),
+    "required_messages": [*REQUIRED_MESSAGES, "IMU_Attitude"],
     "period_ns": 20_000_000,
     "listen_before_talk_ms": 2000,
     "qualify_frames": 4,
