@@ -106,7 +106,7 @@ class Dispatcher:
         suppressed = self._log_limit.admit(kind, time.monotonic_ns())
         if suppressed is None:
             return
-        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid, "untold": suppressed}
+        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid, "suppressed": suppressed}
         event = Event(name, Severity.WARNING, {**fields, **peer})
         self._work_queue.post(lambda: self._context.loop.event_log.emit(event))
 
