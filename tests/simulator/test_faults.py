@@ -187,16 +187,16 @@ def test_a_speed_below_0_reads_as_one_that_no_motor_has():
         assert says(found, "MotorSpeed") == expected
 
 
-def test_an_intruder_sends_at_its_period_and_is_obeyed_and_answered():
+def test_a_foreign_node_sends_at_its_period_and_is_obeyed_and_answered():
     command = CODEC.by_name["VCU_PCU2_Command"]
     data = command.encode({**ORDERED, "Throttle": 80})
-    intruder = ForeignNode(command.spec.can_id, data, "VCU_PCU2_Command", 20 * MS_NS)
-    nodes = simulator.build(CODEC, START_NS, faults=[spell(Fault(intruder=intruder), 0.1, 0.5)])
+    node = ForeignNode(command.spec.can_id, data, "VCU_PCU2_Command", 20 * MS_NS)
+    nodes = simulator.build(CODEC, START_NS, faults=[spell(Fault(foreign_node=node), 0.1, 0.5)])
     frames = []
     while nodes.next_due_ns() < START_NS + S_NS:
         frames += nodes.due(nodes.next_due_ns())
     times_ms = [
-        (frame.due_ns - START_NS) // MS_NS for frame in frames if frame.message == intruder.message
+        (frame.due_ns - START_NS) // MS_NS for frame in frames if frame.message == node.message
     ]
     assert times_ms == list(range(100, 500, 20))
     answers = [frame for frame in frames if frame.message == "PCU2_Status2"]

@@ -98,8 +98,8 @@ class DrainingSocketcanBus(SocketcanBus):
             option(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
         self._poll = select.poll()
         self._poll.register(self.socket, select.POLLIN)
-        self._glance = select.poll()  # the ticking thread's: two must not wait on one
-        self._glance.register(self.socket, select.POLLIN)
+        self._tick_poll = select.poll()  # the ticking thread's: two must not wait on one
+        self._tick_poll.register(self.socket, select.POLLIN)
 
     @property
     def library_bus(self) -> can.BusABC:
@@ -139,7 +139,7 @@ class DrainingSocketcanBus(SocketcanBus):
         A frame goes from the socket through the lock's holder and the queue to the reader:
         looked for in this order it is not missed.
         """
-        if self._glance.poll(0):
+        if self._tick_poll.poll(0):
             return True
         queue = self._queue
         return queue.lock.locked() or bool(queue.pending) or queue.with_reader
@@ -166,7 +166,7 @@ class DrainingSocketcanBus(SocketcanBus):
             hand_on(message)
 
         def read_more() -> bool:
-            if self._failed or last_s * NS_PER_S > until_ns or not self._glance.poll(0):
+            if self._failed or last_s * NS_PER_S > until_ns or not self._tick_poll.poll(0):
                 return False
             self._drain()
             return True

@@ -152,14 +152,14 @@ class EventLoop:
         callers = [session.caller for session in self._sessions.values()]
         return ConnectionCounts(len(callers), sum(map(may_only_read, callers)))
 
-    def _evict_one(self, newcomer: Caller, must_be_reader: bool) -> bool:
+    def _evict_one(self, caller: Caller, must_be_reader: bool) -> bool:
         """Close the longest idle session without a fresh demand; False where there is none.
 
         A user with more than half of the places makes room among its own: a flood of
         connections does not push out those of others.
         """
         sessions = list(self._sessions.values())
-        own = [one for one in sessions if one.caller.peer.uid == newcomer.peer.uid]
+        own = [one for one in sessions if one.caller.peer.uid == caller.peer.uid]
         candidates = own if 2 * len(own) > len(sessions) else sessions
         for session in sorted(candidates, key=lambda one: one.active_ns):
             is_allowed = not must_be_reader or may_only_read(session.caller)

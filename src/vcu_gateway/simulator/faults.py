@@ -1,7 +1,7 @@
 """Faults of the simulated vehicle: each one is one small function.
 
-A transform changes a frame on its way to the bus, a change the vehicle itself, and an
-intruder sends by itself. `FaultInterval` says from when until when.
+A transform changes a frame on its way to the bus, a change the vehicle itself, and a
+foreign node sends frames of its own. `FaultInterval` says from when until when.
 """
 
 import random
@@ -190,7 +190,7 @@ class Fault:
 
     transform: Transform = whole
     change: Change = untouched
-    intruder: ForeignNode | None = None
+    foreign_node: ForeignNode | None = None
 
 
 class FaultInterval:
@@ -205,7 +205,7 @@ class FaultInterval:
         self._changes = [(begin_ns, True), (NEVER_NS if end_ns is None else end_ns, False)]
         self._begin_ns, self._end_ns = begin_ns, self._changes[-1][0]
         self._report = report
-        self._grid = fault.intruder and Schedule(begin_ns, fault.intruder.period_ns)
+        self._grid = fault.foreign_node and Schedule(begin_ns, fault.foreign_node.period_ns)
 
     def next_due_ns(self) -> int:
         """Time at which `due` has something to do; NEVER_NS once nothing is left."""
@@ -215,21 +215,21 @@ class FaultInterval:
         return min(changes_ns, self._grid.next_deadline_ns)
 
     def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
-        """Break or repair the vehicle where that is due; the frames that an intruder sends now."""
+        """Break or repair the vehicle where that is due; the frames of a foreign node."""
         while self._changes and self._changes[0][0] <= now_ns:
             at_ns, broken = self._changes.pop(0)
             vehicle.advance(at_ns)
             self._fault.change(vehicle, broken)
             at_s = (at_ns - vehicle.start_ns) / NS_PER_S
             self._report(f"{at_s:.1f} s: {self._name} {'begins' if broken else 'ends'}")
-        return self._intrusion(now_ns)
+        return self._foreign_frames(now_ns)
 
-    def _intrusion(self, now_ns: int) -> Iterable[NodeFrame]:
-        intruder, grid = self._fault.intruder, self._grid
+    def _foreign_frames(self, now_ns: int) -> Iterable[NodeFrame]:
+        node, grid = self._fault.foreign_node, self._grid
         tick = grid.due(now_ns) if grid else None
-        if intruder is None or tick is None or tick.deadline_ns >= self._end_ns:
+        if node is None or tick is None or tick.deadline_ns >= self._end_ns:
             return ()
-        return (NodeFrame(intruder.can_id, intruder.data, intruder.message, tick.deadline_ns),)
+        return (NodeFrame(node.can_id, node.data, node.message, tick.deadline_ns),)
 
     def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
         """Frames sent in place of a due frame while the fault lasts."""

@@ -157,7 +157,7 @@ class Nodes:
             self._hand_over(sender.frame(due_ns))
         leaving = list(self._leaving(now_ns))
         for frame in leaving:
-            if frame.message in self._controllers:  # the controllers hear an intruder too
+            if frame.message in self._controllers:  # the controllers also obey a foreign node
                 self.receive(frame.can_id, frame.data, now_ns)
         return leaving
 

@@ -243,7 +243,7 @@ class ForeignSender(Step):
         values = {"PowerMode": PowerMode.NORMAL, "Throttle": self.throttle_pct}
         limits = {"SpeedLimit": SPEED_LIMIT_HIGHEST_RPM, "PowerLimit": POWER_LIMIT_HIGHEST_W}
         return Fault(
-            intruder=faults.ForeignNode(
+            foreign_node=faults.ForeignNode(
                 command.spec.can_id,
                 command.encode({**values, **limits}),
                 command.spec.name,
