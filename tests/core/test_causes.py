@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from tests.core.safety_world import MS
+from tests.core.simulated_drive import MS
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Finding
 from vcu_gateway.core.events import Severity
 

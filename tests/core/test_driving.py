@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.safety_world import MS, Drive, active, in_mode, standby
+from tests.core.simulated_drive import MS, Drive, active, in_mode, standby
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
 from vcu_gateway.core.pedals import ThrottleHold
 from vcu_gateway.core.supervisor import Mode

@@ -26,7 +26,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.safety_world import CODEC, PERIOD_NS, data, in_mode
+from tests.core.simulated_drive import CODEC, PERIOD_NS, data, in_mode
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from tests.core.safety_world import (
+from tests.core.simulated_drive import (
     CODEC,
     COMMAND_IDS,
     MS,

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tests.core.safety_world import CODEC, data
+from tests.core.simulated_drive import CODEC, data
 from vcu_gateway.core import motor_speeds
 from vcu_gateway.core.motor_speeds import RegenerationInterlock
 from vcu_gateway.core.plausibility import NO_DEVIATION, Observed

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.safety_world import MS, PERIOD_NS, active, standby
+from tests.core.simulated_drive import MS, PERIOD_NS, active, standby
 from vcu_gateway.core.causes import Causes, Effect, Finding
 from vcu_gateway.core.demand import ControllerDemand, Demand
 from vcu_gateway.core.operator_requests import (

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.safety_world import CODEC, MS, PROTOCOL, data
+from tests.core.simulated_drive import CODEC, MS, PROTOCOL, data
 from vcu_gateway.core import plausibility
 from vcu_gateway.core.plausibility import NO_DEVIATION, Plausibility
 from vcu_gateway.core.settings import Settings

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.safety_world import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, rule_inputs
+from tests.core.simulated_drive import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, rule_inputs
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.plausibility import Observed, ThrottleExcess
 from vcu_gateway.core.rules import RULES, findings

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.core.safety_world import (
+from tests.core.simulated_drive import (
     MS,
     RECEIVED,
     Drive,

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import pytest
 
-from tests.core.safety_world import Drive, active
+from tests.core.simulated_drive import Drive, active
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.interface import Interface
 from vcu_gateway.bus.netlink import InterfaceDetails

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.core.safety_world import data
+from tests.core.simulated_drive import data
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand

@@ -11,7 +11,7 @@ from typing import cast
 
 import pytest
 
-from tests.core.safety_world import CODEC, Drive, active, standby
+from tests.core.simulated_drive import CODEC, Drive, active, standby
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.schedule import Tick

@@ -7,7 +7,16 @@ import sys
 
 import pytest
 
-from tests.core.safety_world import COMMAND_IDS, MS, RECEIVED, Drive, active, data, in_mode, standby
+from tests.core.simulated_drive import (
+    COMMAND_IDS,
+    MS,
+    RECEIVED,
+    Drive,
+    active,
+    data,
+    in_mode,
+    standby,
+)
 from tests.monitoring.program import STARTED_S, Program, Scrape, driven
 from vcu_gateway import __version__, exporter
 from vcu_gateway.api.errors import ErrorCode

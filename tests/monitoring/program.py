@@ -6,7 +6,7 @@ from typing import Any
 from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
-from tests.core.safety_world import COMMAND_IDS, Drive, active
+from tests.core.simulated_drive import COMMAND_IDS, Drive, active
 from vcu_gateway import config as configuration
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings

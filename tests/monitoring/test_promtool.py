@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.core.safety_world import active
+from tests.core.simulated_drive import active
 from tests.monitoring.paths import ALERTS, DASHBOARD, MONITORING
 from tests.monitoring.program import Program, driven
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from tests.config.test_config import HEALTHY
-from tests.core.safety_world import ZERO_TORQUE
+from tests.core.simulated_drive import ZERO_TORQUE
 from tests.driven import driven, wait_until
 from tests.faults.conftest import ROOT, Seen
 from tests.faults.machine import program

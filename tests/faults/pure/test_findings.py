@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from tests.core.safety_world import Drive
+from tests.core.simulated_drive import Drive
 from tests.driven import driven
 from tests.faults.pure.test_process import moving
 from vcu_gateway import config as configuration

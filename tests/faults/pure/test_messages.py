@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.safety_world import (
+from tests.core.simulated_drive import (
     CODEC,
     MS,
     POWER_CUT,

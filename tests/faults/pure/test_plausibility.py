@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from tests.core.safety_world import CODEC, MS, ZERO_TORQUE, Drive, active
+from tests.core.simulated_drive import CODEC, MS, ZERO_TORQUE, Drive, active
 from tests.faults.conftest import Seen
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
 from vcu_gateway.core.supervisor import Mode

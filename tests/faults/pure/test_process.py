@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.core.safety_world import ZERO_TORQUE
+from tests.core.simulated_drive import ZERO_TORQUE
 from tests.driven import Driven, driven, wait_until
 from tests.faults.conftest import ROOT, Seen
 from tests.faults.invariants import Checked, check

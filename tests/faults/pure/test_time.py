@@ -13,8 +13,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.core import safety_world
-from tests.core.safety_world import MS, PERIOD_NS, ZERO_TORQUE, Drive, active
+from tests.core import simulated_drive
+from tests.core.simulated_drive import MS, PERIOD_NS, ZERO_TORQUE, Drive, active
 from tests.driven import driven
 from tests.faults.conftest import ROOT, Seen
 from tests.faults.pure.bystander import once_more
@@ -46,7 +46,7 @@ def on_the_bench(ticks: int) -> Drive:
 def test_f56_time_that_passed_without_the_program_is_a_late_tick(slept_s, seen: Seen):
     drive = on_the_bench(6)
     assert 0 < drive.commands[0][1] < 200
-    drive.silent = set(safety_world.RECEIVED)
+    drive.silent = set(simulated_drive.RECEIVED)
     result = drive.tick(after_ns=slept_s * 1_000_000_000)
     assert drive.commands == [ZERO_TORQUE] * 2
     assert len(result.frames) == 2, "nothing is made up"
@@ -136,7 +136,7 @@ ORIGINS_NS = {
 
 def history(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[object, ...]]:
     """Everything that a drive with its limits, silences and its end says, from this origin."""
-    monkeypatch.setattr(safety_world, "NOW_NS", origin_ns)
+    monkeypatch.setattr(simulated_drive, "NOW_NS", origin_ns)
     told: list[tuple[object, ...]] = []
     drive = active(clear_hold_ms=1000)
     drive.demanded = FULL
@@ -159,7 +159,7 @@ def history(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[objec
 
 def edges(origin_ns: int, monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """What a nanosecond before, at and after a deadline makes of it, from this origin."""
-    monkeypatch.setattr(safety_world, "NOW_NS", origin_ns)
+    monkeypatch.setattr(simulated_drive, "NOW_NS", origin_ns)
     drive = active()
     latest = drive.tick().snapshot.latest("PCU2_Status2")
     assert latest is not None
@@ -202,7 +202,7 @@ def test_f82_counters_at_their_end_stay_right(tmp_path, seen: Seen):
         drive.run(500)
         assert drive.mode is Mode.ACTIVE
         assert drive.commands[0][1] > 0
-        drive.gateway.receive(safety_world.Frame(0x123, b"", drive.now_ns, extended=False))
+        drive.gateway.receive(simulated_drive.Frame(0x123, b"", drive.now_ns, extended=False))
         assert counters(drive.gateway)["rejected"]["standard_id"] == value + 1
         assert receiver.confirmed["PCU1"] == value + 10
     drive._sequence = 2**63 - 20
