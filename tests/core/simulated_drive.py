@@ -1,4 +1,4 @@
-"""A healthy world, one thing of which can be broken, and a drive through simulated time."""
+"""Drive in simulated time: a gateway among healthy nodes, and healthy inputs of the rules."""
 
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
@@ -66,10 +66,10 @@ def rule_inputs(
     settings: Settings | None = None,
     **facts: Any,
 ) -> RuleInputs:
-    """A World in which all is fresh and healthy but what is named here.
+    """Inputs in which all is fresh and healthy but what is named here.
 
     codes: by 'Message.Signal'; ages_ns: of the latest frame; never: messages that never came;
-    life_frames: how many battery frames in a row carried one LifeSignal; facts: World's.
+    life_frames: how many battery frames in a row carried one LifeSignal; facts: of `RuleInputs`.
     """
     settings = settings or Settings()
     deadlines = {
@@ -92,7 +92,7 @@ def rule_inputs(
 class Drive:
     """A gateway among healthy nodes, one tick of simulated time after the other.
 
-    Attributes to break the world with:
+    Attributes that break something:
         codes: codes by 'Message.Signal' in every frame from now on.
         silent: messages that do not come.
         echo: our frames come back; accepted: the bus takes them.
@@ -128,7 +128,7 @@ class Drive:
         return [] if self.result is None else [frame.data for frame in self.result.frames]
 
     def receive(self, name: str, at_ns: int | None = None) -> None:
-        """One frame of a node, as the world is now."""
+        """One frame of a node, as everything is now."""
         raws = raws_of(name, self.codes)
         if name == "BMS_Status":
             self._life ^= 1

@@ -46,7 +46,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Row:
-    """What one rule finds in a world: a set of 'subject EFFECT'."""
+    """What one rule finds in these inputs: a set of 'subject EFFECT'."""
 
     rule: str
     kind: str
@@ -377,7 +377,7 @@ def test_every_code_that_a_coded_signal_can_carry_has_a_row():
         assert {raw for owner, raw in tried if owner == name} == set(codes), name
 
 
-def test_a_healthy_world_has_no_findings():
+def test_healthy_inputs_have_no_findings():
     assert findings(rule_inputs()) == ()
 
 

@@ -63,7 +63,7 @@ class Scrape:
 class Program:
     """What `vcu-gateway run` puts together, without threads: the test ticks it.
 
-    Attributes to break the world with:
+    Attributes that break something:
         drive: the gateway among healthy nodes; api, facts: what the metrics are told.
     """
 

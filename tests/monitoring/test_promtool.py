@@ -149,7 +149,7 @@ def test_every_alert_is_tried():
     assert {rule["alert"] for group in groups for rule in group["rules"]} == set(FIRES)
 
 
-def test_what_is_broken_is_part_of_the_healthy_world():
+def test_what_is_broken_is_part_of_what_is_healthy():
     known = set(healthy()) | {
         gateway("frames_blocked_total", rule="unarmed"),  # comes with the first
         cause("echo_direction", "stop"),
