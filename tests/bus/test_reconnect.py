@@ -44,7 +44,7 @@ class FakeConnection:
         self.closings += 1
 
 
-class Stage:
+class LookRig:
     """A reconnector that looks every 100 ms of simulated time at what the test puts there."""
 
     def __init__(self) -> None:
@@ -71,28 +71,28 @@ class Stage:
 
 
 @pytest.fixture
-def stage() -> Stage:
-    return Stage()
+def rig() -> LookRig:
+    return LookRig()
 
 
 @pytest.fixture
-def steady(stage: Stage) -> Stage:
+def steady(rig: LookRig) -> LookRig:
     """Open for longer than it takes to count as steady."""
-    (opened,) = stage.look()
+    (opened,) = rig.look()
     assert isinstance(opened, LinkOpened)
-    stage.look(60)
-    return stage
+    rig.look(60)
+    return rig
 
 
 def kinds(changes: list[object]) -> list[type]:
     return [type(one) for one in changes]
 
 
-def test_an_interface_that_is_there_is_opened_at_once(stage: Stage):
-    (opened,) = stage.look()
+def test_an_interface_that_is_there_is_opened_at_once(rig: LookRig):
+    (opened,) = rig.look()
     assert (opened.interface, opened.receive_buffer_bytes) == (UP, 212_992)
-    assert stage.look(100) == [], "and then left alone"
-    assert stage.connection.openings == 1
+    assert rig.look(100) == [], "and then left alone"
+    assert rig.connection.openings == 1
 
 
 @pytest.mark.parametrize(
@@ -106,14 +106,14 @@ def test_an_interface_that_is_there_is_opened_at_once(stage: Stage):
         ),
     ],
 )
-def test_an_interface_that_cannot_be_used_is_reported_once_and_waited_for(stage, found, sentence):
-    stage.found = found
-    (unavailable,) = stage.look(50)
+def test_an_interface_that_cannot_be_used_is_reported_once_and_waited_for(rig, found, sentence):
+    rig.found = found
+    (unavailable,) = rig.look(50)
     assert unavailable.why.startswith(sentence)
-    assert stage.connection.lost == unavailable.why
-    assert stage.connection.openings == 0, "nothing is tried in vain"
-    stage.found = UP
-    assert kinds(stage.look()) == [LinkOpened]
+    assert rig.connection.lost == unavailable.why
+    assert rig.connection.openings == 0, "nothing is tried in vain"
+    rig.found = UP
+    assert kinds(rig.look()) == [LinkOpened]
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,9 @@ def test_an_interface_that_changes_under_us_is_lost_even_if_the_socket_is_silent
     assert kinds(changes[1:]) == [LinkOpened if is_there_again else Unavailable]
 
 
-def test_an_interface_that_is_down_and_then_renamed_is_reported_with_its_new_name(steady: Stage):
+def test_an_interface_that_is_down_and_then_renamed_is_reported_with_its_new_name(
+    steady: LookRig,
+):
     steady.found = DOWN
     assert kinds(steady.look()) == [LinkLost, Unavailable]
     steady.found = None
@@ -151,54 +153,62 @@ def test_an_interface_that_is_down_and_then_renamed_is_reported_with_its_new_nam
     assert "no such interface" in gone.why
 
 
-def test_what_the_reader_reported_is_the_reason_where_the_interface_looks_well(steady: Stage):
+def test_what_the_reader_reported_is_the_reason_where_the_interface_looks_well(
+    steady: LookRig,
+):
     steady.connection.mark_lost("Failed to receive: Network is down")
     lost, opened = steady.look()
     assert lost.why == "Failed to receive: Network is down"
     assert isinstance(opened, LinkOpened), "at once: it was steady"
 
 
-def test_a_link_that_comes_back_is_opened_at_the_next_look(steady: Stage):
+def test_a_link_that_comes_back_is_opened_at_the_next_look(steady: LookRig):
     steady.found = None
     steady.look(300)
     steady.found = UP._replace(number=4)
     assert kinds(steady.look()) == [LinkOpened]
 
 
-def test_a_flickering_link_is_opened_with_growing_pauses_and_always_within_a_second(stage: Stage):
+def test_a_flickering_link_is_opened_with_growing_pauses_and_always_within_a_second(
+    rig: LookRig,
+):
     opened_ns = []
     for _ in range(400):
-        opened_ns += [stage.now_ns for one in stage.look() if isinstance(one, LinkOpened)]
-        stage.connection.mark_lost("flickers")
+        opened_ns += [rig.now_ns for one in rig.look() if isinstance(one, LinkOpened)]
+        rig.connection.mark_lost("flickers")
     pauses_ms = [(b - a) // MS for a, b in itertools.pairwise(opened_ns)]
     assert pauses_ms[:4] == [200, 400, 800, 800]
     assert set(pauses_ms[2:]) == {800}
 
 
-def test_after_a_steady_time_the_pauses_begin_anew(stage: Stage):
-    stage.look()
+def test_after_a_steady_time_the_pauses_begin_anew(rig: LookRig):
+    rig.look()
     for _ in range(50):
-        stage.connection.mark_lost("flickers")
-        stage.look()
-    stage.look(8)
-    stage.look(50)
-    stage.connection.mark_lost("once")
-    assert kinds(stage.look()) == [LinkLost, LinkOpened]
-    stage.connection.mark_lost("twice")
-    assert kinds(stage.look(3)) == [LinkLost, LinkOpened], "after 200 ms, no longer after 800"
+        rig.connection.mark_lost("flickers")
+        rig.look()
+    rig.look(8)
+    rig.look(50)
+    rig.connection.mark_lost("once")
+    assert kinds(rig.look()) == [LinkLost, LinkOpened]
+    rig.connection.mark_lost("twice")
+    assert kinds(rig.look(3)) == [LinkLost, LinkOpened], "after 200 ms, no longer after 800"
 
 
-def test_an_opening_that_fails_is_reported_once_for_each_reason_and_tried_again(stage: Stage):
-    stage.connection.refusal = "no file descriptors"
-    assert stage.look(30) == [Unavailable("no file descriptors")]
-    assert 3 <= stage.connection.openings <= 6, "with pauses"
-    stage.connection.refusal = "no memory"
-    assert stage.look(30) == [Unavailable("no memory")]
-    stage.connection.refusal = None
-    assert kinds(stage.look(8)) == [LinkOpened]
+def test_an_opening_that_fails_is_reported_once_for_each_reason_and_tried_again(
+    rig: LookRig,
+):
+    rig.connection.refusal = "no file descriptors"
+    assert rig.look(30) == [Unavailable("no file descriptors")]
+    assert 3 <= rig.connection.openings <= 6, "with pauses"
+    rig.connection.refusal = "no memory"
+    assert rig.look(30) == [Unavailable("no memory")]
+    rig.connection.refusal = None
+    assert kinds(rig.look(8)) == [LinkOpened]
 
 
-def test_the_carrier_is_reported_when_it_changes_and_never_as_there_before_it_was(steady: Stage):
+def test_the_carrier_is_reported_when_it_changes_and_never_as_there_before_it_was(
+    steady: LookRig,
+):
     steady.found, gone_ns = UP._replace(carrier=False), steady.now_ns
     assert steady.look(5) == [CarrierChanged(gone_ns, False)]
     steady.found, still_gone_ns = UP, steady.now_ns - 100 * MS
@@ -206,10 +216,10 @@ def test_the_carrier_is_reported_when_it_changes_and_never_as_there_before_it_wa
     assert steady.connection.openings == 1
 
 
-def test_the_carrier_at_the_opening_is_the_better_of_both_words(stage: Stage):
-    stage.found = UP._replace(carrier=False)  # the flag follows up to a second later
-    stage.reconnector._details = lambda channel: InterfaceDetails(carrier=True)
-    (opened,) = stage.look()
+def test_the_carrier_at_the_opening_is_the_better_of_both_words(rig: LookRig):
+    rig.found = UP._replace(carrier=False)  # the flag follows up to a second later
+    rig.reconnector._details = lambda channel: InterfaceDetails(carrier=True)
+    (opened,) = rig.look()
     assert opened.carrier
-    stage.reconnector._details = lambda channel: InterfaceDetails()
+    rig.reconnector._details = lambda channel: InterfaceDetails()
     assert not opened._replace(details=InterfaceDetails()).carrier

@@ -29,8 +29,8 @@ class FakeReconnector:
         pass
 
 
-class World:
-    """A driving vehicle whose link is minded tick by tick."""
+class LinkRig:
+    """A driving vehicle, whose link events are handled tick by tick."""
 
     def __init__(self) -> None:
         self.drive: Drive = active()
@@ -74,113 +74,111 @@ class World:
 
 
 @pytest.fixture
-def world() -> World:
-    return World()
+def rig() -> LinkRig:
+    return LinkRig()
 
 
-def test_a_loss_latches_even_if_the_link_is_back_before_the_next_tick(world: World):
-    world.reconnector.changes += [LinkLost(world.drive.now_ns, "can0 is down"), world.opened()]
-    assert world.tick() is Mode.FAULT
-    assert world.drive.gateway.link.state is LinkState.LOST
-    assert world.starts_of_sending == 0, "nothing leaves in the tick that learns of the loss"
-    assert world.tick() is Mode.FAULT
-    assert world.drive.gateway.link.state is LinkState.UP
-    assert world.starts_of_sending == 1
-    assert world.emitted("link_lost") == [{"reason": "can0 is down"}]
-    assert world.emitted("link_open") == [{}]
+def test_a_loss_latches_even_if_the_link_is_back_before_the_next_tick(rig: LinkRig):
+    rig.reconnector.changes += [LinkLost(rig.drive.now_ns, "can0 is down"), rig.opened()]
+    assert rig.tick() is Mode.FAULT
+    assert rig.drive.gateway.link.state is LinkState.LOST
+    assert rig.starts_of_sending == 0, "nothing leaves in the tick that learns of the loss"
+    assert rig.tick() is Mode.FAULT
+    assert rig.drive.gateway.link.state is LinkState.UP
+    assert rig.starts_of_sending == 1
+    assert rig.emitted("link_lost") == [{"reason": "can0 is down"}]
+    assert rig.emitted("link_open") == [{}]
 
 
-def test_before_the_first_opening_the_link_is_lost(world: World):
-    world.link_events.begin(world.drive.now_ns)
-    assert world.drive.gateway.link.state is LinkState.LOST
+def test_before_the_first_opening_the_link_is_lost(rig: LinkRig):
+    rig.link_events.begin(rig.drive.now_ns)
+    assert rig.drive.gateway.link.state is LinkState.LOST
 
 
-def test_what_keeps_it_from_opening_is_reported(world: World):
-    world.reconnector.changes.append(Unavailable("can0 is down; ip link set can0 up"))
-    world.tick()
-    assert world.emitted("link_unavailable") == [{"reason": "can0 is down; ip link set can0 up"}]
+def test_what_keeps_it_from_opening_is_reported(rig: LinkRig):
+    rig.reconnector.changes.append(Unavailable("can0 is down; ip link set can0 up"))
+    rig.tick()
+    assert rig.emitted("link_unavailable") == [{"reason": "can0 is down; ip link set can0 up"}]
 
 
-def test_a_bus_off_between_two_ticks_latches(world: World):
-    world.error(BUS_OFF)
-    world.error(RESTARTED)
-    assert world.tick() is Mode.FAULT
-    assert world.drive.gateway.supervisor.latch.reason == "link bus off: stop"
-    world.tick()
-    assert world.drive.gateway.link.state is LinkState.UP
-    assert [one["state"] for one in world.emitted("link_state")] == ["bus off", "up"]
+def test_a_bus_off_between_two_ticks_latches(rig: LinkRig):
+    rig.error(BUS_OFF)
+    rig.error(RESTARTED)
+    assert rig.tick() is Mode.FAULT
+    assert rig.drive.gateway.supervisor.latch.reason == "link bus off: stop"
+    rig.tick()
+    assert rig.drive.gateway.link.state is LinkState.UP
+    assert [one["state"] for one in rig.emitted("link_state")] == ["bus off", "up"]
 
 
-def test_a_missing_carrier_latches_as_bus_off(world: World):
-    world.reconnector.changes.append(CarrierChanged(world.drive.now_ns, present=False))
-    assert world.tick() is Mode.FAULT
-    assert world.drive.gateway.link.state is LinkState.BUS_OFF
-    world.reconnector.changes.append(CarrierChanged(world.drive.now_ns, present=True))
-    world.tick()
-    assert world.drive.gateway.link.state is LinkState.UP
+def test_a_missing_carrier_latches_as_bus_off(rig: LinkRig):
+    rig.reconnector.changes.append(CarrierChanged(rig.drive.now_ns, present=False))
+    assert rig.tick() is Mode.FAULT
+    assert rig.drive.gateway.link.state is LinkState.BUS_OFF
+    rig.reconnector.changes.append(CarrierChanged(rig.drive.now_ns, present=True))
+    rig.tick()
+    assert rig.drive.gateway.link.state is LinkState.UP
 
 
-def test_the_controllers_state_at_the_opening_counts(world: World):
-    world.reconnector.changes.append(
-        world.opened(details=InterfaceDetails(state=LinkState.PASSIVE))
-    )
-    world.tick(20)
-    assert world.drive.mode is Mode.ACTIVE
-    world.tick(2)
-    assert world.drive.mode is Mode.FAULT, "passive for more than a second"
+def test_the_controllers_state_at_the_opening_counts(rig: LinkRig):
+    rig.reconnector.changes.append(rig.opened(details=InterfaceDetails(state=LinkState.PASSIVE)))
+    rig.tick(20)
+    assert rig.drive.mode is Mode.ACTIVE
+    rig.tick(2)
+    assert rig.drive.mode is Mode.FAULT, "passive for more than a second"
 
 
-def test_an_opening_without_a_carrier_is_bus_off(world: World):
-    world.reconnector.changes.append(world.opened(details=InterfaceDetails(carrier=False)))
-    assert world.tick() is Mode.FAULT
+def test_an_opening_without_a_carrier_is_bus_off(rig: LinkRig):
+    rig.reconnector.changes.append(rig.opened(details=InterfaceDetails(carrier=False)))
+    assert rig.tick() is Mode.FAULT
 
 
-def test_a_state_is_reported_when_it_changes_with_the_one_before(world: World):
+def test_a_state_is_reported_when_it_changes_with_the_one_before(rig: LinkRig):
     for bits in (0x08, 0x08, 0x20, 0x40):
-        world.error(CONTROLLER, bits)
-        world.tick(2)
-    assert world.emitted("link_state") == [
+        rig.error(CONTROLLER, bits)
+        rig.tick(2)
+    assert rig.emitted("link_state") == [
         {"state": "error warning", "before": "up"},
         {"state": "error passive", "before": "error warning"},
         {"state": "up", "before": "error passive"},
     ]
 
 
-def test_a_link_that_flickers_for_an_hour_does_not_fill_the_log(world: World):
+def test_a_link_that_flickers_for_an_hour_does_not_fill_the_log(rig: LinkRig):
     told = []
-    world.event_log.emit = told.append  # type: ignore[assignment]
+    rig.event_log.emit = told.append  # type: ignore[assignment]
     for _ in range(36_000):
-        world.error(CONTROLLER, 0x08)
-        world.link_events.after_tick(world.drive.now_ns)
-        world.drive.now_ns += 50 * MS
-        world.error(CONTROLLER, 0x40)
-        world.link_events.after_tick(world.drive.now_ns)
-        world.drive.now_ns += 50 * MS
+        rig.error(CONTROLLER, 0x08)
+        rig.link_events.after_tick(rig.drive.now_ns)
+        rig.drive.now_ns += 50 * MS
+        rig.error(CONTROLLER, 0x40)
+        rig.link_events.after_tick(rig.drive.now_ns)
+        rig.drive.now_ns += 50 * MS
     assert 1700 <= len(told) <= 1850, "one in 2 s"
-    world.drive.now_ns += 2000 * MS
-    world.error(CONTROLLER, 0x08)
+    rig.drive.now_ns += 2000 * MS
+    rig.error(CONTROLLER, 0x08)
     for _ in range(2):
-        world.link_events.after_tick(world.drive.now_ns)
-        world.drive.now_ns += 2000 * MS
+        rig.link_events.after_tick(rig.drive.now_ns)
+        rig.drive.now_ns += 2000 * MS
     assert told[-1].fields["state"] == "error warning", "the last state is told in the end"
 
 
-def test_after_a_quiet_time_ten_changes_are_reported_as_they_come(world: World):
-    world.drive.now_ns += 3_600_000 * MS
+def test_after_a_quiet_time_ten_changes_are_reported_as_they_come(rig: LinkRig):
+    rig.drive.now_ns += 3_600_000 * MS
     for _ in range(10):
-        world.error(CONTROLLER, 0x08)
-        world.link_events.after_tick(world.drive.now_ns)
-        world.error(CONTROLLER, 0x40)
-        world.link_events.after_tick(world.drive.now_ns)
-        world.drive.now_ns += 1
-    assert sum(entry.count for entry in world.event_log.latest(99)) == 10
+        rig.error(CONTROLLER, 0x08)
+        rig.link_events.after_tick(rig.drive.now_ns)
+        rig.error(CONTROLLER, 0x40)
+        rig.link_events.after_tick(rig.drive.now_ns)
+        rig.drive.now_ns += 1
+    assert sum(entry.count for entry in rig.event_log.latest(99)) == 10
 
 
-def test_dropped_frames_are_reported_at_most_every_ten_seconds(world: World):
+def test_dropped_frames_are_reported_at_most_every_ten_seconds(rig: LinkRig):
     for _ in range(400):
-        world.connection.counters.dropped += 3
-        world.tick()
-    told = [one["frames"] for one in world.emitted("frames_dropped")]
+        rig.connection.counters.dropped += 3
+        rig.tick()
+    told = [one["frames"] for one in rig.emitted("frames_dropped")]
     assert told == [3, 600]
 
 
@@ -223,13 +221,13 @@ def test_dropped_frames_are_reported_at_most_every_ten_seconds(world: World):
     ],
 )
 def test_what_is_not_as_it_should_be_is_reported_once_with_the_command_that_fixes_it(
-    world: World, changes, name, fields
+    rig: LinkRig, changes, name, fields
 ):
     for _ in range(3):
-        world.reconnector.changes.append(world.opened(**changes))
-        world.tick()
-    assert world.emitted(name) == [fields]
-    assert sum(entry.count for entry in world.event_log.latest(99)) == 4, "three openings, this"
+        rig.reconnector.changes.append(rig.opened(**changes))
+        rig.tick()
+    assert rig.emitted(name) == [fields]
+    assert sum(entry.count for entry in rig.event_log.latest(99)) == 4, "three openings, this"
 
 
 @pytest.mark.parametrize(
@@ -247,7 +245,7 @@ def test_what_is_not_as_it_should_be_is_reported_once_with_the_command_that_fixe
         {"details": InterfaceDetails(driver_echoes=False)},  # vcan: nothing can fail to leave
     ],
 )
-def test_what_is_as_it_should_be_is_not_reported(world: World, changes):
-    world.reconnector.changes.append(world.opened(**changes))
-    world.tick()
-    assert [entry.event.name for entry in world.event_log.latest(99)] == ["link_open"]
+def test_what_is_as_it_should_be_is_not_reported(rig: LinkRig, changes):
+    rig.reconnector.changes.append(rig.opened(**changes))
+    rig.tick()
+    assert [entry.event.name for entry in rig.event_log.latest(99)] == ["link_open"]

@@ -25,7 +25,7 @@ S = 1_000_000_000
 ZERO_TORQUE = "0008A7D0#0C000000E02E0000\n0008A8D0#0C000000E02E0000\n"
 
 
-class World:
+class ServiceRig:
     """A driving vehicle and a service manager that listens; time is the test's."""
 
     def __init__(self, folder, manager_socket, drive: Drive, monkeypatch) -> None:
@@ -69,32 +69,32 @@ class World:
 
 
 @pytest.fixture
-def world(tmp_path, monkeypatch):
+def rig(tmp_path, monkeypatch):
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager_socket:
         manager_socket.bind(str(tmp_path / "notify"))
         manager_socket.setblocking(False)
 
-        def make(drive: Drive) -> World:
-            return World(tmp_path, manager_socket, drive, monkeypatch)
+        def make(drive: Drive) -> ServiceRig:
+            return ServiceRig(tmp_path, manager_socket, drive, monkeypatch)
 
         yield make
 
 
-def test_ready_is_reported_once_after_the_first_tick(world):
-    one = world(standby())
+def test_ready_is_reported_once_after_the_first_tick(rig):
+    one = rig(standby())
     assert one.told() == []
     one.tick(10)
     assert one.told().count("READY=1") == 1
 
 
-def test_a_living_gateway_pings_four_times_in_the_watchdogs_time(world):
-    one = world(standby())
+def test_a_living_gateway_pings_four_times_in_the_watchdogs_time(rig):
+    one = rig(standby())
     one.tick(200)  # 10 s
     assert one.told().count("WATCHDOG=1") == 20
 
 
-def test_the_status_is_the_headline_and_is_reported_when_it_changes(world):
-    one = world(standby())
+def test_the_status_is_the_headline_and_is_reported_when_it_changes(rig):
+    one = rig(standby())
     one.tick(100)
     assert [line for line in one.told() if line.startswith("STATUS")] == ["STATUS=standby; arm"]
     assert one.drive.arm().granted
@@ -104,23 +104,23 @@ def test_the_status_is_the_headline_and_is_reported_when_it_changes(world):
     ]
 
 
-def test_the_status_of_a_missing_interface_says_so(world):
-    one = world(standby())
+def test_the_status_of_a_missing_interface_says_so(rig):
+    one = rig(standby())
     one.loop.connection.lost = "can0: no such interface"
     one.tick()
     assert "STATUS=standby; can0: no such interface" in one.told()
 
 
-def test_a_status_that_flickers_is_reported_once_a_second(world):
-    one = world(standby())
+def test_a_status_that_flickers_is_reported_once_a_second(rig):
+    one = rig(standby())
     for number in range(100):  # 5 s
         one.loop.connection.lost = f"reason {number}"
         one.tick()
     assert len([line for line in one.told() if line.startswith("STATUS")]) == 5
 
 
-def test_the_end_is_reported_when_it_begins(world):
-    one = world(standby())
+def test_the_end_is_reported_when_it_begins(rig):
+    one = rig(standby())
     one.tick()
     assert "STOPPING=1" not in one.told()
     one.drive.gateway.requests.terminate()
@@ -174,8 +174,8 @@ def test_a_reader_that_wakes_again_is_alive_again():
     assert watch.alive
 
 
-def test_a_dead_reader_ends_the_pings_and_then_the_process(world, monkeypatch):
-    one = world(standby())
+def test_a_dead_reader_ends_the_pings_and_then_the_process(rig, monkeypatch):
+    one = rig(standby())
     monkeypatch.setattr(BusConnection, "reader_wakes", 7)
     one.tick(20)
     before = one.told().count("WATCHDOG=1")
@@ -187,29 +187,29 @@ def test_a_dead_reader_ends_the_pings_and_then_the_process(world, monkeypatch):
 # What is left for safe_stop and for the next start.
 
 
-def test_nothing_is_left_before_anything_was_sent(world):
-    one = world(Drive())
+def test_nothing_is_left_before_anything_was_sent(rig):
+    one = rig(Drive())
     one.tick(10)
     assert one.safe_frames == ""
 
 
-def test_the_safe_frames_of_a_drive_are_zero_torque(world):
-    one = world(active())
+def test_the_safe_frames_of_a_drive_are_zero_torque(rig):
+    one = rig(active())
     one.drive.demanded = ControllerDemand(throttle_pct=40)
     one.tick(40)
     assert one.safe_frames == f"can0\n{ZERO_TORQUE}"
 
 
-def test_a_power_cut_is_kept_for_whoever_sends_next(world):
-    one = world(active())
+def test_a_power_cut_is_kept_for_whoever_sends_next(rig):
+    one = rig(active())
     one.tick()
     one.drive.gateway.requests.emergency_stop()
     one.tick()
     assert one.safe_frames == f"can0\n{ZERO_TORQUE.replace('#0C', '#8C')}"
 
 
-def test_they_are_written_only_when_they_change(world):
-    one = world(active())
+def test_they_are_written_only_when_they_change(rig):
+    one = rig(active())
     one.tick(2)
     (one.folder / "safe-frames").unlink()
     one.tick(100)
@@ -242,16 +242,16 @@ def test_a_run_forgets_them_before_it_has_sent_anything(tmp_path):
     assert "can0" not in found
 
 
-def test_a_folder_that_cannot_be_written_is_reported_and_stops_nobody(world):
-    one = world(active())
+def test_a_folder_that_cannot_be_written_is_reported_and_stops_nobody(rig):
+    one = rig(active())
     (one.folder / "safe-frames.new").mkdir()
     one.tick(3)
     names = [entry.event.name for entry in one.loop.event_log.latest(10)]
     assert names.count("safe_frames_unwritten") == 1
 
 
-def test_an_orderly_end_leaves_no_safe_frames_and_begins_a_new_drive(world):
-    one = world(active())
+def test_an_orderly_end_leaves_no_safe_frames_and_begins_a_new_drive(rig):
+    one = rig(active())
     one.service.begin()
     one.tick(2)
     one.service.end()
@@ -260,17 +260,17 @@ def test_an_orderly_end_leaves_no_safe_frames_and_begins_a_new_drive(world):
     assert one.service.start == CountedStart(2, 0)
 
 
-def test_a_third_unexpected_restart_ends_arming_and_is_reported(world):
+def test_a_third_unexpected_restart_ends_arming_and_is_reported(rig):
     for times in range(4):
-        one = world(standby())
+        one = rig(standby())
         one.service.begin()
         assert one.service.start == CountedStart(times + 1, times)
         assert one.drive.arm().granted is (times < 3)
     assert [entry.event.fields for entry in one.loop.event_log.latest(1)] == [{"in_this_drive": 3}]
 
 
-def test_without_a_folder_nothing_is_counted_and_nothing_left(world):
-    one = world(standby())
+def test_without_a_folder_nothing_is_counted_and_nothing_left(rig):
+    one = rig(standby())
     one.service = ServiceReporter(SystemdNotifier({}, 100), None, one.loop)
     one.service.begin()
     one.tick(3)
@@ -279,8 +279,8 @@ def test_without_a_folder_nothing_is_counted_and_nothing_left(world):
     assert one.safe_frames == ""
 
 
-def test_a_failure_to_write_is_made_good_when_it_can_be(world):
-    one = world(active())
+def test_a_failure_to_write_is_made_good_when_it_can_be(rig):
+    one = rig(active())
     blocked = one.folder / "safe-frames.new"
     blocked.mkdir()
     one.tick(3)

@@ -94,22 +94,22 @@ def default_config(booted: Booted) -> str:
 
 
 @pytest.fixture(scope="session")
-def world(booted: Booted, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
+def stand(booted: Booted, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
     """Processes that outlive every gateway; forked from this one."""
-    with ended_after(Stand(tmp_path_factory.mktemp("world"), forking=True)) as stand:
+    with ended_after(Stand(tmp_path_factory.mktemp("stand"), forking=True)) as stand:
         yield stand
 
 
 @pytest.fixture(scope="session")
-def bus(world: Stand) -> Recording:
+def bus(stand: Stand) -> Recording:
     """The command frames of every interface, by a process of its own."""
-    return record(world, "", COMMANDS)
+    return record(stand, "", COMMANDS)
 
 
 @pytest.fixture(scope="session")
-def vehicle(world: Stand) -> None:
+def vehicle(stand: Stand) -> None:
     """A healthy one on vcan0, as long as the tests last."""
-    world.vehicle(QUIET)
+    stand.vehicle(QUIET)
 
 
 def configure(text: str, channel: str = "vcan0") -> None:

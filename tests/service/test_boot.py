@@ -22,7 +22,7 @@ def bus_called(name: str) -> Iterator[None]:
 
 
 def test_at_boot_it_is_ready_without_its_interface_and_goes_on_unarmed_when_that_comes(
-    booted: Booted, driver: Driver, world: Stand, figures: list[str]
+    booted: Booted, driver: Driver, stand: Stand, figures: list[str]
 ):
     """As installed: nobody has changed the configuration or started anything."""
     unit = Unit()
@@ -32,10 +32,10 @@ def test_at_boot_it_is_ready_without_its_interface_and_goes_on_unarmed_when_that
     figures.append(f"boot: READY {booted.ready_us / 1e6:.1f} s after systemd's start")
     wait_until(lambda: "can0: no such interface" in unit.show("StatusText"), "why", PATIENCE_S)
     with bus_called("can0"):
-        path = world.folder / "can0.yaml"
+        path = stand.folder / "can0.yaml"
         path.write_text(QUIET)
         options = ("--channel", "can0", "--scenario", str(path))
-        vehicle = world.start("vehicle-can0", *program("simulate", *options))
+        vehicle = stand.start("vehicle-can0", *program("simulate", *options))
         driver.until_standby()
         driver.until_zero_torque_alone(since_ns=0)
         wait_until(lambda: unit.show("StatusText").startswith("standby"), "standby", PATIENCE_S)

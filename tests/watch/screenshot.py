@@ -16,9 +16,9 @@ from vcu_gateway.watch.app import WatchApp
 FONTS = "Fira Code, DejaVu Sans Mono, Menlo, Consolas, monospace"
 
 
-async def draw(columns: int, lines: int, world: str = "limited") -> str:
+async def draw(columns: int, lines: int, view: str = "limited") -> str:
     """The view as SVG that fetches nothing."""
-    app = WatchApp(view_models.Scripted(getattr(view_models, world)()))
+    app = WatchApp(view_models.Scripted(getattr(view_models, view)()))
     async with app.run_test(size=(columns, lines)) as pilot:
         await pilot.pause(0.5)
         svg = app.export_screenshot(title="vcu-gateway watch")
@@ -28,6 +28,6 @@ async def draw(columns: int, lines: int, world: str = "limited") -> str:
 
 if __name__ == "__main__":
     given = sys.argv[2:]
-    columns, lines, world = [*given, *["120", "40", "limited"][len(given) :]]
-    svg = asyncio.run(draw(int(columns), int(lines), world))
+    columns, lines, view = [*given, *["120", "40", "limited"][len(given) :]]
+    svg = asyncio.run(draw(int(columns), int(lines), view))
     Path(sys.argv[1]).write_text(svg, encoding="utf-8")

@@ -45,24 +45,24 @@ def styles(lines: list[Text], words: str) -> str:
     return " ".join([str(line.style), *(str(span.style) for span in line.spans)])
 
 
-@pytest.mark.parametrize("world", VIEWS)
+@pytest.mark.parametrize("make_view", VIEWS)
 @pytest.mark.parametrize(("width", "height"), SIZES[:4])
-def test_nothing_is_wider_than_the_terminal(world, width, height):
-    view = world()
+def test_nothing_is_wider_than_the_terminal(make_view, width, height):
+    view = make_view()
     lines = upper_lines("vcu-gateway", view, width, height)
     lines += signal_lines(view.state, width)
     assert max(line.cell_len for line in lines) <= width
 
 
-@pytest.mark.parametrize("world", VIEWS)
-def test_in_80_by_24_four_lines_are_left_for_signals_and_keys(world):
-    assert len(upper_lines("vcu-gateway", world(), 80, 24)) <= 20
+@pytest.mark.parametrize("make_view", VIEWS)
+def test_in_80_by_24_four_lines_are_left_for_signals_and_keys(make_view):
+    assert len(upper_lines("vcu-gateway", make_view(), 80, 24)) <= 20
 
 
-@pytest.mark.parametrize("world", VIEWS)
+@pytest.mark.parametrize("make_view", VIEWS)
 @pytest.mark.parametrize(("width", "height"), SIZES)
-def test_every_world_can_be_shown_in_every_size(world, width, height):
-    view = world()
+def test_every_view_can_be_shown_in_every_size(make_view, width, height):
+    view = make_view()
     assert upper_lines("vcu-gateway", view, width, height)
     assert signal_lines(view.state, width)
     assert plain("vcu-gateway", view).endswith("\n")
