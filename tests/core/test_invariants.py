@@ -19,14 +19,14 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from tests.core.shadow import (
+from tests.core.reference_model import (
     COMMAND_IDS,
     ID_OF,
     MS,
     PERCENT_PER_BIT,
     RECEIVED_IDS,
     SLOTS,
-    Shadow,
+    ReferenceModel,
     is_safe,
 )
 from vcu_gateway.core.codec import Codec
@@ -99,7 +99,7 @@ class GatewayMachine(RuleBasedStateMachine):
     def begin(self, settings, warm):
         self.settings = settings
         self.gateway = Gateway(CODEC, settings, self.now_ns)
-        self.shadow = Shadow(settings)
+        self.reference = ReferenceModel(settings)
         self.schedule = Schedule(self.now_ns, settings.period_ns)
         self.quiet_until_ns = self.now_ns + settings.listen_before_talk_ms * MS
         self.talking = False
@@ -134,7 +134,7 @@ class GatewayMachine(RuleBasedStateMachine):
     def _receive(self, frame):
         store = self.gateway.receiver.store
         before = store._latest.copy()
-        kind = self.shadow.receive(frame)
+        kind = self.reference.receive(frame)
         self.gateway.receive(frame)  # I14: never raises
         if kind != "stored":
             assert store._latest == before, "I14: a frame that is not taken changes nothing"
@@ -157,7 +157,7 @@ class GatewayMachine(RuleBasedStateMachine):
             self.life ^= 0x80
         self._status("BMS_Status", (0x88, 0x13, 0, 0, 80, *self.bms, self.life | 2))
         for slot in SLOTS:
-            told = self.shadow.sent[slot][0] if slot in self.shadow.sent else bytes(8)
+            told = self.reference.sent[slot][0] if slot in self.reference.sent else bytes(8)
             first, throttle = told[0] & 0x10, told[1]
             if self.rogue_throttle is not None:
                 throttle = self.rogue_throttle
@@ -178,7 +178,7 @@ class GatewayMachine(RuleBasedStateMachine):
         was_fresh, before = self._fresh(), self.demand
         was = self.gateway.supervisor.mode
         if not was_fresh:
-            self.shadow.note_gap()
+            self.reference.note_gap()
             self.released_ns = None
         answer = self.gateway.requests.offer(demand, self.now_ns)
         self._check_lateness(was)
@@ -217,7 +217,7 @@ class GatewayMachine(RuleBasedStateMachine):
         assert 0 <= age_ns <= demand.ttl_ms * MS, "it counts from when it was made"
         self.demand, self.demand_ns, self.demand_ended = demand, made_ns, False
         self.granted_sequences[demand.source] = demand.sequence
-        self.shadow.note_granted(demand.controllers, made_ns, self.now_ns, took_over)
+        self.reference.note_granted(demand.controllers, made_ns, self.now_ns, took_over)
         if any(one.throttle_pct > 0 for one in demand.controllers.values()):
             self.released_ns = None
         elif self.released_ns is None:
@@ -237,7 +237,7 @@ class GatewayMachine(RuleBasedStateMachine):
             assert self.now_ns - self.released_ns >= 200 * MS, "released for 200 ms"
             assert self._stops_are_over(), "a violation stands"
             for slot, one in self.demand.controllers.items():
-                data = self.shadow.sent[slot][0]
+                data = self.reference.sent[slot][0]
                 assert bool(data[0] & 0x10) is one.motor_reverse, "a change is pending"
             self.may_be_active = True
         else:
@@ -247,7 +247,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _stops_are_over(self):
         """At the last tick: a longer hold that comes later brings nothing back."""
-        return not {"stop", "cut"} & {effect for effect, _ in self.shadow.held}
+        return not {"stop", "cut"} & {effect for effect, _ in self.reference.held}
 
     def _reset(self, level):
         before = self.gateway.supervisor.mode
@@ -288,10 +288,10 @@ class GatewayMachine(RuleBasedStateMachine):
         self._count_silence()
         was = self.gateway.supervisor.mode
         link_down = self.link_lost or self.bus_off
-        found = self.shadow.causes(self.now_ns, late_ns, link_down)
+        found = self.reference.causes(self.now_ns, late_ns, link_down)
         if self.emergency:
             found["cut"].add("emergency")
-        effects = self.shadow.hold(found, self.now_ns)
+        effects = self.reference.hold(found, self.now_ns)
         self._listen()
         self.last_tick_ns = self.now_ns
 
@@ -301,30 +301,30 @@ class GatewayMachine(RuleBasedStateMachine):
         COUNTS[result.mode] += 1
         self.counted[result.mode] += 1
         self._check_mode(result, was, found)
-        self.shadow.note_speeds(self.now_ns)
+        self.reference.note_speeds(self.now_ns)
         if result.mode in (Mode.STANDBY, Mode.ACTIVE):
-            self.shadow.move_limits(effects, elapsed_ns)
+            self.reference.move_limits(effects, elapsed_ns)
         demanded = self.demand.controllers if self._fresh() else None
-        self.throttle_waits = self.shadow.throttle_waits(demanded, self.now_ns)
+        self.throttle_waits = self.reference.throttle_waits(demanded, self.now_ns)
         if demanded is None:
             self.released_ns = None
         self.elapsed_ns = elapsed_ns
         self._check_frames(result, effects, found)
-        self.shadow.end_tick()
+        self.reference.end_tick()
         self._send(result)
-        self.emergency = self.shadow.foreign = self.broken = False
+        self.emergency = self.reference.foreign = self.broken = False
         return result
 
     def _count_silence(self):
         for slot in SLOTS:
-            if slot in self.shadow.echoed:
-                self.shadow.silent_ticks[slot] = 0
+            if slot in self.reference.echoed:
+                self.reference.silent_ticks[slot] = 0
             elif self.emitted:
-                self.shadow.silent_ticks[slot] += 1
-        self.shadow.echoed = set()
+                self.reference.silent_ticks[slot] += 1
+        self.reference.echoed = set()
 
     def _listen(self):
-        if self.shadow.foreign or self.link_lost:
+        if self.reference.foreign or self.link_lost:
             self.quiet_until_ns = self.now_ns + self.settings.listen_before_talk_ms * MS
         self.talking = self.talking or self.now_ns >= self.quiet_until_ns
 
@@ -384,14 +384,14 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _check_direction(self, slot, data):
         """I12, from what was really sent."""
-        before = self.shadow.sent[slot][0] if slot in self.shadow.sent else bytes(8)
+        before = self.reference.sent[slot][0] if slot in self.reference.sent else bytes(8)
         if (before[0] ^ data[0]) & 0x10:
-            assert self.shadow.slow(self.now_ns), "I12"
+            assert self.reference.slow(self.now_ns), "I12"
             assert data[1] == before[1] == 0, "the direction changes with throttle 0 only"
             COUNTS["turned"] += 1
 
     def _check_speed_limit(self, slot, data, asked_rpm):
-        expected_rpm = self.shadow.speed_limit_rpm(slot, asked_rpm, self.elapsed_ns)
+        expected_rpm = self.reference.speed_limit_rpm(slot, asked_rpm, self.elapsed_ns)
         assert abs((data[4] | data[5] << 8) - expected_rpm) <= 1.001
         COUNTS["speed limit on its way"] += expected_rpm > asked_rpm + 1
 
@@ -401,7 +401,7 @@ class GatewayMachine(RuleBasedStateMachine):
         power = data[6] | data[7] << 8
         demanded = self.demand.controllers[slot]
         COUNTS["with throttle"] += throttle > 0
-        assert throttle <= self.shadow.throttle_max_raw(slot, self.now_ns) + 1e-6, "I3"
+        assert throttle <= self.reference.throttle_max_raw(slot, self.now_ns) + 1e-6, "I3"
         assert throttle <= demanded.throttle_pct / PERCENT_PER_BIT + 0.501, "I3: falls at once"
         if self.throttle_waits:
             assert throttle == 0, "a pedal or a direction is waited for"
@@ -412,12 +412,12 @@ class GatewayMachine(RuleBasedStateMachine):
             assert throttle == 0, "a change of direction waits with throttle 0"
         assert not (throttle * PERCENT_PER_BIT > 25.2 and brake * PERCENT_PER_BIT > 5.2), "I11"
         self._check_speed_limit(slot, data, demanded.speed_limit_rpm)
-        assert power <= min(demanded.power_limit_w, self.shadow.power_w[slot]) + 1, "I1"
-        highest_pct = min(demanded.brake_pct, self.shadow.brake_pct[slot])
+        assert power <= min(demanded.power_limit_w, self.reference.power_w[slot]) + 1, "I1"
+        highest_pct = min(demanded.brake_pct, self.reference.brake_pct[slot])
         assert brake * PERCENT_PER_BIT <= highest_pct + PERCENT_PER_BIT, "I1"
         assert demanded.regen_brake or not first & 0x20, "I10: only where demanded"
         COUNTS["braking"] += brake > 0
-        assert self.shadow.regenerates or not first & 0x20, "too slow to regenerate"
+        assert self.reference.regenerates or not first & 0x20, "too slow to regenerate"
         if "regen_off" in effects:
             assert not first & 0x20, "I10"
             assert brake == 0, "I10"
@@ -435,7 +435,7 @@ class GatewayMachine(RuleBasedStateMachine):
             ok = frame.controller not in self.refuse and not self.link_lost
             self.gateway.sent(frame, ok, self.now_ns)
             if ok:
-                self.shadow.note_sent(frame.controller, frame.data, self.now_ns)
+                self.reference.note_sent(frame.controller, frame.data, self.now_ns)
             if ok and frame.controller not in self.mute:
                 self._receive(Frame(frame.can_id, frame.data, self.now_ns + MS, own_echo=True))
 
@@ -716,7 +716,7 @@ class GatewayMachine(RuleBasedStateMachine):
         answer = self.gateway.reload(after)
         assert answer.granted is (stricter or not active or new == value)
         if answer.granted:
-            self.settings = self.shadow.settings = after
+            self.settings = self.reference.settings = after
         assert self.gateway.settings == self.settings
 
     @rule(change=st.sampled_from([{"period_ns": 1}, {"auto_arm": True}, {"transmit_priority": 7}]))
@@ -730,14 +730,14 @@ class GatewayMachine(RuleBasedStateMachine):
     @invariant()
     def everything_is_counted_and_bounded(self):
         COUNTS["steps"] += 1
-        receiver, shadow = self.gateway.receiver, self.shadow
+        receiver, reference = self.gateway.receiver, self.reference
         rejected = {reason.value: n for reason, n in receiver.rejected.items() if n}
-        assert rejected == dict(shadow.rejected), "I8"
-        assert receiver.foreign_count == shadow.taken["foreign"]
-        assert sum(receiver.confirmed.values()) == shadow.taken["confirmed"]
-        assert receiver.store.out_of_order == shadow.taken["out_of_order"]
+        assert rejected == dict(reference.rejected), "I8"
+        assert receiver.foreign_count == reference.taken["foreign"]
+        assert sum(receiver.confirmed.values()) == reference.taken["confirmed"]
+        assert receiver.store.out_of_order == reference.taken["out_of_order"]
         stored = sum(latest.frame_count for latest in receiver.store._latest.values())
-        assert stored == shadow.taken["stored"]
+        assert stored == reference.taken["stored"]
         assert len(receiver.store._latest) <= len(ID_OF), "I9"
         assert len(self.gateway.causes.held) <= 100, "I9: as many as there are"
         assert len(self.gateway._modes._events) <= 60, "I9"
@@ -818,13 +818,13 @@ FRAMES = st.builds(
 @given(frames=st.lists(FRAMES, max_size=20))
 def test_receiving_never_raises_and_counts_every_frame(frames):
     receiver = Gateway(CODEC, Settings(), 0).receiver
-    shadow = Shadow(Settings())
+    reference = ReferenceModel(Settings())
     for frame in frames:
-        shadow.receive(frame)
+        reference.receive(frame)
         receiver.receive(frame)
-    assert {reason.value: n for reason, n in receiver.rejected.items() if n} == shadow.rejected
+    assert {reason.value: n for reason, n in receiver.rejected.items() if n} == reference.rejected
     assert {name: latest.arrival_ns for name, latest in receiver.store._latest.items()} == {
-        name: arrival_ns for name, (_, arrival_ns) in shadow.received.items()
+        name: arrival_ns for name, (_, arrival_ns) in reference.received.items()
     }
 
 

@@ -13,7 +13,7 @@ import sys
 import time
 from typing import NamedTuple
 
-from tests.core.shadow import COMMAND_IDS, ID_OF, MS, RECEIVED_IDS
+from tests.core.reference_model import COMMAND_IDS, ID_OF, MS, RECEIVED_IDS
 from tests.core.test_invariants import CODEC, COUNTS, GatewayMachine
 from tests.faults.machine import resident_kb
 from vcu_gateway.core.demand import ControllerDemand, PowerMode

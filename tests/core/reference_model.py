@@ -47,7 +47,7 @@ class Seen:
 
 
 @dataclass
-class Shadow:
+class ReferenceModel:
     """What a second reader of the bus knows."""
 
     settings: Any
