@@ -8,14 +8,14 @@ from itertools import pairwise
 from tests.oracle import wire
 from tests.oracle.api import Client
 from tests.oracle.recorder import SLOW_S, Frame
-from tests.oracle.stage import Stage
+from tests.oracle.rig import Rig
 
 # From the cause's frame to the last frame that may not know it: a tick that has begun.
 GRACE_S = 0.015
 REACTION_S = 0.050 + 0.002 + 0.020
 
 
-class Bench(Stage):
+class Bench(Rig):
     """The stage, and how to look at it."""
 
     def last_pair(self) -> tuple[Frame, Frame]:

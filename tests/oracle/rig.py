@@ -20,7 +20,7 @@ RELEASED_S = 0.25
 Condition = Callable[[], object]
 
 
-class Stage:
+class Rig:
     """What the tests happen on, one after the other."""
 
     def __init__(self, folder: Path) -> None:
