@@ -28,7 +28,7 @@ Step = dict[str, Any]
 QUIET: Step = {"fault": "silence", "of": "IMU"}
 
 
-class Hand:
+class ChangingFault:
     """A fault of the simulator that is another one whenever the test says so."""
 
     def __init__(self, codec: Codec, pipe: Connection) -> None:
@@ -67,11 +67,11 @@ class Hand:
         return frames
 
 
-def perform(channel: str, pipe: Connection) -> None:
+def run_vehicle(channel: str, pipe: Connection) -> None:
     """The vehicle, in a process of its own."""
     codec = Codec(dbc.load(packaged("vcu.dbc")))
-    hand = Hand(codec, pipe)
-    nodes = simulator.build(codec, time.monotonic_ns(), faults=[hand])
+    fault = ChangingFault(codec, pipe)
+    nodes = simulator.build(codec, time.monotonic_ns(), faults=[fault])
     play(open_bus("socketcan", channel, nodes.command_ids), nodes, stop=threading.Event())
 
 
@@ -85,13 +85,13 @@ class Breaking(Driving):
     def __init__(self, stand: BusStand, recording: Recording | None = None) -> None:
         super().__init__(stand, recording=recording)
         self.quiet: list[Step] = [QUIET]
-        self._puppet: ForkProcess | None = None
+        self._vehicle_process: ForkProcess | None = None
         self._pipe: Connection | None = None
 
     def start_vehicle(self, scenario: str = "") -> None:
         del scenario
         self._pipe, theirs = Pipe()
-        self._puppet = self.stand.run(functools.partial(perform, self.wire, theirs))
+        self._vehicle_process = self.stand.run(functools.partial(run_vehicle, self.wire, theirs))
         self.break_with()
 
     def break_with(self, *steps: Step) -> int:
@@ -105,5 +105,5 @@ class Breaking(Driving):
 
     def is_well(self) -> bool:
         return self.gateway.popen.poll() is None and bool(
-            self._puppet is None or self._puppet.is_alive()
+            self._vehicle_process is None or self._vehicle_process.is_alive()
         )

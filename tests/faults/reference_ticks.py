@@ -14,7 +14,7 @@ PERIOD_NS = 50_000_000
 READ_EVERY_S = 0.017
 
 
-def beat(path: Path, duration_s: float, busy_s: float) -> None:
+def run(path: Path, duration_s: float, busy_s: float) -> None:
     """Sleep to each point of the grid; how late each time, ns, in the file at the end."""
     sys.setswitchinterval(0.0005)
     threading.Thread(target=_read, args=(busy_s,), daemon=True).start()

@@ -25,10 +25,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.faults import invariants
+from tests.faults.breakable_vehicle import Breaking, Step
 from tests.faults.driving import THROTTLE_PCT, BusStand, record, set_up
 from tests.faults.flood import EFF, ERR, RTR, send
 from tests.faults.machine import descriptors, resident_kb
-from tests.faults.puppet import Breaking, Step
 from tests.faults.speaking import Speaker
 from tests.vcan.conftest import COMMANDS, Recorded, ended_after
 from vcu_gateway.client import ClientError

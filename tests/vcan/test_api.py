@@ -19,7 +19,7 @@ from typing import Any, TextIO
 
 import pytest
 
-from tests.faults import metronome
+from tests.faults import reference_ticks
 from tests.vcan.conftest import (
     COMMANDS,
     PATIENCE_S,
@@ -326,13 +326,13 @@ def test_a_reload_leaves_no_gap_in_the_commands(drive: Drive, figures: list[str]
     drive.owner()
     told, calm = [], 0
     for number, limits_w in enumerate(LIMITS_W):
-        beats = drive.stand.folder / f"beats-{number}"
-        begin = drive.stand.held(functools.partial(metronome.beat, beats, 2.5, 0.0005))
+        late_ticks = drive.stand.folder / f"late_ticks-{number}"
+        begin = drive.stand.held(functools.partial(reference_ticks.run, late_ticks, 2.5, 0.0005))
         drive.until_driving()
         begin()
         gaps_ms = reloaded(drive, *limits_w)
-        wait_until(beats.exists, "the bystander")
-        stalls = metronome.skipped(beats)
+        wait_until(late_ticks.exists, "the bystander")
+        stalls = reference_ticks.skipped(late_ticks)
         told.append(f"{max(gaps_ms):.1f} ms ({stalls} ticks missed by a bystander)")
         calm += stalls == 0
         missed = sum(round(gap_ms / PERIOD_MS) - 1 for gap_ms in gaps_ms) / len(COMMANDS)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from tests.faults import metronome
+from tests.faults import reference_ticks
 from tests.faults.conftest import Seen
 from tests.faults.driving import MS, BusStand, Driving
 from tests.vcan.conftest import wait_until
@@ -218,8 +218,8 @@ class Filled(NamedTuple):
 
     @classmethod
     def by(cls, driving: Driving, disturb: Disturb) -> "Filled":
-        beats = driving.stand.folder / "beats"
-        begin = driving.stand.held(functools.partial(metronome.beat, beats, 4.0, 0.0005))
+        late_ticks = driving.stand.folder / "late_ticks"
+        begin = driving.stand.held(functools.partial(reference_ticks.run, late_ticks, 4.0, 0.0005))
         driving.until_driving()
         calm = driving.skipped()
         time.sleep(4)
@@ -232,9 +232,9 @@ class Filled(NamedTuple):
         disturb("tbf rate 1kbit burst 20 limit 100000")
         wait_until(lambda: len(driving.events("fault_latched")) > faults, "the fault")
         told = datetime.fromisoformat(str(driving.events("fault_latched")[faults]["timestamp"]))
-        wait_until(beats.exists, "the bystander")
-        stalls = metronome.skipped(beats)
-        beats.unlink()
+        wait_until(late_ticks.exists, "the bystander")
+        stalls = reference_ticks.skipped(late_ticks)
+        late_ticks.unlink()
         after = driving.client.health()
         queued_ns = time.time_ns()
         disturb("pfifo_fast")

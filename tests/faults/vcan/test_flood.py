@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from tests.faults import metronome
+from tests.faults import reference_ticks
 from tests.faults.conftest import Seen
 from tests.faults.driving import (
     MS,
@@ -101,9 +101,9 @@ def ready(
     driving: Driving, duration_s: float, bystander_busy_s: float, *beside: Callable[[], None]
 ) -> Callable[[], Spell]:
     """The same, begun by calling what is returned: it drives and every process is there."""
-    path = driving.stand.folder / "beats"
-    beat = functools.partial(metronome.beat, path, duration_s, bystander_busy_s)
-    works: list[Callable[[], None]] = [beat, *beside]
+    path = driving.stand.folder / "late_ticks"
+    bystander = functools.partial(reference_ticks.run, path, duration_s, bystander_busy_s)
+    works: list[Callable[[], None]] = [bystander, *beside]
     begins = [driving.stand.held(work) for work in works]
     driving.until_driving()
 
@@ -111,8 +111,8 @@ def ready(
         before = driving.client.health()
         for begin in begins:
             begin()
-        wait_until(path.exists, "the metronome", duration_s + 60)
-        after, stalls = driving.client.health(), metronome.skipped(path)
+        wait_until(path.exists, "the bystander", duration_s + 60)
+        after, stalls = driving.client.health(), reference_ticks.skipped(path)
         path.unlink()
         skipped = after["ticks"]["skipped"] - before["ticks"]["skipped"]
         done = after["ticks"]["done"] - before["ticks"]["done"]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests.faults.breakable_vehicle import Breaking
 from tests.faults.conftest import Seen
 from tests.faults.driving import (
     MS,
@@ -21,7 +22,6 @@ from tests.faults.driving import (
     undisturbed,
 )
 from tests.faults.flood import EFF, ERR, RTR, send
-from tests.faults.puppet import Breaking
 from tests.vcan.conftest import COMMANDS, Recorded, ended_after, ip, wait_until
 
 POWER_CUT = bytes.fromhex("8c000000e02e0000")

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.faults import invariants, metronome
+from tests.faults import invariants, reference_ticks
 from tests.faults.conftest import Seen
 from tests.faults.driving import (
     MS,
@@ -317,11 +317,11 @@ class Hogged(NamedTuple):
 
 def hogged(road: Road, one: Driving) -> Hogged:
     folder = road.stand.folder
-    beats, done = folder / "beats", [folder / f"hog-{number}" for number in range(2)]
+    late_ticks, done = folder / "late_ticks", [folder / f"hog-{number}" for number in range(2)]
     works = [functools.partial(hog, path, 4.0, 300) for path in done]
     begins = [
         road.stand.held(work)
-        for work in (functools.partial(metronome.beat, beats, 4.0, 0.0005), *works)
+        for work in (functools.partial(reference_ticks.run, late_ticks, 4.0, 0.0005), *works)
     ]
     one.until_driving()
     calm = one.client.health()["ticks"]
@@ -330,10 +330,10 @@ def hogged(road: Road, one: Driving) -> Hogged:
     busy_ns = time.time_ns()
     for begin in begins:
         begin()
-    wait_until(lambda: beats.exists() and all(p.exists() for p in done), "the hogs", 60)
+    wait_until(lambda: late_ticks.exists() and all(p.exists() for p in done), "the hogs", 60)
     after = one.client.health()["ticks"]
-    stalls = metronome.skipped(beats)
-    for path in (beats, *done):
+    stalls = reference_ticks.skipped(late_ticks)
+    for path in (late_ticks, *done):
         path.unlink()
     frames = one.commands(busy_ns)
     one.check()
