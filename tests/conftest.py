@@ -1,4 +1,4 @@
-"""What every room of the tests starts from."""
+"""Settings of all tests."""
 
 import dataclasses
 import os

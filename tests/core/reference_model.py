@@ -1,4 +1,4 @@
-"""docs/safety.md once more, from the frames' bytes alone: what the gateway is held against.
+"""Reference model: docs/safety.md once more, from the bytes of frames alone.
 
 Nothing of the core's decisions is used here: no codec, no rules, no modes but their names.
 """

@@ -1,4 +1,4 @@
-"""Demands: what is refused at the door, who owns the desk, and for how long one counts."""
+"""Demands: what is refused, who owns the demand, and for how long one counts."""
 
 import dataclasses
 import math
@@ -34,12 +34,12 @@ def demand(source="driver", sequence=1, ttl_ms=200, controllers=None, **demanded
 
 
 @pytest.fixture
-def desk():
+def arbiter():
     return DemandArbiter(None)
 
 
-def offer(desk, *args, now_ns=0, priorities=PRIORITIES, **kwargs):
-    return desk.offer(demand(*args, **kwargs), DemandTerms(TTL_MAX_MS, priorities), now_ns)
+def offer(arbiter, *args, now_ns=0, priorities=PRIORITIES, **kwargs):
+    return arbiter.offer(demand(*args, **kwargs), DemandTerms(TTL_MAX_MS, priorities), now_ns)
 
 
 # Values.
@@ -48,13 +48,13 @@ def offer(desk, *args, now_ns=0, priorities=PRIORITIES, **kwargs):
 @pytest.mark.parametrize("name", RANGES)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 10**400, -(10**400)])
 @pytest.mark.parametrize("controller", CONTROLLERS)
-def test_a_value_that_is_not_finite_is_refused_by_name(desk, name, value, controller):
+def test_a_value_that_is_not_finite_is_refused_by_name(arbiter, name, value, controller):
     controllers = dict.fromkeys(CONTROLLERS, IDLE)
     controllers[controller] = dataclasses.replace(IDLE, **{name: value})
-    answer = offer(desk, controllers=controllers)
+    answer = offer(arbiter, controllers=controllers)
     shown = {10**400: "inf", -(10**400): "inf"}.get(value, f"{value}")
     assert answer == (False, Refusal.NOT_FINITE, f"{controller} {name} is {shown}")
-    assert desk.current is None
+    assert arbiter.current is None
 
 
 @pytest.mark.parametrize(
@@ -67,15 +67,15 @@ def test_a_value_that_is_not_finite_is_refused_by_name(desk, name, value, contro
         ("throttle_track2_pct", 0, 100),
     ],
 )
-def test_the_range_ends_exactly_at_its_limits(desk, name, low, high):
+def test_the_range_ends_exactly_at_its_limits(arbiter, name, low, high):
     for sequence, value in enumerate((low, high, float(low), float(high), -0.0)):
-        assert offer(desk, sequence=sequence, **{name: value}) == GRANTED
+        assert offer(arbiter, sequence=sequence, **{name: value}) == GRANTED
     for value in (low - 1, math.nextafter(low, -1), math.nextafter(high, math.inf), high + 1):
-        answer = offer(desk, sequence=9, **{name: value})
+        answer = offer(arbiter, sequence=9, **{name: value})
         assert answer.refusal is Refusal.OUT_OF_RANGE
         sentence = f"PCU1 {name} must be {low:g} to {high:g}, not {value:g}"
         assert (answer.granted, answer.sentence) == (False, sentence)
-    assert desk.current.sequence == 4
+    assert arbiter.current.sequence == 4
 
 
 @given(
@@ -92,29 +92,29 @@ def test_only_finite_values_inside_their_ranges_are_taken(demanded):
 
 
 @pytest.mark.parametrize("missing", CONTROLLERS)
-def test_a_demand_without_one_of_the_controllers_is_refused(desk, missing):
+def test_a_demand_without_one_of_the_controllers_is_refused(arbiter, missing):
     controllers = {name: IDLE for name in CONTROLLERS if name != missing}
-    answer = offer(desk, controllers=controllers)
+    answer = offer(arbiter, controllers=controllers)
     assert not answer.granted
     assert answer.refusal is Refusal.CONTROLLER_MISSING
     assert missing in answer.sentence
 
 
-def test_the_second_controllers_values_are_checked_as_well_as_the_firsts(desk):
+def test_the_second_controllers_values_are_checked_as_well_as_the_firsts(arbiter):
     wrong = dataclasses.replace(IDLE, brake_pct=101)
     for name in CONTROLLERS:
         controllers = dict.fromkeys(CONTROLLERS, IDLE) | {name: wrong}
-        assert offer(desk, controllers=controllers).sentence.startswith(f"{name} brake_pct")
+        assert offer(arbiter, controllers=controllers).sentence.startswith(f"{name} brake_pct")
 
 
 @pytest.mark.parametrize("ttl_ms", [1, 2, TTL_MAX_MS - 1, TTL_MAX_MS])
-def test_a_time_to_live_up_to_the_maximum_is_taken(desk, ttl_ms):
-    assert offer(desk, ttl_ms=ttl_ms) == GRANTED
+def test_a_time_to_live_up_to_the_maximum_is_taken(arbiter, ttl_ms):
+    assert offer(arbiter, ttl_ms=ttl_ms) == GRANTED
 
 
 @pytest.mark.parametrize("ttl_ms", [0, -1, TTL_MAX_MS + 1, math.inf, math.nan])
-def test_any_other_time_to_live_is_refused(desk, ttl_ms):
-    answer = offer(desk, ttl_ms=ttl_ms)
+def test_any_other_time_to_live_is_refused(arbiter, ttl_ms):
+    answer = offer(arbiter, ttl_ms=ttl_ms)
     sentence = f"ttl_ms must be 1 to {TTL_MAX_MS}, not {ttl_ms}"
     assert answer == (False, Refusal.TTL_OUT_OF_RANGE, sentence)
 
@@ -124,12 +124,12 @@ def test_unless_configured_otherwise_a_demand_counts_for_a_second_at_most():
     assert fault_of(demand(ttl_ms=1001), DemandTerms()).refusal is Refusal.TTL_OUT_OF_RANGE
 
 
-def test_a_demand_that_never_ends_is_taken_from_the_configuration_only(desk):
+def test_a_demand_that_never_ends_is_taken_from_the_configuration_only(arbiter):
     for wrong in (demand(ttl_ms=None), demand(source=BENCH_SOURCE)):
-        answer = desk.offer(wrong, DemandTerms(TTL_MAX_MS, PRIORITIES), 0)
+        answer = arbiter.offer(wrong, DemandTerms(TTL_MAX_MS, PRIORITIES), 0)
         sentence = "bench is the configured bench demand"
         assert answer == (False, Refusal.NAME_RESERVED, sentence)
-    assert desk.current is None
+    assert arbiter.current is None
     assert fault_of(demand(ttl_ms=None), DemandTerms()) == GRANTED
 
 
@@ -143,22 +143,22 @@ def test_a_refusal_is_never_granted():
 
 @pytest.mark.parametrize(("sequence", "taken"), [(8, True), (7, False), (6, False), (10**30, True)])
 @pytest.mark.parametrize("now_ns", [0, 10_000 * MS])
-def test_only_a_higher_sequence_number_replaces_ones_own_demand(desk, sequence, taken, now_ns):
-    offer(desk, sequence=7)
-    answer = offer(desk, sequence=sequence, throttle_pct=9, now_ns=now_ns)
+def test_only_a_higher_sequence_number_replaces_ones_own_demand(arbiter, sequence, taken, now_ns):
+    offer(arbiter, sequence=7)
+    answer = offer(arbiter, sequence=sequence, throttle_pct=9, now_ns=now_ns)
     assert answer.granted is taken
-    assert desk.current.sequence == (sequence if taken else 7)
+    assert arbiter.current.sequence == (sequence if taken else 7)
     if not taken:
         sentence = f"sequence {sequence} is not above 7"
         assert answer == (False, Refusal.OLD_SEQUENCE, sentence)
 
 
-def test_a_refused_demand_does_not_prolong_the_one_before(desk):
-    offer(desk, sequence=7, ttl_ms=200)
-    assert not offer(desk, sequence=7, now_ns=100 * MS).granted
-    assert not offer(desk, sequence=8, throttle_pct=math.nan, now_ns=100 * MS).granted
-    assert desk.age_ns(200 * MS) == 200 * MS
-    assert not desk.fresh(200 * MS + 1)
+def test_a_refused_demand_does_not_prolong_the_one_before(arbiter):
+    offer(arbiter, sequence=7, ttl_ms=200)
+    assert not offer(arbiter, sequence=7, now_ns=100 * MS).granted
+    assert not offer(arbiter, sequence=8, throttle_pct=math.nan, now_ns=100 * MS).granted
+    assert arbiter.age_ns(200 * MS) == 200 * MS
+    assert not arbiter.fresh(200 * MS + 1)
 
 
 # Ownership.
@@ -179,109 +179,109 @@ def test_a_refused_demand_does_not_prolong_the_one_before(desk):
         ("unlisted", "last", False),
     ],
 )
-def test_another_source_takes_a_fresh_desk_over_by_priority_only(desk, owner, other, taken):
-    offer(desk, owner, sequence=50)
-    answer = offer(desk, other, sequence=1, now_ns=200 * MS)
+def test_another_source_takes_a_fresh_desk_over_by_priority_only(arbiter, owner, other, taken):
+    offer(arbiter, owner, sequence=50)
+    answer = offer(arbiter, other, sequence=1, now_ns=200 * MS)
     assert answer.granted is taken
-    assert desk.current.source == (other if taken else owner)
+    assert arbiter.current.source == (other if taken else owner)
     if not taken:
         assert answer == (False, Refusal.OTHER_OWNER, f"{owner} owns the demand")
 
 
-def test_any_source_takes_the_desk_over_when_its_demand_has_expired(desk):
-    offer(desk, "supervisor", sequence=50, ttl_ms=200)
-    assert offer(desk, "unlisted", now_ns=200 * MS).refusal is Refusal.OTHER_OWNER
-    assert offer(desk, "unlisted", now_ns=200 * MS + 1) == GRANTED
-    assert desk.current.source == "unlisted"
+def test_any_source_takes_the_desk_over_when_its_demand_has_expired(arbiter):
+    offer(arbiter, "supervisor", sequence=50, ttl_ms=200)
+    assert offer(arbiter, "unlisted", now_ns=200 * MS).refusal is Refusal.OTHER_OWNER
+    assert offer(arbiter, "unlisted", now_ns=200 * MS + 1) == GRANTED
+    assert arbiter.current.source == "unlisted"
 
 
-def test_a_new_owner_begins_with_any_sequence_number(desk):
-    offer(desk, "driver", sequence=1000)
-    assert offer(desk, "remote", sequence=-3, now_ns=201 * MS) == GRANTED
+def test_a_new_owner_begins_with_any_sequence_number(arbiter):
+    offer(arbiter, "driver", sequence=1000)
+    assert offer(arbiter, "remote", sequence=-3, now_ns=201 * MS) == GRANTED
 
 
-def test_the_owner_ends_its_demand_and_its_old_requests_do_not_come_back(desk):
-    offer(desk, "driver", sequence=1000, throttle_pct=30)
-    assert desk.end("driver") == GRANTED
-    assert not desk.fresh(0)
-    assert offer(desk, "driver", sequence=1000).refusal is Refusal.OLD_SEQUENCE
-    assert not desk.fresh(0)
-    assert offer(desk, "driver", sequence=1001) == GRANTED
-    assert desk.fresh(0)
+def test_the_owner_ends_its_demand_and_its_old_requests_do_not_come_back(arbiter):
+    offer(arbiter, "driver", sequence=1000, throttle_pct=30)
+    assert arbiter.end("driver") == GRANTED
+    assert not arbiter.fresh(0)
+    assert offer(arbiter, "driver", sequence=1000).refusal is Refusal.OLD_SEQUENCE
+    assert not arbiter.fresh(0)
+    assert offer(arbiter, "driver", sequence=1001) == GRANTED
+    assert arbiter.fresh(0)
 
 
-def test_another_source_may_own_the_desk_as_soon_as_the_demand_was_ended(desk):
-    offer(desk, "driver")
-    desk.end("driver")
-    assert offer(desk, "remote") == GRANTED
+def test_another_source_may_own_the_desk_as_soon_as_the_demand_was_ended(arbiter):
+    offer(arbiter, "driver")
+    arbiter.end("driver")
+    assert offer(arbiter, "remote") == GRANTED
 
 
-def test_nobody_else_ends_a_demand(desk):
+def test_nobody_else_ends_a_demand(arbiter):
     refusal = (False, Refusal.OTHER_OWNER, "remote does not own the demand")
-    assert desk.end("remote") == refusal
-    offer(desk, "driver")
-    assert desk.end("remote") == refusal
-    assert desk.fresh(0)
+    assert arbiter.end("remote") == refusal
+    offer(arbiter, "driver")
+    assert arbiter.end("remote") == refusal
+    assert arbiter.fresh(0)
 
 
 # Time to live.
 
 
 @pytest.mark.parametrize("ttl_ms", [1, 200, 1000])
-def test_a_demand_counts_until_exactly_its_time_to_live(desk, ttl_ms):
+def test_a_demand_counts_until_exactly_its_time_to_live(arbiter, ttl_ms):
     start_ns = 5_000 * MS
-    offer(desk, ttl_ms=ttl_ms, now_ns=start_ns)
+    offer(arbiter, ttl_ms=ttl_ms, now_ns=start_ns)
     end_ns = start_ns + ttl_ms * MS
-    assert desk.fresh(start_ns)
-    assert desk.fresh(end_ns)
-    assert not desk.fresh(end_ns + 1)
-    assert desk.age_ns(end_ns + 1) == ttl_ms * MS + 1
+    assert arbiter.fresh(start_ns)
+    assert arbiter.fresh(end_ns)
+    assert not arbiter.fresh(end_ns + 1)
+    assert arbiter.age_ns(end_ns + 1) == ttl_ms * MS + 1
 
 
-def test_a_demand_from_the_future_does_not_count(desk):
-    offer(desk, now_ns=10 * MS)
-    assert desk.fresh(10 * MS)
-    assert not desk.fresh(10 * MS - 1)
+def test_a_demand_from_the_future_does_not_count(arbiter):
+    offer(arbiter, now_ns=10 * MS)
+    assert arbiter.fresh(10 * MS)
+    assert not arbiter.fresh(10 * MS - 1)
 
 
-def test_a_new_demand_counts_from_its_own_arrival(desk):
-    offer(desk, sequence=1, now_ns=0)
-    offer(desk, sequence=2, now_ns=150 * MS)
-    assert desk.fresh(350 * MS)
-    assert not desk.fresh(350 * MS + 1)
+def test_a_new_demand_counts_from_its_own_arrival(arbiter):
+    offer(arbiter, sequence=1, now_ns=0)
+    offer(arbiter, sequence=2, now_ns=150 * MS)
+    assert arbiter.fresh(350 * MS)
+    assert not arbiter.fresh(350 * MS + 1)
 
 
-def made(desk, made_ns: int, now_ns: int, sequence: int = 1, ttl_ms: int = 200):
+def made(arbiter, made_ns: int, now_ns: int, sequence: int = 1, ttl_ms: int = 200):
     demand = Demand("driver", sequence, ttl_ms, dict.fromkeys(CONTROLLERS, IDLE), made_ns)
-    return desk.offer(demand, DemandTerms(), now_ns)
+    return arbiter.offer(demand, DemandTerms(), now_ns)
 
 
-def test_the_time_to_live_counts_from_when_the_demand_was_made(desk):
-    assert made(desk, made_ns=50 * MS, now_ns=100 * MS) == GRANTED
-    assert desk.age_ns(100 * MS) == 50 * MS
-    assert desk.fresh(250 * MS)
-    assert not desk.fresh(250 * MS + 1)
+def test_the_time_to_live_counts_from_when_the_demand_was_made(arbiter):
+    assert made(arbiter, made_ns=50 * MS, now_ns=100 * MS) == GRANTED
+    assert arbiter.age_ns(100 * MS) == 50 * MS
+    assert arbiter.fresh(250 * MS)
+    assert not arbiter.fresh(250 * MS + 1)
 
 
-def test_a_demand_that_waited_in_a_buffer_beyond_its_time_to_live_is_refused(desk):
-    assert made(desk, made_ns=0, now_ns=200 * MS) == GRANTED
+def test_a_demand_that_waited_in_a_buffer_beyond_its_time_to_live_is_refused(arbiter):
+    assert made(arbiter, made_ns=0, now_ns=200 * MS) == GRANTED
     late = (False, Refusal.EXPIRED, "it is 200 ms old and counts for 200 ms")
-    assert made(desk, made_ns=0, now_ns=200 * MS + 1, sequence=2) == late
-    assert desk.current.sequence == 1
+    assert made(arbiter, made_ns=0, now_ns=200 * MS + 1, sequence=2) == late
+    assert arbiter.current.sequence == 1
 
 
-def test_a_demand_made_in_the_future_is_refused(desk):
-    answer = made(desk, made_ns=11, now_ns=10)
+def test_a_demand_made_in_the_future_is_refused(arbiter):
+    answer = made(arbiter, made_ns=11, now_ns=10)
     assert answer.refusal is Refusal.FROM_THE_FUTURE
     assert answer.sentence == "made_ns is 1 ns ahead of this machine's monotonic clock"
-    assert desk.current is None
-    assert made(desk, made_ns=10, now_ns=10) == GRANTED
+    assert arbiter.current is None
+    assert made(arbiter, made_ns=10, now_ns=10) == GRANTED
 
 
-def test_before_the_first_demand_nothing_counts(desk):
-    assert desk.current is None
-    assert not desk.fresh(0)
-    assert desk.age_ns(0) is None
+def test_before_the_first_demand_nothing_counts(arbiter):
+    assert arbiter.current is None
+    assert not arbiter.fresh(0)
+    assert arbiter.age_ns(0) is None
 
 
 # The pedal's second track, and directions.
@@ -291,42 +291,42 @@ def two_ways(**first):
     return {"PCU1": ControllerDemand(**first), "PCU2": ControllerDemand(motor_reverse=True)}
 
 
-def test_a_demand_without_a_second_track_is_taken_unless_it_is_required(desk):
+def test_a_demand_without_a_second_track_is_taken_unless_it_is_required(arbiter):
     track = ControllerDemand(throttle_track2_pct=0.0)
     terms = DemandTerms(second_track_required=True)
     for missing in CONTROLLERS:
         controllers = dict.fromkeys(CONTROLLERS, track) | {missing: IDLE}
-        answer = desk.offer(demand(controllers=controllers), terms, 0)
+        answer = arbiter.offer(demand(controllers=controllers), terms, 0)
         assert answer.refusal is Refusal.SECOND_TRACK_MISSING
         sentence = f"{missing} throttle_track2_pct is missing; the configuration requires it"
         assert answer.sentence == sentence
-    assert desk.offer(demand(controllers=dict.fromkeys(CONTROLLERS, track)), terms, 0) == GRANTED
-    assert offer(desk, sequence=2) == GRANTED
+    assert arbiter.offer(demand(controllers=dict.fromkeys(CONTROLLERS, track)), terms, 0) == GRANTED
+    assert offer(arbiter, sequence=2) == GRANTED
 
 
-def test_two_directions_are_refused_unless_they_are_configured(desk):
-    answer = offer(desk, controllers=two_ways())
+def test_two_directions_are_refused_unless_they_are_configured(arbiter):
+    answer = offer(arbiter, controllers=two_ways())
     sentence = "both controllers must have the same direction"
     assert answer == (False, Refusal.DIRECTIONS_DIFFER, sentence)
     independent = DemandTerms(independent_directions=True)
-    assert desk.offer(demand(controllers=two_ways()), independent, 0) == GRANTED
-    assert offer(desk, sequence=2, controllers=two_ways(motor_reverse=True)) == GRANTED
+    assert arbiter.offer(demand(controllers=two_ways()), independent, 0) == GRANTED
+    assert offer(arbiter, sequence=2, controllers=two_ways(motor_reverse=True)) == GRANTED
 
 
 # Sequence numbers of every source.
 
 
 @pytest.mark.parametrize("between", ["expired", "taken over"])
-def test_an_old_number_is_refused_whoever_had_the_demand_meanwhile(desk, between):
-    offer(desk, "guest", sequence=7)
+def test_an_old_number_is_refused_whoever_had_the_demand_meanwhile(arbiter, between):
+    offer(arbiter, "guest", sequence=7)
     now_ns = 0 if between == "taken over" else 201 * MS
-    assert offer(desk, "driver", sequence=1, now_ns=now_ns) == GRANTED
+    assert offer(arbiter, "driver", sequence=1, now_ns=now_ns) == GRANTED
     later_ns = now_ns + 201 * MS
     for sequence in (6, 7):
-        answer = offer(desk, "guest", sequence=sequence, now_ns=later_ns)
+        answer = offer(arbiter, "guest", sequence=sequence, now_ns=later_ns)
         sentence = f"sequence {sequence} is not above 7"
         assert answer == (False, Refusal.OLD_SEQUENCE, sentence)
-    assert offer(desk, "guest", sequence=8, now_ns=later_ns) == GRANTED
+    assert offer(arbiter, "guest", sequence=8, now_ns=later_ns) == GRANTED
 
 
 @pytest.mark.parametrize(
@@ -337,21 +337,21 @@ def test_an_old_number_is_refused_whoever_had_the_demand_meanwhile(desk, between
         {"source": "guest"},
     ],
 )
-def test_a_refused_demand_does_not_count_for_the_sequence(desk, refused):
-    offer(desk, sequence=1)
-    assert not offer(desk, **{"sequence": 9} | refused).granted
+def test_a_refused_demand_does_not_count_for_the_sequence(arbiter, refused):
+    offer(arbiter, sequence=1)
+    assert not offer(arbiter, **{"sequence": 9} | refused).granted
     now_ns = 201 * MS
-    assert offer(desk, refused.get("source", "driver"), sequence=2, now_ns=now_ns) == GRANTED
+    assert offer(arbiter, refused.get("source", "driver"), sequence=2, now_ns=now_ns) == GRANTED
 
 
-def test_no_more_than_64_sources_can_ask(desk):
+def test_no_more_than_64_sources_can_ask(arbiter):
     for number in range(64):
-        assert offer(desk, f"source{number}", now_ns=number * 201 * MS) == GRANTED
+        assert offer(arbiter, f"source{number}", now_ns=number * 201 * MS) == GRANTED
     now_ns = 100_000 * MS
-    answer = offer(desk, "driver", now_ns=now_ns)
+    answer = offer(arbiter, "driver", now_ns=now_ns)
     sentence = "64 sources have asked since the start, which is the most"
     assert answer == (False, Refusal.TOO_MANY_SOURCES, sentence)
-    assert offer(desk, "source0", sequence=2, now_ns=now_ns) == GRANTED
+    assert offer(arbiter, "source0", sequence=2, now_ns=now_ns) == GRANTED
 
 
 # The bench demand.
@@ -359,27 +359,27 @@ def test_no_more_than_64_sources_can_ask(desk):
 
 def test_the_bench_demand_counts_for_ever_and_has_no_age():
     bench = ControllerDemand(throttle_pct=12)
-    desk = DemandArbiter(bench)
-    assert desk.fresh(-(10**15))
-    assert desk.fresh(10**18)
-    assert desk.age_ns(10**18) is None
+    arbiter = DemandArbiter(bench)
+    assert arbiter.fresh(-(10**15))
+    assert arbiter.fresh(10**18)
+    assert arbiter.age_ns(10**18) is None
     both = {"PCU1": bench, "PCU2": bench}
-    assert desk.current == Demand(BENCH_SOURCE, sequence=0, ttl_ms=None, controllers=both)
+    assert arbiter.current == Demand(BENCH_SOURCE, sequence=0, ttl_ms=None, controllers=both)
 
 
 def test_the_bench_demand_is_taken_over_once_somebody_asked():
-    for desk in (DemandArbiter(None), DemandArbiter(ControllerDemand())):
-        assert desk.taken is False
-        assert offer(desk, source="driver", priorities={"driver": 5}).granted
-        assert desk.taken is True
-        desk.end("driver")
-        assert desk.taken is True
+    for arbiter in (DemandArbiter(None), DemandArbiter(ControllerDemand())):
+        assert arbiter.taken is False
+        assert offer(arbiter, source="driver", priorities={"driver": 5}).granted
+        assert arbiter.taken is True
+        arbiter.end("driver")
+        assert arbiter.taken is True
 
 
 def test_the_bench_demand_gives_way_to_a_higher_priority_only():
-    desk = DemandArbiter(IDLE)
-    assert offer(desk, "unlisted").refusal is Refusal.OTHER_OWNER
-    assert offer(desk, "driver") == GRANTED
+    arbiter = DemandArbiter(IDLE)
+    assert offer(arbiter, "unlisted").refusal is Refusal.OTHER_OWNER
+    assert offer(arbiter, "driver") == GRANTED
 
 
 def test_the_defaults_of_a_demand_ask_for_no_torque():

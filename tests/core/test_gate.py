@@ -1,4 +1,4 @@
-"""The gate, on bytes: nothing here is built by the rooms that it does not trust."""
+"""The gate, on bytes: nothing here is made by the modules that it checks."""
 
 import ast
 import math
@@ -525,7 +525,7 @@ def test_whatever_comes_in_what_goes_out_would_pass_and_carries_torque_only_when
 # Independence.
 
 
-def test_the_gate_knows_nothing_of_the_rooms_that_it_checks():
+def test_the_gate_imports_nothing_of_the_modules_that_it_checks():
     tree = ast.parse(Path(gate_module.__file__).read_text(encoding="utf-8"))
     imported = set()
     for node in ast.walk(tree):

@@ -1,4 +1,4 @@
-"""From commands to frames: the exact bytes, what the gate says of them, and the book."""
+"""From commands to frames: exact bytes, what the gate says of them, and the history of sent ones."""
 
 import dataclasses
 

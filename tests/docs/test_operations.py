@@ -126,16 +126,16 @@ def test_an_event_whose_name_or_fields_the_source_does_not_tell_is_an_error(code
 
 def test_an_event_that_a_helper_makes_is_found_where_the_helper_is_called():
     code = """
-class Desk:
+class Acceptor:
     def open(self):
-        self._tell("desk_open", {"place": 1})
+        self._tell("place_taken", {"place": 1})
 
     def _tell(self, name, more):
         base = {"uid": 0}
         Event(name, Severity.ERROR, {**base, **more})
 """
     (told,) = Module(EVENT + code, "here").told()
-    assert told.name == "desk_open"
+    assert told.name == "place_taken"
     assert told.severities == {"error"}
     assert told.fields == {"uid", "place"}
 

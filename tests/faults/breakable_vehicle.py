@@ -29,7 +29,7 @@ QUIET: Step = {"fault": "silence", "of": "IMU"}
 
 
 class ChangingFault:
-    """A fault of the simulator that is another one whenever the test says so."""
+    """A fault of the simulator that the test changes while it runs."""
 
     def __init__(self, codec: Codec, pipe: Connection) -> None:
         self._codec = codec
@@ -76,7 +76,7 @@ def run_vehicle(channel: str, pipe: Connection) -> None:
 
 
 class Breaking(Driving):
-    """A gateway that drives a puppet.
+    """A gateway that drives a vehicle which the test breaks.
 
     Attributes:
         quiet: what is always broken.

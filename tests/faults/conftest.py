@@ -15,7 +15,7 @@ import pytest
 from tests.vcan.conftest import can_is_missing, fresh_stand, stand  # noqa: F401
 
 RESULTS_FOLDER = os.environ.get("VCU_FAULT_RESULTS")
-ROOMS_WITH_A_BUS = {"vcan", "slcan", "netem"}
+FOLDERS_WITH_A_BUS = {"vcan", "slcan", "netem"}
 ROOT = Path(__file__).parents[2]
 
 REPORT = pytest.StashKey[pytest.TestReport]()
@@ -107,10 +107,10 @@ def _why_there_is_no_bus() -> str | None:
 
 
 @pytest.fixture(autouse=True)
-def a_real_bus_where_the_room_needs_one(request: pytest.FixtureRequest) -> None:
-    """In the rooms with a bus: a real vcan0, or the test is skipped; never on CI."""
-    room = request.path.relative_to(Path(__file__).parent).parts[0]
-    why = _why_there_is_no_bus() if room in ROOMS_WITH_A_BUS else None
+def a_real_bus_where_the_folder_needs_one(request: pytest.FixtureRequest) -> None:
+    """In the folders with a bus: a real vcan0, or the test is skipped; never on CI."""
+    folder = request.path.relative_to(Path(__file__).parent).parts[0]
+    why = _why_there_is_no_bus() if folder in FOLDERS_WITH_A_BUS else None
     if why and (os.environ.get("CI") or os.environ.get("VCU_REQUIRE_CAN")):
         pytest.exit(why, returncode=1)
     if why:

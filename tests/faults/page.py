@@ -75,7 +75,7 @@ def catalogue() -> list[dict[str, Any]]:
 
 
 def tests() -> list[Test]:
-    """Every fault test in the rooms, by reading, not running them."""
+    """Every fault test in the folders, by reading, not running them."""
     return [
         Test(int(found[1]), str(path.relative_to(ROOT)), name)
         for path in sorted(HERE.glob("*/test_*.py"))

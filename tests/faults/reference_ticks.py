@@ -1,4 +1,4 @@
-"""What the machine itself does to a Python process that ticks every 50 ms, as a gateway must.
+"""Reference ticks: what the machine does to a process that only ticks every 50 ms, the bystander.
 
 The process has a second thread that computes for some milliseconds at a time, as one that reads
 frames does: it is no busier than the gateway, and knows nothing of it.

@@ -1,4 +1,4 @@
-"""What a test sees on its stage."""
+"""Bench: the rig, and what a test measures on it."""
 
 import contextlib
 import time
@@ -16,7 +16,7 @@ REACTION_S = 0.050 + 0.002 + 0.020
 
 
 class Bench(Rig):
-    """The stage, and how to look at it."""
+    """The rig, and how to look at it."""
 
     def last_pair(self) -> tuple[Frame, Frame]:
         """The two frames of the last tick that sent both."""

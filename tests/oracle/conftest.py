@@ -1,4 +1,4 @@
-"""One bench for the whole room: starting a gateway costs more than a trial."""
+"""One bench for all tests of this folder: starting a gateway costs more than a trial."""
 
 import gc
 import os

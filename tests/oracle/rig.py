@@ -1,4 +1,4 @@
-"""Gateway, vehicle, recorder and a driver's foot on the pedal."""
+"""Rig: gateway, vehicle, recorder, and a driver's demand that is renewed."""
 
 import contextlib
 import time
@@ -21,7 +21,7 @@ Condition = Callable[[], object]
 
 
 class Rig:
-    """What the tests happen on, one after the other."""
+    """Gateway, vehicle and recorder for one test after the other."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -96,7 +96,7 @@ class Rig:
     # --- time passes ---
 
     def pump(self) -> None:
-        """Read the bus, judge what came, and keep the foot where it is."""
+        """Read the bus, judge what came, and renew the demand."""
         for frame in self.recorder.drain():
             self.rules.take(frame)
         if self.pedals is not None and time.monotonic() - self.renewed > RENEW_S:
@@ -133,7 +133,7 @@ class Rig:
         self.rules.asked(sent, time.monotonic(), self.pedals)
 
     def demand(self, **values: Any) -> None:
-        """Put the foot here, and keep it here."""
+        """Demand this, and renew it."""
         was_pressed = self.pedals is None or self.pedals.get("throttle_pct", 0)
         if was_pressed and not values.get("throttle_pct", 0):
             self.released = time.monotonic()
@@ -164,7 +164,7 @@ class Rig:
         self.vehicle.speeds(*self.rpm)
 
     def standby(self) -> None:
-        """All well, unarmed, the foot off the pedal; whatever was before."""
+        """All well, unarmed, the pedals released; whatever was before."""
         self.vehicle.heal()
         self.vehicle.speeds(*self.rpm)
         deadline = time.monotonic() + PATIENCE_S

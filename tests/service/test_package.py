@@ -33,14 +33,14 @@ pytestmark = pytest.mark.timeout(1200)
 
 @pytest.fixture(scope="session", autouse=True)
 def a_real_systemd() -> None:
-    """In place of the other rooms': here the package is not there yet."""
+    """In place of the fixture of conftest.py: here the package is not there yet."""
     if os.environ.get("VCU_LAB") != "systemd" or "VCU_DEB" not in os.environ:
         pytest.skip("installs packages: needs the lab with a systemd of its own, and VCU_DEB")
 
 
 @pytest.fixture(scope="session", autouse=True)
 def booted(a_real_systemd: None) -> None:
-    """In place of the other rooms', which look at the service that the boot started."""
+    """In place of the fixture of conftest.py, which looks at the service that the boot started."""
 
 
 def output(*words: str) -> str:

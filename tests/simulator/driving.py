@@ -1,4 +1,4 @@
-"""The gateway's core and the simulated vehicle on one desk: no bus, no waiting."""
+"""The gateway's core and the simulated vehicle in one process: no bus, no waiting."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
