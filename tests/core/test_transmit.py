@@ -1,4 +1,4 @@
-"""From commands to frames: exact bytes, what the gate says of them, and the history of sent ones."""
+"""From commands to frames: exact bytes, what the gate says of them, and the history of sent."""
 
 import dataclasses
 
