@@ -14,7 +14,7 @@ LEVELS = ("debug", "info", "warning", "error", "critical", "exception")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
-class Told(NamedTuple):
+class SourceEvent(NamedTuple):
     """One event: every severity that its source could mean, and the names of its fields."""
 
     name: str
@@ -24,7 +24,7 @@ class Told(NamedTuple):
 
 
 class UnclearError(Exception):
-    """The source does not tell."""
+    """The source does not say it."""
 
 
 class _Place(NamedTuple):
@@ -49,7 +49,7 @@ class Module:
             inner = child if isinstance(child, Function) else function
             yield from self._walk(child, inner)
 
-    def told(self) -> Iterator[Told]:
+    def told(self) -> Iterator[SourceEvent]:
         """What this file can tell."""
         for place in self._places:
             if self._is_event(place.call):
@@ -73,13 +73,15 @@ class Module:
             return ""
         return func.attr if ast.unparse(func.value) in ("log", "log.log") else ""
 
-    def _of_log(self, call: ast.Call, level: str) -> Told:
+    def _of_log(self, call: ast.Call, level: str) -> SourceEvent:
         if any(keyword.arg is None for keyword in call.keywords):
             raise self._unclear(call)
         names = frozenset(str(keyword.arg) for keyword in call.keywords)
-        return Told(self._text(call.args[0]), frozenset({level}), names, self._at(call))
+        return SourceEvent(self._text(call.args[0]), frozenset({level}), names, self._at(call))
 
-    def _of_event(self, place: _Place, name: ast.expr, callers: list[_Place]) -> Iterator[Told]:
+    def _of_event(
+        self, place: _Place, name: ast.expr, callers: list[_Place]
+    ) -> Iterator[SourceEvent]:
         """`callers` lead to `place`, the nearest last: their arguments may hold the name."""
         nearest = callers[-1] if callers else place
         if isinstance(name, ast.Constant):
@@ -96,12 +98,12 @@ class Module:
                 raise self._unclear(caller.call)
             yield from self._of_event(place, given, [*callers, caller])
 
-    def _whole(self, place: _Place, name: str, callers: list[_Place]) -> Told:
+    def _whole(self, place: _Place, name: str, callers: list[_Place]) -> SourceEvent:
         severity, fields = place.call.args[1], (place.call.args[2:] or [None])[0]
         chain = [place, *callers]
         names = frozenset(self._fields(fields, chain)) if fields is not None else frozenset()
         where = self._at(chain[-1].call)
-        return Told(name, frozenset(self._severities(severity, place)), names, where)
+        return SourceEvent(name, frozenset(self._severities(severity, place)), names, where)
 
     # Fields.
 
@@ -201,7 +203,7 @@ class Module:
         return UnclearError(f"{self._at(node)}: which event? {ast.unparse(node)}")
 
 
-def of_the_program() -> list[Told]:
+def of_the_program() -> list[SourceEvent]:
     """Every event of every file."""
     files = sorted(SOURCE.rglob("*.py"))
     return [
