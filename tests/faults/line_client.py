@@ -1,4 +1,4 @@
-"""The API's socket with nothing between: lines out, lines in."""
+"""Line client: one connection to the API's socket, lines out and lines in."""
 
 import json
 import socket
@@ -9,8 +9,8 @@ from typing import Any, Self
 PATIENCE_S = 10.0
 
 
-class Speaker:
-    """One connection; `say` is a request with its answer."""
+class LineClient:
+    """One connection; `request` returns the answer."""
 
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
@@ -31,14 +31,14 @@ class Speaker:
         self._reader.close()
         self.socket.close()
 
-    def say(self, method: str, **params: Any) -> dict[str, Any]:
+    def request(self, method: str, **params: Any) -> dict[str, Any]:
         """The whole answer: `result` or `error`."""
         self._id += 1
         request = {"jsonrpc": "2.0", "id": self._id, "method": method, "params": params}
         return self.line(json.dumps(request).encode())
 
     def result(self, method: str, **params: Any) -> Any:
-        answer = self.say(method, **params)
+        answer = self.request(method, **params)
         assert "result" in answer, answer
         return answer["result"]
 
@@ -50,6 +50,6 @@ class Speaker:
 
     def demand(self, sequence: int, throttle_pct: float, ttl_ms: int = 1000) -> dict[str, Any]:
         values = {"throttle_pct": throttle_pct, "power_mode": "normal"}
-        return self.say(
+        return self.request(
             "demand.set", source="driver", sequence=sequence, ttl_ms=ttl_ms, values=values
         )

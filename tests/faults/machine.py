@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.driven import wait_until
-from tests.faults.speaking import Speaker
+from tests.faults.line_client import LineClient
 
 PATIENCE_S = 20.0
 
@@ -51,14 +51,14 @@ class Program:
     def _serves(self) -> bool:
         assert self.process.poll() is None, f"it ended with {self.process.returncode}"
         try:
-            with Speaker(self.socket_path) as speaker:
-                return "result" in speaker.say("why")
+            with LineClient(self.socket_path) as client:
+                return "result" in client.request("why")
         except (OSError, json.JSONDecodeError):
             return False
 
     def health(self) -> dict[str, Any]:
-        with Speaker(self.socket_path) as speaker:
-            result: dict[str, Any] = speaker.result("health")
+        with LineClient(self.socket_path) as client:
+            result: dict[str, Any] = client.result("health")
         return result
 
     def end(self, number: int = signal.SIGTERM) -> float:

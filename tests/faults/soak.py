@@ -28,8 +28,8 @@ from tests.faults import invariants
 from tests.faults.breakable_vehicle import Breaking, Step
 from tests.faults.driving import THROTTLE_PCT, BusStand, record, set_up
 from tests.faults.flood import EFF, ERR, RTR, send
+from tests.faults.line_client import LineClient
 from tests.faults.machine import descriptors, resident_kb
-from tests.faults.speaking import Speaker
 from tests.vcan.conftest import COMMANDS, Recorded, ended_after
 from vcu_gateway.client import ClientError
 
@@ -235,8 +235,8 @@ class Trouble:
 
     def rude_clients(self) -> None:
         for _ in range(self.chance.randrange(1, 30)):
-            with contextlib.suppress(OSError), Speaker(self.one.stand.socket_path) as speaker:
-                speaker.socket.sendall(self.chance.randbytes(self.chance.randrange(1, 3000)))
+            with contextlib.suppress(OSError), LineClient(self.one.stand.socket_path) as client:
+                client.socket.sendall(self.chance.randbytes(self.chance.randrange(1, 3000)))
 
 
 def _set(trouble: Trouble) -> Step:

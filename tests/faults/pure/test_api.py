@@ -17,10 +17,10 @@ import pytest
 
 from tests.driven import Driven, driven, wait_until
 from tests.faults.conftest import ROOT, Seen
+from tests.faults.line_client import LineClient
 from tests.faults.machine import resident_kb
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
 from tests.faults.pure.test_process import let_go, moving
-from tests.faults.speaking import Speaker
 
 MS = 1_000_000
 TTL_MS = 200
@@ -224,11 +224,11 @@ def said_by_a_stranger(path: Path, methods: tuple[str, ...]) -> dict[str, dict]:
     return dict(zip(methods, answers, strict=True))
 
 
-class Hand:
+class ManualDriver:
     """A driver who arms, and then does as the test says; `next()` is its next sequence number."""
 
-    def __init__(self, whole: Driven, speaker: Speaker) -> None:
-        self._whole, self._speaker = whole, speaker
+    def __init__(self, whole: Driven, client: LineClient) -> None:
+        self._whole, self._client = whole, client
         self._sequence = 0
 
     def next(self) -> int:
@@ -240,9 +240,9 @@ class Hand:
         wait_until(self._is_armed, "the arming", PATIENCE_S)
 
     def _is_armed(self) -> bool:
-        self._speaker.demand(self.next(), 0)
-        self._speaker.say("reset", level="service")
-        return self._whole.mode == "active" or "result" in self._speaker.say("arm")
+        self._client.demand(self.next(), 0)
+        self._client.request("reset", level="service")
+        return self._whole.mode == "active" or "result" in self._client.request("arm")
 
     def drive(self) -> None:
         """Until there is throttle on the bus; the demand is one of a second."""
@@ -253,26 +253,26 @@ class Hand:
     def _drives(self) -> bool:
         if self._whole.mode != "active":
             self.arm()
-        self._speaker.demand(self.next(), 30)
+        self._client.demand(self.next(), 30)
         return max(self._whole.throttles(), default=0) > 0
 
 
 def test_f70_a_driver_who_falls_silent_has_no_throttle_after_its_time_to_live(tmp_path, seen: Seen):
     with driven(tmp_path) as whole:
         whole.until_ready()
-        with Speaker(whole.socket_path) as driver:
-            hand = Hand(whole, driver)
-            hand.drive()
-            driver.demand(hand.next(), 30, ttl_ms=TTL_MS)
+        with LineClient(whole.socket_path) as driver:
+            manual = ManualDriver(whole, driver)
+            manual.drive()
+            driver.demand(manual.next(), 30, ttl_ms=TTL_MS)
             asked_ns = time.time_ns()
             silent = let_go(whole, asked_ns)
             assert whole.mode in ("standby", "fault")
-            hand.drive()
+            manual.drive()
             assert whole.mode == "active", "a new arm drives again"
 
         def gone_ms() -> float:
-            with Speaker(whole.socket_path) as driver:
-                Hand(whole, driver).drive()
+            with LineClient(whole.socket_path) as driver:
+                ManualDriver(whole, driver).drive()
             return let_go(whole, time.time_ns()).last_ms
 
         gone = once_more(gone_ms, lambda found_ms: found_ms <= PERIOD_MS + LEEWAY_MS)
@@ -286,7 +286,7 @@ def test_f70_a_driver_who_falls_silent_has_no_throttle_after_its_time_to_live(tm
 
 def test_f71_a_second_driver_is_refused_while_the_first_is_fresh(tmp_path, seen: Seen):
     refusals = []
-    with driven(tmp_path) as whole, moving(whole) as driver, Speaker(whole.socket_path) as other:
+    with driven(tmp_path) as whole, moving(whole) as driver, LineClient(whole.socket_path) as other:
         numbers = itertools.count(10_000)
 
         def throttles() -> set[int]:
@@ -294,7 +294,7 @@ def test_f71_a_second_driver_is_refused_while_the_first_is_fresh(tmp_path, seen:
             whole.throttles()
             for _ in range(20):
                 for source in ("joystick", "driver"):
-                    told = other.say(
+                    told = other.request(
                         "demand.set",
                         source=source,
                         sequence=next(numbers),
@@ -315,10 +315,10 @@ def test_f71_a_second_driver_is_refused_while_the_first_is_fresh(tmp_path, seen:
 def test_f72_an_old_command_is_refused_and_renews_nothing(tmp_path, seen: Seen):
     with driven(tmp_path) as whole:
         whole.until_ready()
-        with Speaker(whole.socket_path) as driver:
-            hand = Hand(whole, driver)
-            hand.drive()
-            last = hand.next()
+        with LineClient(whole.socket_path) as driver:
+            manual = ManualDriver(whole, driver)
+            manual.drive()
+            last = manual.next()
             driver.demand(last, 30, ttl_ms=TTL_MS)
             asked_ns = time.time_ns()
             over = threading.Event()
@@ -341,8 +341,8 @@ def test_f72_an_old_command_is_refused_and_renews_nothing(tmp_path, seen: Seen):
                 (now_ns - 300 * MS, "expired"),
                 (now_ns + 600 * 10**9, "from_the_future"),
             ):
-                told = driver.say(
-                    "demand.set", source="driver", sequence=hand.next(), ttl_ms=TTL_MS,
+                told = driver.request(
+                    "demand.set", source="driver", sequence=manual.next(), ttl_ms=TTL_MS,
                     values=values, made_ns=made_ns,
                 )  # fmt: skip
                 words.append(told["error"]["data"]["refusal"])

@@ -189,9 +189,9 @@ def test_f61_an_invalid_reload_changes_nothing_and_leaves_no_gap(tmp_path, seen:
             while schedule.ticks < ticks + 20:
                 for text in BROKEN:
                     written(whole.file, whole._head + text)
-                    problems += driver.say("config.reload")["error"]["data"]["problems"]
+                    problems += driver.request("config.reload")["error"]["data"]["problems"]
             whole.file.unlink()
-            problems += driver.say("config.reload")["error"]["data"]["problems"]
+            problems += driver.request("config.reload")["error"]["data"]["problems"]
             assert driver.result("config.get") == before
             missed, done = schedule.skipped - skipped, schedule.ticks - ticks
             heard = commands(whole)
@@ -236,7 +236,7 @@ def test_f62_a_reload_while_armed_takes_stricter_limits_and_nothing_else(tmp_pat
                 else:
                     more = text
                 written(whole.file, head + more)
-                answer = driver.say("config.reload")
+                answer = driver.request("config.reload")
                 found.changed[text] = answer["result"]["changed"] if "result" in answer else None
                 found.modes.add(whole.mode)
             limits = driver.result("config.get")["values"]["limits"]

@@ -25,8 +25,8 @@ from tests.core.simulated_drive import (
 from tests.driven import driven
 from tests.faults.conftest import Seen
 from tests.faults.invariants import is_safe
+from tests.faults.line_client import LineClient
 from tests.faults.machine import resident_kb
-from tests.faults.speaking import Speaker
 from vcu_gateway import config as configuration
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
@@ -337,9 +337,9 @@ def test_f21_numbers_that_are_none_are_refused_at_every_door(tmp_path, seen: See
             assert answer.refusal in (Refusal.NOT_FINITE, Refusal.OUT_OF_RANGE)
     with driven(tmp_path) as whole:
         whole.until_ready()
-        with Speaker(whole.socket_path) as speaker:
+        with LineClient(whole.socket_path) as client:
             texts = ("NaN", "Infinity", "-Infinity", "1e308", "1e999", "1" + "0" * 400)
-            answers = [_refusal(speaker, name, text) for name in names for text in texts]
+            answers = [_refusal(client, name, text) for name in names for text in texts]
         assert whole.throttles() == {0}
     seen(
         f"{len(keys) * len(WRONG)} values in {len(keys)} keys refused with their line;"
@@ -359,8 +359,8 @@ def _numeric_keys() -> list[tuple[str, str]]:
     return found
 
 
-def _refusal(speaker: Speaker, name: str, text: str) -> str:
-    answer = speaker.line(
+def _refusal(client: LineClient, name: str, text: str) -> str:
+    answer = client.line(
         b'{"jsonrpc":"2.0","id":1,"method":"demand.set","params":{"source":"x","sequence":1,'
         b'"ttl_ms":200,"values":{"%s":%s}}}' % (name.encode(), text.encode())
     )

@@ -22,9 +22,9 @@ from tests.core.simulated_drive import ZERO_TORQUE
 from tests.driven import Driven, driven, wait_until
 from tests.faults.conftest import ROOT, Seen
 from tests.faults.invariants import Checked, check
+from tests.faults.line_client import LineClient
 from tests.faults.machine import Program, program
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
-from tests.faults.speaking import Speaker
 
 # A busy machine has what is measured taken once more.
 pytestmark = pytest.mark.timeout(300)
@@ -34,7 +34,7 @@ F_SETPIPE_SZ = 1031
 STILL = {"throttle_pct": 0.0, "power_mode": "normal"}
 
 
-class Driver(Speaker):
+class Driver(LineClient):
     """Asks; what it demands is renewed on a thread and a connection of their own."""
 
     def __init__(self, whole: Driven, throttle_pct: float) -> None:
@@ -42,7 +42,7 @@ class Driver(Speaker):
         self._whole = whole
         self._wanted_pct = throttle_pct
         self._asked_pct = 0.0
-        self._owner = Speaker(whole.socket_path)
+        self._owner = LineClient(whole.socket_path)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._renew)
         self._thread.start()
@@ -63,8 +63,8 @@ class Driver(Speaker):
             return round(self._wanted_pct / 0.39) in self._whole.throttles()
         self._asked_pct = 0.0
         self._whole.throttles()
-        self.say("reset", level="service")
-        self.say("arm")
+        self.request("reset", level="service")
+        self.request("arm")
         return False
 
     def let_go(self) -> None:
@@ -310,15 +310,15 @@ def log_much(one: Program, until: Callable[[], bool]) -> int:
     line = b'{"jsonrpc":"2.0","id":1,"method":"arm"}\n'
     asked, end_s = 0, time.monotonic() + PATIENCE_S
     with contextlib.ExitStack() as stack:
-        speakers = [stack.enter_context(Speaker(one.socket_path)) for _ in range(10)]
+        clients = [stack.enter_context(LineClient(one.socket_path)) for _ in range(10)]
         while not until():
             assert time.monotonic() < end_s
-            for speaker in speakers:
-                speaker.socket.sendall(line * 16)
-            for speaker in speakers:
+            for client in clients:
+                client.socket.sendall(line * 16)
+            for client in clients:
                 for _ in range(16):
-                    speaker._reader.readline()
-            asked += 16 * len(speakers)
+                    client._reader.readline()
+            asked += 16 * len(clients)
             time.sleep(0.05)  # the log is to overflow, not the machine
     return asked
 
@@ -520,7 +520,7 @@ def test_f66_without_descriptors_the_bus_goes_on_and_the_api_recovers(tmp_path, 
                 with no_descriptors():
                     spare.connect(str(whole.socket_path))
                     whole.throttles()
-                    refused = driver.say("config.reload")
+                    refused = driver.request("config.reload")
                     time.sleep(1.0)
                     throttles = whole.throttles()
                     mode = driver.result("why")["mode"]  # who is in is served

@@ -17,9 +17,9 @@ from tests.core import simulated_drive
 from tests.core.simulated_drive import MS, PERIOD_NS, ZERO_TORQUE, Drive, active
 from tests.driven import driven
 from tests.faults.conftest import ROOT, Seen
+from tests.faults.line_client import LineClient
 from tests.faults.pure.bystander import once_more
 from tests.faults.pure.test_process import commands, moving, next_commands
-from tests.faults.speaking import Speaker
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
@@ -215,9 +215,9 @@ def test_f82_counters_at_their_end_stay_right(tmp_path, seen: Seen):
     with driven(tmp_path) as whole:
         whole.until_ready()
         whole.loop.gateway.receiver.rejected[Reason.UNKNOWN] = 2**64
-        with Speaker(whole.socket_path) as speaker:
-            told = speaker.result("health")["frames"]["rejected"]["unknown"]
-            beyond = speaker.demand(2**63, 0)["error"]["message"]
+        with LineClient(whole.socket_path) as client:
+            told = client.result("health")["frames"]["rejected"]["unknown"]
+            beyond = client.demand(2**63, 0)["error"]["message"]
     assert told >= 2**64
     seen(
         f"statistics beyond {max(highest)} count on; the kernel's 32-bit drops over their end:"

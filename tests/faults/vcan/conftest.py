@@ -10,7 +10,7 @@ from tests.faults.driving import BusStand, Driving, driving_in
 from tests.vcan.conftest import ended_after
 
 
-class Garage:
+class ReadyDriving:
     """Keeps one gateway ready to drive, from test to test."""
 
     def __init__(self, folder: Path) -> None:
@@ -35,25 +35,25 @@ class Garage:
 
 
 @pytest.fixture(scope="module")
-def garage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Garage]:
-    one = Garage(tmp_path_factory.mktemp("driving"))
+def ready_driving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ReadyDriving]:
+    one = ReadyDriving(tmp_path_factory.mktemp("driving"))
     yield one
     one.clear()
 
 
 @pytest.fixture
-def driving(garage: Garage, request: pytest.FixtureRequest) -> Iterator[Driving]:
+def driving(ready_driving: ReadyDriving, request: pytest.FixtureRequest) -> Iterator[Driving]:
     """With throttle on the bus; the invariants are held against it afterwards."""
-    one = garage.ready()
+    one = ready_driving.ready()
     try:
         one.until_driving()
         yield one
         one.check()
     except BaseException:
-        garage.clear()
+        ready_driving.clear()
         raise
     if request.node.stash.get(FAILED, False):
-        garage.clear()
+        ready_driving.clear()
 
 
 FAILED = pytest.StashKey[bool]()
@@ -69,8 +69,8 @@ def pytest_runtest_makereport(
 
 
 @pytest.fixture
-def alone(garage: Garage, tmp_path: Path) -> Iterator[BusStand]:
+def alone(ready_driving: ReadyDriving, tmp_path: Path) -> Iterator[BusStand]:
     """A stand for a gateway of the test's own: no other is on the interface."""
-    garage.clear()
+    ready_driving.clear()
     with ended_after(BusStand(tmp_path, forking=True)) as stand:
         yield stand

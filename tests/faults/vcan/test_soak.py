@@ -7,7 +7,7 @@ import pytest
 
 from tests.faults.conftest import Seen
 from tests.faults.soak import soaking
-from tests.faults.vcan.conftest import Garage
+from tests.faults.vcan.conftest import ReadyDriving
 
 SLOW_S = int(os.environ.get("VCU_SOAK_S", "600"))
 
@@ -20,9 +20,9 @@ SLOW_S = int(os.environ.get("VCU_SOAK_S", "600"))
     ],
 )
 def test_f80_driving_with_random_faults_keeps_the_invariants_and_leaves_nothing_behind(
-    seconds: int, garage: Garage, tmp_path: Path, seen: Seen
+    seconds: int, ready_driving: ReadyDriving, tmp_path: Path, seen: Seen
 ):
-    garage.clear()
+    ready_driving.clear()
     with soaking(tmp_path, seed=80, tell=print) as soak:
         soaked = soak.run(seconds)
     seen(str(soaked))
