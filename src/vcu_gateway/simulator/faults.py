@@ -67,11 +67,11 @@ def shortened(length_bytes: int) -> Transform:
 
 def corrupted(flip_bits: int, seed: int) -> Transform:
     """The frame with this number of inverted bits, others in each frame."""
-    dice = _dice(seed)
+    chance = _random(seed)
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         bits = len(frame.data) * _BYTE_BITS
-        flips = sum(1 << position for position in dice.sample(range(bits), min(flip_bits, bits)))
+        flips = sum(1 << position for position in chance.sample(range(bits), min(flip_bits, bits)))
         return (frame._replace(data=_bytes(_number(frame.data) ^ flips, len(frame.data))),)
 
     return transform
@@ -134,11 +134,11 @@ def sometimes(share_pct: float, seed: int, transform: Transform) -> Transform:
     """Transform of a share of the frames, always the same ones for the same seed."""
     if share_pct >= _ALL_PCT:
         return transform
-    dice = _dice(seed)
-    return lambda frame: transform(frame) if dice.random() * _ALL_PCT < share_pct else (frame,)
+    chance = _random(seed)
+    return lambda frame: transform(frame) if chance.random() * _ALL_PCT < share_pct else (frame,)
 
 
-def _dice(seed: int) -> random.Random:
+def _random(seed: int) -> random.Random:
     return random.Random(seed)  # noqa: S311 - chance that can be repeated, no secret
 
 

@@ -27,7 +27,7 @@ def _one_of(name: str, known: list[str], what: str) -> str:
     return name
 
 
-def _spoken(info: ValidationInfo) -> dict[str, list[str]]:
+def _sent_messages(info: ValidationInfo) -> dict[str, list[str]]:
     """Names of the messages that every node but the gateway sends, by node."""
     protocol = protocol_of(info)
     nodes = [node for node in protocol.nodes if node != OWN_NODE]
@@ -35,14 +35,14 @@ def _spoken(info: ValidationInfo) -> dict[str, list[str]]:
 
 
 def _node_or_message(name: str, info: ValidationInfo) -> str:
-    spoken = _spoken(info)
-    messages = [message for names in spoken.values() for message in names]
-    return _one_of(name, [*spoken, *messages], "a node or a message that it sends")
+    sent = _sent_messages(info)
+    messages = [message for names in sent.values() for message in names]
+    return _one_of(name, [*sent, *messages], "a node or a message that it sends")
 
 
 def _signal(name: str, info: ValidationInfo) -> str:
     protocol = protocol_of(info)
-    messages = [message for names in _spoken(info).values() for message in names]
+    messages = [message for names in _sent_messages(info).values() for message in names]
     message, _, signal = name.partition(".")
     if message not in messages:
         nearest = did_you_mean(message, messages)
