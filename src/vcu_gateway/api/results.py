@@ -222,7 +222,7 @@ class ApiCounts(TypedDict):
 
 
 class ProcessUsage(TypedDict):
-    """Resources of the gateway's process, from /proc; null is what the system does not tell."""
+    """Resources of the gateway's process, from /proc; null where the system does not report it."""
 
     cpu_time_s: float
     """User and system time of all threads, since the start."""
@@ -292,7 +292,7 @@ class Granted(TypedDict):
 
     granted: Literal[True]
     mode: ModeName
-    """The mode when it was granted; `why` tells what follows."""
+    """The mode when it was granted; `why` says what follows."""
 
 
 class Subscribed(TypedDict):

@@ -34,7 +34,7 @@ def command(config_path: Path | None, as_json: bool) -> None:
 
 
 def summary(config: Config) -> str:
-    """What matters before driving, a line each."""
+    """Settings that matter before driving, a line each."""
     bus, demand = config.bus, config.bench.demand
     return "\n".join(
         (

@@ -57,7 +57,7 @@ _RETURN_RPM = 50.0
 
 
 class RegenerationInterlock:
-    """Whether the motors turn fast enough to recover energy; with hysteresis."""
+    """Interlock of regeneration: both motors turn fast enough, with a hysteresis of 50 rpm."""
 
     def __init__(self) -> None:
         self._possible = False

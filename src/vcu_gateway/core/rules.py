@@ -259,7 +259,7 @@ def tick_late(inputs: RuleInputs) -> Sequence[Finding]:
 
 
 def late(late_ns: int, period_ns: int) -> Sequence[Finding]:
-    """The finding of a tick that comes so long after its period, where that is too long."""
+    """Tick later than 4 periods: its finding; none up to that."""
     if late_ns <= _LATE_MAX_PERIODS * period_ns:
         return ()
     return [Finding("tick_late", "tick", Effect.STOP, _milliseconds(late_ns))]
