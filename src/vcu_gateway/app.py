@@ -28,7 +28,7 @@ from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
-from vcu_gateway.errors import UnavailableError
+from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.server import health
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.dispatch import Dispatcher
@@ -87,10 +87,17 @@ class Application:
         self.loop.add_observer(self._service.observe)
 
     def run(self, duration_s: float | None = None) -> None:
-        """Tick until the loop is stopped, or for `duration_s`; then record the orderly end."""
+        """Tick until the loop is stopped, or for `duration_s`; then record the orderly end.
+
+        Raises UnavailableError where the bus did not take the last safe frames: they stay in
+        their file, and the service manager sends them.
+        """
         self.loop.run(duration_s)
         if self._service is not None:
             self._service.end()
+        if self.loop.gateway.gave_up:
+            what = "ended, but its last safe frames did not leave"
+            raise UnavailableError(Problem(what, remedy="look at the bus: vcu-gateway doctor"))
 
 
 def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:

@@ -159,6 +159,23 @@ def test_after_ten_ticks_it_is_over_whatever_left():
     assert ticked([True] * 10) == [False] * 9 + [True]
 
 
+@pytest.mark.parametrize(("unsent", "gave_up"), [
+    ([True] * 9, False),
+    ([True] * 10, True),
+    ([True] * 8 + [False] * 2, True),
+    ([True] * 7 + [False] * 3, False),
+    ([False] * 10, False),
+])  # fmt: skip
+def test_it_gives_up_where_fewer_than_three_of_ten_ticks_left(unsent, gave_up):
+    ending = Shutdown()
+    for failed in unsent:
+        assert not ending.gave_up
+        ending.note_tick(stopping=True)
+        if failed:
+            ending.note_unsent()
+    assert ending.gave_up is gave_up
+
+
 def test_while_it_may_not_talk_there_is_nothing_to_wait_for():
     assert ticked([False], talking=False) == [True]
 

@@ -260,6 +260,19 @@ def test_an_orderly_end_leaves_no_safe_frames_and_begins_a_new_drive(rig):
     assert one.service.start == CountedStart(2, 0)
 
 
+def test_safe_frames_that_did_not_leave_are_left_to_the_next_process(rig):
+    one = rig(active())
+    one.service.begin()
+    one.tick(2)
+    one.drive.gateway.requests.terminate()
+    one.drive.accepted = False
+    one.tick(10)
+    one.service.end()
+    assert one.safe_frames == f"can0\n{ZERO_TORQUE}"
+    one.service.begin()
+    assert one.service.start == CountedStart(2, 0), "an end that was asked for"
+
+
 def test_a_third_unexpected_restart_ends_arming_and_is_reported(rig):
     for times in range(4):
         one = rig(standby())

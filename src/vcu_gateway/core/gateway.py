@@ -194,6 +194,11 @@ class Gateway:
         """STOPPING has sent what it must, or cannot send; valid after each tick's sending."""
         return self._shutdown.over(self._listening.over)
 
+    @property
+    def gave_up(self) -> bool:
+        """STOPPING ended though its safe frames have not left; the last ones may carry torque."""
+        return self._shutdown.gave_up
+
     def snapshot(self, now_ns: int) -> Snapshot:
         """Every message as it is known now; frames that a tick has to judge stay for it."""
         return self.receiver.store.snapshot(now_ns)

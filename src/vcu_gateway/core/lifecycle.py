@@ -95,6 +95,13 @@ class Shutdown:
 
     def over(self, talking: bool) -> bool:
         """True where the safe frames were sent, or cannot be; valid after each tick's sending."""
-        sent_ticks = self._ticks - self._unsent_ticks - self._unsent_in_tick
-        given_up = self._ticks >= _TICKS_AT_MOST or not talking
-        return self._ticks > 0 and (sent_ticks >= _TICKS or given_up)
+        return self._ticks > 0 and (self._sent or self.gave_up or not talking)
+
+    @property
+    def gave_up(self) -> bool:
+        """True where the bus did not take the safe frames in time; valid as `over` is."""
+        return self._ticks >= _TICKS_AT_MOST and not self._sent
+
+    @property
+    def _sent(self) -> bool:
+        return self._ticks - self._unsent_ticks - self._unsent_in_tick >= _TICKS

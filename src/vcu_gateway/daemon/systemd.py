@@ -154,8 +154,11 @@ class ServiceReporter:
             self._manager.stopping()
 
     def end(self) -> None:
-        """Record an orderly end: the next start begins a new drive."""
-        if self._safe_frames is not None:
+        """Record an orderly end: the next start begins a new drive.
+
+        The safe frames are kept where they did not leave: `safe_stop` tries again.
+        """
+        if self._safe_frames is not None and not self._loop.gateway.gave_up:
             self._safe_frames.end()
         if self._starts is not None:
             self._starts.end()
