@@ -68,9 +68,9 @@ def test_the_gateway_runs_on_the_virtual_bus_and_writes_its_state(tmp_path):
     done = vcu("run", "-c", str(config), "--duration", "1.5", "--state-out", str(state))
     assert done.returncode == 0, done.stderr
     found = json.loads(state.read_text())
-    ticks = found["ticks"]
-    assert ticks["done"] <= 33 <= ticks["done"] + ticks["skipped"]
-    late = found["bus"]["refused"].get("late", 0)  # the machine held them up
+    ticks, late = found["ticks"], found["bus"]["refused"].get("late", 0)
+    # Where the machine held frames of the end up, another tick takes their place.
+    assert ticks["done"] - late <= 33 <= ticks["done"] + ticks["skipped"]
     assert found["bus"]["sent"] == 2 * (ticks["done"] - ticks["silent"]) - late
     assert found["messages"]["BMS_Status"]["signals"]["SOC"]["quality"] == "never"
     events = [json.loads(line)["event"] for line in done.stderr.splitlines()]
