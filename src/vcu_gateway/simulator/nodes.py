@@ -93,10 +93,7 @@ class Nodes:
         transforms: Sequence[Transform] = (),
         faults: Sequence[VehicleFault] = (),
     ) -> None:
-        """Start the grids at vehicle.start_ns; each frame passes transforms and faults in turn.
-
-        ValueError where the protocol has a message that the simulator cannot fill.
-        """
+        """Start the grids at vehicle.start_ns; each frame passes transforms and faults in turn."""
         self._codec = codec
         self.vehicle = vehicle
         self._faults = tuple(faults)
@@ -182,10 +179,15 @@ class Nodes:
 
 def _senders(codec: Codec, known: Mapping[str, Source]) -> dict[str, _Sender]:
     spoken = [m for m in codec.protocol.messages if m.sender != _GATEWAY_NODE]
-    unknown = [message.name for message in spoken if message.name not in known]
-    if unknown:
-        raise ValueError(f"the simulator does not know what to send in {', '.join(unknown)}")
-    return {m.name: _Sender(codec.by_name[m.name], known[m.name]) for m in spoken}
+    return {
+        m.name: _Sender(codec.by_name[m.name], known.get(m.name, _nearest_to_0)) for m in spoken
+    }
+
+
+def _nearest_to_0(count: int) -> Mapping[str, float]:
+    """Values of a message that the vehicle does not model: each signal's nearest to 0."""
+    del count
+    return {}
 
 
 def _answer(controller: str) -> str:
