@@ -396,6 +396,11 @@ def test_a_recording_without_one_readable_frame_is_wrong_data(tmp_path):
 # Formats
 
 
+def recorded(name: str) -> can.Message:
+    can_id = PROTOCOL.message(name).can_id
+    return next(one for one in recorded_messages() if one.arbitration_id == can_id)
+
+
 def recorded_messages() -> list[can.Message]:
     rng = random.Random(3)
     return [
@@ -466,7 +471,7 @@ def test_a_format_without_channels_has_null_for_the_channel(tmp_path, suffix):
 
 @pytest.mark.parametrize("suffix", ["asc", "csv", "db", "trc", "log"])
 def test_no_format_decodes_a_30_bit_identifier(tmp_path, suffix):
-    good, bad = recorded_messages()[3], recorded_messages()[3]
+    good, bad = recorded("IMU_Acceleration"), recorded("IMU_Acceleration")
     bad.arbitration_id |= 1 << 29
     path = written(tmp_path / f"drive.{suffix}", [good, bad, bad])
     ran = run(path)
@@ -485,7 +490,7 @@ def test_no_format_decodes_a_30_bit_identifier(tmp_path, suffix):
 
 @pytest.mark.parametrize("suffix", ["csv", "db"])
 def test_no_format_decodes_flags_in_an_identifier(tmp_path, suffix):
-    good, bad = recorded_messages()[3], recorded_messages()[3]
+    good, bad = recorded("IMU_Acceleration"), recorded("IMU_Acceleration")
     bad.arbitration_id |= 1 << 31
     ran = run(written(tmp_path / f"drive.{suffix}", [good, bad]))
     assert ran.summary[0] == "frames 1: decoded 1, not decoded 0; unreadable 1"
@@ -518,7 +523,8 @@ def test_a_database_row_that_is_no_frame_is_unreadable(tmp_path):
         base.execute("UPDATE messages SET arbitration_id = 'x' WHERE rowid = 4")
         base.commit()
     ran = run(path)
-    assert ran.summary[0] == "frames 33: decoded 33, not decoded 0; unreadable 3"
+    good = len(recorded_messages()) - 3
+    assert ran.summary[0] == f"frames {good}: decoded {good}, not decoded 0; unreadable 3"
     assert ran.problems[0] == (
         f"{path}, frame 2: time None or identifier {0x1808D0F4} is no number"
     )

@@ -178,7 +178,9 @@ class Nodes:
 
 
 def _senders(codec: Codec, known: Mapping[str, Source]) -> dict[str, _Sender]:
+    """What sends each message; the ones that the vehicle models first, they keep their phases."""
     spoken = [m for m in codec.protocol.messages if m.sender != _GATEWAY_NODE]
+    spoken.sort(key=lambda message: message.name not in known)
     return {
         m.name: _Sender(codec.by_name[m.name], known.get(m.name, _nearest_to_0)) for m in spoken
     }
