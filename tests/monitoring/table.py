@@ -3,19 +3,35 @@
 `python -m tests.monitoring.table` writes it again.
 """
 
-from tests.monitoring.paths import README
+import json
+
+from tests.monitoring.paths import DASHBOARD, README
+from tests.monitoring.promql import named
 from vcu_gateway.exporter import FAMILIES
 
 BEGIN = "<!-- metrics: python -m tests.monitoring.table -->\n"
 END = "<!-- end of metrics -->\n"
 
 
+def shown() -> set[str]:
+    """Families in a panel of the dashboard."""
+    panels = json.loads(DASHBOARD.read_text(encoding="utf-8"))["panels"]
+    targets = [target for panel in panels for target in panel.get("targets", ())]
+    return {
+        selector.name.removesuffix("_bucket")
+        for target in targets
+        for selector in named(target["expr"]).selectors
+    }
+
+
 def table() -> str:
     """A row for each family."""
-    rows = ["| metric | labels | type | meaning |", "| --- | --- | --- | --- |"]
+    rows = ["| metric | labels | type | meaning | panel |", "| --- | --- | --- | --- | --- |"]
+    in_a_panel = shown()
     for family in FAMILIES:
         labels = ", ".join(f"`{label}`" for label in family.labels)
-        rows.append(f"| `{family.name}` | {labels} | {family.kind} | {family.help} |")
+        panel = "yes" if family.name in in_a_panel else "no"
+        rows.append(f"| `{family.name}` | {labels} | {family.kind} | {family.help} | {panel} |")
     return "\n".join(rows) + "\n"
 
 

@@ -8,7 +8,6 @@ import pytest
 from tests.monitoring.known import complaints
 from tests.monitoring.paths import DASHBOARD
 from tests.monitoring.promql import named
-from vcu_gateway import exporter
 
 BOARD = json.loads(DASHBOARD.read_text(encoding="utf-8"))
 PANELS = [panel for panel in BOARD["panels"] if panel["type"] != "row"]
@@ -62,28 +61,3 @@ def test_the_data_source_and_the_gateway_are_variables():
     assert variables["datasource"]["query"] == "prometheus"
     assert "label_values(vcu_gateway_build_info" in variables["instance"]["query"]["query"]
     assert BOARD["schemaVersion"] >= 39
-
-
-def test_every_family_is_shown_but_the_few_named_here():
-    shown = {
-        one.name.removesuffix("_bucket")
-        for panel in PANELS
-        for target in panel["targets"]
-        for one in named(target["expr"]).selectors
-    }
-    elsewhere = {
-        "vcu_gateway_command_speed_limit_rpm",
-        "vcu_gateway_command_motor_reverse",
-        "vcu_gateway_command_regen_brake",
-        "vcu_gateway_command_power_cut",
-        "vcu_gateway_command_power_mode",
-        "vcu_gateway_limit_speed_rpm",
-        "vcu_gateway_link_state_seconds",
-        "vcu_gateway_start_time_seconds",
-        "vcu_gateway_up",
-        "process_max_fds",
-        "process_open_fds",
-        "process_start_time_seconds",
-        "process_virtual_memory_bytes",
-    }
-    assert {family.name for family in exporter.FAMILIES} - shown == elsewhere
