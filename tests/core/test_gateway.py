@@ -878,8 +878,10 @@ def test_a_bus_that_takes_nothing_does_not_hold_the_end_up_for_ever():
     for _ in range(9):
         drive.tick()
         assert not drive.gateway.finished
+        assert not drive.gateway.gave_up
     drive.tick()
     assert drive.gateway.finished
+    assert drive.gateway.gave_up
 
 
 def test_ending_while_listening_sends_nothing():
