@@ -348,14 +348,14 @@ class ReferenceModel:
         self.granted.append(None)
 
     def throttle_waits(self, demanded, now_ns):
-        """Whether any demand since the tick before, or the one that counts now, forbids it."""
+        """Whether a demand since the tick before forbids it, or one before that still does."""
         last = [] if demanded is None else [(demanded, now_ns, now_ns, False)]
         found = set()
         for one in [*self.granted, *(last or [None])]:
             if one is None:
                 self.apart_since_ns = None
                 continue
-            found |= self._waits_after(*one) | self.waiting
+            found |= self._waits_after(*one)
         self.granted = []
         return bool(found | self.waiting)
 

