@@ -776,27 +776,35 @@ class GatewayMachine(RuleBasedStateMachine):
 
 def test_the_invariants_hold_whatever_happens():
     COUNTS.clear()
-    profile = settings()
-    nightly = profile.max_examples > 1000
+    nightly = settings().max_examples > 1000
+    _run_machine(nightly)
+    if not _drove_enough():
+        _run_machine(nightly)  # the share is by chance: 22 to 61 % were seen
+    active = COUNTS[Mode.ACTIVE] / COUNTS["ticks"]
+    shown = {getattr(key, "value", key): count for key, count in COUNTS.items()}
+    print(f"\ninvariants: {shown}, {active:.0%} of the ticks in ACTIVE")
+    assert COUNTS["steps"] >= (100_000 if nightly else 3_000)
+    assert _drove_enough(), "the machine must drive, not only stand"
+    for kind in ("turned", "throttle waits", "braking", "speed limit on its way"):
+        assert COUNTS[kind] > 0, kind
+
+
+def _drove_enough():
+    ticks = COUNTS["ticks"]
+    return COUNTS[Mode.ACTIVE] > 0.25 * ticks and COUNTS["with throttle"] > 0.1 * ticks
+
+
+def _run_machine(nightly):
     run_state_machine_as_test(
         GatewayMachine,
         settings=settings(
-            max_examples=profile.max_examples if nightly else ORDINARY_EXAMPLES,
+            max_examples=settings().max_examples if nightly else ORDINARY_EXAMPLES,
             stateful_step_count=100 if nightly else 50,
             deadline=None,
             print_blob=True,
             report_multiple_bugs=False,
         ),
     )
-    active = COUNTS[Mode.ACTIVE] / COUNTS["ticks"]
-    shown = {getattr(key, "value", key): count for key, count in COUNTS.items()}
-    print(f"\ninvariants: {shown}, {active:.0%} of the ticks in ACTIVE")
-    assert COUNTS["steps"] >= (100_000 if nightly else 3_000)
-    # By chance: 22 to 61 % and 19 to 32 % were seen.
-    assert active > 0.1, "the machine must drive, not only stand"
-    assert COUNTS["with throttle"] > 0.05 * COUNTS["ticks"]
-    for kind in ("turned", "throttle waits", "braking", "speed limit on its way"):
-        assert COUNTS[kind] > 0, kind
 
 
 test_the_invariants_hold_whatever_happens = pytest.mark.timeout(7200)(
