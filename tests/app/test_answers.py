@@ -14,6 +14,16 @@ from vcu_gateway.server.commands import COMMANDS
 from vcu_gateway.server.dispatch import RELOAD
 
 SUBSCRIPTIONS = {"state.subscribe", "state.unsubscribe"}
+BY_NAME = {
+    "state.get": lambda client: client.state(),
+    "why": lambda client: client.why(),
+    "health": lambda client: client.health(),
+    "events": lambda client: client.events(200),
+    "config.get": lambda client: client.config(),
+    "protocol.get": lambda client: client.protocol(),
+    "config.reload": lambda client: client.reload(),
+    "disarm": lambda client: client.disarm(),
+}
 ANSWERED_IN_STANDBY = [*queries.QUERIES, "events", RELOAD, "disarm"]
 
 
@@ -26,6 +36,12 @@ def client(running):
 def test_every_method_has_exactly_one_answer():
     answered = [*queries.QUERIES, *COMMANDS, RELOAD, *SUBSCRIPTIONS]
     assert sorted(answered) == sorted(METHODS)
+
+
+@pytest.mark.parametrize("method", BY_NAME)
+def test_the_clients_method_returns_the_documented_shape(client: Client, method: str):
+    result = BY_NAME[method](client)
+    openrpc.result_adapter(METHODS[method].result).validate_python(result)
 
 
 @pytest.mark.parametrize("method", ANSWERED_IN_STANDBY)
