@@ -23,6 +23,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from tests.processors import started_on
+
 from bench.figures import percentile
 
 _HERE = Path(__file__).resolve().parent.parent
@@ -33,6 +35,7 @@ _ARM_WITHIN_S = 60.0
 _REPLY_WITHIN_S = 10.0
 _END_WITHIN_S = 60.0
 _START_FLOOD_S = 0.5
+_LOOK_EVERY_S = 0.05
 _SHARES = (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
 
 
@@ -176,7 +179,7 @@ def _gateway(tree: Path, folder: Path, options: argparse.Namespace) -> Iterator[
     """The gateway of this tree on its processor, ready for requests."""
     environment = {**os.environ, "PYTHONPATH": f"{tree / 'src'}:{tree}"}
     command = [sys.executable, "-m", "tests.app.ticking", str(folder)]
-    with _on(options.gateway_processors):
+    with started_on(options.gateway_processors):
         process = subprocess.Popen(
             command, cwd=tree, env=environment, stdout=subprocess.PIPE, text=True
         )
@@ -191,17 +194,6 @@ def _gateway(tree: Path, folder: Path, options: argparse.Namespace) -> Iterator[
         process.wait(_END_WITHIN_S)
 
 
-@contextlib.contextmanager
-def _on(processors: set[int]) -> Iterator[None]:
-    """Programs started in the block run on these processors only."""
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, processors)
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
 def _flood(path: Path, options: argparse.Namespace) -> subprocess.Popen[str]:
     seconds = options.seconds + 10 * _START_FLOOD_S
     arguments = ["--clients", str(options.clients), "--seconds", str(seconds)]
@@ -214,7 +206,7 @@ def _await_active(driver: Driver) -> None:
     while driver.mode != "active":
         if time.monotonic() > end_s:
             raise TimeoutError(f"the vehicle could not be armed: mode {driver.mode}")
-        time.sleep(0.05)
+        time.sleep(_LOOK_EVERY_S)
 
 
 def _stretch(seconds: float) -> tuple[int, int]:

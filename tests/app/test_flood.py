@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from tests.driven import wait_until
+from tests.processors import started_on
 from vcu_gateway.client import Client, DemandOwner, RefusedError
 
 SHARES = (0.5, 0.9, 0.99)
@@ -64,26 +65,15 @@ class Ticking:
         self.process.wait(60)
 
 
-@contextlib.contextmanager
-def on(processors: set[int]) -> Iterator[None]:
-    """What is started in the block runs on these processors only."""
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, processors)
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
 @pytest.fixture
 def ticking(tmp_path: Path) -> Iterator[Ticking]:
     command = [sys.executable, "-m", "tests.app.ticking", str(tmp_path)]
     first, *others = sorted(os.sched_getaffinity(0))
     with contextlib.ExitStack() as stack:
-        with on({first}):
+        with started_on({first}):
             process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         stack.enter_context(process)
-        stack.enter_context(on(set(others) or {first}))
+        stack.enter_context(started_on(set(others) or {first}))
         try:
             assert process.stdout is not None
             assert "ready\n" in process.stdout
