@@ -88,7 +88,7 @@ def stand_in_for_confirm() -> None:
     from vcu_gateway.bus import interface, socketcan
 
     there = interface.Interface(number=1, is_can=True, up=True, carrier=True, tx_queue_frames=0)
-    setattr(interface.Interfaces, "look", lambda *_: there)  # noqa: B010
+    setattr(interface.Interfaces, "look", lambda *_: there)  # noqa: B010 - mypy refuses to assign a method
     vars(socketcan).update(_FD_FRAME_BYTES=16)
     vars(socket).update(MSG_CONFIRM=socket.MSG_TRUNC)
 

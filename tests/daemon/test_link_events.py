@@ -146,7 +146,7 @@ def test_a_state_is_reported_when_it_changes_with_the_one_before(rig: LinkRig):
 
 def test_a_link_that_flickers_for_an_hour_does_not_fill_the_log(rig: LinkRig):
     told = []
-    rig.event_log.emit = told.append  # type: ignore[assignment]
+    rig.event_log.emit = told.append  # type: ignore[assignment]  # overheard
     for _ in range(36_000):
         rig.error(CONTROLLER, 0x08)
         rig.link_events.after_tick(rig.drive.now_ns)

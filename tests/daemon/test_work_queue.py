@@ -77,7 +77,10 @@ def test_a_signal_whose_handler_ends_after_the_time_does_not_keep_it():
 
 def test_a_signal_may_post_while_it_is_waited_for():
     queue, done = WorkQueue(), []
-    handler = lambda *_: queue.post(lambda: done.append(1))  # noqa: E731
+
+    def handler(*_: object) -> None:
+        queue.post(lambda: done.append(1))
+
     before = signal.signal(signal.SIGUSR1, handler)
     try:
         threading.Timer(0.05, os.kill, [os.getpid(), signal.SIGUSR1]).start()

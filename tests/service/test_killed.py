@@ -34,7 +34,7 @@ def test_a_kill_is_answered_by_zero_torque_of_a_fresh_process_and_an_unarmed_res
 class Answer(NamedTuple):
     """Of the fresh process, after a kill."""
 
-    count: int  # type: ignore[assignment]
+    count: int  # type: ignore[assignment]  # a tuple has a method of that name
     first_ms: float
     period_ms: float
     narrowest_ms: float  # the frames of the two gateways included

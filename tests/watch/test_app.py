@@ -323,7 +323,7 @@ def test_a_picture_that_does_not_change_writes_nothing():
     async def check(view: Shown) -> None:
         drawn: list[int] = []
         for lines in view.pilot.app.query(LinesWidget):
-            lines.refresh_line = drawn.append  # type: ignore[assignment]
+            lines.refresh_line = drawn.append  # type: ignore[assignment]  # overheard
         looks = view.source.looks
         await view.until(lambda: view.source.looks >= looks + 3)
         assert drawn == []

@@ -41,7 +41,7 @@ def result_adapter(result: type) -> TypeAdapter[Any]:
     """Validator and JSON schema of one result."""
     for one in vars(results).values():
         if isinstance(one, type) and one.__module__ == results.__name__:
-            one.__pydantic_config__ = _DOCUMENTED  # type: ignore[attr-defined]
+            one.__pydantic_config__ = _DOCUMENTED  # type: ignore[attr-defined]  # pydantic reads it
     return TypeAdapter(result)
 
 

@@ -111,7 +111,7 @@ class DemandSession:
 
     def _send(self, method: str, number: int, params: Mapping[str, object], now_ns: int) -> None:
         """A gateway that does not take a whole line at once has hung: the connection is broken."""
-        assert self.socket is not None  # noqa: S101
+        assert self.socket is not None  # noqa: S101 - who calls has it open
         if not self._unanswered:
             self._waiting_since_ns = now_ns
         self._unanswered[number] = method
