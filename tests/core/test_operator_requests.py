@@ -47,7 +47,16 @@ CUT = (Stimulus.CUT,)
 
 def inputs(*stimuli: Stimulus, found: Causes | None = None, **changes: Any) -> RequestInputs:
     """A released throttle without a cause, after these stimuli, but for the changes."""
-    healthy = RequestInputs(supervisor(*stimuli), found or causes(), NOTHING_DEMANDED, 200 * MS)
+    healthy = RequestInputs(
+        supervisor=supervisor(*stimuli),
+        causes=found or causes(),
+        demanded=NOTHING_DEMANDED,
+        zero_for_ns=200 * MS,
+        reverse_pending=False,
+        independent_directions=False,
+        listening=False,
+        restarts=0,
+    )
     return healthy._replace(**changes)
 
 
@@ -158,6 +167,13 @@ def test_a_reset_is_refused_while_the_cause_stands_or_was_seen_in_the_hold(absen
     found = causes(Effect.STOP, absent_ms=absent_ms)
     sentence = reset_refusal(inputs(*STOPPED, found=found), DRIVER)
     assert sentence == ("" if granted else "BMS_Status.X 2: stop stands or stood a moment ago")
+
+
+def test_of_several_causes_a_refusal_names_the_one_that_came_first():
+    found = causes(Effect.ALARM, Effect.STOP, Effect.CUT)
+    sentence = "BMS_Status.X 2: stop stands or stood a moment ago"
+    assert arming_refusal(inputs(*STANDBY, found=found)) == sentence
+    assert reset_refusal(inputs(*STOPPED, found=found), DRIVER) == sentence
 
 
 def test_a_reset_is_refused_while_throttle_is_demanded_and_not_for_want_of_a_demand():

@@ -52,10 +52,10 @@ class RequestInputs(NamedTuple):
     causes: Causes
     demanded: ControllerDemands | None
     zero_for_ns: int | None
-    reverse_pending: bool = False
-    independent_directions: bool = False
-    listening: bool = False
-    restarts: int = 0
+    reverse_pending: bool
+    independent_directions: bool
+    listening: bool
+    restarts: int
 
 
 class OperatorRequests:
