@@ -1,0 +1,76 @@
+"""A DBC of one's own is held against the protocol that the safety rules were written for."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
+from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.protocol.compatibility import differences
+
+PROTOCOL = dbc.load(packaged("vcu.dbc"))
+BATTERY = PROTOCOL.message("BMS_Status")
+SOC = next(signal for signal in BATTERY.signals if signal.name == "SOC")
+
+
+def with_battery(*messages: MessageSpec) -> ProtocolSpec:
+    """The packaged protocol with these messages instead of the battery's."""
+    others = [message for message in PROTOCOL.messages if message is not BATTERY]
+    return replace(PROTOCOL, messages=(*others, *messages))
+
+
+def of_the_battery(**changed: Any) -> list[str]:
+    return list(differences(with_battery(replace(BATTERY, **changed)), PROTOCOL))
+
+
+def of_the_soc(**changed: Any) -> list[str]:
+    signals = tuple(replace(one, **changed) if one is SOC else one for one in BATTERY.signals)
+    return of_the_battery(signals=signals)
+
+
+def test_the_packaged_protocol_agrees_with_itself():
+    assert list(differences(PROTOCOL, PROTOCOL)) == []
+
+
+def test_a_message_that_is_missing_is_named():
+    assert list(differences(with_battery(), PROTOCOL)) == ["there is no message BMS_Status"]
+
+
+def test_a_signal_that_is_missing_is_named():
+    rest = tuple(one for one in BATTERY.signals if one is not SOC)
+    assert of_the_battery(signals=rest) == ["BMS_Status has no signal SOC"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("can_id", 0x1808D0F5), ("sender", "PCU1"), ("period_ms", 499)]
+)
+def test_another_value_of_a_message_is_told_with_the_right_one(name, value):
+    right = getattr(BATTERY, name)
+    assert of_the_battery(**{name: value}) == [f"BMS_Status: {name} is {value}, not {right}"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("start_bit", SOC.start_bit + 1),
+        ("length_bits", SOC.length_bits - 1),
+        ("byte_order", "another"),
+        ("signed", not SOC.signed),
+        ("factor", SOC.factor * 2),
+        ("offset", SOC.offset + 1),
+        ("minimum", SOC.minimum - 1),
+        ("maximum", SOC.maximum + 1),
+        ("saturated_raw", 1),
+    ],
+)
+def test_another_value_of_a_signal_is_told_with_the_right_one(name, value):
+    right = getattr(SOC, name)
+    assert of_the_soc(**{name: value}) == [f"BMS_Status.SOC: {name} is {value}, not {right}"]
+
+
+def test_what_a_dbc_has_besides_is_no_difference():
+    further = replace(BATTERY, name="Further", can_id=0x1808D0F6)
+    assert list(differences(with_battery(BATTERY, further), PROTOCOL)) == []
+    signals = (*BATTERY.signals, replace(SOC, name="Further"))
+    assert of_the_battery(signals=signals) == []
