@@ -670,6 +670,27 @@ BROKEN = [
         "  level: &loop [*loop]",
         "27: aliases (*loop) are not read here; write the value out",
     ),
+    # the API's socket
+    (
+        "log:",
+        "api: {socket_path: control.sock}\nlog:",
+        '26: api.socket_path: must be an absolute path, not "control.sock";'
+        " such as /run/vcu-gateway/control.sock",
+    ),
+    (
+        "log:",
+        f"api: {{socket_path: /{'é' * 54}}}\nlog:",
+        "26: api.socket_path: must be at most 107 bytes long, as the kernel has it,"
+        f' not "/{"é" * 38}…"',
+    ),
+    *(
+        (
+            "log:",
+            f'api: {{socket_mode: "{mode}"}}\nlog:',
+            f'26: api.socket_mode: must be three octal digits, not "{mode}"; such as "0660"',
+        )
+        for mode in ("0680", "66", "1660", "rw-")
+    ),
 ]
 
 
