@@ -389,6 +389,10 @@ def test_what_yaml_itself_refuses_is_refused_as_in_a_configuration():
     assert problems("steps: 3\n") == ["s.yaml:1: steps: must be a list, - item in each line, not 3"]
 
 
+def scenario_of(*steps: str) -> Scenario:
+    return parse(f"steps: [{', '.join(steps)}]", "s", CODEC.protocol)
+
+
 def test_a_scenario_without_steps_starts_the_vehicle_otherwise():
     scenario = parse("start: {soc_pct: 12}", "s.yaml", CODEC.protocol)
     assert (scenario.start.soc_pct, scenario.steps) == (12, ())
@@ -402,6 +406,22 @@ def test_each_step_is_reported_when_it_begins_and_ends():
         "1.0 s: drop of IMU share_pct 50.0 begins",
         "1.5 s: drop of IMU share_pct 50.0 ends",
     ]
+
+
+def test_a_delayed_message_comes_later_by_what_the_step_says():
+    step = "{at_s: 0, fault: delay, of: BMS_Status, delay_ms: 70}"
+    healthy = [at for at, _ in drive(CODEC, scenario_of(), 3).heard_of("BMS_Status")]
+    late = [at for at, _ in drive(CODEC, scenario_of(step), 3).heard_of("BMS_Status")]
+    assert late == pytest.approx([at + 0.07 for at in healthy if at + 0.07 <= 3])
+
+
+def test_every_frame_of_a_duplicated_message_comes_twice_and_of_no_other():
+    step = "{at_s: 0, fault: duplicate, of: IMU_Attitude}"
+    healthy, doubled = drive(CODEC, scenario_of(), 3), drive(CODEC, scenario_of(step), 3)
+    twice = doubled.heard_of("IMU_Attitude")
+    assert twice[0::2] == twice[1::2]
+    assert len(twice) == 2 * len(healthy.heard_of("IMU_Attitude"))
+    assert len(doubled.heard_of("BMS_Status")) == len(healthy.heard_of("BMS_Status"))
 
 
 def test_the_command_line_names_a_wrong_scenario_and_opens_no_bus(tmp_path: Path):
