@@ -1,12 +1,17 @@
 """Who talks on the bus: everybody at the right rate; break one thing."""
 
+import socket
+import struct
+import threading
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.core.settings import REQUIRED_MESSAGES
+from vcu_gateway.doctor import bus_traffic
 from vcu_gateway.doctor.bus_traffic import ObservedTraffic, TrafficFacts, judge, listen
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.protocol import dbc, packaged
@@ -135,3 +140,37 @@ def test_an_interface_that_cannot_be_opened_is_unknown():
     no_socket = listen("nocan9", duration_s=0.01)
     assert isinstance(no_socket, Unreadable)
     assert only(judge(HEALTHY._replace(observed=no_socket))).kind.value == "unknown"
+
+
+# Receiving, from a socket whose other end is the test's.
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[socket.socket, socket.socket]]:
+    bus, node = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    with bus, node:
+        yield bus, node
+
+
+def can_frame(can_id: int) -> bytes:
+    return struct.pack("=IB3x8s", can_id, 8, bytes(8))
+
+
+def test_only_data_frames_with_29_bits_are_counted(ends):
+    bus, node = ends
+    extended, remote_request, error = 0x8000_0000, 0x4000_0000, 0x2000_0000
+    for flags in (extended, extended, extended | remote_request, error, 0):
+        node.send(can_frame(flags | 0x0F4))
+    observed = bus_traffic._received(bus, 0.05)
+    assert observed == ObservedTraffic(Counter(), Counter({0x0F4: 2}), 0.05)
+
+
+def test_a_flooded_bus_is_received_from_until_enough_is_known(ends):
+    bus, node = ends
+    frame = can_frame(0x8000_00F4)
+    flood = threading.Thread(target=lambda: [node.send(frame) for _ in range(20_000)])
+    flood.start()
+    observed = bus_traffic._received(bus, 60.0)
+    flood.join()
+    assert observed.remote == Counter({0x0F4: 20_000})
+    assert 0 < observed.duration_s < 60, "rates are those of the time that it took"

@@ -145,6 +145,19 @@ def test_a_room_that_breaks_is_unknown_and_hides_no_other(config, monkeypatch):
     assert findings[-1].subject == "gateway"
 
 
+@pytest.mark.parametrize("listen", [False, True])
+def test_an_interface_that_is_not_there_is_wrong_and_unknown_to_listen_to(config, listen):
+    config.write_text("bus: {interface: socketcan, channel: nocan9}\n")
+    found = list(checks.run_checks(config, listen=listen))
+    (wrong,) = [one for one in found if one.kind is CheckStatus.WRONG]
+    assert wrong.subject == "interface"
+    listened = [one for one in found if one.subject == "bus"]
+    assert len(listened) == listen
+    for one in listened:
+        assert (one.check, one.kind) == ("listen", CheckStatus.UNKNOWN)
+        assert one.what.startswith("cannot listen on nocan9: ")
+
+
 def test_a_socket_that_answers_nonsense_is_unknown(config):
     program = (
         "import json, socket, sys; s = socket.socket(socket.AF_UNIX); s.bind(sys.argv[1])\n"
