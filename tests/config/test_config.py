@@ -674,14 +674,18 @@ BROKEN = [
     (
         "log:",
         "api: {socket_path: control.sock}\nlog:",
-        '26: api.socket_path: must be an absolute path, not "control.sock";'
-        " such as /run/vcu-gateway/control.sock",
+        (
+            '26: api.socket_path: must be an absolute path, not "control.sock";'
+            " such as /run/vcu-gateway/control.sock"
+        ),
     ),
     (
         "log:",
         f"api: {{socket_path: /{'é' * 54}}}\nlog:",
-        "26: api.socket_path: must be at most 107 bytes long, as the kernel has it,"
-        f' not "/{"é" * 38}…"',
+        (
+            "26: api.socket_path: must be at most 107 bytes long, as the kernel has it,"
+            f' not "/{"é" * 38}…"'
+        ),
     ),
     *(
         (
