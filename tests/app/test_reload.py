@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import pytest
@@ -51,6 +52,26 @@ def test_an_invalid_file_changes_nothing_and_says_why_with_its_line(fresh):
         fresh.file.unlink()
         assert "gateway.yaml" in problems(client)[0]
         assert client.config() == before
+
+
+def test_a_reload_beside_another_one_is_refused_and_the_next_is_taken(fresh):
+    with fresh.client() as client:
+        with fresh.api.reloader._busy:
+            assert problems(client) == ("a reload is under way already",)
+        assert client.reload()["changed"] == []
+
+
+def test_a_reload_that_gets_no_thread_is_refused_and_the_next_is_taken(fresh, monkeypatch):
+    def no_thread(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with fresh.client() as client:
+        with monkeypatch.context() as starved:
+            starved.setattr(threading.Thread, "start", no_thread)
+            (problem,) = problems(client)
+        assert problem == "a reload cannot be begun: can't start new thread"
+        assert fresh.mode == "standby"
+        assert client.reload()["changed"] == []
 
 
 def test_keys_that_need_a_restart_are_named_and_nothing_is_taken(fresh):

@@ -1,7 +1,10 @@
-"""Locking memory: in a process of its own, whose limit is the test's."""
+"""Locking memory, in a process of its own, whose limit is the test's; collecting garbage."""
 
+import gc
 import subprocess
 import sys
+
+from vcu_gateway.daemon import realtime
 
 TOLD = "print(next(line for line in open('/proc/self/status') if line.startswith('VmLck')))"
 
@@ -28,3 +31,23 @@ def test_without_the_right_to_it_the_limit_is_named():
     assert done.returncode != 0
     assert "memory cannot be locked" in done.stderr
     assert "LimitMEMLOCK=" in done.stderr
+
+
+def test_garbage_is_collected_once_a_minute_and_by_nothing_else():
+    collected = []
+
+    def note(phase: str, info: dict[str, int]) -> None:
+        if phase == "stop":
+            collected.append((index, info["generation"]))
+
+    with realtime.few_pauses():
+        gc.callbacks.append(note)
+        try:
+            for index in range(2400):  # two minutes
+                kept = [[] for _ in range(1000)]
+                realtime.collect_after(index)
+                del kept
+        finally:
+            gc.callbacks.remove(note)
+    assert collected == [(1199, 2), (2399, 2)]
+    assert gc.isenabled()
