@@ -8,7 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from vcu_gateway import cli
-from vcu_gateway.errors import GatewayError
+from vcu_gateway.cli import generated
+from vcu_gateway.errors import GatewayError, UnavailableError
 from vcu_gateway.protocol import packaged
 
 REPOSITORY = packaged("vcu.yaml").resolve().parents[1]
@@ -138,3 +139,14 @@ def test_a_place_that_cannot_be_written_is_reported(tree):
         os.EX_UNAVAILABLE,
         ["/proc/vcu.dbc", " cannot be written"],
     )
+
+
+def test_a_file_that_cannot_be_replaced_stays_and_nothing_is_left_beside_it(tmp_path):
+    (tmp_path / "vcu.dbc").mkdir()
+    with pytest.raises(UnavailableError, match=r"vcu\.dbc: cannot be written: Is a directory"):
+        generated.replace(tmp_path / "vcu.dbc", "text")
+    (tmp_path / "vcu.md").write_text("as it was")
+    with pytest.raises(UnicodeEncodeError):
+        generated.replace(tmp_path / "vcu.md", "a lone surrogate: \udc80")
+    assert (tmp_path / "vcu.md").read_text() == "as it was"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["vcu.dbc", "vcu.md"]

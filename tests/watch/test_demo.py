@@ -1,5 +1,6 @@
 """`vcu-gateway demo`: a gateway that drives, shown as a real one is, and nothing left behind."""
 
+import os
 import re
 import shutil
 import signal
@@ -131,3 +132,15 @@ def test_a_child_that_cannot_start_says_why_with_its_exit_code(folder):
         DemoProcess(IN_PROCESS._replace(interface="socketcan", channel="none"))
     assert caught.value.exit_code == 69
     assert list(folder.iterdir()) == []
+
+
+def test_a_child_that_stands_still_is_killed_and_reported_as_a_bug(folder, monkeypatch):
+    monkeypatch.setattr("vcu_gateway.demo.process._PATIENCE_S", 0.5)
+    child = DemoProcess(IN_PROCESS)
+    with Client(child.socket_path) as client:
+        pid = client.health()["pid"]
+    os.kill(pid, signal.SIGSTOP)
+    with pytest.raises(GatewayError, match="it ended with -9") as caught, child:
+        pass
+    assert caught.value.exit_code == os.EX_SOFTWARE
+    assert is_gone(pid)
