@@ -24,6 +24,7 @@ VIEWS = [
     view_models.unreachable,
     ViewModel,
 ]
+KINDS = ("Status1", "Status2")
 SIZES = [(80, 24), (120, 40), (100, 30), (160, 50), (40, 10)]
 
 
@@ -150,6 +151,16 @@ def test_what_was_never_received_is_a_dash_and_the_word_never():
     assert re.search(r"speed rpm +max 12000 +- +max 12000 +-\n", page(view))
     assert re.search(r"PCU1_Status2 +never +stale", signals(view))
     assert re.search(r"MotorSpeed +- rpm +never", signals(view))
+
+
+def test_a_report_without_a_value_is_a_dash_and_so_is_what_is_worked_out_from_it():
+    view = view_models.driving()
+    of_pcu1 = {kind: view.state["messages"][f"PCU1_{kind}"]["signals"] for kind in KINDS}
+    of_pcu1["Status1"]["PowerMode"]["raw"] = None
+    of_pcu1["Status2"]["BatteryCurrent"]["value"] = None
+    table = text_of(controller_lines(view.state, roomy=False))
+    assert re.search(r"mode +turbo forward +- forward +turbo forward +turbo forward", table)
+    assert re.search(r"power W +max 60000 +- +max 60000 +5\d{3}", table)
 
 
 def test_every_signal_has_value_unit_and_quality_and_its_message_age_and_rate():
