@@ -69,17 +69,20 @@ test-core: setup
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
 
-# Not in `make test`: it takes 18 minutes. In this process alone: what tests start as a
-# program of its own counts for nothing.
+# Not in `make test`: it takes 18 minutes. What tests start as a program of its own counts too,
+# but for what a signal kills and for safe_stop.py, which -I -S keep coverage out of. Without CAN
+# in the kernel bus/socketcan.py runs in the lab alone, where nothing is measured.
 COVERED_SHELL := $(wildcard $(addprefix tests/,api app bus cli client config daemon doctor exporter \
 	protocol recording server simulator strict_yaml watch))
-coverage-shell: export COVERAGE_FILE = build/shell.coverage
+SHELL_COVERAGE := build/shell-coverage
+coverage-shell: export COVERAGE_FILE = $(SHELL_COVERAGE)/data
 coverage-shell: setup  ## branch coverage of everything outside the core (18 minutes)
+	rm -rf $(SHELL_COVERAGE)
 	mkdir -p build
-	$(BIN)/coverage erase
+	mkdir -m 1777 $(SHELL_COVERAGE)  # programs of other users write there, too
 	$(BIN)/coverage run -m pytest -q -m 'not slow' $(COVERED_SHELL)
 	$(BIN)/coverage combine -q
-	$(BIN)/coverage report --omit='src/vcu_gateway/core/*' --fail-under=91
+	$(BIN)/coverage report --include='src/vcu_gateway/*' --omit='src/vcu_gateway/core/*' --fail-under=97
 
 test-exhaustive: setup
 	$(BIN)/pytest -q $(ORDINARY) $(EXHAUSTIVE)
