@@ -185,7 +185,8 @@ def _gateway(tree: Path, folder: Path, options: argparse.Namespace) -> Iterator[
         )
     try:
         assert process.stdout is not None
-        if "ready\n" not in process.stdout:
+        # A line of its log, written at the same time, may stand before it.
+        if not any(line.endswith("ready\n") for line in process.stdout):
             raise RuntimeError(f"the gateway of {tree} did not start")
         threading.Thread(target=process.stdout.read, daemon=True).start()  # its log
         yield
