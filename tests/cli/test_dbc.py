@@ -13,6 +13,7 @@ from vcu_gateway.errors import GatewayError, UnavailableError
 from vcu_gateway.protocol import packaged
 
 REPOSITORY = packaged("vcu.yaml").resolve().parents[1]
+GENERATED = ("dbc/vcu.dbc", "src/vcu_gateway/protocol/vcu_dbc.py", "docs/protocol.md")
 
 
 class Ran(NamedTuple):
@@ -38,11 +39,11 @@ def tree(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def test_both_files_are_generated_in_the_source_tree(tree):
-    assert run() == Ran(0, "dbc/vcu.dbc written\ndocs/protocol.md written\n", "")
-    for name in ("dbc/vcu.dbc", "docs/protocol.md"):
+def test_every_file_is_generated_in_the_source_tree(tree):
+    assert run() == Ran(0, "".join(f"{name} written\n" for name in GENERATED), "")
+    for name in GENERATED:
         assert (tree / name).read_bytes() == (REPOSITORY / name).read_bytes()
-    assert run() == Ran(0, "dbc/vcu.dbc is current\ndocs/protocol.md is current\n", "")
+    assert run() == Ran(0, "".join(f"{name} is current\n" for name in GENERATED), "")
     assert run("--check") == Ran(0, "", "")
     assert sorted(path.name for path in (tree / "dbc").iterdir()) == ["vcu.dbc", "vcu.yaml"]
 
@@ -70,9 +71,19 @@ def test_a_check_names_every_missing_file_and_the_command_with_its_options(tree)
     named = [line for line in ran.err.splitlines() if not line.startswith("  ")]
     assert named == [
         f"a b.dbc is missing: run `{mending}`",
+        f"src/vcu_gateway/protocol/vcu_dbc.py is missing: run `{mending}`",
         f"docs/protocol.md is missing: run `{mending}`",
     ]
     assert sorted(path.name for path in tree.iterdir()) == ["dbc", "other.yaml"]
+
+
+def test_a_module_of_another_dbc_is_stale(tree):
+    run()
+    path = tree / "src/vcu_gateway/protocol/vcu_dbc.py"
+    path.write_text(path.read_text().replace("factor=0.001", "factor=0.002", 1))
+    ran = run("--check")
+    assert ran.code == 1
+    assert ran.err.startswith("src/vcu_gateway/protocol/vcu_dbc.py is not what the definition says")
 
 
 def test_a_file_with_other_line_ends_is_stale(tree):

@@ -104,9 +104,12 @@ def test_it_comes_with_a_configuration_that_it_accepts(run, installed):
 
 def test_it_makes_the_dbc_that_it_comes_with(run, installed, tmp_path):
     (data,) = installed.parent.glob("lib/*/site-packages/vcu_gateway/data")
-    names = ("--definition", str(data / "vcu.yaml"), "--output", "vcu.dbc", "--page", "page.md")
+    outputs = ("--output", "vcu.dbc", "--module", "vcu_dbc.py", "--page", "page.md")
+    names = ("--definition", str(data / "vcu.yaml"), *outputs)
     run("dbc", *names)
     assert (tmp_path / "vcu.dbc").read_bytes() == (data / "vcu.dbc").read_bytes()
+    module = data.parent / "protocol" / "vcu_dbc.py"
+    assert (tmp_path / "vcu_dbc.py").read_bytes() == module.read_bytes()
     run("dbc", "--check", *names)
 
 

@@ -1,11 +1,23 @@
 """The committed DBC against the definition, cantools and, typed by hand, docs/protocol.md."""
 
+import hashlib
+import subprocess
+import sys
+
 import cantools
 import pytest
 
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError
-from vcu_gateway.protocol import dbc, definition, docs_page, packaged
+from vcu_gateway.protocol import (
+    cantools_dbc,
+    dbc,
+    dbc_module,
+    definition,
+    docs_page,
+    packaged,
+    vcu_dbc,
+)
 
 DEFINITION = definition.load(packaged("vcu.yaml"))
 DBC_PATH = packaged("vcu.dbc")
@@ -14,7 +26,7 @@ REPOSITORY = packaged("vcu.yaml").resolve().parents[1]
 
 
 def test_the_committed_dbc_is_what_the_definition_says():
-    assert dbc.write(DEFINITION) == DBC_TEXT
+    assert cantools_dbc.write(DEFINITION) == DBC_TEXT
 
 
 def test_the_committed_page_is_what_the_definition_says():
@@ -30,8 +42,55 @@ def test_the_dbc_says_all_that_the_definition_says():
     assert list(read.nodes) == list(DEFINITION.spec.nodes)
 
 
+def test_the_module_holds_every_field_that_cantools_reads():
+    read = cantools_dbc.parse(DBC_TEXT)
+    assert read == vcu_dbc.PROTOCOL
+    assert list(vcu_dbc.PROTOCOL.nodes) == list(read.nodes)
+    # Equal is not enough: 1 == 1.0 == True, and the decoders' source differs.
+    assert repr(vcu_dbc.PROTOCOL) == repr(read)
+
+
+def test_the_committed_module_is_what_the_dbc_says():
+    module = REPOSITORY / "src/vcu_gateway/protocol/vcu_dbc.py"
+    assert dbc_module.write(DBC_TEXT) == module.read_text(encoding="utf-8")
+
+
+def test_the_module_of_any_dbc_says_the_same_as_that_dbc():
+    text = DBC_TEXT.replace("Steering angle", "\\ ' {x}\\n \\\\ \u2028 Steering angle")
+    assert text != DBC_TEXT
+    made: dict[str, object] = {}
+    exec(dbc_module.write(text), made)
+    assert made["PROTOCOL"] == cantools_dbc.parse(text)
+    assert made["SHA256"] == hashlib.sha256(text.encode()).hexdigest()
+
+
+LOADED = """
+import sys; from pathlib import Path; from vcu_gateway.protocol import dbc
+protocol = dbc.load(Path(sys.argv[1]))
+print("cantools" in sys.modules, protocol.message("IMU_Attitude").period_ms)
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        pytest.param(b"", b"", "False 10\n", id="the packaged one"),
+        pytest.param(b"this gateway", b"this Gateway", "True 10\n", id="a byte of a comment"),
+        pytest.param(b"BO_ 2215432313 10;", b"BO_ 2215432313 20;", "True 20\n", id="a period"),
+        pytest.param(b"\n", b"\r\n", "True 10\n", id="line ends"),
+    ],
+)
+def test_cantools_reads_every_dbc_but_the_packaged_one(tmp_path, old, new, told):
+    path = tmp_path / "own.dbc"
+    path.write_bytes(DBC_TEXT.encode().replace(old, new, -1 if old else 0))
+    done = subprocess.run([sys.executable, "-c", LOADED, path], capture_output=True, text=True)
+    assert done.stdout == told, done.stderr
+
+
 def test_generating_twice_gives_the_same_bytes():
-    assert dbc.write(definition.load(packaged("vcu.yaml"))) == dbc.write(DEFINITION)
+    assert cantools_dbc.write(definition.load(packaged("vcu.yaml"))) == cantools_dbc.write(
+        DEFINITION
+    )
 
 
 # What docs/protocol.md says, typed by hand: a slip of the definition's author is found here.
@@ -271,7 +330,7 @@ def test_a_comment_with_quotes_survives():
     plain, quoted = "comment: toggles on every frame", "comment: 'toggles \"always\", on | off'"
     text = text.replace(plain, quoted)
     defined = definition.parse(text)
-    assert dbc.parse(dbc.write(defined)).messages == defined.spec.messages
+    assert cantools_dbc.parse(cantools_dbc.write(defined)).messages == defined.spec.messages
     row = next(
         line for line in docs_page.write(defined).splitlines() if line.startswith("| LifeSignal")
     )
@@ -281,7 +340,7 @@ def test_a_comment_with_quotes_survives():
 def test_a_big_endian_signed_definition_survives():
     text = packaged("vcu.yaml").read_text(encoding="utf-8").replace("little\n", "big\n")
     defined = definition.parse(text.replace("unit: rpm, minimum: 0, maximum: 6000", "factor: -2"))
-    read = dbc.parse(dbc.write(defined))
+    read = cantools_dbc.parse(cantools_dbc.write(defined))
     assert read.messages == defined.spec.messages
     assert read.message("PCU1_Status2").signal("BatteryCurrent") == SignalSpec(
         "BatteryCurrent",
@@ -304,7 +363,7 @@ def lines(*rows: str) -> str:
 
 def test_a_foreign_dbc_without_our_attributes_is_read():
     text = lines("BO_ 2566844926 M: 8 A", ' SG_ S : 0|8@1+ (0.5,-1) [0|0] "x" B')
-    assert dbc.parse(text) == ProtocolSpec(
+    assert cantools_dbc.parse(text) == ProtocolSpec(
         messages=(
             MessageSpec(
                 "M",
@@ -357,7 +416,7 @@ def test_a_foreign_dbc_without_our_attributes_is_read():
 )
 def test_a_dbc_that_this_gateway_cannot_decode_is_refused(rows, message):
     with pytest.raises(DataError) as caught:
-        dbc.parse(lines(*rows), "other.dbc")
+        cantools_dbc.parse(lines(*rows), "other.dbc")
     assert f"other.dbc: {message}" in str(caught.value)
 
 

@@ -33,7 +33,7 @@ _VERBS = {
     "check-config": "check a configuration file",
     "doctor": "check this machine, and say how to fix what fails",
     "schema": "JSON Schema of the configuration, OpenRPC document of the API",
-    "dbc": "generate the DBC and the protocol page, or check that they are current",
+    "dbc": "generate the DBC, its module and the protocol page, or check that they are current",
     "completion": "print the completion script of a shell",
     "version": "print the versions that matter for a bug report",
 }

@@ -1,125 +1,11 @@
-"""DBC of the protocol, written and read through cantools."""
+"""DBC file -> protocol: known beforehand for the packaged DBC, else read by cantools."""
 
-from collections import OrderedDict
+import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from vcu_gateway import python_can  # noqa: F401 - cantools imports python-can
-
-# isort: split
-import cantools
-from cantools.database import Database, Message, Node, Signal
-from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute
-from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttributeDefinition
-from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
-from cantools.database.conversion import BaseConversion
-from cantools.database.namedsignalvalue import NamedSignalValue
-
-from vcu_gateway.core import j1939
-from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec, SignalSpec
-from vcu_gateway.errors import DataError, MissingInputError, Problem
-
-if TYPE_CHECKING:  # the daemon reads a DBC and never the definition
-    from vcu_gateway.protocol.definition import Definition
-
-_FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG"]
-_SATURATED = "VcuSaturatedRaw"
-_NOT_SATURATED = -1
-
-_Definitions = OrderedDict[str, Any]
-
-
-def write(definition: "Definition") -> str:
-    """The DBC of a definition, the same text every time."""
-    spec = definition.spec
-    definitions = _attribute_definitions()
-    database = Database(
-        messages=[_message(message, definitions) for message in spec.messages],
-        nodes=[
-            Node(
-                name,
-                definition.node_comments.get(name) or None,
-                _specifics(definitions, NmStationAddress=address),
-            )
-            for name, address in spec.nodes.items()
-        ],
-        version=definition.version,
-        dbc_specifics=DbcSpecifics(
-            attributes=_attributes(
-                definitions, BusType="CAN", ProtocolType="J1939", DBName=definition.name
-            ),
-            attribute_definitions=definitions,
-        ),
-    )
-    return str(database.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
-
-
-def _attribute_definitions() -> _Definitions:
-    definitions: list[Any] = [
-        DbcAttributeDefinition("BusType", default_value="CAN", type_name="STRING"),
-        DbcAttributeDefinition("ProtocolType", default_value="J1939", type_name="STRING"),
-        DbcAttributeDefinition("DBName", default_value="", type_name="STRING"),
-        DbcAttributeDefinition("NmStationAddress", 254, "BU_", "INT", 0, 255),
-        DbcAttributeDefinition(
-            "VFrameFormat", "StandardCAN", "BO_", "ENUM", choices=_FRAME_FORMATS
-        ),
-        DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),
-        DbcAttributeDefinition(_SATURATED, _NOT_SATURATED, "SG_", "INT", _NOT_SATURATED, 2**31 - 1),
-    ]
-    return OrderedDict((definition.name, definition) for definition in definitions)
-
-
-def _attributes(definitions: _Definitions, **values: Any) -> OrderedDict[str, Any]:
-    return OrderedDict((name, DbcAttribute(v, definitions[name])) for name, v in values.items())
-
-
-def _specifics(definitions: _Definitions, **values: Any) -> DbcSpecifics:
-    return DbcSpecifics(attributes=_attributes(definitions, **values))
-
-
-def _message(message: MessageSpec, definitions: _Definitions) -> Message:
-    return Message(
-        frame_id=message.can_id,
-        name=message.name,
-        length=FRAME_LENGTH_BYTES,
-        signals=[_signal(signal, message, definitions) for signal in message.signals],
-        comment=message.comment or None,
-        senders=[message.sender],
-        is_extended_frame=True,
-        strict=True,
-        protocol="j1939",
-        cycle_time=message.period_ms,
-        sort_signals=None,
-    )
-
-
-def _signal(signal: SignalSpec, message: MessageSpec, definitions: _Definitions) -> Signal:
-    choices: Any = OrderedDict(
-        (code, NamedSignalValue(code, name)) for code, name in signal.names.items()
-    )
-    saturated = signal.saturated_raw
-    attributes = {} if saturated is None else {_SATURATED: saturated}
-    return Signal(
-        name=signal.name,
-        start=signal.start_bit,
-        length=signal.length_bits,
-        byte_order="little_endian" if signal.byte_order == "little" else "big_endian",
-        is_signed=signal.signed,
-        conversion=BaseConversion.factory(
-            scale=_plain(signal.factor), offset=_plain(signal.offset), choices=choices or None
-        ),
-        minimum=_plain(signal.minimum),
-        maximum=_plain(signal.maximum),
-        unit=signal.unit or None,
-        comment=signal.comment or None,
-        receivers=list(message.receivers),
-        dbc_specifics=_specifics(definitions, **attributes),
-    )
-
-
-def _plain(number: float) -> float:
-    """Whole numbers without a decimal point, as people write them in a DBC."""
-    return int(number) if float(number).is_integer() else number
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.errors import MissingInputError, Problem
+from vcu_gateway.protocol import vcu_dbc
 
 
 def load(path: Path) -> ProtocolSpec:
@@ -129,90 +15,13 @@ def load(path: Path) -> ProtocolSpec:
     what this gateway cannot decode.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        contents = path.read_bytes()
+        text = contents.decode().replace("\r\n", "\n")
     except (OSError, UnicodeDecodeError) as error:
         raise MissingInputError(Problem(f"cannot be read: {error}", str(path))) from error
-    return parse(text, str(path))
+    if hashlib.sha256(contents).hexdigest() == vcu_dbc.SHA256:
+        return vcu_dbc.PROTOCOL
+    # Imported where it is needed: no start with the packaged DBC waits for cantools.
+    from vcu_gateway.protocol import cantools_dbc
 
-
-def parse(text: str, where: str = "dbc") -> ProtocolSpec:
-    """As `load`, from text; `where` is the file name that errors show."""
-    try:
-        database: Any = cantools.database.load_string(text, "dbc", sort_signals=None)
-    except (cantools.Error, ValueError) as error:
-        what = f"is no DBC that cantools reads: {' '.join(str(error).split())}"
-        raise DataError(Problem(what, where)) from error
-    problems = [
-        Problem(what, where, "run `vcu-gateway dbc` to generate it again")
-        for message in database.messages
-        for what in _unfit(message)
-    ]
-    if problems:
-        raise DataError(*problems)
-    return ProtocolSpec(
-        messages=tuple(_read_message(message) for message in database.messages),
-        nodes={node.name: _node_address(node) for node in database.nodes},
-    )
-
-
-def _unfit(message: Any) -> list[str]:
-    found = []
-    if not message.is_extended_frame:
-        found.append(f"{message.name} has an 11-bit identifier; only 29-bit ones are used here")
-    if message.length != FRAME_LENGTH_BYTES:
-        found.append(f"{message.name} has {message.length} bytes, not {FRAME_LENGTH_BYTES}")
-    if not message.senders:
-        found.append(f"{message.name} has no sender")
-    found += [
-        f"{message.name}.{signal.name} is a float or multiplexed signal"
-        for signal in message.signals
-        if signal.is_float or signal.multiplexer_ids or signal.is_multiplexer
-    ]
-    return found
-
-
-def _node_address(node: Any) -> int:
-    attributes = node.dbc.attributes if node.dbc else {}
-    attribute = attributes.get("NmStationAddress")
-    return int(attribute.value) if attribute is not None else 254
-
-
-def _read_message(message: Any) -> MessageSpec:
-    receivers = dict.fromkeys(r for signal in message.signals for r in signal.receivers)
-    return MessageSpec(
-        name=message.name,
-        can_id=message.frame_id & j1939.ID_MASK,
-        sender=message.senders[0],
-        receivers=tuple(receivers),
-        period_ms=message.cycle_time or None,
-        signals=tuple(_read_signal(signal) for signal in message.signals),
-        comment=message.comment or "",
-    )
-
-
-def _read_signal(signal: Any) -> SignalSpec:
-    attributes = signal.dbc.attributes if signal.dbc else {}
-    saturated = attributes.get(_SATURATED)
-    whole = SignalSpec(
-        signal.name, signal.start, signal.length, 0, 0, _order(signal), signal.is_signed
-    )
-    ends = [raw * signal.scale + signal.offset for raw in (whole.raw_lowest, whole.raw_highest)]
-    return SignalSpec(
-        name=signal.name,
-        start_bit=signal.start,
-        length_bits=signal.length,
-        byte_order=_order(signal),
-        signed=signal.is_signed,
-        factor=float(signal.scale),
-        offset=float(signal.offset),
-        unit=signal.unit or "",
-        minimum=min(ends) if signal.minimum is None else float(signal.minimum),
-        maximum=max(ends) if signal.maximum is None else float(signal.maximum),
-        names={code: str(named) for code, named in (signal.choices or {}).items()},
-        saturated_raw=None if saturated is None else int(saturated.value),
-        comment=signal.comment or "",
-    )
-
-
-def _order(signal: Any) -> Any:
-    return "little" if signal.byte_order == "little_endian" else "big"
+    return cantools_dbc.parse(text, str(path))
