@@ -205,8 +205,9 @@ lint: setup  ## style, types, spelling, import contracts, generated files
 	$(BIN)/vcu-gateway schema --yaml --check
 	$(BIN)/python scripts/import-graph --check
 
-bench: setup  ## compare with the naive way; writes docs/benchmarks.md
-	$(BIN)/python -m bench
+AGAINST :=
+bench: setup  ## compare with the naive way, and with AGAINST=TREE; writes docs/benchmarks.md
+	$(BIN)/python -m bench $(if $(AGAINST),--against $(AGAINST))
 
 lock: setup  ## resolve and hash the dependencies again
 	scripts/lock $(BIN)

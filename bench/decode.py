@@ -6,7 +6,7 @@ from typing import Any
 import cantools
 
 from bench import DBC
-from bench.figures import Figure, Options, in_turns
+from bench.figures import Figure, Options, compared, in_turns
 from bench.traffic import codec, random_mix
 from vcu_gateway.core.codec import MessageCodec
 from vcu_gateway.core.frame import Frame
@@ -35,12 +35,13 @@ def figures(options: Options) -> Iterator[Figure]:
 
     ways = {"both": find_and_decode, "decode": decode_only, "cantools": by_cantools}
     took = {
-        name: ns / len(mix) / 1e3
-        for name, ns in in_turns(ways, calls=5, repeats=options.repeats(100)).items()
+        name: [ns / len(mix) / 1e3 for ns in taken]
+        for name, taken in in_turns(ways, calls=5, repeats=options.repeats(100)).items()
     }
     peer = took["cantools"]
-    yield Figure("decode a frame of the mix", "µs", took["decode"], peer, "cantools", 1 / 4, 1 / 5)
-    yield Figure("find its message and decode it", "µs", took["both"], peer, "cantools")
+    name = "decode a frame of the mix"
+    yield compared(name, "µs", took["decode"], peer, "cantools", 1 / 4, 1 / 5)
+    yield compared("find its message and decode it", "µs", took["both"], peer, "cantools")
 
 
 def message_of(frame: Frame) -> MessageCodec:

@@ -7,7 +7,7 @@ from typing import Any
 import cantools
 
 from bench import DBC
-from bench.figures import Figure, Options, in_turns
+from bench.figures import Figure, Options, compared, in_turns
 from bench.traffic import codec
 
 _COMMAND = "VCU_PCU1_Command"
@@ -36,13 +36,6 @@ def figures(options: Options) -> Iterator[Figure]:
 
     ways = {"ours": by_us, "cantools": by_cantools}
     took = in_turns(ways, calls=10, repeats=options.repeats(60))
-    ours_us, peer_us = (took[name] / len(commands) / 1e3 for name in ways)
-    yield Figure(
-        "encode a command with range checks",
-        "µs",
-        ours_us,
-        peer_us,
-        "cantools strict",
-        1 / 10,
-        1 / 15,
-    )
+    ours_us, peer_us = ([ns / len(commands) / 1e3 for ns in took[name]] for name in ways)
+    name = "encode a command with range checks"
+    yield compared(name, "µs", ours_us, peer_us, "cantools strict", 1 / 10, 1 / 15)

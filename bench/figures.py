@@ -2,9 +2,10 @@
 
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 _COARSE_NS = 1_000_000
 
@@ -16,6 +17,8 @@ class Figure:
     Attributes:
         ours, peer: in `unit`, lower is better; peer is None where there is nothing to compare.
         target, stretch: limits for ours / peer, or for ours itself where `absolute`.
+        ratio: ours / peer; of figures measured in turns, the median of the turns' ratios.
+        spread: lowest and highest of the turns: of the ratio, or of ours where there is no peer.
     """
 
     name: str
@@ -26,10 +29,8 @@ class Figure:
     target: float | None = None
     stretch: float | None = None
     absolute: bool = False
-
-    @property
-    def ratio(self) -> float | None:
-        return self.ours / self.peer if self.peer else None
+    ratio: float | None = None
+    spread: tuple[float, float] | None = None
 
     @property
     def verdict(self) -> str:
@@ -42,19 +43,60 @@ class Figure:
 
     def cells(self) -> list[str]:
         """The line of the table as text."""
-        limit = {True: _number, False: _ratio}[self.absolute]
+        limit = _number if self.absolute else _ratio
+        beside = "" if self.peer is None else f"{_with_unit(self.peer, self.unit)}"
+        spread = "" if self.spread is None else " … ".join(
+            map(_number if self.ratio is None else _ratio, self.spread)
+        )  # fmt: skip
         return [
             self.name,
-            f"{_number(self.ours)} {self.unit}",
-            f"{_number(self.peer)} {self.unit} ({self.peer_name})" if self.peer is not None else "",
+            _with_unit(self.ours, self.unit),
+            f"{beside} ({self.peer_name})" if beside else "",
             _ratio(self.ratio),
+            spread,
             limit(self.target),
             limit(self.stretch),
             self.verdict,
         ]
 
 
-HEADER = ["figure", "ours", "peer", "ratio", "target", "stretch", "verdict"]
+HEADER = ["figure", "ours", "peer", "ratio", "spread", "target", "stretch", "verdict"]
+
+
+def compared(
+    name: str,
+    unit: str,
+    ours: Sequence[float],
+    peer: Sequence[float],
+    peer_name: str,
+    target: float | None = None,
+    stretch: float | None = None,
+) -> Figure:
+    """Two ways that ran in turns, a value of each for every turn."""
+    ratios = [one / other for one, other in zip(ours, peer, strict=True) if other]
+    return Figure(
+        name,
+        unit,
+        statistics.median(ours),
+        statistics.median(peer),
+        peer_name,
+        target,
+        stretch,
+        ratio=statistics.median(ratios) if ratios else None,
+        spread=(min(ratios), max(ratios)) if ratios else None,
+    )
+
+
+def alone(
+    name: str,
+    unit: str,
+    ours: Sequence[float],
+    target: float | None = None,
+    stretch: float | None = None,
+) -> Figure:
+    """Ours without a peer, a value for every turn."""
+    middle, spread = statistics.median(ours), (min(ours), max(ours))
+    return Figure(name, unit, middle, target=target, stretch=stretch, absolute=True, spread=spread)
 
 
 def _number(value: float | None) -> str:
@@ -67,11 +109,21 @@ def _ratio(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
+def _with_unit(value: float, unit: str) -> str:
+    return f"{_number(value)} {unit}".rstrip()
+
+
 @dataclass(frozen=True)
 class Options:
-    """How much time there is: 1 for the full length, less for a quick look."""
+    """How much time there is, and what else is measured.
+
+    Attributes:
+        share: 1 for the full length, less for a quick look.
+        against: another source tree, run in turns with this one.
+    """
 
     share: float = 1.0
+    against: Path | None = None
 
     def seconds(self, full_s: float) -> float:
         return max(0.8, full_s * self.share)
@@ -94,8 +146,8 @@ def counts_finely() -> bool:
 
 def in_turns(
     ways: Mapping[str, Callable[[], object]], calls: int, repeats: int
-) -> dict[str, float]:
-    """Processor time of one call of each way in ns: the median of many turns A B A B ..."""
+) -> dict[str, list[float]]:
+    """Processor time of one call of each way in ns, for each of many turns A B A B ..."""
     clock_ns = time.thread_time_ns if counts_finely() else time.perf_counter_ns
     times: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(repeats):
@@ -104,10 +156,10 @@ def in_turns(
             for _ in range(calls):
                 way()
             times[name].append((clock_ns() - before_ns) / calls)
-    return {name: statistics.median(taken) for name, taken in times.items()}
+    return times
 
 
-def percentile(values: list[float], share: float) -> float:
+def percentile(values: Sequence[float], share: float) -> float:
     """The value below which this share (0..1) lies; nan without values."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else float("nan")

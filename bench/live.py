@@ -1,29 +1,27 @@
-"""A whole program on the bus for some seconds, a C program keeping time beside it."""
+"""A whole program on the bus for some seconds, watched from outside."""
 
 import json
-import shutil
 import signal
-import socket
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from pathlib import Path
 from typing import Any, TextIO
 
-from bench.wire import Wire, cpu_ns, resident_mb, take
+from tests.processors import started_on
+
+from bench import under_test
+from bench.under_test import Program
+from bench.wire import Wire, cpu_ns, resident_mb, times_woken
 
 PERIOD_NS = 50_000_000
 _WARM_UP_S = 0.7
 _FIRST_COMMAND = 0x0008A7D0
 _START_WITHIN_S = 20.0
-_SO_TIMESTAMPNS = 35
 
 
 @dataclass(frozen=True)
@@ -59,75 +57,124 @@ def cadence(stamps_ns: list[int]) -> Cadence:
 
 
 @dataclass(frozen=True)
+class TimedTick:
+    """A tick that a program timed itself.
+
+    Attributes:
+        cpu_ns: processor time from the snapshot until the last frame was sent.
+    """
+
+    deadline_ns: int
+    lateness_ns: int
+    cpu_ns: int = 0
+    mode: str = ""
+
+
+@dataclass(frozen=True)
 class Live:
-    """One run.
+    """One run, from the end of the warm-up.
 
     Attributes:
         share_pct: of one core.
+        woken_per_s: how often its threads began to wait.
         stamps_ns: arrival of the first command of each cycle.
-        c_stamps_ns, c_late_ns: the C program's frames, and how late it woke; empty without cc.
-        found: what the program printed at its end.
+        ticks: empty where the program does not time them.
+        refused: frames for which the bus had no room, of so many `offered`.
     """
 
     share_pct: float
+    woken_per_s: float
     resident_mb: float
     stamps_ns: list[int]
-    c_stamps_ns: list[int] = field(default_factory=list)
-    c_late_ns: list[int] = field(default_factory=list)
-    found: dict[str, Any] = field(default_factory=dict)
+    ticks: list[TimedTick]
+    refused: int
+    offered: int
+
+    @property
+    def cadence(self) -> Cadence:
+        return cadence(self.stamps_ns)
 
 
 @contextmanager
-def started(wire: Wire, program: str, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """A program of program.py at the other end of the wire; its log is shown if all fails."""
-    command = [sys.executable, "-m", "bench.program", program, *wire.arguments, *options]
-    with (
-        tempfile.TemporaryFile("w+") as said,
-        subprocess.Popen(
-            command, pass_fds=wire.fds, stdout=subprocess.PIPE, stderr=said, text=True
-        ) as child,
-    ):
+def started(
+    wire: Wire, program: Program, *options: str, notify: str | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """A program at the other end of the wire; what it said is shown if all fails."""
+    command = [*program.command(wire.far_fd), *options]
+    environment = under_test.environment(program.tree)
+    if notify is not None:
+        environment["NOTIFY_SOCKET"] = notify
+    with tempfile.TemporaryFile("w+") as said:
+        with started_on(under_test.processors()[0]):
+            child = subprocess.Popen(
+                command,
+                cwd=under_test.HERE,
+                env=environment,
+                pass_fds=() if wire.far_fd is None else (wire.far_fd,),
+                stdout=subprocess.PIPE,
+                stderr=said,
+                text=True,
+            )
         try:
-            yield child
+            with child:
+                try:
+                    yield child
+                finally:
+                    if child.poll() is None:
+                        child.send_signal(signal.SIGTERM)
+                        child.communicate()
         except Exception as error:
-            error.add_note(_said(said))
+            error.add_note(_said(program, said))
             raise
-        finally:
-            if child.poll() is None:
-                child.send_signal(signal.SIGTERM)
-                child.communicate()
 
 
-def _said(file: TextIO) -> str:
+def _said(program: Program, file: TextIO) -> str:
     file.seek(0)
-    return f"the program under test said: {file.read()[-2000:]}"
+    return f"{program.name} said: {file.read()[-2000:]}"
 
 
-def run(program: str, per_s: float, seconds: float, *options: str) -> Live:
+def run(program: Program, per_s: float, seconds: float, *options: str) -> Live:
     """Start, warm up, watch for `seconds`, stop."""
     with (
-        Wire(per_s, echo=program == "ours") as wire,
+        Wire(per_s, echo=program.tree is not None) as wire,
         started(wire, program, *options) as child,
-        _yardstick() as c_end,
     ):
         await_frame(wire)
         time.sleep(_WARM_UP_S)
-        list(take(c_end))
-        from_ns, cpu_before = time.time_ns(), cpu_ns(child.pid)
+        before = _Reading(wire, child.pid)
         time.sleep(seconds)
-        to_ns, cpu_after = time.time_ns(), cpu_ns(child.pid)
-        by_c = list(take(c_end))
+        after = _Reading(wire, child.pid)
         memory_mb = resident_mb(child.pid)
         child.send_signal(signal.SIGTERM)
         printed, _ = child.communicate(timeout=10)
+    took_ns = after.monotonic_ns - before.monotonic_ns
     return Live(
-        100 * (cpu_after - cpu_before) / (to_ns - from_ns),
-        memory_mb,
-        wire.stamps_ns(_FIRST_COMMAND, from_ns, to_ns),
-        [at_ns for at_ns, _ in by_c],
-        [int.from_bytes(frame[8:], "little") for _, frame in by_c],
-        json.loads(printed) if printed else {},
+        share_pct=100 * (after.cpu_ns - before.cpu_ns) / took_ns,
+        woken_per_s=(after.woken - before.woken) / took_ns * 1e9,
+        resident_mb=memory_mb,
+        stamps_ns=wire.stamps_ns(_FIRST_COMMAND, before.wall_ns, after.wall_ns),
+        ticks=_ticks(program, printed, before.monotonic_ns, after.monotonic_ns),
+        refused=after.refused - before.refused,
+        offered=after.sent - before.sent + after.refused - before.refused,
     )
+
+
+class _Reading:
+    """All counters at one instant."""
+
+    def __init__(self, wire: Wire, pid: int) -> None:
+        self.monotonic_ns, self.wall_ns = time.monotonic_ns(), time.time_ns()
+        self.cpu_ns, self.woken = cpu_ns(pid), times_woken(pid)
+        self.sent, self.refused = wire.sent, wire.refused
+
+
+def _ticks(program: Program, printed: str, from_ns: int, to_ns: int) -> list[TimedTick]:
+    if not printed:
+        return []
+    found: dict[str, Any] = json.loads(printed)
+    if program.tree is not None and not found["source"].startswith(str(program.tree)):
+        raise RuntimeError(f"{program.name} ran {found['source']}, not {program.tree}")
+    return [TimedTick(*tick) for tick in found["ticks"] if from_ns <= tick[0] < to_ns]
 
 
 def await_frame(wire: Wire) -> int:
@@ -138,36 +185,3 @@ def await_frame(wire: Wire) -> int:
             raise TimeoutError("the program under test sent nothing")
         time.sleep(0.005)
     return wire.arrivals[0][0]
-
-
-@contextmanager
-def _yardstick() -> Iterator[socket.socket]:
-    """The receiving end of the C program; silent where there is no compiler."""
-    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    near.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-    program = c_program()
-    child = program and subprocess.Popen([program, str(far.fileno())], pass_fds=(far.fileno(),))
-    try:
-        yield near
-    finally:
-        if child:
-            child.kill()
-            child.wait()
-        near.close()
-        far.close()
-
-
-@cache
-def c_program() -> str | None:
-    """cadence.c compiled, or None where there is no compiler."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        return None
-    _kept.append(tempfile.TemporaryDirectory(prefix="bench-"))
-    target = str(Path(_kept[0].name) / "cadence")
-    source = str(Path(__file__).with_name("cadence.c"))
-    subprocess.run([compiler, "-O2", "-o", target, source], check=True)
-    return target
-
-
-_kept: list[tempfile.TemporaryDirectory[str]] = []

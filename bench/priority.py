@@ -1,16 +1,19 @@
 """How late the 50 ms loop wakes on a busy machine, with and without the service's policy."""
 
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from bench.figures import Figure, Options, percentile
+from tests.processors import started_on
+
+from bench import under_test
+from bench.figures import Figure, Options, compared, percentile
 from bench.live import run
 from bench.traffic import NOMINAL_PER_S
 
 _FULL_S = 8.0
+_TURNS = 3
 _BUSY = "while True: pass"
 
 
@@ -18,16 +21,20 @@ def figures(options: Options) -> Iterator[Figure]:
     """Nothing where real-time policies are not allowed."""
     if not may_be_punctual():
         return
-    seconds = options.seconds(_FULL_S)
-    late_us: dict[str, list[float]] = {"": [], "--fifo": []}
+    seconds, turns = options.seconds(_FULL_S), options.repeats(_TURNS)
+    late_us: dict[str, list[list[float]]] = {"": [], "fifo": []}
+    ours = under_test.gateway(under_test.HERE)
     with _busy_machine():
-        for _ in range(options.repeats(3)):
+        for turn in range(turns):
             for option, found in late_us.items():
-                live = run("ours", NOMINAL_PER_S, seconds, *filter(None, [option]))
-                found += [ns / 1e3 for ns in live.found["lateness_ns"][10:]]
+                live = run(ours, NOMINAL_PER_S, seconds, *filter(None, [option]))
+                found.append([tick.lateness_ns / 1e3 for tick in live.ticks])
+            print(f"   busy machine, turn {turn + 1} of {turns}", file=sys.stderr)
     for name, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0)):
-        with_policy, without = (percentile(late_us[key], share) for key in ("--fifo", ""))
-        yield Figure(
+        with_policy, without = (
+            [percentile(one, share) for one in late_us[key]] for key in ("fifo", "")
+        )
+        yield compared(
             f"tick lateness under fifo on a busy machine, {name}",
             "µs", with_policy, without, "ordinary policy",
         )  # fmt: skip
@@ -41,11 +48,11 @@ def may_be_punctual() -> bool:
 
 @contextmanager
 def _busy_machine() -> Iterator[None]:
-    """As many busy processes as there are processors."""
-    busy = [
-        subprocess.Popen([sys.executable, "-I", "-S", "-c", _BUSY])
-        for _ in range(os.cpu_count() or 1)
-    ]
+    """A busy process on each processor."""
+    busy = []
+    for processor in set.union(*under_test.processors()):
+        with started_on({processor}):
+            busy.append(subprocess.Popen([sys.executable, "-I", "-S", "-c", _BUSY]))
     try:
         yield
     finally:

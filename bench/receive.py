@@ -1,37 +1,46 @@
-"""Bus to store: processor time of a frame from the socket to where the tick finds it."""
+"""Bus to store: processor time of a frame from the socket to where the tick finds it, no ticks."""
 
-import json
-import statistics
+import sys
+import time
 from collections.abc import Iterator
 
-from bench.figures import Figure, Options, counts_finely
+from bench import under_test
+from bench.figures import Figure, Options, compared, counts_finely
 from bench.live import started
 from bench.traffic import NOMINAL_PER_S, SATURATED_PER_S
-from bench.wire import Wire
+from bench.under_test import NAIVE, OTHER, Program
+from bench.wire import Wire, cpu_ns
 
-_RATES = {
-    f"{NOMINAL_PER_S} frames/s": (NOMINAL_PER_S, ()),
-    f"{SATURATED_PER_S} frames/s": (SATURATED_PER_S, ()),
-    # The buffer is always full here: gathering would only empty the caches.
-    "flooded": (None, ("--gather-ms=0",)),
-}
+_TURNS = 5
 _FULL_S = 1.5
+_WARM_UP_S = 0.3
 
 
 def figures(options: Options) -> Iterator[Figure]:
-    for label, (per_s, extra) in _RATES.items():
-        if per_s != SATURATED_PER_S and not counts_finely():
-            continue  # too little to count in whole ticks, or too slow to be flooded
-        turns = [
-            [us_per_frame(f"receive-{who}", per_s, options, *extra) for who in ("ours", "naive")]
-            for _ in range(options.repeats(3))
-        ]
-        ours, naive = (statistics.median(column) for column in zip(*turns, strict=True))
-        yield Figure(f"bus to store, a frame, {label}", "µs", ours, naive, "naive", 0.8, 0.4)
+    programs = [
+        *under_test.gateways(options, way="receive"),
+        Program(NAIVE.name, (*NAIVE.words, "silent")),
+    ]
+    for per_s in (NOMINAL_PER_S, SATURATED_PER_S):
+        if per_s == NOMINAL_PER_S and not counts_finely():
+            continue  # too little to count in whole ticks
+        turns = options.repeats(_TURNS)
+        found: dict[str, list[float]] = {program.name: [] for program in programs}
+        for turn in range(turns):
+            for program in programs if turn % 2 == 0 else reversed(programs):
+                found[program.name].append(_us_per_frame(program, per_s, options))
+            print(f"   {per_s} frames/s, turn {turn + 1} of {turns}", file=sys.stderr)
+        name, ours = f"bus to store, a frame, {per_s} frames/s", found["ours"]
+        yield compared(name, "µs", ours, found[NAIVE.name], NAIVE.name, 0.8, 0.4)
+        if OTHER in found:
+            yield compared(name, "µs", ours, found[OTHER], OTHER)
 
 
-def us_per_frame(program: str, per_s: float | None, options: Options, *extra: str) -> float:
-    seconds = f"--seconds={options.seconds(_FULL_S)}"
-    with Wire(per_s) as wire, started(wire, program, seconds, *extra) as child:
-        found: dict[str, float] = json.loads(child.communicate(timeout=60)[0])
-    return found["cpu_ns"] / found["frames"] / 1e3
+def _us_per_frame(program: Program, per_s: float, options: Options) -> float:
+    with Wire(per_s) as wire, started(wire, program) as child:
+        assert child.stdout is not None
+        child.stdout.readline()  # it is ready
+        time.sleep(_WARM_UP_S)
+        sent, before_ns = wire.sent, cpu_ns(child.pid)
+        time.sleep(options.seconds(_FULL_S))
+        return (cpu_ns(child.pid) - before_ns) / (wire.sent - sent) / 1e3

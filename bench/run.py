@@ -4,14 +4,18 @@ import argparse
 import importlib
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 
+from bench import under_test
 from bench.figures import HEADER, Figure, Options, counts_finely
-from bench.live import c_program
+from bench.live import run
+from bench.traffic import NOMINAL_PER_S, SATURATED_PER_S
+from bench.under_test import NAIVE
 from bench.wire import bus_name
 
 _NAMES = (
@@ -22,34 +26,30 @@ _NAMES = (
     "tick",
     "lateness",
     "priority",
-    "gather",
     "startup",
 )
-_LONG = ("gather", "priority")
+_LONG = ("priority",)
 _PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 _QUICK_SHARE = 0.15
-_PACKAGES = ("python-can", "cantools", "structlog")
+_PACKAGES = ("vcu-gateway", "python-can", "cantools", "structlog")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help=f"about 20 s instead of 3 min; coarse, without {' and '.join(_LONG)}, writes no page",
-    )
-    parser.add_argument("--only", choices=_NAMES, action="append", metavar="NAME", help=str(_NAMES))
-    parser.add_argument("--check", action="store_true", help="exit 1 where a target is missed")
-    asked = parser.parse_args()
+    asked = _arguments()
     names = asked.only or [name for name in _NAMES if not (asked.quick and name in _LONG)]
+    options = Options(_QUICK_SHARE if asked.quick else 1.0, asked.against)
+    processors = under_test.processors()
+    os.sched_setaffinity(0, processors[1])
     start_s, load = time.monotonic(), os.getloadavg()[0]
-    found = list(_run(names, Options(_QUICK_SHARE if asked.quick else 1.0)))
+    about = _about(options, load)
+    print(about, file=sys.stderr, flush=True)
+    found = list(_run(names, options))
     table = _table(found)
-    print(f"\nbus: {bus_name()}\n\n{table}\n")
+    print(f"\n{about}\n\n{table}\n")
     if not counts_finely():
-        print("left out: processor time at low load, counted in whole ticks here, and start-up")
+        print("left out: processor time, counted in whole ticks here, and start-up")
     if not asked.quick and not asked.only:
-        _PAGE.write_text(_page(table, time.monotonic() - start_s, load), encoding="utf-8")
+        _PAGE.write_text(_page(about, table, time.monotonic() - start_s), encoding="utf-8")
         print(f"written to docs/{_PAGE.name}")
     missed = [figure.name for figure in found if figure.verdict == "MISSED"]
     if missed:
@@ -57,7 +57,32 @@ def main() -> int:
     return 1 if missed and asked.check else 0
 
 
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help=f"about a minute instead of 8; coarse, without {' and '.join(_LONG)}, writes no page",
+    )
+    parser.add_argument("--only", choices=_NAMES, action="append", metavar="NAME", help=str(_NAMES))
+    parser.add_argument(
+        "--against", type=_tree, metavar="TREE", help="another source tree, run in turns with this"
+    )
+    parser.add_argument("--check", action="store_true", help="exit 1 where a target is missed")
+    return parser.parse_args()
+
+
+def _tree(text: str) -> Path:
+    tree = Path(text).resolve()
+    if not (tree / "src" / "vcu_gateway").is_dir():
+        raise argparse.ArgumentTypeError(f"{text} has no src/vcu_gateway")
+    return tree
+
+
 def _run(names: list[str], options: Options) -> Iterator[Figure]:
+    print("writing byte code ...", file=sys.stderr, flush=True)
+    for program in [*under_test.gateways(options), NAIVE]:
+        run(program, NOMINAL_PER_S, 0.0)
     for name in names:
         print(f"{name} ...", file=sys.stderr, flush=True)
         figures: Callable[[Options], Iterator[Figure]]
@@ -78,36 +103,70 @@ def _table(found: list[Figure]) -> str:
     return "\n".join(lines)
 
 
-def _page(table: str, took_s: float, load: float) -> str:
+def _about(options: Options, load: float) -> str:
+    """Machine, versions, bus and what ran, as a list."""
+    python = f"{platform.python_implementation()} {platform.python_version()}"
     packages = " · ".join(f"{name} {version(name)}" for name in _PACKAGES)
-    yardstick = "compiled with cc" if c_program() else "left out: no C compiler here"
+    lines = [
+        f"machine: {_processor()}, {os.cpu_count()} cores, load average {load:.1f} before the run",
+        f"system: {platform.system()} {platform.release()}, {python}, {packages}",
+        f"bus: {bus_name()}",
+        f"traffic: {NOMINAL_PER_S} frames/s (docs/protocol.md); {SATURATED_PER_S} are 1 Mbit/s full",
+        f"ours: {_commit(under_test.HERE)}",
+    ]
+    if options.against is not None:
+        lines.append(f"{under_test.OTHER}: {_commit(options.against)}")
+    if under_test.floor() is None:
+        lines.append("C programs: left out, no C compiler here")
+    program, others = under_test.processors()
+    if program.isdisjoint(others):
+        lines.append("the program under test had a processor of its own")
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def _commit(tree: Path) -> str:
+    """The commit that this tree has checked out, and whether it was changed since."""
+    command = ["git", "-C", str(tree), "describe", "--always", "--dirty", "--abbrev=12"]
+    try:
+        return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "of no commit"
+
+
+def _page(about: str, table: str, took_s: float) -> str:
     return f"""# Benchmarks
 
 Written by `make bench` (`python -m bench`) on {time.strftime("%Y-%m-%d")} in {took_s:.0f} s; run \
-it again rather than edit it. Lower is better everywhere. Absolute figures belong to the machine; \
-the ratios hold, because both sides ran in turns (A B A B …) in the same run and the medians are \
-shown. The ratio is ours / peer; target and stretch are limits for the ratio, or for our own \
-figure where there is nothing to divide by.
+it again rather than edit it. Lower is better everywhere.
 
-- machine: {_processor()}, {os.cpu_count()} cores, load average {load:.1f} before the run
-- system: {platform.system()} {platform.release()}, {platform.python_implementation()} \
-{platform.python_version()}, vcu-gateway {version("vcu-gateway")} · {packages}
-- bus: {bus_name()}
-- traffic: that of docs/protocol.md, 358 frames/s; 7600 frames/s is a saturated bus of 1 Mbit/s
-- C program beside ours, sleeping to absolute deadlines: {yardstick}
+{about}
 
 {table}
 
+Absolute figures belong to the machine; the ratios hold, because all programs ran in turns \
+(A B C, C B A, …) in the same run. **ours** and **peer** are medians of the turns, **ratio** is \
+the median of ours / peer within each turn, **spread** the lowest and the highest of them (of ours \
+where there is no peer). Target and stretch are limits for the ratio, or for our own figure where \
+there is nothing to divide by.
+
 - **naive** is what one would write first: python-can's Notifier on its own SocketcanBus, \
 `decode_message` into a dictionary, and a `time.sleep(0.05)` loop that encodes and sends both \
-commands (`bench/program.py`).
+commands (`bench/naive.py`).
+- **C** is the least that keeps a table of frames and sends two commands every 50 ms on absolute \
+deadlines (`bench/floor.c`), with one wake-up for each frame, or with one a tick that reads all \
+that waits (two on a saturated bus).
 - **bus to store** is the processor time of the whole process, waking up included, without ticks.
-- **whole program** has kernel filters, store, gate, both commands and our own frames coming back.
-- **tick** is measured in the running program, with the caches as cold as 50 ms of sleep leave them.
+- **whole program** has kernel filters, store, gate, both commands and our own frames coming back. \
+The clock readings of **tick** are in it.
+- **tick** is measured in the running program, with the caches as cold as 50 ms of sleep leave \
+them: processor time from the snapshot until both frames are with the kernel.
+- **frames without room** came while the program's receive buffer was full, in the worst turn.
 - **under fifo on a busy machine** is with one busy process for each processor, with the policy \
 that systemd/vcu-gateway.service gives and without.
-- **drift** is how far the 50 ms grid moved between the first and the last second of a run; the \
-kernel's stamps at the receiving end are compared.
+- **drift** is how far the 50 ms grid moved between the first and the last second of a run, in the \
+worst turn; the kernel's stamps at the receiving end are compared.
+- **start to first tick** has all byte code there, from starting the interpreter until the \
+gateway tells the service manager that it is ready, and until the naive script's first frame.
 """
 
 

@@ -1,65 +1,82 @@
-"""From exec to the first tick; the naive script's first tick is its first frame."""
+"""From exec to the first tick, and for the naive script to its first frame."""
 
-import json
-import signal
+import socket
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
-from bench.figures import Figure, Options, counts_finely
+from tests.processors import started_on
+
+from bench import under_test
+from bench.figures import Figure, Options, compared, counts_finely
 from bench.live import await_frame, started
 from bench.traffic import NOMINAL_PER_S
+from bench.under_test import NAIVE, OTHER, Program
 from bench.wire import Wire
 
-_IMPORTS = {"bare Python": "pass", "import can, cantools": "import can, cantools"}
+_TURNS = 9
+_READY_WITHIN_S = 20.0
+_BARE, _IMPORTS = "bare Python", "import can, cantools"
 
 
 def figures(options: Options) -> Iterator[Figure]:
     if not counts_finely():
         return  # everything is slow there
-    turns = [
-        {
-            "ours": _first_tick_ms(),
-            "naive": _first_frame_ms(),
-            **{name: _python_ms(code) for name, code in _IMPORTS.items()},
-        }
-        for _ in range(options.repeats(5))
-    ]
-    took = {name: statistics.median(turn[name] for turn in turns) for name in turns[0]}
+    ways: dict[str, Callable[[], float]] = {
+        program.name: partial(_first_tick_ms, program)
+        for program in under_test.gateways(options, way="run")
+    }
+    ways |= {NAIVE.name: _first_frame_ms}
+    ways |= {_BARE: partial(_python_ms, "pass"), _IMPORTS: partial(_python_ms, _IMPORTS)}
+    for way in ways.values():
+        way()  # files and byte code are in memory then
+    found: dict[str, list[float]] = {name: [] for name in ways}
+    turns = options.repeats(_TURNS)
+    for _ in range(turns):
+        for name, way in ways.items():
+            found[name].append(way())
+    ours = found["ours"]
+    yield compared("start to first tick", "ms", ours, found[NAIVE.name], NAIVE.name, 2.0, 1.4)
+    for name in (OTHER, _BARE, _IMPORTS):
+        if name in found:
+            yield compared("start to first tick", "ms", ours, found[name], name)
+    spread = min(ours), max(ours)
     yield Figure(
-        "start to first tick",
-        "ms",
-        took["ours"],
-        took["naive"],
-        "naive",
-        target=1000,
-        absolute=True,
-    )
-    for name in _IMPORTS:
-        yield Figure("start to first tick", "ms", took["ours"], took[name], name)
+        "start to first tick", "ms", statistics.median(ours), target=1000, absolute=True,
+        spread=spread,
+    )  # fmt: skip
 
 
-def _first_tick_ms() -> float:
-    with Wire(NOMINAL_PER_S, echo=True) as wire:
-        start_ns = time.time_ns()
-        with started(wire, "ours") as child:
+def _first_tick_ms(program: Program) -> float:
+    """Until it tells the service manager that it is ready: right after its first tick."""
+    name = f"\0bench-{time.monotonic_ns()}"
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager,
+        Wire(NOMINAL_PER_S, echo=True) as wire,
+    ):
+        manager.bind(name)
+        manager.settimeout(_READY_WITHIN_S)
+        start_ns = time.monotonic_ns()
+        with started(wire, program, notify=name.replace("\0", "@")):
+            while b"READY=1" not in manager.recv(4096):
+                pass
+            ready_ns = time.monotonic_ns()
             await_frame(wire)  # SIGTERM ends it safely only once it runs
-            child.send_signal(signal.SIGTERM)
-            printed, _ = child.communicate()
-    first_ns: int = json.loads(printed)["first_tick_ns"]
-    return (first_ns - start_ns) / 1e6
+    return (ready_ns - start_ns) / 1e6
 
 
 def _first_frame_ms() -> float:
     with Wire(NOMINAL_PER_S) as wire:
         start_ns = time.time_ns()
-        with started(wire, "naive"):
+        with started(wire, NAIVE):
             return (await_frame(wire) - start_ns) / 1e6
 
 
 def _python_ms(code: str) -> float:
     start_ns = time.perf_counter_ns()
-    subprocess.run([sys.executable, "-c", code], check=True)
+    with started_on(under_test.processors()[0]):
+        subprocess.run([sys.executable, "-c", code], check=True, env=under_test.environment())
     return (time.perf_counter_ns() - start_ns) / 1e6

@@ -2,30 +2,24 @@
 
 from collections.abc import Iterator
 
-from bench.figures import Figure, Options, counts_finely, percentile
+from bench.figures import Figure, Options, alone, compared, counts_finely, percentile
+from bench.live import Live
 from bench.traffic import NOMINAL_PER_S
+from bench.under_test import OTHER
 from bench.whole import runs
 
 
 def figures(options: Options) -> Iterator[Figure]:
     if not counts_finely():
         return
-    took_us = [
-        ns / 1e3 for ours, _ in runs(options, NOMINAL_PER_S) for ns in ours.found["tick_ns"][10:]
-    ]
-    middle_us = percentile(took_us, 0.5)
-    yield Figure(
-        "tick, processor time, median",
-        "µs",
-        middle_us,
-        target=300,
-        stretch=100,
-        absolute=True,
-    )
-    yield Figure("tick, processor time, p99", "µs", percentile(took_us, 0.99))
-    looks_us = [
-        ns / 1e3 for ours, _ in runs(options, NOMINAL_PER_S) for ns in ours.found["look_ns"][10:]
-    ]
-    if looks_us:  # elsewhere a frame waited every time
-        middle_us = percentile(looks_us, 0.5)
-        yield Figure("looking for frames before a tick, none waiting, median", "µs", middle_us)
+    turns = runs(options, NOMINAL_PER_S)
+    ours_us = [_cpu_us(live, 0.5) for live in turns["ours"]]
+    yield alone("tick, processor time, median", "µs", ours_us, 300, 220)
+    if OTHER in turns:
+        other_us = [_cpu_us(live, 0.5) for live in turns[OTHER]]
+        yield compared("tick, processor time, median", "µs", ours_us, other_us, OTHER, 0.85)
+    yield alone("tick, processor time, p99", "µs", [_cpu_us(live, 0.99) for live in turns["ours"]])
+
+
+def _cpu_us(live: Live, share: float) -> float:
+    return percentile([tick.cpu_ns / 1e3 for tick in live.ticks], share)

@@ -1,80 +1,118 @@
-"""The whole gateway against the naive script: processor, memory and cadence on the wire."""
+"""Whole programs in turns: processor, memory, ticks and cadence on the wire."""
 
-import statistics
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from functools import cache
 
-from bench.figures import Figure, Options, counts_finely, percentile
-from bench.live import Cadence, Live, cadence, run
+from bench import under_test
+from bench.figures import Figure, Options, alone, compared, counts_finely, percentile
+from bench.live import Live, run
 from bench.traffic import NOMINAL_PER_S, SATURATED_PER_S
+from bench.under_test import C_A_FRAME, C_A_TICK, NAIVE, OTHER
 
-_FULL_S = {NOMINAL_PER_S: 5.0, SATURATED_PER_S: 2.5}
+_FULL_S = {NOMINAL_PER_S: 4.0, SATURATED_PER_S: 1.5}
+_TURNS = {NOMINAL_PER_S: 7, SATURATED_PER_S: 5}
+
+Turns = dict[str, list[Live]]
+"""Runs of each program by its name; those of one turn have the same index."""
 
 
 @cache
-def runs(options: Options, per_s: int) -> list[tuple[Live, Live]]:
-    """Ours and the naive script in turns; kept, because several benchmarks look at them."""
-    seconds = options.seconds(_FULL_S[per_s])
-    return [
-        (run("ours", per_s, seconds), run("naive", per_s, seconds))
-        for _ in range(options.repeats(3))
-    ]
+def runs(options: Options, per_s: int) -> Turns:
+    """Every program in turns; kept, because several benchmarks look at them."""
+    seconds, turns = options.seconds(_FULL_S[per_s]), options.repeats(_TURNS[per_s])
+    programs = [*under_test.gateways(options), NAIVE, *under_test.floors()]
+    found: Turns = {program.name: [] for program in programs}
+    for turn in range(turns):
+        # Every other turn backwards: none has always the same one before it.
+        for program in programs if turn % 2 == 0 else reversed(programs):
+            found[program.name].append(run(program, per_s, seconds))
+        shares = ", ".join(f"{name} {of[-1].share_pct:.2f} %" for name, of in found.items())
+        print(f"   {per_s} frames/s, turn {turn + 1} of {turns}: {shares}", file=sys.stderr)
+    return found
 
 
 def figures(options: Options) -> Iterator[Figure]:
     if counts_finely():
-        yield _share(runs(options, NOMINAL_PER_S), f"{NOMINAL_PER_S} frames/s", 0.5)
-        yield _share(runs(options, SATURATED_PER_S), f"{SATURATED_PER_S} frames/s", 0.4)
+        yield from _shares(runs(options, NOMINAL_PER_S), NOMINAL_PER_S, 0.65, 0.5)
+        yield from _shares(runs(options, SATURATED_PER_S), SATURATED_PER_S, 0.35, 0.2)
+    yield _refused(runs(options, SATURATED_PER_S))
     turns = runs(options, NOMINAL_PER_S)
-    modes = [ours.found["modes"] for ours, _ in turns]
-    active = sum(mode.get("active", 0) for mode in modes) / sum(sum(m.values()) for m in modes)
-    yield Figure("ticks with torque, start included", "%", 100 * active)
-    memory = [(ours.resident_mb, naive.resident_mb) for ours, naive in turns]
-    ours, naive = (statistics.median(column) for column in zip(*memory, strict=True))
-    yield Figure("resident memory", "MB", ours, naive, "naive", 2.0, 1.3)
-    yield from _cadence(
-        [cadence(live.stamps_ns) for live, _ in turns],
-        [cadence(live.stamps_ns) for _, live in turns],
-        [cadence(live.c_stamps_ns) for live, _ in turns if live.c_stamps_ns],
-        options.seconds(_FULL_S[NOMINAL_PER_S]),
-    )
+    yield from _woken(turns)
+    ticks = [[tick.mode == "active" for tick in live.ticks] for live in turns["ours"]]
+    torque_pct = [100 * sum(active) / len(active) for active in ticks]
+    yield alone("ticks with torque", "%", torque_pct)
+    for peer, target, stretch in ((NAIVE.name, 1.2, 1.1), (OTHER, None, None)):
+        yield from _against(turns, "resident memory", "MB", _resident_mb, peer, target, stretch)
+    yield from _cadence(turns)
 
 
-def _share(turns: list[tuple[Live, Live]], label: str, stretch: float) -> Figure:
-    ours, naive = (
-        statistics.median(live.share_pct for live in column) for column in zip(*turns, strict=True)
-    )
-    return Figure(f"whole program at {label}", "% of a core", ours, naive, "naive", 1.0, stretch)
+def _shares(turns: Turns, per_s: int, target: float, stretch: float) -> Iterator[Figure]:
+    name, unit = f"whole program at {per_s} frames/s", "% of a core"
+    yield from _against(turns, name, unit, _share_pct, NAIVE.name, target, stretch)
+    for peer in (OTHER, C_A_TICK.name, C_A_FRAME.name):
+        yield from _against(turns, name, unit, _share_pct, peer)
 
 
-def _cadence(
-    ours: list[Cadence], naive: list[Cadence], by_c: list[Cadence], seconds: float
+def _against(
+    turns: Turns,
+    name: str,
+    unit: str,
+    value: Callable[[Live], float],
+    peer: str,
+    target: float | None = None,
+    stretch: float | None = None,
 ) -> Iterator[Figure]:
-    off_ms = [statistics.median(c.mean_off_ms for c in who) for who in (ours, naive)]
-    yield Figure("mean period on the wire, away from 50 ms", "ms", off_ms[0], off_ms[1], "naive")
-    drift_ms = [max(abs(c.drift_ms) for c in who) for who in (ours, naive)]
-    yield Figure(
-        f"drift over {seconds:.0f} s",
-        "ms",
-        drift_ms[0],
-        drift_ms[1],
-        "naive",
-        target=0.5,
-        stretch=0.1,
-        absolute=True,
-    )
-    yield Figure(
-        "p99 error of the period on the wire",
-        "µs",
-        _p99(ours),
-        _p99(by_c) if by_c else None,
-        "C beside it",
-        5.0,
-        2.0,
-    )
-    yield Figure("p99 error of the period on the wire", "µs", _p99(ours), _p99(naive), "naive")
-    yield Figure("cycles without a frame", "", sum(c.missed for c in ours), target=0, absolute=True)
+    """Ours beside one peer; nothing where that did not run."""
+    if peer in turns:
+        ours, other = ([value(live) for live in turns[who]] for who in ("ours", peer))
+        yield compared(name, unit, ours, other, peer, target, stretch)
 
 
-def _p99(cycles: list[Cadence]) -> float:
-    return percentile([error for one in cycles for error in one.errors_us], 0.99)
+def _share_pct(live: Live) -> float:
+    return live.share_pct
+
+
+def _resident_mb(live: Live) -> float:
+    return live.resident_mb
+
+
+def _woken_per_s(live: Live) -> float:
+    return live.woken_per_s
+
+
+def _woken(turns: Turns) -> Iterator[Figure]:
+    for peer in (NAIVE.name, OTHER, C_A_TICK.name):
+        name = f"times woken at {NOMINAL_PER_S} frames/s"
+        yield from _against(turns, name, "a second", _woken_per_s, peer)
+
+
+def _refused(turns: Turns) -> Figure:
+    """Frames for which the receive buffer had no room, while the bus was saturated."""
+    ours, naive = (
+        [1000 * live.refused / live.offered for live in turns[who]] for who in ("ours", NAIVE.name)
+    )
+    name = f"frames without room at {SATURATED_PER_S} frames/s"
+    return Figure(name, "‰", max(ours), max(naive), NAIVE.name, target=0, absolute=True)
+
+
+def _cadence(turns: Turns) -> Iterator[Figure]:
+    name = "mean period on the wire, away from 50 ms"
+    yield from _against(turns, name, "ms", lambda live: live.cadence.mean_off_ms, NAIVE.name)
+    drift_ms = [
+        max(abs(live.cadence.drift_ms) for live in turns[who]) for who in ("ours", NAIVE.name)
+    ]
+    yield Figure(
+        "drift over a run", "ms", drift_ms[0], drift_ms[1], NAIVE.name, 0.5, 0.1, absolute=True
+    )
+    for peer in (C_A_TICK.name, NAIVE.name, OTHER):
+        limits = (5.0, 2.0) if peer == C_A_TICK.name else (None, None)
+        yield from _against(
+            turns, "p99 error of the period on the wire", "µs", _p99_us, peer, *limits
+        )
+    missed = sum(live.cadence.missed for live in turns["ours"])
+    yield Figure("cycles without a frame", "", missed, target=0, absolute=True)
+
+
+def _p99_us(live: Live) -> float:
+    return percentile(live.cadence.errors_us, 0.99)

@@ -42,17 +42,16 @@ class Wire:
     """A running end of the bus.
 
     Attributes:
-        arguments: what the program under test is told to find the other end; fds: what it inherits.
-        sent: frames taken by the bus so far.
+        far_fd: descriptor of the other end, for a program to inherit; None on a real bus.
+        sent, refused: frames taken by the bus so far, and those for which it had no room.
         arrivals: (wall-clock ns, identifier) of each frame from the program.
     """
 
     def __init__(self, per_s: float | None, echo: bool = False) -> None:
         self._per_s = per_s
         self._echo = echo and not has_vcan()
-        self.fds: tuple[int, ...] = ()
-        self.arguments: list[str] = []
-        self.sent = 0
+        self.far_fd: int | None = None
+        self.sent = self.refused = 0
         self.arrivals: list[tuple[int, int]] = []
         self._stopping = False
         self._socket = self._open()
@@ -66,8 +65,7 @@ class Wire:
             real.bind((CHANNEL,))
             return real
         near, self._far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.fds = (self._far.fileno(),)
-        self.arguments = ["--stand-in", str(self._far.fileno())]
+        self.far_fd = self._far.fileno()
         return near
 
     def __enter__(self) -> "Wire":
@@ -78,7 +76,7 @@ class Wire:
         self._stopping = True
         self._thread.join()
         self._socket.close()
-        if self.fds:
+        if self.far_fd is not None:
             self._far.close()
 
     def stamps_ns(self, can_id: int, from_ns: int, to_ns: int) -> list[int]:
@@ -102,6 +100,7 @@ class Wire:
             self._socket.send(frame)
             self.sent += 1
         except OSError:  # full, or nobody there yet
+            self.refused += 1
             self._take()
             time.sleep(0.001)
 
@@ -128,6 +127,15 @@ def take(end: socket.socket) -> Iterator[tuple[int, bytes]]:
 def cpu_ns(pid: int) -> int:
     """Processor time of a process so far (clock_getcpuclockid(3))."""
     return time.clock_gettime_ns(~pid << 3 | 2)
+
+
+def times_woken(pid: int) -> int:
+    """How often the threads of a process have waited for something so far."""
+    found = 0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        lines = (task / "status").read_text(encoding="ascii").splitlines()
+        found += sum(int(line.split()[1]) for line in lines if line.startswith("voluntary"))
+    return found
 
 
 def resident_mb(pid: int) -> float:
