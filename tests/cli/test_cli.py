@@ -160,15 +160,3 @@ def test_the_readme_has_commands_and_its_links_lead_somewhere():
     for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
-
-
-def test_starting_imports_nothing_that_the_first_tick_does_not_need():
-    heavy = ("simulator", "watch", "recording", "demonstration", "protocol.definition")
-    code = f"""
-import sys, vcu_gateway.cli.run
-print([name for name in {heavy} if "vcu_gateway." + name in sys.modules])
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    assert done.stdout == "[]\n"

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import click
 
+from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports asyncio or hashlib
+
+# isort: split
 from vcu_gateway import config as configuration
 from vcu_gateway.app import Application
 from vcu_gateway.cli.options import config_option, resolve_config

@@ -10,9 +10,12 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Literal, TextIO
 
-import structlog
-
 from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.lean_imports import hidden
+
+# structlog imports these where they are installed, for tracebacks that this log does not have.
+with hidden("rich", "better_exceptions", "twisted"):
+    import structlog
 
 _QUEUE_LINES = 1000
 _LINE_CHARACTERS = 16_384

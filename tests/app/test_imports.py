@@ -1,0 +1,81 @@
+"""What a gateway's process has imported after its first ticks, and how it starts."""
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from vcu_gateway.protocol import packaged
+
+# Libraries, of the standard library what loads OpenSSL, and parts of the program.
+UNWANTED = {
+    *("cantools", "bitstruct", "textparser", "rich", "pygments", "textual", "better_exceptions"),
+    *("twisted", "asammdf", "numpy", "pandas", "wrapt", "msgpack", "prometheus_client"),
+    *("ssl", "_ssl", "_hashlib", "argparse", "unittest", "difflib", "http", "xml"),
+    *(
+        f"vcu_gateway.{name}"
+        for name in (
+            *("client", "demo", "doctor", "exporter", "recording", "simulator", "watch"),
+            *("protocol.cantools_dbc", "protocol.definition", "protocol.docs_page"),
+        )
+    ),
+}
+PROGRAM = """
+import json, sys
+from vcu_gateway.cli import main
+
+sys.argv = ["vcu-gateway", "run", "--config", sys.argv[1], "--duration", "0.3"]
+main()
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def run(tmp_path, more: str = "", program: str = PROGRAM) -> Any:
+    """What the program prints after a gateway has run in its process."""
+    config = tmp_path / "gateway.yaml"
+    config.write_text(
+        "bus: {interface: virtual, channel: start}\n"
+        f"api: {{socket_path: {tmp_path}/control.sock}}\n{more}"
+    )
+    command = [sys.executable, "-c", program, str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert '"api_open"' in done.stderr
+    return json.loads(done.stdout)
+
+
+def test_a_running_gateway_has_imported_nothing_that_it_does_not_need(tmp_path):
+    modules = set(run(tmp_path))
+    assert {"vcu_gateway.daemon.loop", "can", "structlog", "asyncio"} <= modules
+    assert modules & UNWANTED == set()
+
+
+def test_a_dbc_of_ones_own_is_read_by_cantools(tmp_path):
+    text = packaged("vcu.dbc").read_text(encoding="utf-8")
+    (tmp_path / "own.dbc").write_text(f"{text}\n", encoding="utf-8")
+    modules = set(run(tmp_path, "protocol: {dbc: own.dbc}\n"))
+    assert {"cantools", "vcu_gateway.protocol.cantools_dbc"} <= modules
+
+
+@pytest.mark.parametrize("name", ["ssl", "_hashlib", "rich", "wrapt"])
+def test_what_was_hidden_can_be_imported_afterwards(name):
+    program = (
+        "from vcu_gateway.lean_imports import hidden; import vcu_gateway.daemon.log;"
+        "import vcu_gateway.python_can, sys, importlib, importlib.util;"
+        f"assert {name!r} not in sys.modules; importlib.util.find_spec({name!r}) is None"
+        f" or importlib.import_module({name!r})"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_module_that_was_imported_before_is_not_hidden():
+    program = (
+        "import ssl, sys; from vcu_gateway.lean_imports import hidden\n"
+        "with hidden('ssl', 'absent'): import ssl as again\n"
+        "assert again is ssl is sys.modules['ssl'] and 'absent' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
