@@ -23,8 +23,8 @@ def main() -> None:
     if "fifo" in options:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     if "stand-in" in options:
+        stand_in.for_gateway()  # before: the gateway imports python-can in a way of its own
         stand_in.for_python_can(int(options["stand-in"]))
-        stand_in.for_gateway()
     if way == "receive":
         receive(config)
     found = timed() if way == "timed" else None

@@ -59,6 +59,44 @@ def test_a_dbc_of_ones_own_is_read_by_cantools(tmp_path):
     assert {"cantools", "vcu_gateway.protocol.cantools_dbc"} <= modules
 
 
+COLLECTED = """
+import gc, json, sys
+began = []
+gc.callbacks.append(lambda phase, info: began.append(phase))
+from vcu_gateway import cli
+from vcu_gateway.daemon.loop import TickLoop
+imported = len(began)  # here, by this program
+run, frozen = TickLoop._run, []
+
+def counted(self, duration_s):
+    frozen.append((len(began), gc.get_freeze_count(), gc.isenabled()))
+    run(self, duration_s)
+
+TickLoop._run = counted
+sys.argv = ["vcu-gateway", "run", "--config", sys.argv[1], "--duration", "0.3"]
+cli.main()
+during = len(began)
+((before, objects, enabled),) = frozen
+print(json.dumps([before - imported, objects, enabled, during - before, gc.collect()]))
+"""
+
+
+def test_a_start_collects_no_garbage_and_leaves_hardly_any(tmp_path):
+    at_start, objects, enabled, while_ticking, garbage = run(tmp_path, program=COLLECTED)
+    assert (at_start, enabled, while_ticking) == (0, False, 0)
+    assert objects > 20_000
+    assert garbage < objects / 10
+
+
+def test_other_verbs_collect_garbage():
+    program = (
+        "import gc, sys; from vcu_gateway import cli; sys.argv[1:] = ['version']; cli.main();"
+        "print(gc.isenabled())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "True", done.stderr
+
+
 @pytest.mark.parametrize("name", ["ssl", "_hashlib", "rich", "wrapt"])
 def test_what_was_hidden_can_be_imported_afterwards(name):
     program = (

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import gc
 import importlib
 import os
 import signal
@@ -82,6 +83,8 @@ class _VerbGroup(click.Group):
         name = cmd_name.replace("-", "_")
         in_operator = cmd_name in _OPERATOR_VERBS
         module = importlib.import_module(f"vcu_gateway.cli.{'operator' if in_operator else name}")
+        if cmd_name != "run":  # which collects when it has time to
+            gc.enable()
         command: click.Command = getattr(module, name if in_operator else "command")
         return command
 
@@ -104,6 +107,7 @@ def group() -> None:
 
 def main() -> None:
     """Entry point: every expected failure is a line on stderr and an exit code."""
+    gc.disable()  # imports leave next to no garbage, and looking for it delays the first tick
     _fill_standard_descriptors()
     try:
         group.main(standalone_mode=False, prog_name="vcu-gateway")
