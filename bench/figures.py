@@ -3,7 +3,7 @@
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -18,7 +18,7 @@ class Figure:
         ours, peer: in `unit`, lower is better; peer is None where there is nothing to compare.
         target, stretch: limits for ours / peer, or for ours itself where `absolute`.
         ratio: ours / peer; of figures measured in turns, the median of the turns' ratios.
-        spread: lowest and highest of the turns: of the ratio, or of ours where there is no peer.
+        spread: quartiles of the turns: of the ratio, or of ours where there is no peer.
     """
 
     name: str
@@ -83,8 +83,29 @@ def compared(
         target,
         stretch,
         ratio=statistics.median(ratios) if ratios else None,
-        spread=(min(ratios), max(ratios)) if ratios else None,
+        spread=quartiles(ratios) if ratios else None,
     )
+
+
+def compared_tails(
+    name: str,
+    unit: str,
+    share: float,
+    ours: Sequence[Sequence[float]],
+    peer: Sequence[Sequence[float]],
+    peer_name: str,
+    target: float | None = None,
+    stretch: float | None = None,
+) -> Figure:
+    """Percentiles of two ways that ran in turns: of all values, since a turn has too few.
+
+    The spread is that of the turns by themselves.
+    """
+    of_turns = [[percentile(turn, share) for turn in way] for way in (ours, peer)]
+    of_all = [percentile([value for turn in way for value in turn], share) for way in (ours, peer)]
+    figure = compared(name, unit, of_turns[0], of_turns[1], peer_name, target, stretch)
+    ratio = of_all[0] / of_all[1] if of_all[1] else None
+    return replace(figure, ours=of_all[0], peer=of_all[1], ratio=ratio)
 
 
 def alone(
@@ -95,8 +116,16 @@ def alone(
     stretch: float | None = None,
 ) -> Figure:
     """Ours without a peer, a value for every turn."""
-    middle, spread = statistics.median(ours), (min(ours), max(ours))
+    middle, spread = statistics.median(ours), quartiles(ours)
     return Figure(name, unit, middle, target=target, stretch=stretch, absolute=True, spread=spread)
+
+
+def quartiles(values: Sequence[float]) -> tuple[float, float]:
+    """The limits between which the middle half of these values lies."""
+    if len(values) < 2:
+        return values[0], values[0]
+    lower, _, upper = statistics.quantiles(values, n=4, method="inclusive")
+    return lower, upper
 
 
 def _number(value: float | None) -> str:
@@ -131,12 +160,16 @@ class Options:
     def repeats(self, full: int) -> int:
         return max(1, round(full * self.share))
 
+    def turns(self, full: int) -> int:
+        """Of programs: at least three, or their spread says nothing."""
+        return max(min(3, full), round(full * self.share))
+
 
 @cache
 def counts_finely() -> bool:
     """False where the kernel counts processor time in whole ticks, as User Mode Linux does.
 
-    Figures of processor time are left out there.
+    Whole programs are measured by what they leave over there (`spare.py`), parts by the clock.
     """
     start_ns = time.process_time_ns()
     while (step_ns := time.process_time_ns() - start_ns) == 0:

@@ -1,5 +1,6 @@
 """A whole program on the bus for some seconds, watched from outside."""
 
+import contextlib
 import json
 import signal
 import statistics
@@ -10,18 +11,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import Any, TextIO
-
-from tests.processors import started_on
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO
 
 from bench import under_test
+from bench.api_loop import Connection
+from bench.figures import counts_finely
+from bench.spare import Spare
 from bench.under_test import Program
-from bench.wire import Wire, cpu_ns, resident_mb, times_woken
+from bench.wire import Wire, cpu_ns, has_vcan, resident_mb, times_woken
 
 PERIOD_NS = 50_000_000
-_WARM_UP_S = 0.7
+_WARM_UP_S = 0.5
+_SETTLE_S = 0.2
 _FIRST_COMMAND = 0x0008A7D0
-_START_WITHIN_S = 20.0
+_START_WITHIN_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -75,11 +79,11 @@ class Live:
     """One run, from the end of the warm-up.
 
     Attributes:
-        share_pct: of one core.
+        share_pct: of one core; where that is counted in whole ticks, with all that ran beside it.
         woken_per_s: how often its threads began to wait.
         stamps_ns: arrival of the first command of each cycle.
         ticks: empty where the program does not time them.
-        refused: frames for which the bus had no room, of so many `offered`.
+        lost: frames of `offered` that found the receive buffer full; None where that is unknown.
     """
 
     share_pct: float
@@ -87,7 +91,7 @@ class Live:
     resident_mb: float
     stamps_ns: list[int]
     ticks: list[TimedTick]
-    refused: int
+    lost: int | None
     offered: int
 
     @property
@@ -95,19 +99,32 @@ class Live:
         return cadence(self.stamps_ns)
 
 
+class Running(NamedTuple):
+    """A program under test.
+
+    Attributes:
+        folder: its configuration, socket and state.
+        begun_ns: monotonic time shortly before it was started.
+    """
+
+    process: subprocess.Popen[str]
+    folder: Path
+    begun_ns: int
+
+
 @contextmanager
 def started(
     wire: Wire, program: Program, *options: str, notify: str | None = None
-) -> Iterator[subprocess.Popen[str]]:
+) -> Iterator[Running]:
     """A program at the other end of the wire; what it said is shown if all fails."""
-    command = [*program.command(wire.far_fd), *options]
-    environment = under_test.environment(program.tree)
-    if notify is not None:
-        environment["NOTIFY_SOCKET"] = notify
-    with tempfile.TemporaryFile("w+") as said:
-        with started_on(under_test.processors()[0]):
+    with tempfile.TemporaryFile("w+") as said, under_test.run_folder() as folder:
+        environment = program.environment(folder)
+        if notify is not None:
+            environment["NOTIFY_SOCKET"] = notify
+        with under_test.on_its_processor():
+            begun_ns = time.monotonic_ns()
             child = subprocess.Popen(
-                command,
+                [*program.command(wire.far_fd, folder), *options],
                 cwd=under_test.HERE,
                 env=environment,
                 pass_fds=() if wire.far_fd is None else (wire.far_fd,),
@@ -118,7 +135,7 @@ def started(
         try:
             with child:
                 try:
-                    yield child
+                    yield Running(child, folder, begun_ns)
                 finally:
                     if child.poll() is None:
                         child.send_signal(signal.SIGTERM)
@@ -135,37 +152,55 @@ def _said(program: Program, file: TextIO) -> str:
 
 def run(program: Program, per_s: float, seconds: float, *options: str) -> Live:
     """Start, warm up, watch for `seconds`, stop."""
-    with (
-        Wire(per_s, echo=program.tree is not None) as wire,
-        started(wire, program, *options) as child,
-    ):
+    with contextlib.ExitStack() as stack:
+        spare = None
+        if not counts_finely():
+            spare = stack.enter_context(Spare())
+            options = (*options, "wall") if program.tree else options
+        wire = stack.enter_context(Wire(per_s, echo=program.tree is not None))
+        running = stack.enter_context(started(wire, program, *options))
+
         await_frame(wire)
         time.sleep(_WARM_UP_S)
-        before = _Reading(wire, child.pid)
+        dropped_before = _dropped(program, running)
+        time.sleep(_SETTLE_S)
+        before = _Reading(wire, running, spare)
         time.sleep(seconds)
-        after = _Reading(wire, child.pid)
-        memory_mb = resident_mb(child.pid)
-        child.send_signal(signal.SIGTERM)
-        printed, _ = child.communicate(timeout=10)
+        after = _Reading(wire, running, spare)
+        dropped = _dropped(program, running) - dropped_before
+        memory_mb = resident_mb(running.process.pid)
+        running.process.send_signal(signal.SIGTERM)
+        printed, _ = running.process.communicate(timeout=10)
     took_ns = after.monotonic_ns - before.monotonic_ns
+    refused = after.refused - before.refused
     return Live(
         share_pct=100 * (after.cpu_ns - before.cpu_ns) / took_ns,
         woken_per_s=(after.woken - before.woken) / took_ns * 1e9,
         resident_mb=memory_mb,
         stamps_ns=wire.stamps_ns(_FIRST_COMMAND, before.wall_ns, after.wall_ns),
         ticks=_ticks(program, printed, before.monotonic_ns, after.monotonic_ns),
-        refused=after.refused - before.refused,
-        offered=after.sent - before.sent + after.refused - before.refused,
+        lost=refused + dropped if program.tree or not has_vcan() else None,
+        offered=after.sent - before.sent + refused,
     )
 
 
 class _Reading:
     """All counters at one instant."""
 
-    def __init__(self, wire: Wire, pid: int) -> None:
+    def __init__(self, wire: Wire, running: Running, spare: Spare | None) -> None:
+        pid = running.process.pid
         self.monotonic_ns, self.wall_ns = time.monotonic_ns(), time.time_ns()
-        self.cpu_ns, self.woken = cpu_ns(pid), times_woken(pid)
+        self.cpu_ns = cpu_ns(pid) if spare is None else spare.taken_ns()
+        self.woken = times_woken(pid)
         self.sent, self.refused = wire.sent, wire.refused
+
+
+def _dropped(program: Program, running: Running) -> int:
+    """Frames that a gateway's receive buffer had no room for, as its API tells; else 0."""
+    if program.tree is None:
+        return 0
+    with contextlib.closing(Connection(running.folder / "control.sock")) as connection:
+        return int(connection.request("health")["result"]["frames"]["dropped"])
 
 
 def _ticks(program: Program, printed: str, from_ns: int, to_ns: int) -> list[TimedTick]:

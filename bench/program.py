@@ -1,4 +1,4 @@
-"""The gateway under test: `python -m bench.program WAY CONFIG [fifo] [stand-in=FD]`.
+"""The gateway under test: `python -m bench.program WAY CONFIG [fifo] [wall] [stand-in=FD]`.
 
 WAY is `run` (`vcu-gateway run` as it is), `timed` (the same, with a clock reading before and after
 what is measured; prints JSON at its end) or `receive` (bus to store alone, no ticks; says when it
@@ -10,7 +10,7 @@ import sys
 import time
 from typing import Any, NoReturn
 
-from bench import stand_in
+from bench import on_import, stand_in
 
 _PRIORITY = 40
 _PERIOD_S = 0.05
@@ -23,11 +23,11 @@ def main() -> None:
     if "fifo" in options:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     if "stand-in" in options:
-        stand_in.for_gateway()  # before: the gateway imports python-can in a way of its own
         stand_in.for_python_can(int(options["stand-in"]))
+        stand_in.for_gateway()
     if way == "receive":
         receive(config)
-    found = timed() if way == "timed" else None
+    found = timed("wall" in options) if way == "timed" else None
     from vcu_gateway.cli import main as command_line
 
     sys.argv = ["vcu-gateway", "run", "--config", config]
@@ -40,43 +40,47 @@ def main() -> None:
         print(json.dumps({**found, "source": vcu_gateway.__file__}), flush=True)
 
 
-def timed() -> dict[str, Any]:
+def timed(by_the_clock: bool) -> dict[str, Any]:
     """Note every tick of this process: when it was due, lateness, processor time (ns), mode.
 
     Processor time is that of the ticking thread from the snapshot until the last frame was handed
     to the kernel; 0 where none was.
     """
-    from vcu_gateway.core.gateway import Gateway
-    from vcu_gateway.core.schedule import Schedule
-
     ticks: list[list[Any]] = []
-    tick, sent, due = Gateway.tick, Gateway.sent, Schedule.due
-    clock_ns = time.thread_time_ns
+    clock_ns = time.monotonic_ns if by_the_clock else time.thread_time_ns
     begun_ns = 0
 
-    def timed_due(self: Schedule, now_ns: int) -> Any:
-        result = due(self, now_ns)
-        if result is not None:
-            ticks.append([result.deadline_ns, result.lateness_ns, 0, ""])
-        return result
+    def time_due(names: dict[str, Any]) -> None:
+        schedule = names["Schedule"]
+        due = schedule.due
 
-    def timed_tick(self: Gateway, now_ns: int) -> Any:
-        nonlocal begun_ns
-        begun_ns = clock_ns()
-        result = tick(self, now_ns)
-        ticks[-1][3] = result.mode.value
-        return result
+        def timed_due(self: Any, now_ns: int) -> Any:
+            result = due(self, now_ns)
+            if result is not None:
+                ticks.append([result.deadline_ns, result.lateness_ns, 0, ""])
+            return result
 
-    def timed_sent(self: Gateway, *of_frame: Any) -> None:
-        sent(self, *of_frame)
-        ticks[-1][2] = clock_ns() - begun_ns
+        schedule.due = timed_due
 
-    for owner, name, method in (
-        (Schedule, "due", timed_due),
-        (Gateway, "tick", timed_tick),
-        (Gateway, "sent", timed_sent),
-    ):
-        setattr(owner, name, method)
+    def time_tick(names: dict[str, Any]) -> None:
+        gateway = names["Gateway"]
+        tick, sent = gateway.tick, gateway.sent
+
+        def timed_tick(self: Any, now_ns: int) -> Any:
+            nonlocal begun_ns
+            begun_ns = clock_ns()
+            result = tick(self, now_ns)
+            ticks[-1][3] = result.mode.value
+            return result
+
+        def timed_sent(self: Any, *of_frame: Any) -> None:
+            sent(self, *of_frame)
+            ticks[-1][2] = clock_ns() - begun_ns
+
+        gateway.tick, gateway.sent = timed_tick, timed_sent
+
+    on_import.change("vcu_gateway.core.schedule", time_due)
+    on_import.change("vcu_gateway.core.gateway", time_tick)
     return {"ticks": ticks}
 
 

@@ -17,14 +17,14 @@ _WARM_UP_S = 0.3
 
 
 def figures(options: Options) -> Iterator[Figure]:
+    if not counts_finely():
+        return
     programs = [
         *under_test.gateways(options, way="receive"),
         Program(NAIVE.name, (*NAIVE.words, "silent")),
     ]
     for per_s in (NOMINAL_PER_S, SATURATED_PER_S):
-        if per_s == NOMINAL_PER_S and not counts_finely():
-            continue  # too little to count in whole ticks
-        turns = options.repeats(_TURNS)
+        turns = options.turns(_TURNS)
         found: dict[str, list[float]] = {program.name: [] for program in programs}
         for turn in range(turns):
             for program in programs if turn % 2 == 0 else reversed(programs):
@@ -37,7 +37,8 @@ def figures(options: Options) -> Iterator[Figure]:
 
 
 def _us_per_frame(program: Program, per_s: float, options: Options) -> float:
-    with Wire(per_s) as wire, started(wire, program) as child:
+    with Wire(per_s) as wire, started(wire, program) as running:
+        child = running.process
         assert child.stdout is not None
         child.stdout.readline()  # it is ready
         time.sleep(_WARM_UP_S)

@@ -31,6 +31,10 @@ _NAMES = (
 _LONG = ("priority",)
 _PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 _QUICK_SHARE = 0.15
+_COARSE = (
+    "counted in whole ticks here; of whole programs by what a counting program leaves, "
+    "of a tick by the clock; nothing at a full bus"
+)
 _PACKAGES = ("vcu-gateway", "python-can", "cantools", "structlog")
 
 
@@ -46,9 +50,7 @@ def main() -> int:
     found = list(_run(names, options))
     table = _table(found)
     print(f"\n{about}\n\n{table}\n")
-    if not counts_finely():
-        print("left out: processor time, counted in whole ticks here, and start-up")
-    if not asked.quick and not asked.only:
+    if not (asked.quick or asked.only or asked.no_page):
         _PAGE.write_text(_page(about, table, time.monotonic() - start_s), encoding="utf-8")
         print(f"written to docs/{_PAGE.name}")
     missed = [figure.name for figure in found if figure.verdict == "MISSED"]
@@ -68,6 +70,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument(
         "--against", type=_tree, metavar="TREE", help="another source tree, run in turns with this"
     )
+    parser.add_argument("--no-page", action="store_true", help="only print the table")
     parser.add_argument("--check", action="store_true", help="exit 1 where a target is missed")
     return parser.parse_args()
 
@@ -111,13 +114,15 @@ def _about(options: Options, load: float) -> str:
         f"machine: {_processor()}, {os.cpu_count()} cores, load average {load:.1f} before the run",
         f"system: {platform.system()} {platform.release()}, {python}, {packages}",
         f"bus: {bus_name()}",
-        f"traffic: {NOMINAL_PER_S} frames/s (docs/protocol.md); {SATURATED_PER_S} are 1 Mbit/s full",
+        f"traffic: {NOMINAL_PER_S} frames/s (docs/protocol.md); {SATURATED_PER_S} is a full bus",
         f"ours: {_commit(under_test.HERE)}",
     ]
     if options.against is not None:
         lines.append(f"{under_test.OTHER}: {_commit(options.against)}")
-    if under_test.floor() is None:
+    if not under_test.has_compiler():
         lines.append("C programs: left out, no C compiler here")
+    if not counts_finely():
+        lines.append(f"processor time: {_COARSE}")
     program, others = under_test.processors()
     if program.isdisjoint(others):
         lines.append("the program under test had a processor of its own")
@@ -145,9 +150,9 @@ it again rather than edit it. Lower is better everywhere.
 
 Absolute figures belong to the machine; the ratios hold, because all programs ran in turns \
 (A B C, C B A, …) in the same run. **ours** and **peer** are medians of the turns, **ratio** is \
-the median of ours / peer within each turn, **spread** the lowest and the highest of them (of ours \
-where there is no peer). Target and stretch are limits for the ratio, or for our own figure where \
-there is nothing to divide by.
+the median of ours / peer within each turn, and **spread** the quartiles of the turns, of ours \
+where there is no peer. p99 and max, and their ratios, are of all turns together. Target and \
+stretch are limits for the ratio, or for our own figure where there is nothing to divide by.
 
 - **naive** is what one would write first: python-can's Notifier on its own SocketcanBus, \
 `decode_message` into a dictionary, and a `time.sleep(0.05)` loop that encodes and sends both \
@@ -160,7 +165,7 @@ that waits (two on a saturated bus).
 The clock readings of **tick** are in it.
 - **tick** is measured in the running program, with the caches as cold as 50 ms of sleep leave \
 them: processor time from the snapshot until both frames are with the kernel.
-- **frames without room** came while the program's receive buffer was full, in the worst turn.
+- **frames lost** came while the program's receive buffer was full, in the worst turn.
 - **under fifo on a busy machine** is with one busy process for each processor, with the policy \
 that systemd/vcu-gateway.service gives and without.
 - **drift** is how far the 50 ms grid moved between the first and the last second of a run, in the \

@@ -8,6 +8,8 @@ import logging
 import socket
 from typing import Any
 
+from bench import on_import
+
 _SOL_CAN_RAW = 101
 
 
@@ -21,24 +23,30 @@ class _StandIn(socket.socket):
 
 def for_python_can(descriptor: int) -> None:
     """Make python-can open this descriptor in place of a CAN socket."""
-    from can.interfaces.socketcan import socketcan
 
-    vars(socketcan).update(
-        create_socket=lambda: _StandIn(fileno=descriptor),
-        bind_socket=lambda *_: None,
-    )
+    def on_descriptor(names: dict[str, Any]) -> None:
+        names["create_socket"] = lambda: _StandIn(fileno=descriptor)
+        names["bind_socket"] = lambda *_: None
+
+    on_import.change("can.interfaces.socketcan.socketcan", on_descriptor)
     logging.getLogger("can").setLevel(logging.CRITICAL)
 
 
 def for_gateway() -> None:
-    """Make the gateway see an interface, and its own frames that come back.
+    """Make the gateway see an interface, and its own frames that come back."""
+    on_import.change("vcu_gateway.bus.interface", _there)
+    on_import.change("vcu_gateway.bus.socketcan", _with_own_frames)
 
-    Only CAN sets MSG_CONFIRM on them. Here the wire sends them back one byte too long, and the
-    kernel's "cut off" flag stands in.
+
+def _there(names: dict[str, Any]) -> None:
+    there = names["Interface"](number=1, is_can=True, up=True, carrier=True, tx_queue_frames=0)
+    setattr(names["Interfaces"], "look", lambda *_: there)  # noqa: B010 - mypy refuses to assign a method
+
+
+def _with_own_frames(names: dict[str, Any]) -> None:
+    """Only CAN sets MSG_CONFIRM on an own frame that comes back.
+
+    Here the wire sends it back one byte too long, and the kernel's "cut off" flag stands in.
     """
-    from vcu_gateway.bus import interface, socketcan
-
-    there = interface.Interface(number=1, is_can=True, up=True, carrier=True, tx_queue_frames=0)
-    setattr(interface.Interfaces, "look", lambda *_: there)  # noqa: B010 - mypy refuses to assign a method
-    vars(socketcan).update(_FD_FRAME_BYTES=16)
+    names["_FD_FRAME_BYTES"] = 16
     vars(socket).update(MSG_CONFIRM=socket.MSG_TRUNC)

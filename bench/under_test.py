@@ -1,24 +1,29 @@
 """The programs under test: how each is started, where, and with which byte code."""
 
+import contextlib
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from bench import CHANNEL
+from tests.processors import started_on
+
+from bench import CHANNEL, wire
 from bench.figures import Options
 
 HERE = Path(__file__).resolve().parent.parent
 
 # A test bench that arms itself: the gateway has all its work to do. The traffic's controllers stand
 # still; below 15 % that is no controller that does not obey, which would be found in every tick.
-_CONFIG = f"""
-bus: {{channel: {CHANNEL}}}
+_CONFIG = """
+bus: {{channel: {channel}}}
 log: {{level: error}}
+api: {{socket_path: {folder}/control.sock}}
 bench:
   auto_arm: true
   demand: {{bench_use_only: true, throttle_pct: 10}}
@@ -41,18 +46,33 @@ class Program:
     words: tuple[str, ...]
     tree: Path | None = None
 
-    def command(self, stand_in: int | None) -> list[str]:
+    def command(self, stand_in: int | None, folder: Path) -> list[str]:
         """Command line on the bus, or on a socket in place of it."""
         if self.words[0] == "floor":
-            return [str(floor()), *self.words[1:], CHANNEL if stand_in is None else str(stand_in)]
+            return [
+                str(compiled("floor.c")),
+                *self.words[1:],
+                CHANNEL if stand_in is None else str(stand_in),
+            ]
         found = [sys.executable, "-m", *self.words]
         if self.tree is not None:
-            found.append(str(_folder() / "gateway.yaml"))
+            found.append(str(folder / "gateway.yaml"))
         return found if stand_in is None else [*found, f"stand-in={stand_in}"]
+
+    def environment(self, folder: Path) -> dict[str, str]:
+        """Only byte code is left of earlier runs, and that in any case."""
+        kept = {name: value for name, value in os.environ.items() if name not in _UNWANTED}
+        return {
+            **kept,
+            "PYTHONPATH": f"{(self.tree or HERE) / 'src'}:{HERE}",
+            "PYTHONPYCACHEPREFIX": str(_folder() / "byte code"),
+            "RUNTIME_DIRECTORY": str(folder),
+        }
 
 
 NAIVE = Program("naive", ("bench.naive",))
 C_A_TICK = Program("C, one wake-up a tick", ("floor", "tick"))
+NOTHING = Program("nothing", ("floor", "idle"))
 C_A_FRAME = Program("C, one wake-up a frame", ("floor", "frame"))
 
 
@@ -74,19 +94,22 @@ OTHER = "other tree"
 
 def floors() -> list[Program]:
     """The C programs; none where there is no compiler."""
-    return [C_A_TICK, C_A_FRAME] if floor() else []
+    return [C_A_TICK, C_A_FRAME] if has_compiler() else []
 
 
-def environment(tree: Path | None = None) -> dict[str, str]:
-    """What a program of this tree is started with: its byte code is kept, and nothing else's."""
-    kept = {name: value for name, value in os.environ.items() if name not in _UNWANTED}
-    return {
-        **kept,
-        "PYTHONPATH": f"{(tree or HERE) / 'src'}:{HERE}",
-        "PYTHONPYCACHEPREFIX": str(_folder() / "byte code"),
-        # A start of its own: none that ended badly before it counts.
-        "RUNTIME_DIRECTORY": tempfile.mkdtemp(dir=_folder()),
-    }
+def has_compiler() -> bool:
+    return shutil.which("cc") is not None
+
+
+@contextlib.contextmanager
+def run_folder() -> Iterator[Path]:
+    """Configuration, socket and state of one run."""
+    with tempfile.TemporaryDirectory(dir=_folder()) as name:
+        # Where no real bus holds them apart, two gateways must not meet by the name of their bus.
+        channel = CHANNEL if wire.has_vcan() else f"bench{os.getpid()}"
+        config = _CONFIG.format(channel=channel, folder=name)
+        Path(name, "gateway.yaml").write_text(config, encoding="utf-8")
+        yield Path(name)
 
 
 @cache
@@ -99,21 +122,21 @@ def processors() -> tuple[set[int], set[int]]:
 @cache
 def _folder() -> Path:
     _kept.append(tempfile.TemporaryDirectory(prefix="bench-"))
-    folder = Path(_kept[0].name)
-    (folder / "gateway.yaml").write_text(_CONFIG)
-    return folder
+    return Path(_kept[0].name)
 
 
 _kept: list[tempfile.TemporaryDirectory[str]] = []
 
 
 @cache
-def floor() -> Path | None:
-    """floor.c compiled; None where there is no compiler."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        return None
-    target = _folder() / "floor"
-    source = Path(__file__).with_name("floor.c")
-    subprocess.run([compiler, "-O2", "-o", target, source], check=True)
+def compiled(source: str) -> Path:
+    """A C program of this folder."""
+    target = _folder() / Path(source).stem
+    path = Path(__file__).with_name(source)
+    subprocess.run(["cc", "-O2", "-o", target, path], check=True)
     return target
+
+
+def on_its_processor() -> contextlib.AbstractContextManager[None]:
+    """Programs started in the block run where the program under test does."""
+    return started_on(processors()[0])

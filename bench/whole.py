@@ -2,16 +2,18 @@
 
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 
 from bench import under_test
-from bench.figures import Figure, Options, alone, compared, counts_finely, percentile
+from bench.figures import Figure, Options, alone, compared, compared_tails, counts_finely
 from bench.live import Live, run
 from bench.traffic import NOMINAL_PER_S, SATURATED_PER_S
-from bench.under_test import C_A_FRAME, C_A_TICK, NAIVE, OTHER
+from bench.under_test import C_A_FRAME, C_A_TICK, NAIVE, NOTHING, OTHER
 
-_FULL_S = {NOMINAL_PER_S: 4.0, SATURATED_PER_S: 1.5}
-_TURNS = {NOMINAL_PER_S: 7, SATURATED_PER_S: 5}
+_FULL_S = {NOMINAL_PER_S: 2.5, SATURATED_PER_S: 1.0}
+# Two starts of one program differ more than two stretches of one run.
+_TURNS = {NOMINAL_PER_S: 11, SATURATED_PER_S: 7}
 
 Turns = dict[str, list[Live]]
 """Runs of each program by its name; those of one turn have the same index."""
@@ -20,8 +22,10 @@ Turns = dict[str, list[Live]]
 @cache
 def runs(options: Options, per_s: int) -> Turns:
     """Every program in turns; kept, because several benchmarks look at them."""
-    seconds, turns = options.seconds(_FULL_S[per_s]), options.repeats(_TURNS[per_s])
+    seconds, turns = options.seconds(_FULL_S[per_s]), options.turns(_TURNS[per_s])
     programs = [*under_test.gateways(options), NAIVE, *under_test.floors()]
+    if not counts_finely():
+        programs.append(NOTHING)
     found: Turns = {program.name: [] for program in programs}
     for turn in range(turns):
         # Every other turn backwards: none has always the same one before it.
@@ -29,21 +33,39 @@ def runs(options: Options, per_s: int) -> Turns:
             found[program.name].append(run(program, per_s, seconds))
         shares = ", ".join(f"{name} {of[-1].share_pct:.2f} %" for name, of in found.items())
         print(f"   {per_s} frames/s, turn {turn + 1} of {turns}: {shares}", file=sys.stderr)
-    return found
+    return _without_the_wire(found)
+
+
+def _without_the_wire(turns: Turns) -> Turns:
+    """Shares of the programs alone, where they were measured with all that ran beside them."""
+    if NOTHING.name not in turns:
+        return turns
+    wire_pct = [live.share_pct for live in turns[NOTHING.name]]
+    return {
+        name: [
+            replace(live, share_pct=live.share_pct - beside_pct)
+            for live, beside_pct in zip(lives, wire_pct, strict=True)
+        ]
+        for name, lives in turns.items()
+    }
 
 
 def figures(options: Options) -> Iterator[Figure]:
-    if counts_finely():
-        yield from _shares(runs(options, NOMINAL_PER_S), NOMINAL_PER_S, 0.65, 0.5)
-        yield from _shares(runs(options, SATURATED_PER_S), SATURATED_PER_S, 0.35, 0.2)
-    yield _refused(runs(options, SATURATED_PER_S))
     turns = runs(options, NOMINAL_PER_S)
-    yield from _woken(turns)
+    if counts_finely() or under_test.has_compiler():
+        yield from _shares(turns, NOMINAL_PER_S, 0.65, 0.5)
+    if counts_finely():  # elsewhere the wire alone would need more than there is
+        saturated = runs(options, SATURATED_PER_S)
+        yield from _shares(saturated, SATURATED_PER_S, 0.35, 0.2)
+        yield _lost(saturated)
+    for peer in (NAIVE.name, OTHER, C_A_TICK.name):
+        name = f"times woken at {NOMINAL_PER_S} frames/s"
+        yield from _against(turns, name, "a second", _woken_per_s, peer)
     ticks = [[tick.mode == "active" for tick in live.ticks] for live in turns["ours"]]
     torque_pct = [100 * sum(active) / len(active) for active in ticks]
     yield alone("ticks with torque", "%", torque_pct)
-    for peer, target, stretch in ((NAIVE.name, 1.2, 1.1), (OTHER, None, None)):
-        yield from _against(turns, "resident memory", "MB", _resident_mb, peer, target, stretch)
+    yield from _against(turns, "resident memory", "MB", _resident_mb, NAIVE.name, 1.2, 1.1)
+    yield from _against(turns, "resident memory", "MB", _resident_mb, OTHER)
     yield from _cadence(turns)
 
 
@@ -81,38 +103,37 @@ def _woken_per_s(live: Live) -> float:
     return live.woken_per_s
 
 
-def _woken(turns: Turns) -> Iterator[Figure]:
-    for peer in (NAIVE.name, OTHER, C_A_TICK.name):
-        name = f"times woken at {NOMINAL_PER_S} frames/s"
-        yield from _against(turns, name, "a second", _woken_per_s, peer)
+def _mean_off_ms(live: Live) -> float:
+    return live.cadence.mean_off_ms
 
 
-def _refused(turns: Turns) -> Figure:
-    """Frames for which the receive buffer had no room, while the bus was saturated."""
+def _lost(turns: Turns) -> Figure:
+    name = f"frames lost at {SATURATED_PER_S} frames/s"
     ours, naive = (
-        [1000 * live.refused / live.offered for live in turns[who]] for who in ("ours", NAIVE.name)
+        [1000 * live.lost / live.offered for live in turns[who] if live.lost is not None]
+        for who in ("ours", NAIVE.name)
     )
-    name = f"frames without room at {SATURATED_PER_S} frames/s"
-    return Figure(name, "‰", max(ours), max(naive), NAIVE.name, target=0, absolute=True)
+    peer = max(naive) if naive else None
+    return Figure(name, "‰", max(ours), peer, NAIVE.name, target=0, absolute=True)
 
 
 def _cadence(turns: Turns) -> Iterator[Figure]:
     name = "mean period on the wire, away from 50 ms"
-    yield from _against(turns, name, "ms", lambda live: live.cadence.mean_off_ms, NAIVE.name)
-    drift_ms = [
+    yield from _against(turns, name, "ms", _mean_off_ms, NAIVE.name)
+    ours_ms, naive_ms = (
         max(abs(live.cadence.drift_ms) for live in turns[who]) for who in ("ours", NAIVE.name)
-    ]
-    yield Figure(
-        "drift over a run", "ms", drift_ms[0], drift_ms[1], NAIVE.name, 0.5, 0.1, absolute=True
     )
-    for peer in (C_A_TICK.name, NAIVE.name, OTHER):
-        limits = (5.0, 2.0) if peer == C_A_TICK.name else (None, None)
-        yield from _against(
-            turns, "p99 error of the period on the wire", "µs", _p99_us, peer, *limits
-        )
+    yield Figure("drift over a run", "ms", ours_ms, naive_ms, NAIVE.name, 0.5, 0.1, absolute=True)
+    for peer, target, stretch in (
+        (C_A_TICK.name, 5.0, 2.0),
+        (NAIVE.name, None, None),
+        (OTHER, None, None),
+    ):
+        if peer in turns:
+            ours_us, peer_us = (
+                [live.cadence.errors_us for live in turns[who]] for who in ("ours", peer)
+            )
+            name = "p99 error of the period on the wire"
+            yield compared_tails(name, "µs", 0.99, ours_us, peer_us, peer, target, stretch)
     missed = sum(live.cadence.missed for live in turns["ours"])
     yield Figure("cycles without a frame", "", missed, target=0, absolute=True)
-
-
-def _p99_us(live: Live) -> float:
-    return percentile(live.cadence.errors_us, 0.99)

@@ -35,7 +35,10 @@ def has_vcan() -> bool:
 
 
 def bus_name() -> str:
-    return f"SocketCAN {CHANNEL}" if has_vcan() else "AF_UNIX datagram sockets standing in for CAN"
+    if not has_vcan():
+        return "AF_UNIX datagram sockets standing in for CAN"
+    lab = os.environ.get("VCU_LAB")
+    return f"SocketCAN {CHANNEL}" + (f", in the lab ({lab})" if lab else "")
 
 
 class Wire:
