@@ -7,6 +7,7 @@ from typing import Any
 
 from vcu_gateway.core import freshness
 from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.coded_signals import CodedSignals
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
@@ -86,6 +87,7 @@ def rule_inputs(
             store.put(name, CODEC.by_name[name].decode(data(name, raws)), NOW_NS - age_ns)
     late_after_ns = {name: one.late_after_ns for name, one in deadlines.items()}
     facts.setdefault("link", LinkStatus(LinkState.UP, 0))
+    facts.setdefault("coded", CodedSignals())
     return RuleInputs(store.snapshot(NOW_NS), settings, late_after_ns, **facts)
 
 

@@ -155,10 +155,10 @@ def test_the_words_of_the_process_that_sends_the_safe_frames_are_on_the_page():
 
 
 def test_every_cause_that_a_rule_finds_is_on_the_page_and_no_other():
-    tree = ast.parse((SOURCE / "core" / "rules.py").read_text())
     found = {
         node.args[0].value if isinstance(node.args[0], ast.Constant) else ast.unparse(node)
-        for node in ast.walk(tree)
+        for module in ("rules.py", "coded_signals.py")
+        for node in ast.walk(ast.parse((SOURCE / "core" / module).read_text()))
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "Finding"
     }
     listed = rows(section(OPERATIONS, "## Every cause"))

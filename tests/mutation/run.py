@@ -31,6 +31,7 @@ CORE = ROOT / "src" / "vcu_gateway" / "core"
 SURVIVORS = Path(__file__).with_name("survivors.toml")
 TESTS = {
     "rules": ["rules"],
+    "coded_signals": ["coded_signals", "rules"],
     "plausibility": ["plausibility"],
     "causes": ["causes"],
     "lifecycle": ["lifecycle", "gateway"],

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from vcu_gateway.core.coded_signals import CodedSignals
 from vcu_gateway.core.link import LinkStatus
 from vcu_gateway.core.plausibility import NO_DEVIATION, History, Observed, Plausibility
 from vcu_gateway.core.receive import Receiver
@@ -18,6 +19,7 @@ class RuleInputs(NamedTuple):
 
     Attributes:
         late_after_ns: by message name.
+        coded: what the codes of battery and controllers find.
         history: the last throttles and directions sent to each controller, oldest first.
         observed: deviations from the frames before and from sent commands.
         passive_ns: error-passive in all during the last 5 s.
@@ -32,6 +34,7 @@ class RuleInputs(NamedTuple):
     settings: Settings
     late_after_ns: Mapping[str, int]
     link: LinkStatus
+    coded: CodedSignals
     history: History = NOTHING_SENT
     observed: Observed = NO_DEVIATION
     passive_ns: int = 0
@@ -57,6 +60,7 @@ class InputCollector:
         self._receiver = receiver
         self._history = history
         self._late_after_ns = late_after_ns
+        self._coded = CodedSignals()
         self._plausibility = Plausibility()
         self._foreign_before = 0
 
@@ -74,6 +78,7 @@ class InputCollector:
             settings=settings,
             late_after_ns=self._late_after_ns,
             link=monitor.link,
+            coded=self._coded,
             history=sent.frames,
             observed=self._plausibility.observe(snapshot, sent.frames, settings),
             passive_ns=monitor.recent_passive_ns(snapshot.now_ns),

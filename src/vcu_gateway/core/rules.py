@@ -1,13 +1,13 @@
 """Rules: one function for each reason not to move, or to move less (docs/safety.md, Causes).
 
 A rule sees its inputs and returns its findings; it does not log, remember or command. The
-tuple at the bottom is the whole list.
+tuple at the bottom is the whole list. What codes mean is in `coded_signals`.
 """
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 
 from vcu_gateway.core.causes import Effect, Finding
+from vcu_gateway.core.coded_signals import BATTERY_STATUS, CONTROLLER_STATUS
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.plausibility import NO_DEVIATION, WHEELS_MESSAGE
@@ -18,7 +18,6 @@ _ALARM, _STOP, _CUT = (Effect.ALARM,), (Effect.STOP,), (Effect.CUT,)
 _LIMITS = (Effect.REGEN_LIMIT, Effect.POWER_LIMIT)
 _NONE: tuple[Effect, ...] = ()
 
-_STATUS = "BMS_Status"
 _PASSIVE_MAX_NS = 1_000 * NS_PER_MS
 _ECHO_FRAMES = 2
 _WHEELS_APART_NS = 1_000 * NS_PER_MS
@@ -27,101 +26,40 @@ _LATE_MAX_PERIODS = 4
 _LIFE_LIMIT_REPEATS = 1
 _LIFE_STOP_REPEATS = 2
 
-BATTERY_EFFECTS: Mapping[str, tuple[tuple[Effect, ...], ...]] = {
-    "CellOvervoltage": (_NONE, (Effect.REGEN_LIMIT,), (Effect.REGEN_OFF,), (Effect.REGEN_OFF,)),
-    "CellUndervoltage": (_NONE, (Effect.POWER_LIMIT,), _STOP, _CUT),
-    "DischargeOvercurrent": (_NONE, _LIMITS, _CUT, _CUT),
-    "TemperatureImbalance": (_NONE, _ALARM, _ALARM, _ALARM),
-    "Overtemperature": (_NONE, _ALARM, _CUT, _CUT),
-    "Undertemperature": (_NONE, (Effect.REGEN_OFF,), _CUT, _CUT),
-    "VoltageImbalance": (_NONE, _ALARM),
-    "InternalFault": (_NONE, _CUT),
-}
-"""Effects of each code of BMS_Status; a reserved code is the worst (docs/protocol.md E13)."""
-
-UNTIL_RESTART = {("CellOvervoltage", 3)}
-
-CONTROLLER_EFFECTS: Mapping[str, tuple[tuple[Effect, ...], ...]] = {
-    "TemperatureProtectLevel": (_NONE, (Effect.TURBO_OFF,), _STOP, _STOP),
-    "VoltageLevel": (
-        (Effect.POWER_LIMIT, Effect.REGEN_OFF),
-        (Effect.POWER_LIMIT,),
-        _NONE,
-        _NONE,
-        _NONE,
-        (Effect.REGEN_OFF,),
-        (Effect.POWER_LIMIT, Effect.REGEN_OFF),
-        (Effect.POWER_LIMIT, Effect.REGEN_OFF),
-    ),
-}
-"""Effects of each code of a controller's Status1."""
-
-_CONTROLLER_STATUS = tuple(f"{controller}_Status1" for controller in CONTROLLERS)
-_EFFECTS = {
-    _STATUS: BATTERY_EFFECTS,
-    **dict.fromkeys(_CONTROLLER_STATUS, CONTROLLER_EFFECTS),
-}
-_CODED = {message: tuple(effects) for message, effects in _EFFECTS.items()}
-
 Rule = Callable[[RuleInputs], Sequence[Finding]]
 
 
 def battery_codes(inputs: RuleInputs) -> Sequence[Finding]:
     """Fault levels of the battery; the last known level counts until another is known."""
-    return _coded(inputs, _STATUS)
+    return inputs.coded.findings(inputs.snapshot, BATTERY_STATUS)
 
 
 def controller_codes(inputs: RuleInputs) -> Sequence[Finding]:
     """Protection levels of either controller, for both: one driven wheel turns the vehicle."""
     found: list[Finding] = []
-    for message in _CONTROLLER_STATUS:
-        found += _coded(inputs, message)
+    for message in CONTROLLER_STATUS:
+        found.extend(inputs.coded.findings(inputs.snapshot, message))
     return found
-
-
-def _coded(inputs: RuleInputs, message: str) -> Sequence[Finding]:
-    found: list[Finding] = []
-    for codes in inputs.snapshot.codes(message, _CODED[message]):
-        for signal, raw, effect in _effects_of(message, codes):
-            name = inputs.snapshot.code_name(message, signal, raw)
-            found.append(
-                Finding(
-                    "code",
-                    f"{message}.{signal}",
-                    effect,
-                    f"{raw} ({name or 'reserved'})",
-                    until_restart=(signal, raw) in UNTIL_RESTART,
-                )
-            )
-    return found
-
-
-# The same few rows come again and again.
-@functools.lru_cache(maxsize=64)
-def _effects_of(message: str, codes: tuple[int, ...]) -> tuple[tuple[str, int, Effect], ...]:
-    """Signal, code and effect of every code that has one."""
-    coded = zip(_EFFECTS[message].items(), codes, strict=True)
-    return tuple((name, raw, effect) for (name, by), raw in coded for effect in by[raw])
 
 
 def battery_late(inputs: RuleInputs) -> Sequence[Finding]:
     """Battery status overdue: limits until the next one comes or it is stale."""
-    age_ns = inputs.snapshot.age_ns(_STATUS)
-    if age_ns is None or age_ns <= inputs.late_after_ns[_STATUS]:
+    age_ns = inputs.snapshot.age_ns(BATTERY_STATUS)
+    if age_ns is None or age_ns <= inputs.late_after_ns[BATTERY_STATUS]:
         return ()
-    return [Finding("late", _STATUS, effect, _milliseconds(age_ns)) for effect in _LIMITS]
+    return [Finding("late", BATTERY_STATUS, effect, _milliseconds(age_ns)) for effect in _LIMITS]
 
 
 def battery_life(inputs: RuleInputs) -> Sequence[Finding]:
     """Life signal unchanged: frames arrive, but their sender may have stopped."""
     repeats = 0
-    for frame in inputs.snapshot.judged(_STATUS):
+    for frame in inputs.snapshot.judged(BATTERY_STATUS):
         repeats = max(repeats, frame.life_repeats)
     if repeats < _LIFE_LIMIT_REPEATS:
         return ()
     detail = f"unchanged in {repeats + 1} frames"
     effects = _LIMITS if repeats < _LIFE_STOP_REPEATS else (*_LIMITS, Effect.STOP)
-    subject = f"{_STATUS}.LifeSignal"
+    subject = f"{BATTERY_STATUS}.LifeSignal"
     return [Finding("life_signal", subject, effect, detail) for effect in effects]
 
 
@@ -139,7 +77,7 @@ def stale(inputs: RuleInputs) -> Sequence[Finding]:
 def _effects_of_silence(inputs: RuleInputs, message: str) -> tuple[Effect, ...]:
     kind = message.partition("_")[2]
     found: tuple[Effect, ...] = _ALARM
-    if message == _STATUS or kind == "Status2":
+    if message == BATTERY_STATUS or kind == "Status2":
         found = _STOP
     elif kind == "Status1":
         found = (Effect.TURBO_OFF, Effect.POWER_LIMIT)
