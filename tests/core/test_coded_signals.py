@@ -61,5 +61,13 @@ def test_a_frame_out_of_order_counts_once_beside_the_latest(battery: Battery):
     assert battery.tick() == [OVERTEMPERATURE]
 
 
+def test_nothing_is_looked_up_again_while_no_frame_comes(battery: Battery):
+    battery.receive(Overtemperature=1)
+    battery.tick()
+    found = [battery.coded.findings(battery.store.take(battery.now_ns), BATTERY_STATUS)
+             for _ in range(2)]  # fmt: skip
+    assert found[0] is found[1]
+
+
 def test_before_the_first_frame_nothing_is_found():
     assert Battery().tick() == []

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from vcu_gateway.core import commands, j1939
@@ -101,8 +100,7 @@ class Transmitter:
 _HISTORY_FRAMES = 80
 
 
-@dataclass(frozen=True, slots=True)
-class SentValues:
+class SentValues(NamedTuple):
     """Throttle and direction of one command frame that was sent."""
 
     at_ns: int

@@ -1,6 +1,5 @@
 """Explanation of the gateway's state, as a value and as one line."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, HeldCause
@@ -17,6 +16,7 @@ LONGEST_CHARACTERS = 200
 WAITING_FOR = "waiting for "
 """Begins a condition that a message has to meet; its name follows."""
 
+_ALARM = frozenset({Effect.ALARM})
 _NAMED = (3, 2, 1)
 # What becomes shorter, step by step, until the sentence is short enough.
 _SHORTENED = (
@@ -25,8 +25,7 @@ _SHORTENED = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Explanation:
+class Explanation(NamedTuple):
     """One instant, explained.
 
     Attributes:
@@ -128,7 +127,8 @@ class Explanation:
 
     def signature(self) -> tuple[object, ...]:
         """Key of answers that are the same to a person: all but ages and values."""
-        keys = tuple(held.finding.key for held in self.blocks + self.limits + self.alarms)
+        held = self.blocks + self.limits + self.alarms
+        keys = tuple([one.finding.key for one in held]) if held else ()
         return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
 
 
@@ -186,7 +186,7 @@ def explained(
         latch=latch,
         blocks=inputs.causes.having(BLOCKING),
         limits=inputs.causes.having(LIMITING),
-        alarms=inputs.causes.having(frozenset({Effect.ALARM})),
+        alarms=inputs.causes.having(_ALARM),
         waits=waits,
         demand_source=None if demand is None else demand.source,
         demand_age_ns=inputs.arbiter.age_ns(now_ns),
@@ -196,6 +196,13 @@ def explained(
     )
 
 
+_NEXT_STEPS = {
+    Mode.STARTING: "wait",
+    Mode.ACTIVE: "drive; disarm to end",
+    Mode.STOPPING: "the gateway is ending",
+}
+
+
 def next_step(mode: Mode, latch: LatchedFault | None, refusal: str) -> str:
     """Next step of the operator; `refusal` is the reason against arming or resetting, or empty."""
     if mode is Mode.FAULT:
@@ -203,11 +210,7 @@ def next_step(mode: Mode, latch: LatchedFault | None, refusal: str) -> str:
         return f"first: {refusal}; then {level}reset" if refusal else f"{level}reset"
     if mode is Mode.STANDBY:
         return f"before arming: {refusal}" if refusal else "arm"
-    return {
-        Mode.STARTING: "wait",
-        Mode.ACTIVE: "drive; disarm to end",
-        Mode.STOPPING: "the gateway is ending",
-    }[mode]
+    return _NEXT_STEPS[mode]
 
 
 def waits(

@@ -181,8 +181,9 @@ class TickLoop:
             self.event_log.emit(event)
         why = self.gateway.why(result.snapshot.now_ns)
         self.latest = LastTick(result, why)
-        if why.signature() != self._last_why:
-            self._last_why = why.signature()
+        signature = why.signature()
+        if signature != self._last_why:
+            self._last_why = signature
             log.info("why", sentence=why.sentence())
 
     def refresh_why(self) -> None:
