@@ -36,6 +36,15 @@ def test_a_busy_process_has_used_the_processor_on_whichever_thread(spent):
     assert spent.since_last().processor_ns >= 50 * MS
 
 
+def test_the_interval_is_that_between_two_looks(spent):
+    spent.since_last()
+    begun_ns = time.monotonic_ns()
+    time.sleep(0.05)
+    over_ns = spent.since_last().over_ns
+    assert over_ns >= 50 * MS
+    assert over_ns - (time.monotonic_ns() - begun_ns) < 5 * MS
+
+
 def test_a_sleeping_one_has_not(spent):
     found = []
     for _ in range(5):  # other threads of the tests may be at work in one of them

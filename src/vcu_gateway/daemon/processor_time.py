@@ -1,4 +1,4 @@
-"""Processor time between two ticks: distinguishes a starved machine from a busy gateway."""
+"""Processor time up to a late tick: distinguishes a starved machine from a busy gateway."""
 
 import contextlib
 import os
@@ -13,11 +13,13 @@ class ProcessorUsage(NamedTuple):
     """Processor time of one interval.
 
     Attributes:
+        over_ns: length of the interval.
         processor_ns: processor time of the whole process.
         waited_ns: how long the asking thread was ready to run and had no processor; None where
             the kernel does not count it.
     """
 
+    over_ns: int
     processor_ns: int
     waited_ns: int | None
 
@@ -29,17 +31,22 @@ class ProcessorTime:
         self._file: int | None = None
         with contextlib.suppress(OSError):
             self._file = os.open(_SCHEDSTAT, os.O_RDONLY | os.O_CLOEXEC)
-        self._processor_ns = time.process_time_ns()
-        self._waited_ns = self._waited()
+        self._last = self._read()
 
     def since_last(self) -> ProcessorUsage:
-        """Processor time since the last call, or since the beginning."""
-        processor_ns, waited_ns = time.process_time_ns(), self._waited()
-        spent_ns, before_ns = processor_ns - self._processor_ns, self._waited_ns
-        self._processor_ns, self._waited_ns = processor_ns, waited_ns
-        if waited_ns is None or before_ns is None:
-            return ProcessorUsage(spent_ns, None)
-        return ProcessorUsage(spent_ns, waited_ns - before_ns)
+        """Processor time since the last call, or since the beginning; a file is read."""
+        before, now = self._last, self._read()
+        self._last = now
+        waited_ns = None
+        if now.waited_ns is not None and before.waited_ns is not None:
+            waited_ns = now.waited_ns - before.waited_ns
+        return ProcessorUsage(
+            now.over_ns - before.over_ns, now.processor_ns - before.processor_ns, waited_ns
+        )
+
+    def _read(self) -> ProcessorUsage:
+        """The counters, and the time since the machine started."""
+        return ProcessorUsage(time.monotonic_ns(), time.process_time_ns(), self._waited())
 
     def _waited(self) -> int | None:
         """The second number: time on the run queue."""
