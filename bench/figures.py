@@ -169,7 +169,7 @@ class Options:
 def counts_finely() -> bool:
     """False where the kernel counts processor time in whole ticks, as User Mode Linux does.
 
-    Whole programs are measured by what they leave over there (`spare.py`), parts by the clock.
+    Figures of processor time are left out there.
     """
     start_ns = time.process_time_ns()
     while (step_ns := time.process_time_ns() - start_ns) == 0:

@@ -1,7 +1,6 @@
 /* The least that keeps a frame table and two commands every 50 ms, as a yardstick.
-   Usage: floor tick|frame|idle INTERFACE|FD
-   tick: one wake-up a tick, which reads all that waits; frame: one wake-up for each frame;
-   idle: a single frame, then nothing.
+   Usage: floor tick|frame INTERFACE|FD
+   tick: one wake-up a tick, which reads all that waits; frame: one wake-up for each frame.
    On SIGTERM it prints when each tick was due and how late it was, in ns of CLOCK_MONOTONIC. */
 #define _GNU_SOURCE
 #include <ctype.h>
@@ -14,9 +13,7 @@
 #include <string.h>
 #include <sys/socket.h>
 #include <time.h>
-#include <unistd.h>
 #include <linux/can.h>
-#include <linux/can/raw.h>
 
 #define PERIOD_NS 50000000LL
 #define TICKS_AT_MOST 100000
@@ -104,13 +101,6 @@ int main(int argc, char **argv)
 		return 2;
 	by_tick = !strcmp(argv[1], "tick");
 	fd = isdigit((unsigned char)argv[2][0]) ? atoi(argv[2]) : can_socket(argv[2]);
-	if (!strcmp(argv[1], "idle")) {
-		command.can_id = ids[0];
-		send(fd, &command, sizeof command, 0);
-		setsockopt(fd, SOL_CAN_RAW, CAN_RAW_FILTER, NULL, 0);
-		for (;;)
-			pause();
-	}
 	sigaction(SIGTERM, &action, NULL);
 	for (next = now_ns() + PERIOD_NS; !ended; next += PERIOD_NS) {
 		if (by_tick && many) {

@@ -16,8 +16,6 @@ from typing import Any, NamedTuple, TextIO
 
 from bench import under_test
 from bench.api_loop import Connection
-from bench.figures import counts_finely
-from bench.spare import Spare
 from bench.under_test import Program
 from bench.wire import Wire, cpu_ns, has_vcan, resident_mb, times_woken
 
@@ -79,7 +77,7 @@ class Live:
     """One run, from the end of the warm-up.
 
     Attributes:
-        share_pct: of one core; where that is counted in whole ticks, with all that ran beside it.
+        share_pct: of one core.
         woken_per_s: how often its threads began to wait.
         stamps_ns: arrival of the first command of each cycle.
         ticks: empty where the program does not time them.
@@ -152,21 +150,17 @@ def _said(program: Program, file: TextIO) -> str:
 
 def run(program: Program, per_s: float, seconds: float, *options: str) -> Live:
     """Start, warm up, watch for `seconds`, stop."""
-    with contextlib.ExitStack() as stack:
-        spare = None
-        if not counts_finely():
-            spare = stack.enter_context(Spare())
-            options = (*options, "wall") if program.tree else options
-        wire = stack.enter_context(Wire(per_s, echo=program.tree is not None))
-        running = stack.enter_context(started(wire, program, *options))
-
+    with (
+        Wire(per_s, echo=program.tree is not None) as wire,
+        started(wire, program, *options) as running,
+    ):
         await_frame(wire)
         time.sleep(_WARM_UP_S)
         dropped_before = _dropped(program, running)
         time.sleep(_SETTLE_S)
-        before = _Reading(wire, running, spare)
+        before = _Reading(wire, running)
         time.sleep(seconds)
-        after = _Reading(wire, running, spare)
+        after = _Reading(wire, running)
         dropped = _dropped(program, running) - dropped_before
         memory_mb = resident_mb(running.process.pid)
         running.process.send_signal(signal.SIGTERM)
@@ -187,11 +181,10 @@ def run(program: Program, per_s: float, seconds: float, *options: str) -> Live:
 class _Reading:
     """All counters at one instant."""
 
-    def __init__(self, wire: Wire, running: Running, spare: Spare | None) -> None:
+    def __init__(self, wire: Wire, running: Running) -> None:
         pid = running.process.pid
         self.monotonic_ns, self.wall_ns = time.monotonic_ns(), time.time_ns()
-        self.cpu_ns = cpu_ns(pid) if spare is None else spare.taken_ns()
-        self.woken = times_woken(pid)
+        self.cpu_ns, self.woken = cpu_ns(pid), times_woken(pid)
         self.sent, self.refused = wire.sent, wire.refused
 
 

@@ -1,4 +1,4 @@
-"""The gateway under test: `python -m bench.program WAY CONFIG [fifo] [wall] [stand-in=FD]`.
+"""The gateway under test: `python -m bench.program WAY CONFIG [fifo] [stand-in=FD]`.
 
 WAY is `run` (`vcu-gateway run` as it is), `timed` (the same, with a clock reading before and after
 what is measured; prints JSON at its end) or `receive` (bus to store alone, no ticks; says when it
@@ -27,7 +27,7 @@ def main() -> None:
         stand_in.for_gateway()
     if way == "receive":
         receive(config)
-    found = timed("wall" in options) if way == "timed" else None
+    found = timed() if way == "timed" else None
     from vcu_gateway.cli import main as command_line
 
     sys.argv = ["vcu-gateway", "run", "--config", config]
@@ -40,14 +40,14 @@ def main() -> None:
         print(json.dumps({**found, "source": vcu_gateway.__file__}), flush=True)
 
 
-def timed(by_the_clock: bool) -> dict[str, Any]:
+def timed() -> dict[str, Any]:
     """Note every tick of this process: when it was due, lateness, processor time (ns), mode.
 
     Processor time is that of the ticking thread from the snapshot until the last frame was handed
     to the kernel; 0 where none was.
     """
     ticks: list[list[Any]] = []
-    clock_ns = time.monotonic_ns if by_the_clock else time.thread_time_ns
+    clock_ns = time.thread_time_ns
     begun_ns = 0
 
     def time_due(names: dict[str, Any]) -> None:

@@ -31,10 +31,6 @@ _NAMES = (
 _LONG = ("priority",)
 _PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 _QUICK_SHARE = 0.15
-_COARSE = (
-    "counted in whole ticks here; of whole programs by what a counting program leaves, "
-    "of a tick by the clock; nothing at a full bus"
-)
 _PACKAGES = ("vcu-gateway", "python-can", "cantools", "structlog")
 
 
@@ -119,10 +115,10 @@ def _about(options: Options, load: float) -> str:
     ]
     if options.against is not None:
         lines.append(f"{under_test.OTHER}: {_commit(options.against)}")
-    if not under_test.has_compiler():
+    if not under_test.floors():
         lines.append("C programs: left out, no C compiler here")
     if not counts_finely():
-        lines.append(f"processor time: {_COARSE}")
+        lines.append("processor time: left out, counted in whole ticks here")
     program, others = under_test.processors()
     if program.isdisjoint(others):
         lines.append("the program under test had a processor of its own")
@@ -135,7 +131,7 @@ def _commit(tree: Path) -> str:
     try:
         return subprocess.run(command, capture_output=True, check=True, text=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
-        return "of no commit"
+        return "unknown commit"
 
 
 def _page(about: str, table: str, took_s: float) -> str:

@@ -30,9 +30,11 @@ def figures(options: Options) -> Iterator[Figure]:
         way()  # files and byte code are in memory then
     found: dict[str, list[float]] = {name: [] for name in ways}
     turns = options.turns(_TURNS)
-    for _ in range(turns):
-        for name, way in ways.items():
+    for turn in range(turns):
+        for name, way in ways.items() if turn % 2 == 0 else reversed(ways.items()):
             found[name].append(way())
+        took = ", ".join(f"{name} {of[-1]:.0f} ms" for name, of in found.items())
+        print(f"   start, turn {turn + 1} of {turns}: {took}", file=sys.stderr)
     ours = found["ours"]
     yield compared("start to first tick", "ms", ours, found[NAIVE.name], NAIVE.name, 2.0, 1.4)
     for name in (OTHER, _BARE, _IMPORTS):

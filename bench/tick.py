@@ -10,9 +10,9 @@ from bench.whole import runs
 
 
 def figures(options: Options) -> Iterator[Figure]:
-    turns, name = runs(options, NOMINAL_PER_S), "tick, processor time"
     if not counts_finely():
-        name = "tick, time"
+        return
+    turns, name = runs(options, NOMINAL_PER_S), "tick, processor time"
     ours_us = [_cpu_us(live, 0.5) for live in turns["ours"]]
     yield alone(f"{name}, median", "µs", ours_us, 300, 220)
     if OTHER in turns:

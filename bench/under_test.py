@@ -17,6 +17,7 @@ from bench import CHANNEL, wire
 from bench.figures import Options
 
 HERE = Path(__file__).resolve().parent.parent
+_FLOOR = HERE / "build" / "bench" / "floor"
 
 # A test bench that arms itself: the gateway has all its work to do. The traffic's controllers stand
 # still; below 15 % that is no controller that does not obey, which would be found in every tick.
@@ -39,7 +40,6 @@ class Program:
     Attributes:
         tree: source tree of a gateway; None: it is not one.
         words: its command line, without what names the bus.
-        echoes: whether its own frames come back to it.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Program:
         """Command line on the bus, or on a socket in place of it."""
         if self.words[0] == "floor":
             return [
-                str(compiled("floor.c")),
+                str(floor()),
                 *self.words[1:],
                 CHANNEL if stand_in is None else str(stand_in),
             ]
@@ -70,9 +70,9 @@ class Program:
         }
 
 
+OTHER = "other tree"
 NAIVE = Program("naive", ("bench.naive",))
 C_A_TICK = Program("C, one wake-up a tick", ("floor", "tick"))
-NOTHING = Program("nothing", ("floor", "idle"))
 C_A_FRAME = Program("C, one wake-up a frame", ("floor", "frame"))
 
 
@@ -89,16 +89,9 @@ def gateways(options: Options, way: str = "timed") -> list[Program]:
     return found
 
 
-OTHER = "other tree"
-
-
 def floors() -> list[Program]:
-    """The C programs; none where there is no compiler."""
-    return [C_A_TICK, C_A_FRAME] if has_compiler() else []
-
-
-def has_compiler() -> bool:
-    return shutil.which("cc") is not None
+    """The C programs; none where they cannot be had."""
+    return [C_A_TICK, C_A_FRAME] if floor() else []
 
 
 @contextlib.contextmanager
@@ -129,12 +122,14 @@ _kept: list[tempfile.TemporaryDirectory[str]] = []
 
 
 @cache
-def compiled(source: str) -> Path:
-    """A C program of this folder."""
-    target = _folder() / Path(source).stem
-    path = Path(__file__).with_name(source)
-    subprocess.run(["cc", "-O2", "-o", target, path], check=True)
-    return target
+def floor() -> Path | None:
+    """floor.c compiled, and kept for machines without a compiler; None where it never was."""
+    source = Path(__file__).with_name("floor.c")
+    is_current = _FLOOR.exists() and _FLOOR.stat().st_mtime > source.stat().st_mtime
+    if not is_current and shutil.which("cc"):
+        _FLOOR.parent.mkdir(parents=True, exist_ok=True)
+        subprocess.run(["cc", "-O2", "-o", _FLOOR, source], check=True)
+    return _FLOOR if _FLOOR.exists() else None
 
 
 def on_its_processor() -> contextlib.AbstractContextManager[None]:

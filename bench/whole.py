@@ -2,14 +2,13 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import cache
 
 from bench import under_test
 from bench.figures import Figure, Options, alone, compared, compared_tails, counts_finely
 from bench.live import Live, run
 from bench.traffic import NOMINAL_PER_S, SATURATED_PER_S
-from bench.under_test import C_A_FRAME, C_A_TICK, NAIVE, NOTHING, OTHER
+from bench.under_test import C_A_FRAME, C_A_TICK, NAIVE, OTHER
 
 _FULL_S = {NOMINAL_PER_S: 2.5, SATURATED_PER_S: 1.0}
 # Two starts of one program differ more than two stretches of one run.
@@ -24,8 +23,6 @@ def runs(options: Options, per_s: int) -> Turns:
     """Every program in turns; kept, because several benchmarks look at them."""
     seconds, turns = options.seconds(_FULL_S[per_s]), options.turns(_TURNS[per_s])
     programs = [*under_test.gateways(options), NAIVE, *under_test.floors()]
-    if not counts_finely():
-        programs.append(NOTHING)
     found: Turns = {program.name: [] for program in programs}
     for turn in range(turns):
         # Every other turn backwards: none has always the same one before it.
@@ -33,28 +30,13 @@ def runs(options: Options, per_s: int) -> Turns:
             found[program.name].append(run(program, per_s, seconds))
         shares = ", ".join(f"{name} {of[-1].share_pct:.2f} %" for name, of in found.items())
         print(f"   {per_s} frames/s, turn {turn + 1} of {turns}: {shares}", file=sys.stderr)
-    return _without_the_wire(found)
-
-
-def _without_the_wire(turns: Turns) -> Turns:
-    """Shares of the programs alone, where they were measured with all that ran beside them."""
-    if NOTHING.name not in turns:
-        return turns
-    wire_pct = [live.share_pct for live in turns[NOTHING.name]]
-    return {
-        name: [
-            replace(live, share_pct=live.share_pct - beside_pct)
-            for live, beside_pct in zip(lives, wire_pct, strict=True)
-        ]
-        for name, lives in turns.items()
-    }
+    return found
 
 
 def figures(options: Options) -> Iterator[Figure]:
     turns = runs(options, NOMINAL_PER_S)
-    if counts_finely() or under_test.has_compiler():
+    if counts_finely():
         yield from _shares(turns, NOMINAL_PER_S, 0.65, 0.5)
-    if counts_finely():  # elsewhere the wire alone would need more than there is
         saturated = runs(options, SATURATED_PER_S)
         yield from _shares(saturated, SATURATED_PER_S, 0.35, 0.2)
         yield _lost(saturated)

@@ -4,11 +4,9 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 
 import pytest
 from bench.live import PERIOD_NS, cadence, run
-from bench.spare import Spare
 from bench.traffic import NOMINAL_PER_S
 from bench.under_test import (
     C_A_FRAME,
@@ -87,21 +85,6 @@ def test_programs_under_test_find_their_byte_code_whatever_the_caller_wants(monk
     )
     assert said.stdout.split()[0] == "False"
     assert str(HERE) not in said.stdout
-
-
-@needs_compiler
-def test_a_busy_processor_leaves_nothing_over():
-    with Spare() as spare, on_its_processor():
-        busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-        try:
-            time.sleep(0.5)
-            taken_ns, begun_ns = spare.taken_ns(), time.monotonic_ns()
-            time.sleep(0.5)
-            share = (spare.taken_ns() - taken_ns) / (time.monotonic_ns() - begun_ns)
-        finally:
-            busy.kill()
-            busy.wait()
-    assert share > 0.8
 
 
 def test_the_calling_thread_keeps_its_processors(tmp_path):
