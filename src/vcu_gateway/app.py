@@ -123,7 +123,6 @@ def bus_settings(config: Config) -> BusSettings:
         interface=bus.interface,
         channel=bus.channel,
         kernel_filters=bus.kernel_filters,
-        gather_s=bus.gather_ms / 1000,
         receive_buffer_bytes=bus.receive_buffer_bytes,
         bit_rate_bit_s=bus.bit_rate_bit_s,
     )

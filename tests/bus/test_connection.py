@@ -270,5 +270,5 @@ def test_the_report_has_every_counter_as_plain_data(connection):
     assert report["sent"] == 1
     assert set(report) == {
         "received", "sent", "refused", "receiver_bugs", "last_bug", "dropped", "lost",
-        "repeated_errors", "reader_not_awaited", "undecodable",
+        "repeated_errors", "undecodable",
     }  # fmt: skip

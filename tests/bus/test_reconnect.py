@@ -40,6 +40,9 @@ class FakeConnection:
     def mark_lost(self, why: str) -> None:
         self.lost = self.lost or why
 
+    def wait_until_read(self, patience_s: float) -> None:
+        pass
+
     def close(self) -> None:
         self.closings += 1
 

@@ -34,7 +34,7 @@ bus:
   channel: can0
   bit_rate_bit_s: 250000
   kernel_filters: true
-  gather_ms: 2
+  receive_buffer_bytes: 1048576
   reopen_ms: 200
 protocol:
   aliases:
@@ -260,7 +260,7 @@ def test_windows_line_ends_are_accepted_and_lines_counted_once(tmp_path: Path) -
 
 
 def test_a_whole_number_is_accepted_for_a_number_with_decimals() -> None:
-    assert parse("bus: {gather_ms: 3}", "").bus.gather_ms == 3.0
+    assert parse("limits: {regen_limit_pct: 3}", "").limits.regen_limit_pct == 3.0
 
 
 def test_unquoted_off_is_text_where_text_is_meant() -> None:
@@ -332,6 +332,11 @@ BROKEN = [
         "log:",
         "api: {metrics_port: 9464}\nlog:",
         f"26: api.metrics_port: unknown key; {_EXPORTER}",
+    ),
+    (
+        "  channel: can0",
+        "  channel: can0\n  gather_ms: 17",
+        "4: bus.gather_ms: unknown key; remove it: the bus is read before every tick",
     ),
     ("log:", "lgo:", '26: lgo: unknown key; did you mean "log"?'),
     ("log:", "channel: can1\nlog:", '26: channel: unknown key; did you mean "bus.channel"?'),
@@ -407,23 +412,35 @@ BROKEN = [
     ),
     # numbers with decimals
     (
-        "  gather_ms: 2",
-        "  gather_ms: .nan",
-        "6: bus.gather_ms: must be a finite number in ms, not .nan",
+        "    throttle_pct: 10",
+        "    throttle_pct: .nan",
+        "23: bench.demand.throttle_pct: must be a finite number in %, not .nan",
     ),
     (
-        "  gather_ms: 2",
-        "  gather_ms: -.inf",
-        "6: bus.gather_ms: must be a finite number in ms, not -.inf",
+        "    throttle_pct: 10",
+        "    throttle_pct: -.inf",
+        "23: bench.demand.throttle_pct: must be a finite number in %, not -.inf",
     ),
     (
-        "  gather_ms: 2",
-        "  gather_ms: 1e999",
-        "6: bus.gather_ms: must be a finite number in ms, not .inf",
+        "    throttle_pct: 10",
+        "    throttle_pct: 1e999",
+        "23: bench.demand.throttle_pct: must be a finite number in %, not .inf",
     ),
-    ("  gather_ms: 2", "  gather_ms: false", "6: bus.gather_ms: must be a number in ms, not false"),
-    ("  gather_ms: 2", "  gather_ms: 18.01", "6: bus.gather_ms: must be at most 18 ms, not 18.01"),
-    ("  gather_ms: 2", "  gather_ms: [2]", "6: bus.gather_ms: must be a number in ms, not a list"),
+    (
+        "    throttle_pct: 10",
+        "    throttle_pct: false",
+        "23: bench.demand.throttle_pct: must be a number in %, not false",
+    ),
+    (
+        "    throttle_pct: 10",
+        "    throttle_pct: 100.01",
+        "23: bench.demand.throttle_pct: must be at most 100 %, not 100.01",
+    ),
+    (
+        "    throttle_pct: 10",
+        "    throttle_pct: [2]",
+        "23: bench.demand.throttle_pct: must be a number in %, not a list",
+    ),
     # switches and choices
     (
         "  kernel_filters: true",
@@ -732,7 +749,7 @@ def test_all_errors_are_told_at_once_in_the_order_of_the_file() -> None:
     text = HEALTHY
     for line, wrong in (
         ("  level: info", "  level: loud"),
-        ("  gather_ms: 2", "  gather_ms: 11\n  gather_ms: 2"),
+        ("  kernel_filters: true", "  kernel_filters: false\n  kernel_filters: true"),
         ("    3: overvoltage", "    true: overvoltage"),
         ("  channel: can0", "  chanel: can0"),
         ("    throttle_pct: 10", "    throttle_pct: -1"),
@@ -740,7 +757,7 @@ def test_all_errors_are_told_at_once_in_the_order_of_the_file() -> None:
         text = text.replace(line, wrong)
     assert [error.split(": ")[:2] for error in errors(text)] == [
         ["gateway.yaml:3", "bus.chanel"],
-        ["gateway.yaml:7", "bus.gather_ms"],
+        ["gateway.yaml:6", "bus.kernel_filters"],
         ["gateway.yaml:13", "protocol.status_code_names"],
         ["gateway.yaml:24", "bench.demand.throttle_pct"],
         ["gateway.yaml:28", "log.level"],

@@ -11,7 +11,6 @@ from vcu_gateway.core.schedule import (
     Schedule,
     lateness_at,
     lateness_bin,
-    next_drain_ns,
     percentile_ns,
 )
 
@@ -146,27 +145,6 @@ def test_the_percentile_is_the_upper_bound_of_its_bin():
     assert lateness_at(counts, 0.99) == LATENESS_BOUNDS_NS[1]
     assert lateness_at(counts, 1.0) is None, "beyond the last bound nobody knows how late"
     assert lateness_at([0] * 10, 0.5) is None
-
-
-@pytest.mark.parametrize(
-    ("last_ns", "gather_ns", "expected_ns"),
-    [
-        (1000, 10 * MS, 1000 + 10 * MS),
-        (1000 + 39 * MS, 10 * MS, 1000 + 49 * MS),
-        (1000 + 40 * MS, 10 * MS, 1000 + 50 * MS),
-        (1000 + 45 * MS, 10 * MS, 1000 + 50 * MS),
-        (1000 + 50 * MS - 1, 10 * MS, 1000 + 50 * MS),
-        (1000 + 50 * MS, 10 * MS, 1000 + 60 * MS),
-        (0, 10 * MS, 1000),
-        (1000, 0, 1000),
-    ],
-)
-def test_frames_gather_but_are_read_before_every_tick(last_ns, gather_ns, expected_ns):
-    assert next_drain_ns(last_ns, gather_ns, (1000, PERIOD)) == expected_ns
-
-
-def test_without_ticks_frames_gather_for_their_time():
-    assert next_drain_ns(45 * MS, 10 * MS, None) == 55 * MS
 
 
 def test_the_latest_ticks_are_kept_for_exact_percentiles_and_no_more_of_them():

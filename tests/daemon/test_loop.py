@@ -275,11 +275,3 @@ def test_a_frame_is_not_sent_half_a_period_after_its_tick(rig, monkeypatch):
     assert held_up == ["PCU1"]
     assert one.connection.counters.refused["late"] >= 1
     assert [frame.arbitration_id for frame in one.heard()][:2] == [COMMANDS[0], COMMANDS[0]]
-
-
-def test_a_tick_that_could_not_read_what_waits_sends_nothing(rig, monkeypatch):
-    one = rig()
-    monkeypatch.setattr(one.connection, "read_waiting", lambda until_ns: False)
-    one.run_until(lambda: one.connection.counters.refused.get("unread", 0) >= 4)
-    assert one.heard() == []
-    assert one.connection.counters.sent == 0

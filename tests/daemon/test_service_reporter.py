@@ -128,23 +128,23 @@ def test_the_end_is_reported_when_it_begins(rig):
     assert one.told().count("STOPPING=1") == 1
 
 
-# The receiving thread.
+# Receiving.
 
 
 class FakeConnection(SimpleNamespace):
-    reader_wakes: int | None = 0
+    drains: int | None = 0
 
 
-def test_a_reader_that_wakes_at_every_third_tick_lives():
+def test_a_bus_that_is_read_at_every_third_tick_is_received():
     connection = FakeConnection()
     watch = ReceiverWatchdog(cast(BusConnection, connection))
     for tick in range(100):
-        connection.reader_wakes = tick // 3
+        connection.drains = tick // 3
         watch.observe()
         assert watch.alive
 
 
-def test_a_reader_that_does_not_wake_for_ten_ticks_is_in_doubt_and_for_twenty_dead():
+def test_a_bus_that_is_not_read_for_ten_ticks_is_in_doubt_and_for_twenty_lost():
     connection = FakeConnection()
     watch = ReceiverWatchdog(cast(BusConnection, connection))
     alive = []
@@ -152,35 +152,35 @@ def test_a_reader_that_does_not_wake_for_ten_ticks_is_in_doubt_and_for_twenty_de
         watch.observe()
         alive.append(watch.alive)
     assert alive == [True] * 10 + [False] * 10
-    with pytest.raises(RuntimeError, match="receiving thread is dead"):
+    with pytest.raises(RuntimeError, match="not read any more"):
         watch.observe()
 
 
-def test_without_an_open_bus_nobody_is_expected_to_wake():
-    connection = FakeConnection(reader_wakes=None)
+def test_without_an_open_bus_nothing_is_expected_to_be_read():
+    connection = FakeConnection(drains=None)
     watch = ReceiverWatchdog(cast(BusConnection, connection))
     for _ in range(100):
         watch.observe()
     assert watch.alive
 
 
-def test_a_reader_that_wakes_again_is_alive_again():
+def test_a_bus_that_is_read_again_is_received_again():
     connection = FakeConnection()
     watch = ReceiverWatchdog(cast(BusConnection, connection))
     for _ in range(15):
         watch.observe()
-    connection.reader_wakes = 1
+    connection.drains = 1
     watch.observe()
     assert watch.alive
 
 
-def test_a_dead_reader_ends_the_pings_and_then_the_process(rig, monkeypatch):
+def test_a_bus_that_is_not_read_ends_the_pings_and_then_the_process(rig, monkeypatch):
     one = rig(standby())
-    monkeypatch.setattr(BusConnection, "reader_wakes", 7)
+    monkeypatch.setattr(BusConnection, "drains", 7)
     one.tick(20)
     before = one.told().count("WATCHDOG=1")
     assert 0 < before < 3
-    with pytest.raises(RuntimeError, match="receiving thread is dead"):
+    with pytest.raises(RuntimeError, match="not read any more"):
         one.tick()
 
 

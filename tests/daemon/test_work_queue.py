@@ -50,7 +50,7 @@ def test_work_that_comes_in_meanwhile_is_done_at_once():
     threading.Timer(0.02, queue.post, [done.set]).start()
     end_ns = time.monotonic_ns() + 60_000_000_000
     queue.post(lambda: None)
-    watcher = threading.Thread(target=queue.run_until, args=(end_ns,), daemon=True)
+    watcher = threading.Thread(target=queue.run_until, args=(end_ns, end_ns), daemon=True)
     watcher.start()
     assert done.wait(30), "it was left waiting until the end"
 
@@ -58,8 +58,20 @@ def test_work_that_comes_in_meanwhile_is_done_at_once():
 def test_without_time_left_nothing_is_waited_for():
     queue, done = WorkQueue(), []
     queue.post(lambda: done.append(1))
-    queue.run_until(time.monotonic_ns() - 1)
+    past_ns = time.monotonic_ns() - 1
+    queue.run_until(past_ns, past_ns)
     assert done == []
+
+
+def test_work_that_comes_in_shortly_before_the_end_is_left_to_the_next_time():
+    queue, done = WorkQueue(), []
+    threading.Timer(0.02, queue.post, [lambda: done.append(1)]).start()
+    begun_ns = time.monotonic_ns()
+    queue.run_until(begun_ns, begun_ns + 200_000_000)
+    assert time.monotonic_ns() - begun_ns >= 200_000_000, "and does not end the waiting"
+    assert done == []
+    queue.run_waiting()
+    assert done == [1]
 
 
 @pytest.mark.timeout(60)
@@ -69,7 +81,8 @@ def test_a_signal_whose_handler_ends_after_the_time_does_not_keep_it():
     late = threading.Timer(0.1, os.kill, [os.getpid(), signal.SIGUSR1])
     try:
         late.start()
-        WorkQueue().run_until(time.monotonic_ns() + 200_000_000)
+        end_ns = time.monotonic_ns() + 200_000_000
+        WorkQueue().run_until(end_ns, end_ns)
     finally:
         late.join()
         signal.signal(signal.SIGUSR1, before)
@@ -88,6 +101,7 @@ def test_a_signal_may_post_while_it_is_waited_for():
         queue.post(lambda: None)
         while not done:
             assert time.monotonic_ns() < end_ns
-            queue.run_until(min(end_ns, time.monotonic_ns() + 1_000_000_000))
+            soon_ns = time.monotonic_ns() + 1_000_000_000
+            queue.run_until(soon_ns, soon_ns)
     finally:
         signal.signal(signal.SIGUSR1, before)

@@ -342,13 +342,11 @@ def test_what_was_sent_confirmed_foreign_unsent_and_blocked_is_counted():
     assert before.by("frames_unsent_total", "reason") == {
         "closed": 0,
         "late": 0,
-        "unread": 0,
         "ENOBUFS": 0,
     }
     assert scrape.by("frames_unsent_total", "reason") == {
         "closed": 0,
         "late": 1,
-        "unread": 0,
         "ENOBUFS": 0,
         "ENODEV": 1,
     }

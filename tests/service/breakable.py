@@ -3,10 +3,11 @@
 Run by the interpreter of the package instead of its own command, with the same arguments.
 """
 
-import ctypes
 import signal
 import sys
 import threading
+
+import can
 
 from vcu_gateway.cli import main
 
@@ -18,10 +19,10 @@ def stand_still(_number, _frame):
     lock.acquire()
 
 
-def end_reader(_number, _frame):
-    """The thread that receives ends, without a word."""
-    (ident,) = (thread.ident for thread in threading.enumerate() if "Notifier" in thread.name)
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(ident), ctypes.py_object(SystemExit))
+def end_receiving(_number, _frame):
+    """Nothing is read from the bus any more, without a word."""
+    for pair in list(can.Notifier._registry.pairs):
+        pair.notifier.stop()
 
 
 def leak(_number, _frame):
@@ -33,7 +34,7 @@ def leak(_number, _frame):
 
 
 signal.signal(signal.SIGUSR1, stand_still)
-signal.signal(signal.SIGUSR2, end_reader)
+signal.signal(signal.SIGUSR2, end_receiving)
 signal.signal(signal.SIGRTMIN, leak)
 sys.argv[0] = "vcu-gateway"
 main()

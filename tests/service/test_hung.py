@@ -48,7 +48,7 @@ class Break(NamedTuple):
 
 BREAKS = {
     "a tick that waits for ever": Break(signal.SIGUSR1, "watchdog"),
-    "a receiving thread that ended": Break(signal.SIGUSR2, "exit-code"),
+    "a bus that is not read any more": Break(signal.SIGUSR2, "exit-code"),
     "f67: more memory than it may have": Break(signal.SIGRTMIN, "oom-kill"),
 }
 

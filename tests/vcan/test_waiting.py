@@ -98,13 +98,3 @@ def test_a_cut_that_came_before_the_interface_went_down_is_latched(tmp_path: Pat
         latched = [event["fault_class"] for event in one.events("fault_latched")]
         set_up(CHANNEL, up=True)
         assert "service" in latched
-
-
-def test_without_a_stall_no_tick_waits_for_the_reader(tmp_path: Path):
-    with driving_in(tmp_path) as one:
-        one.until_driving()
-        time.sleep(3.0)
-        state = one.ended()
-    ticks = state["ticks"]["done"]
-    assert ticks > 60
-    assert state["bus"]["reader_not_awaited"] <= ticks // 20, "but for stalls of the lab"

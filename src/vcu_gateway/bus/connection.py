@@ -1,19 +1,20 @@
 """Bus connection: opens, receives, sends and closes, whatever the interface.
 
-Received frames go to one callable on the Notifier's thread, and right before a tick on the ticking
-thread: never on both at once. A failed interface is reported once through `on_lost`; the
-reconnector opens it again, the ticking thread starts sending again.
+Received frames go to one callable, on the ticking thread where that one reads the bus (socketcan),
+else on the Notifier's. A failed interface is reported once through `on_lost`; the reconnector opens
+it again, the ticking thread starts sending again.
 """
 
 import dataclasses
 import errno
 import threading
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 from vcu_gateway.bus.adapters import Bus, open_bus
 from vcu_gateway.bus.diagnostics import unopened
 from vcu_gateway.bus.instance_lock import InstanceLock
+from vcu_gateway.bus.reader import Reader
 from vcu_gateway.bus.receiver import FrameListener
 from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.core import j1939
@@ -24,40 +25,15 @@ from vcu_gateway.python_can import can
 
 __all__ = ["BusConnection", "BusCounters", "BusSettings", "kernel_filters"]
 
-# The reader wakes this often without frames, so that its counter shows that it lives.
-_NOTIFIER_TIMEOUT_S = 0.1
-
 # The interface is down or gone, whatever the next attempt would give.
 _GONE = {"ENETDOWN", "ENODEV", "ENXIO"}
 
 
-class _Opening:
+class _Opening(NamedTuple):
     """One bus and its reader, from an opening to its close."""
 
-    def __init__(self, bus: Bus, listener: FrameListener) -> None:
-        self.bus = bus
-        self._listener = listener
-        self._notifier = can.Notifier(bus.library_bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
-
-    def read_waiting(self, until_ns: int) -> bool:
-        """Hand on what waits in a socket, on the calling thread; it never raises."""
-        try:
-            return self.bus.read_waiting(until_ns, self._hand_on)
-        except (OSError, can.CanError) as error:
-            self._listener.on_error(error)
-            return True
-
-    def _hand_on(self, message: can.Message) -> None:
-        try:
-            self._listener(message)
-        except Exception as error:  # noqa: BLE001 - as python-can's Notifier does
-            self._listener.on_error(error)
-
-    def close(self) -> None:
-        """Stop the reader, then close; it takes as long as a wake-up of the reader."""
-        self._notifier.stop()
-        self.bus.finish()
-        self.bus.library_bus.shutdown()
+    bus: Bus
+    reader: Reader
 
 
 class BusConnection:
@@ -84,7 +60,7 @@ class BusConnection:
         self._opening: _Opening | None = None
         self._sending_bus: Bus | None = None
         self._send_lock = threading.Lock()
-        self._grid: tuple[int, int] | None = None
+        self._read_since_loss = threading.Event()
         self._instance_lock: InstanceLock | None = None
         self.counters = BusCounters()
         self.lost: str | None = "not opened yet"
@@ -106,10 +82,10 @@ class BusConnection:
         return None if self._opening is None else self._opening.bus.receive_buffer_bytes
 
     @property
-    def reader_wakes(self) -> int | None:
-        """Times that the reader woke; None where nothing is open or the bus does not count them."""
+    def drains(self) -> int | None:
+        """Times that the open bus was read to the end; None where that is not our part."""
         opening = self._opening
-        return opening.bus.wakes if opening is not None and self.is_open else None
+        return opening.reader.drains if opening is not None and self.is_open else None
 
     def report(self) -> dict[str, Any]:
         """The counters as plain data."""
@@ -149,10 +125,8 @@ class BusConnection:
             bus = open_bus(self.settings, self._filters, self.counters)
         except (OSError, can.CanError, ImportError) as error:
             raise UnavailableError(unopened(error, self.settings)) from error
-        if self._grid is not None:
-            bus.align(*self._grid)
         self.lost = None
-        self._opening = _Opening(bus, self._listener(bus))
+        self._opening = _Opening(bus, bus.start_reader(self._listener(bus)))
 
     def _listener(self, bus: Bus) -> FrameListener:
         def lost(why: str) -> None:
@@ -161,21 +135,23 @@ class BusConnection:
 
         return FrameListener(self._receive, self.counters, lost, bus.stamps_are_monotonic)
 
-    def align(self, origin_ns: int, period_ns: int) -> None:
-        """Read all that waits shortly before every point of this grid: the ticks."""
-        self._grid = (origin_ns, period_ns)
-        if self._opening is not None:
-            self._opening.bus.align(origin_ns, period_ns)
+    def read_waiting(self, until_ns: int) -> int:
+        """Take in what arrived until this time; how many frames that were.
 
-    def read_waiting(self, until_ns: int) -> bool:
-        """Take in what arrived until this time; on the ticking thread, right before a tick.
-
-        Also what came before the interface was lost. Only where frames wait in a socket of ours
-        (socketcan); elsewhere the reader has every frame as soon as it is there. False where the
-        reader holds a frame that it does not hand on in time: nothing was taken in.
+        On the ticking thread, right before a tick. Only where frames wait in a socket of ours
+        (socketcan); elsewhere a thread has taken them in. What came before the interface was lost
+        is taken in, too. It neither waits nor raises.
         """
+        was_lost = self.lost is not None
         opening = self._opening
-        return opening is None or opening.read_waiting(until_ns)
+        frames = 0 if opening is None else opening.reader.read_waiting(until_ns)
+        if was_lost:
+            self._read_since_loss.set()
+        return frames
+
+    def wait_until_read(self, patience_s: float) -> None:
+        """Wait until what came before the loss has been read, before closing."""
+        self._read_since_loss.wait(patience_s)
 
     def start_sending(self) -> None:
         """Send on the open bus from now on."""
@@ -185,6 +161,7 @@ class BusConnection:
     def mark_lost(self, why: str) -> None:
         """Record that the interface cannot be used: nothing is sent on it again."""
         if self.lost is None:
+            self._read_since_loss.clear()
             self.lost = why
             self.on_lost()
 
@@ -227,7 +204,7 @@ class BusConnection:
             self._sending_bus = None
         opening, self._opening = self._opening, None
         if opening is not None:
-            opening.close()
+            opening.reader.close()
 
 
 def _ignore_loss() -> None:

@@ -21,6 +21,7 @@ _LOOK_EVERY_S = 0.1
 _STEADY_NS = 5_000_000_000
 _PAUSE_AT_MOST_NS = 800_000_000
 _END_WITHIN_S = 1.0
+_READ_WITHIN_S = 0.2
 
 # A bus without a network interface: always there.
 _NO_INTERFACE = Interface(number=0, is_can=True, up=True, carrier=True, tx_queue_frames=0)
@@ -178,6 +179,8 @@ class Reconnector:
         self.changes.append(LinkLost(now_ns, why))
         if now_ns - self._opened_ns >= _STEADY_NS:
             self._pause_ns, self._next_ns = self._first_pause_ns, now_ns
+        if not self._ended:
+            self._connection.wait_until_read(_READ_WITHIN_S)
         self._connection.close()
 
     def _try_to_open(self, found: Interface | None, now_ns: int) -> None:

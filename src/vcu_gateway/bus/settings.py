@@ -11,13 +11,13 @@ class BusSettings:
     """Settings of the bus; see config/gateway.yaml.
 
     Attributes:
+        receive_buffer_bytes: as SO_RCVBUF takes it; None: enough for some periods of a full bus.
         bit_rate_bit_s: bit rate that the interface should have; None: any.
     """
 
     interface: Kind
     channel: str
     kernel_filters: bool = True
-    gather_s: float = 0.017
     receive_buffer_bytes: int | None = None
     bit_rate_bit_s: int | None = None
 
@@ -31,7 +31,6 @@ class BusCounters:
         dropped: frames that the kernel's receive buffer had no room for, or that waited in it
             when the socket was closed.
         repeated_errors: error frames equal to the one before; not evaluated.
-        reader_not_awaited: ticks that went on without the frame that the reader held.
         undecodable: datagrams of a multicast group that hold no frame.
         receiver_bugs: exceptions of our own receiving code; the frame is lost, the rest goes on.
     """
@@ -41,7 +40,6 @@ class BusCounters:
     refused: dict[str, int] = field(default_factory=dict)
     dropped: int = 0
     repeated_errors: int = 0
-    reader_not_awaited: int = 0
     undecodable: int = 0
     receiver_bugs: int = 0
     last_bug: str = ""

@@ -45,6 +45,10 @@ _INTERFACE_NAME = re.compile(r"[^\s/:]{1,15}")
 class BusSection(Section):
     """The CAN bus and how it is read."""
 
+    removed: ClassVar[Mapping[str, str]] = {
+        "gather_ms": "remove it: the bus is read before every tick"
+    }
+
     interface: Literal["socketcan", "virtual", "udp_multicast"] = Field(
         default="socketcan",
         description="Kind of bus; virtual exists inside one process, for tests.",
@@ -66,20 +70,13 @@ class BusSection(Section):
         description="Let the kernel drop frames that nobody here decodes. Off, they are counted as"
         " unknown.",
     )
-    gather_ms: float = Field(
-        default=17.0,
-        ge=0,
-        le=18,
-        description="How long received frames may gather before one wake-up handles them all:"
-        " longer costs less processor time. Before every tick they are read in any case. On a"
-        " saturated bus of 1 Mbit/s half of the kernel's usual receive buffer gathers in 18 ms.",
-    )
     receive_buffer_bytes: int | None = Field(
         default=None,
         ge=4096,
         le=16_777_216,
-        description="The socket's receive buffer; without this key it is as the kernel has it. A"
-        " warning tells where the kernel gives less (net.core.rmem_max limits it).",
+        description="The socket's receive buffer; without this key enough is asked for to hold some"
+        " ticks of a full bus. With it, a warning tells where the kernel gives less"
+        " (net.core.rmem_max limits it).",
         examples=[1_048_576],
     )
     reopen_ms: int = Field(

@@ -99,20 +99,6 @@ class Schedule:
         return tick
 
 
-def next_drain_ns(last_ns: int, gather_ns: int, grid: tuple[int, int] | None) -> int:
-    """Time to read the bus again: after `gather_ns`, but never past a point of the grid.
-
-    `grid` is (origin_ns, period_ns) of the instants by which everything must have been read;
-    None without a grid.
-    """
-    gathered_ns = last_ns + gather_ns
-    if grid is None:
-        return gathered_ns
-    origin_ns, period_ns = grid
-    point_ns = origin_ns + ((last_ns - origin_ns) // period_ns + 1) * period_ns
-    return min(gathered_ns, point_ns)
-
-
 def lateness_bin(lateness_ns: int) -> int:
     """Index of the histogram's bin for this lateness."""
     for index, bound_ns in enumerate(LATENESS_BOUNDS_NS):

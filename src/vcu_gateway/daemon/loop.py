@@ -14,6 +14,7 @@ from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Explanation
 from vcu_gateway.daemon import realtime
+from vcu_gateway.daemon.drain_plan import DrainPlan
 from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.link_events import LinkEvents
 from vcu_gateway.daemon.log import log
@@ -21,7 +22,7 @@ from vcu_gateway.daemon.processor_time import ProcessorTime
 from vcu_gateway.daemon.work_queue import WorkQueue
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
-# No work for others is begun so shortly before a tick; sleeping to it is the most punctual.
+# No work for others is begun so shortly before the bus is read for a tick.
 _PUNCTUAL_NS = 3_000_000
 _FIRST_LOOK_WITHIN_S = 0.5
 _PROCESSOR_TIME_EVERY_TICKS = 20
@@ -63,6 +64,7 @@ class TickLoop:
         self._finished = False
         self.silent_ticks = 0
         self.work_queue = WorkQueue()
+        self._drain_plan = DrainPlan()
         self.event_log = EventLog()
         self.reconnector = Reconnector(connection, reopen_ms)
         self._link_events = LinkEvents(gateway, connection, self.reconnector, self.event_log)
@@ -109,19 +111,28 @@ class TickLoop:
         self.reconnector.start()
         self.reconnector.tried.wait(_FIRST_LOOK_WITHIN_S)
         schedule = self.schedule = Schedule(time.monotonic_ns(), self.schedule.period_ns)
-        self.connection.align(schedule.origin_ns, schedule.period_ns)
         end_ns = None if duration_s is None else schedule.origin_ns + int(duration_s * NS_PER_S)
         try:
             while not self._finished:
                 self._wait_and_tick(schedule, end_ns)
         finally:
+            self.connection.read_waiting(time.monotonic_ns())
             self.reconnector.stop()
             self.connection.release_lock()
             self._processor_time.close()
 
     def _wait_and_tick(self, schedule: Schedule, end_ns: int | None) -> None:
-        self.work_queue.run_until(schedule.next_deadline_ns - _PUNCTUAL_NS)
-        self._sleep_until(schedule.next_deadline_ns)
+        deadline_ns, plan = schedule.next_deadline_ns, self._drain_plan
+        if plan.busy:
+            middle_ns = deadline_ns - schedule.period_ns // 2
+            self.work_queue.run_until(middle_ns, middle_ns)
+            plan.read_between(self.connection.read_waiting(time.monotonic_ns()))
+        wake_ns = deadline_ns - plan.lead_ns
+        self.work_queue.run_until(wake_ns - _PUNCTUAL_NS, wake_ns)
+        begun_ns = time.monotonic_ns()
+        frames = self.connection.read_waiting(begun_ns)
+        plan.read_before_tick(frames, time.monotonic_ns() - begun_ns)
+        self._sleep_until(deadline_ns)
         tick = schedule.due(time.monotonic_ns())
         if tick is None:
             return
@@ -140,12 +151,12 @@ class TickLoop:
         if self._stopping is not None:
             gateway.requests.terminate()
         self.work_queue.run_waiting()
-        read = self.connection.read_waiting(begun_ns)
+        self.connection.read_waiting(begun_ns)  # what came since it was read before the tick
         now_ns = time.monotonic_ns()
         self._link_events.before_tick(now_ns)
         result = gateway.tick(now_ns)
         for frame in result.frames:
-            gateway.sent(frame, self._send_in_time(frame, tick, read), now_ns)
+            gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
         self.schedule.left(time.monotonic_ns())
         # What follows has the rest of the period.
         self._finished = gateway.finished
@@ -156,13 +167,8 @@ class TickLoop:
         self._link_events.after_tick(now_ns)
         realtime.collect_after(tick.index)
 
-    def _send_in_time(self, frame: OutFrame, tick: Tick, read: bool) -> bool:
-        """Send, unless the process was held up since the tick: what it decided is old by now.
-
-        Nor where the tick could not read what waits: a power cut may be in it.
-        """
-        if not read:
-            return self.connection.count_unsent("unread")
+    def _send_in_time(self, frame: OutFrame, tick: Tick) -> bool:
+        """Send, unless the process was held up since the tick: what it decided is old by now."""
         if self.schedule.too_late(tick, time.monotonic_ns()):
             return self.connection.count_unsent("late")
         return self.connection.send(frame)

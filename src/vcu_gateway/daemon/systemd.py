@@ -119,7 +119,7 @@ class ServiceReporter:
     def observe(self, tick: Tick, result: TickResult) -> None:
         """After each tick.
 
-        Raises RuntimeError where the receiving thread is dead: the process is to end, and to
+        Raises RuntimeError where the bus is not read any more: the process is to end, and to
         be started again.
         """
         now_ns = time.monotonic_ns()
@@ -168,14 +168,14 @@ def _status(why: Explanation, lost: str | None) -> str:
     return why.headline() if lost is None else f"{why.mode.value}; {lost}"
 
 
-# The reader wakes at least every 120 ms, which is seen at every third tick. Ticks are counted
-# and not time: a process that stood still has a reader that stood still too.
+# The bus is read before every tick. Ticks are counted and not time: a process that stood still did
+# not read either.
 _TICKS_IN_DOUBT = 10
 _TICKS_TO_DEATH = 20
 
 
 class ReceiverWatchdog:
-    """Watchdog of the receiving thread: it must wake within 20 ticks.
+    """Watchdog of receiving: an open bus must have been read to the end within 20 ticks.
 
     Attributes:
         alive: False while it is in doubt.
@@ -183,20 +183,18 @@ class ReceiverWatchdog:
 
     def __init__(self, connection: BusConnection) -> None:
         self._connection = connection
-        self._wakes: int | None = None
+        self._drains: int | None = None
         self._still_ticks = 0
 
     def observe(self) -> None:
-        """Check after each tick; RuntimeError where the reader has not woken for 20 of them."""
-        before, self._wakes = self._wakes, self._connection.reader_wakes
-        still = self._wakes is not None and self._wakes == before
+        """Check after each tick; RuntimeError where the bus was not read for 20 of them."""
+        before, self._drains = self._drains, self._connection.drains
+        still = self._drains is not None and self._drains == before
         self._still_ticks = self._still_ticks + 1 if still else 0
         if self._still_ticks >= _TICKS_TO_DEATH:
-            raise RuntimeError(
-                "the receiving thread is dead or stuck; nothing is received any more"
-            )
+            raise RuntimeError("the bus is open and not read any more; nothing is received")
 
     @property
     def alive(self) -> bool:
-        """True where the reader woke within the last ten ticks."""
+        """True where the bus was read within the last ten ticks."""
         return self._still_ticks < _TICKS_IN_DOUBT

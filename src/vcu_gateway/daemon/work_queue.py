@@ -43,10 +43,13 @@ class WorkQueue:
         for _ in range(min(len(self._waiting), _AT_ONCE)):
             self._waiting.popleft()()
 
-    def run_until(self, end_ns: int) -> None:
-        """Run work as it comes in, until this time of the monotonic clock."""
-        while (left_ns := end_ns - time.monotonic_ns()) > 0:
-            if self._waiting:
+    def run_until(self, last_begin_ns: int, end_ns: int) -> None:
+        """Run work as it comes in; return at `end_ns` of the monotonic clock.
+
+        From `last_begin_ns` on none is begun.
+        """
+        while (left_ns := end_ns - (now_ns := time.monotonic_ns())) > 0:
+            if self._waiting and now_ns < last_begin_ns:
                 self._waiting.popleft()()
-            elif not self._wakeup.acquire(timeout=left_ns / NS_PER_S):
-                return
+            else:
+                self._wakeup.acquire(timeout=left_ns / NS_PER_S)

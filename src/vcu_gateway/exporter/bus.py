@@ -18,7 +18,7 @@ from vcu_gateway.exporter.family import (
     states,
 )
 
-_USUAL_UNSENT = ("closed", "late", "unread", "ENOBUFS")
+_USUAL_UNSENT = ("closed", "late", "ENOBUFS")
 """Exposed before the first of them, so that the first one counts as an increase."""
 
 _LINK_STATES = get_args(results.LinkStateName)

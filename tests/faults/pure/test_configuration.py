@@ -70,8 +70,14 @@ WRONG = {
         ),
         r":3: bench.demand.power_limit_w: must be at most 1000 W",
     ),
-    "not a number": ("bus:\n  gather_ms: .nan", r":2: bus.gather_ms: must be a finite number"),
-    "infinity": ("bus:\n  gather_ms: 1e999", r":2: bus.gather_ms: must be a finite number"),
+    "not a number": (
+        "limits:\n  regen_limit_pct: .nan",
+        r":2: limits.regen_limit_pct: must be a finite number",
+    ),
+    "infinity": (
+        "limits:\n  regen_limit_pct: 1e999",
+        r":2: limits.regen_limit_pct: must be a finite number",
+    ),
     "10 MB": (b"# x\n" * 2_500_000, "is larger than 1 MiB"),
     "binary": (b"bus: \0\1\2", "is binary"),
     "UTF-16": ("bus: {}".encode("utf-16"), "is UTF-16 text"),

@@ -32,7 +32,7 @@ TRAFFIC = (*COMMANDS, BMS_STATUS, BMS_TEMPERATURES, 0x0808D0A7, 0x0808D0A8, 0x08
 FOREIGN = ((EFF | 0x00000001, bytes(8)), (0x001, bytes(8)), (EFF | 0x0CF00400, bytes(8)))
 LEVEL = bytes.fromhex("a81ea81ea81e0000")
 OWN = tuple((EFF | can_id, LEVEL) for can_id in FLOODED.values())
-QUEUED_FRAMES = 278
+QUEUED_FRAMES = 555  # of this lab's kernel: twice net.core.rmem_max
 TICK_MS = 50 + 5
 QUIET_BUSY_S, FLOOD_BUSY_S = 0.0005, 0.0025
 pytestmark = pytest.mark.timeout(300)  # for a machine that stalls again and again
@@ -41,7 +41,6 @@ pytestmark = pytest.mark.timeout(300)  # for a machine that stalls again and aga
 @pytest.fixture
 def flooded(alone: BusStand) -> Iterator[Driving]:
     """Drives; everything with our identifiers but the flood is recorded."""
-    alone.bus = ", gather_ms: 17"
     one = Driving(alone, recording=record(alone, "", TRAFFIC))
     one.until_serving()
     one.until_link("up")  # from here on it receives what is recorded

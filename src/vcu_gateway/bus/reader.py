@@ -1,0 +1,115 @@
+"""Readers of an open bus: python-can's Notifier on the ticking thread, or on one of its own.
+
+A bus whose frames wait in a socket of ours (socketcan) is drained by the ticking thread: all frames
+of a period cost no wake-up of their own. On any other bus the Notifier has a thread.
+"""
+
+import functools
+import threading
+from collections.abc import Callable
+from typing import Any, Protocol, cast
+
+from vcu_gateway.bus.receiver import FrameListener
+from vcu_gateway.bus.socketcan import DrainingSocketcanBus
+from vcu_gateway.python_can import can
+
+# The Notifier's thread looks this often whether it is to end.
+_NOTIFIER_TIMEOUT_S = 0.1
+
+
+class Reader(Protocol):
+    """Hands the frames of one open bus to its listener, from an opening to its close."""
+
+    @property
+    def drains(self) -> int | None:
+        """Times that all that waited was read; None where a thread of its own reads."""
+
+    def read_waiting(self, until_ns: int) -> int:
+        """Hand on what arrived until this time, on the calling thread; how many were read."""
+
+    def close(self) -> None:
+        """Read no more, then close the bus."""
+
+
+class DrainingReader:
+    """Reads on the thread that calls `read_waiting`, through the Notifier's own callback.
+
+    The Notifier registers its callback for one frame by an event loop's `add_reader` and takes it
+    back by `remove_reader`; it asks no more of a loop. This object takes the loop's place.
+    Reading and closing never meet: nobody waits to read what is being closed.
+
+    Attributes:
+        drains: times that all that waited was read, frames or none.
+    """
+
+    def __init__(self, bus: DrainingSocketcanBus, listener: FrameListener) -> None:
+        self.drains = 0
+        self._bus, self._listener = bus, listener
+        self._in_use = threading.Lock()
+        self._receive_one: Callable[[], object] | None = None
+        self._notifier = can.Notifier(bus, [listener], loop=cast(Any, self))
+
+    def add_reader(self, descriptor: int, callback: Callable[..., object], *arguments: Any) -> None:
+        """Take the Notifier's callback."""
+        del descriptor
+        self._receive_one = functools.partial(callback, *arguments)
+
+    def remove_reader(self, descriptor: int) -> None:
+        """Drop the Notifier's callback."""
+        del descriptor
+        self._receive_one = None
+
+    def read_waiting(self, until_ns: int) -> int:
+        """Hand on what arrived until this time; how many frames were read. It never raises."""
+        if not self._in_use.acquire(blocking=False):
+            return 0
+        try:
+            return self._drain(until_ns)
+        finally:
+            self._in_use.release()
+
+    def _drain(self, until_ns: int) -> int:
+        receive_one = self._receive_one
+        if receive_one is None:
+            return 0
+        frames = self._receive_batch(receive_one, until_ns)
+        while self._bus.has_more(until_ns):
+            frames += self._receive_batch(receive_one, until_ns)
+        self.drains += 1
+        return frames
+
+    def _receive_batch(self, receive_one: Callable[[], object], now_ns: int) -> int:
+        count = self._bus.read_batch(now_ns)
+        for _ in range(count):
+            try:
+                receive_one()
+            except Exception as error:  # noqa: BLE001 - as the Notifier's thread does
+                self._listener.on_error(error)
+        return count
+
+    def close(self) -> None:
+        """Stop the Notifier, count what was never read, close the bus."""
+        with self._in_use:
+            self._notifier.stop()
+            self._bus.finish()
+            self._bus.shutdown()
+
+
+class ThreadReader:
+    """The Notifier on a thread of its own, which has every frame as soon as it is there."""
+
+    drains = None
+
+    def __init__(self, bus: can.BusABC, listener: FrameListener) -> None:
+        self._bus = bus
+        self._notifier = can.Notifier(bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
+
+    def read_waiting(self, until_ns: int) -> int:
+        """0: nothing waits."""
+        del until_ns
+        return 0
+
+    def close(self) -> None:
+        """Stop the Notifier, then close the bus; it takes as long as a wake-up of its thread."""
+        self._notifier.stop()
+        self._bus.shutdown()
