@@ -1,6 +1,9 @@
 """The reconnector, look by look, with a scripted clock, interface and connection."""
 
 import itertools
+import socket
+import time
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import pytest
@@ -12,6 +15,7 @@ from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reco
 from vcu_gateway.errors import Problem, UnavailableError
 
 MS = 1_000_000
+PATIENCE_S = 30.0
 UP = Interface(number=3, is_can=True, up=True, carrier=True, tx_queue_frames=4)
 DOWN = UP._replace(up=False, carrier=False)
 
@@ -21,6 +25,8 @@ class FakeConnection:
 
     def __init__(self) -> None:
         self.settings = BusSettings("socketcan", "can0")
+        self.lock_descriptor: int | None = None
+        self.answers = 0
         self.receive_buffer_bytes = 212_992
         self.lost: str | None = "not opened yet"
         self.refusal: str | None = None
@@ -40,6 +46,9 @@ class FakeConnection:
     def mark_lost(self, why: str) -> None:
         self.lost = self.lost or why
 
+    def answer_lock_queries(self) -> None:
+        self.answers += 1
+
     def wait_until_read(self, patience_s: float) -> None:
         pass
 
@@ -48,20 +57,29 @@ class FakeConnection:
 
 
 class LookRig:
-    """A reconnector that looks every 100 ms of simulated time at what the test puts there."""
+    """A reconnector that looks every 100 ms of simulated time at what the test puts there.
+
+    Attributes:
+        looks: so far, also those of its thread where it was started.
+    """
 
     def __init__(self) -> None:
         self.now_ns = 1_000 * MS
+        self.looks = 0
         self.connection = FakeConnection()
         self.found: Interface | None = UP
         self.names = {3: "can0"}
         self.reconnector = Reconnector(
             cast(BusConnection, self.connection),
             200,
-            look=lambda: self.found,
+            look=self._look,
             name_of=self.names.get,
             details=lambda channel: InterfaceDetails(),
         )
+
+    def _look(self) -> Interface | None:
+        self.looks += 1
+        return self.found
 
     def look(self, times: int = 1) -> list[Any]:
         """The changes that this many looks found."""
@@ -226,3 +244,60 @@ def test_the_carrier_at_the_opening_is_the_better_of_both_words(rig: LookRig):
     assert opened.carrier
     rig.reconnector._details = lambda channel: InterfaceDetails()
     assert not opened._replace(details=InterfaceDetails()).carrier
+
+
+# The thread.
+
+
+@pytest.fixture
+def running(rig: LookRig) -> Iterator[LookRig]:
+    """Its thread has looked for the first time."""
+    rig.reconnector.start()
+    assert rig.reconnector.tried.wait(PATIENCE_S)
+    yield rig
+    rig.reconnector.stop()
+
+
+def looks_within(running: LookRig, duration_s: float) -> int:
+    before = running.looks
+    time.sleep(duration_s)
+    return running.looks - before
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.005)
+
+
+def test_an_interface_in_use_is_left_alone_until_the_kernel_tells_of_a_change(running: LookRig):
+    counts = [looks_within(running, 0.5) for _ in range(4)]
+    assert min(counts) <= 1, "links of this machine change while it is tested, but not always"
+
+
+@pytest.mark.parametrize("found", [None, DOWN, UP._replace(carrier=False)])
+def test_an_interface_that_cannot_be_used_is_looked_at_ten_times_a_second(running, found):
+    running.found = found
+    running.connection.on_lost()
+    before = running.looks
+    until(lambda: running.looks >= before + 5)
+
+
+def test_a_loss_that_a_reader_reports_is_looked_at_at_once(running: LookRig):
+    openings = running.connection.openings
+    running.connection.mark_lost("Failed to receive: Network is down")
+    running.connection.on_lost()
+    until(lambda: running.connection.openings > openings)
+
+
+def test_whoever_asks_for_the_locks_holder_is_answered_at_once(rig: LookRig):
+    near, far = socket.socketpair()
+    rig.connection.lock_descriptor = near.fileno()
+    with near, far:
+        rig.reconnector.start()
+        assert rig.reconnector.tried.wait(PATIENCE_S)
+        answers = rig.connection.answers
+        far.send(b"?")
+        until(lambda: rig.connection.answers > answers + 2)
+        rig.reconnector.stop()

@@ -104,8 +104,13 @@ class BusConnection:
         """Process that holds the interface's lock without a right to it; None: there is none."""
         return None if self._instance_lock is None else self._instance_lock.passed_by
 
+    @property
+    def lock_descriptor(self) -> int | None:
+        """Readable while a process asks for the lock's holder; None where the lock is not ours."""
+        return None if self._instance_lock is None else self._instance_lock.descriptor
+
     def answer_lock_queries(self) -> None:
-        """Answer processes that ask for the lock's holder; called ten times a second."""
+        """Answer processes that ask for the lock's holder."""
         if self._instance_lock is not None:
             self._instance_lock.answer()
 

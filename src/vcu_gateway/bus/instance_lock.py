@@ -65,6 +65,11 @@ class InstanceLock:
             return False
         return True
 
+    @property
+    def descriptor(self) -> int | None:
+        """Readable while a process queries the holder; None where this process has no lock."""
+        return None if self.passed_by is not None else self._socket.fileno()
+
     def answer(self) -> None:
         """Accept and close the connections of processes that query the holder; never waits."""
         with contextlib.suppress(OSError):

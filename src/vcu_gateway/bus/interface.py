@@ -1,8 +1,8 @@
-"""State of a network interface, polled ten times a second.
+"""State of a network interface, by ioctl.
 
-Polled by ioctl rather than subscribed to by rtnetlink: an answer cannot be lost or overflow, needs
-no privilege and no further address family, and costs some microseconds. A change between two polls
-(down and up again) is reported by the CAN socket itself.
+rtnetlink's notices say when to ask; they can be lost, an answer cannot. It needs no privilege and
+costs some microseconds. A change between two queries (down and up again) is reported by the CAN
+socket itself.
 """
 
 import errno

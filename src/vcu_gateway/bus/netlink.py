@@ -1,7 +1,8 @@
-"""rtnetlink queries (RTM_GETLINK): a CAN interface beyond its flags, once at each opening.
+"""rtnetlink: a CAN interface beyond its flags (RTM_GETLINK), and notices of changed links.
 
-A query may make the driver read its hardware, so there are few; where it fails, everything is
-unknown and the gateway goes on without. `describe` includes the counters, for the doctor.
+A query may make the driver read its hardware, so there is one at each opening; where it fails,
+everything is unknown and the gateway goes on without. `describe` includes the counters, for the
+doctor.
 """
 
 import errno
@@ -21,10 +22,11 @@ from vcu_gateway.bus.interface_info import (
 )
 from vcu_gateway.core.link import LinkState
 
-__all__ = ["InterfaceDetails", "describe", "described", "details", "parsed"]
+__all__ = ["InterfaceDetails", "describe", "described", "details", "parsed", "subscribe"]
 
 _NLMSG_ERROR, _RTM_NEWLINK, _RTM_GETLINK = 2, 16, 18
 _NLM_F_REQUEST = 1
+_RTMGRP_LINK = 1
 _IFLA_IFNAME, _IFLA_QDISC, _IFLA_LINKINFO, _IFLA_EXT_MASK = 3, 6, 18, 29
 _IFLA_TXQLEN, _IFLA_STATS64 = 13, 23
 _IFLA_INFO_KIND, _IFLA_INFO_DATA, _IFLA_INFO_XSTATS = 1, 2, 3
@@ -53,6 +55,18 @@ _STATES: dict[int | None, LinkState] = {
     2: LinkState.PASSIVE,
     3: LinkState.BUS_OFF,
 }
+
+
+def subscribe() -> socket.socket:
+    """A socket that gets a notice of every change of a link and never waits; OSError if refused."""
+    kind = socket.SOCK_RAW | socket.SOCK_NONBLOCK
+    notices = socket.socket(socket.AF_NETLINK, kind, socket.NETLINK_ROUTE)
+    try:
+        notices.bind((0, _RTMGRP_LINK))
+    except OSError:
+        notices.close()
+        raise
+    return notices
 
 
 def details(name: str) -> InterfaceDetails:

@@ -13,15 +13,20 @@ from vcu_gateway.bus import diagnostics, netlink
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface import Interface, Interfaces
 from vcu_gateway.bus.interface_info import InterfaceDetails
+from vcu_gateway.bus.link_watch import LinkWatch
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.units import NS_PER_MS
 
-_LOOK_EVERY_S = 0.1
+# While the interface is in use rtnetlink tells of its changes; what it may not tell is seen then.
+_LOOK_SELDOM_S = 1.0
+_LOOK_OFTEN_S = 0.1
+# However many links of the machine change.
+_REST_S = 0.01
+_READ_WITHIN_S = 0.2
 _STEADY_NS = 5_000_000_000
 _PAUSE_AT_MOST_NS = 800_000_000
 _END_WITHIN_S = 1.0
-_READ_WITHIN_S = 0.2
 
 # A bus without a network interface: always there.
 _NO_INTERFACE = Interface(number=0, is_can=True, up=True, carrier=True, tx_queue_frames=0)
@@ -82,13 +87,13 @@ LinkChange = LinkOpened | LinkLost | Unavailable | CarrierChanged
 class Reconnector:
     """Opens the connection when its interface is there, and again after every loss.
 
-    Polls ten times a second, and at once when the reader reports a loss. An interface that
-    was steady is opened at once; one that keeps failing is given pauses from `pause_ms`,
-    doubling up to 0.8 s.
+    Looks at the interface when rtnetlink or a reader reports a change, once a second in any case,
+    and ten times a second while it cannot be used. One that was steady is opened at once; one
+    that keeps failing is given pauses from `pause_ms`, doubling up to 0.8 s.
 
     Attributes:
         changes: link changes, for the ticking thread to take from the left.
-        tried: set after the first poll.
+        tried: set after the first look.
     """
 
     def __init__(
@@ -110,12 +115,12 @@ class Reconnector:
         self._opened: Interface | None = None
         self._last_number: int | None = None
         self._reported_problem: str | None = None
-        self._wake = threading.Event()
+        self._watch = LinkWatch()
         self._ended = False
         self._thread = threading.Thread(target=self._work, name="reconnector", daemon=True)
         self.changes: deque[LinkChange] = deque()
         self.tried = threading.Event()
-        connection.on_lost = self._wake.set
+        connection.on_lost = self._watch.wake
 
     def _look_at_channel(self) -> Interface | None:
         settings = self._connection.settings
@@ -127,14 +132,19 @@ class Reconnector:
 
     def start(self) -> None:
         """Start the thread."""
+        self._watch.open()
+        if (descriptor := self._connection.lock_descriptor) is not None:
+            self._watch.watch(descriptor)
         self._thread.start()
 
     def stop(self) -> None:
         """Close the connection and end; called when nothing is to be sent any more."""
         self._ended = True
-        self._wake.set()
+        self._watch.wake()
         if self._thread.ident is not None:
             self._thread.join(_END_WITHIN_S)
+        if not self._thread.is_alive():
+            self._watch.close()
 
     def check(self) -> None:
         """Raise RuntimeError where the thread has died of a bug: the bus would stay closed."""
@@ -146,15 +156,20 @@ class Reconnector:
             self.step(time.monotonic_ns())
             self._connection.answer_lock_queries()
             self.tried.set()
-            self._wake.wait(_LOOK_EVERY_S)
-            self._wake.clear()
+            time.sleep(_REST_S)
+            self._watch.wait(self._look_within_s())
         self._connection.close()
         self._interfaces.close()
 
-    # One poll.
+    def _look_within_s(self) -> float:
+        opened = self._opened
+        is_used = opened is not None and opened.carrier and self._watch.is_told
+        return _LOOK_SELDOM_S if is_used else _LOOK_OFTEN_S
+
+    # One look.
 
     def step(self, now_ns: int) -> None:
-        """Poll once; report a loss or a carrier, open where that is due."""
+        """Look once; report a loss or a carrier, open where that is due."""
         found = self._look()
         if self._opened is not None:
             self._check(self._opened, found, now_ns)
