@@ -16,6 +16,7 @@ from vcu_gateway.python_can import can
 # isort: split
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
+from vcu_gateway.bus.batch_receive import BatchReceiver, Received
 from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.arrival_time import arrival_ns, steady
@@ -27,7 +28,6 @@ _CAN_RAW_ERR_FILTER = 2
 _MEMINFO_DROPS = 8
 _FRAME_BYTES = 16
 _FD_FRAME_BYTES = 72
-_ANCILLARY_BYTES = socket.CMSG_SPACE(16)
 _EFF_FLAG, _RTR_FLAG, _ERR_FLAG = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _BATCH_FRAMES = 256
 # Half of what the kernel's usual buffer holds: without so many in it nothing was dropped, but where
@@ -41,7 +41,6 @@ _CONTROLLER_BYTE = 9
 
 _head = struct.Struct("=IB3x")
 _frame = struct.Struct("=IB3x8s")
-_timespec = struct.Struct("@qq")
 _meminfo = struct.Struct("@9I")
 
 
@@ -61,7 +60,7 @@ class DrainingSocketcanBus(SocketcanBus):
         receive_buffer_bytes: int | None,
         counters: BusCounters,
     ) -> None:
-        self._batch: deque[Any] = deque()
+        self._batch: deque[Received] = deque()
         self._more_since_s: float | None = None
         self._failure: OSError | None = None
         self._failed = False
@@ -81,6 +80,7 @@ class DrainingSocketcanBus(SocketcanBus):
             raise
 
     def _set_up(self, receive_buffer_bytes: int | None) -> None:
+        self._receiver = BatchReceiver(self.socket.fileno(), _BATCH_FRAMES, _FD_FRAME_BYTES)
         option = self.socket.setsockopt
         option(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, ERROR_CLASSES)
         # The least that the kernel grants: about six frames of ours wait, however long the
@@ -131,7 +131,7 @@ class DrainingSocketcanBus(SocketcanBus):
             self._count_drops()
         return len(read) + self._failed
 
-    def _begin_batch(self, read: list[Any]) -> None:
+    def _begin_batch(self, read: list[Received]) -> None:
         # The clocks are read after the frames, so no stamp lies in their future.
         self._before, self._clocks = self._clocks, read_clocks()
         is_steady = steady(self._before, self._clocks)
@@ -146,22 +146,15 @@ class DrainingSocketcanBus(SocketcanBus):
         since_s = self._more_since_s
         return not self._failed and since_s is not None and since_s * NS_PER_S <= until_ns
 
-    def _read(self) -> tuple[list[Any], OSError | None]:
+    def _read(self) -> tuple[list[Received], OSError | None]:
         """Waiting frames, at most some hundreds, and the first failure."""
-        receive = self.socket.recvmsg
-        read: list[Any] = []
         failures: list[OSError] = []
         while len(failures) < _FAILURES_AT_MOST:
             try:
-                for _ in range(_BATCH_FRAMES):
-                    # One by one: what was read before a failure must not be lost.
-                    read += (receive(_FD_FRAME_BYTES, _ANCILLARY_BYTES, socket.MSG_DONTWAIT),)
-                break
-            except BlockingIOError:
-                break
+                return self._receiver.receive(), failures[0] if failures else None
             except OSError as error:
                 failures.append(error)  # reported once, before the frames that wait behind it
-        return read, failures[0] if failures else None
+        return [], failures[0]
 
     def _count_drops(self) -> None:
         """Take over the kernel's 32-bit counter: SO_RXQ_OVFL's, at this instant."""
@@ -194,21 +187,21 @@ class DrainingSocketcanBus(SocketcanBus):
                 failures += 1  # each kind is reported once, before what waits behind it
         return left
 
-    def _dissect(self, received: Any) -> can.Message | None:
-        raw, ancillary, flags, _ = received
+    def _dissect(self, received: Received) -> can.Message | None:
+        raw, stamp_ns, flags = received
         can_id, length = _head.unpack_from(raw)
         if can_id & _ERR_FLAG and self._repeats(can_id, raw[_CONTROLLER_BYTE]):
             return None
         extended = can_id & _EFF_FLAG != 0
         return can.Message(
-            self._arrival_s(ancillary),
+            self._arrival_s(stamp_ns),
             can_id & (0x1FFF_FFFF if extended or can_id & _ERR_FLAG else 0x7FF),
             extended,
             can_id & _RTR_FLAG != 0,
             can_id & _ERR_FLAG != 0,
             None,
             length,
-            bytearray(raw[8 : 8 + length]),
+            raw[8 : 8 + length],
             len(raw) > _FRAME_BYTES,
             not flags & socket.MSG_CONFIRM,
         )
@@ -221,11 +214,9 @@ class DrainingSocketcanBus(SocketcanBus):
         self._counters.repeated_errors += repeats
         return repeats
 
-    def _arrival_s(self, ancillary: Any) -> float:
-        if not ancillary:
+    def _arrival_s(self, stamp_ns: int | None) -> float:
+        if stamp_ns is None:
             return self._before.monotonic_ns / NS_PER_S
-        seconds, nanoseconds = _timespec.unpack(ancillary[0][2])
-        stamp_ns: int = seconds * NS_PER_S + nanoseconds
         if self._distance_ns is None:
             return arrival_ns(stamp_ns, self._before, self._clocks) / NS_PER_S
         return (stamp_ns - self._distance_ns) / NS_PER_S
