@@ -1,7 +1,7 @@
 """Receiver: frames from the bus, sorted into messages, echoes, foreign commands and rejects.
 
-Frames come from the receiving thread, and right before a tick from the ticking thread: never from
-both at once. Any thread may read; what the ticking thread knows of the link is in `LinkMonitor`.
+Frames come from the thread that reads the bus, the ticking one or python-can's: never from both.
+Any thread may read; what the ticking thread knows of the link is in `LinkMonitor`.
 """
 
 from collections.abc import Mapping
