@@ -178,21 +178,6 @@ def test_a_snapshot_does_not_change_when_frames_arrive_after_it_was_taken():
     assert [one.arrival_ns for one in taken.arrived(STATUS)] == [1]
 
 
-def test_a_frame_is_kept_where_the_book_is_taken_while_it_is_entered():
-    """The ticking thread takes the book in the middle of the receiving thread's entry."""
-    store, frame = store_and_frame()
-
-    class TakenMeanwhile(dict):
-        def get(self, name, default=None):
-            if store._arrived is self:
-                store.take(1)
-            return super().get(name, default)
-
-    store._arrived = TakenMeanwhile()
-    store.put(STATUS, frame, 5)
-    assert [one.arrival_ns for one in store.take(6).arrived(STATUS)] == [5]
-
-
 def test_more_frames_than_a_tick_can_judge_are_counted():
     store, frame = store_and_frame()
     for at_ns in range(4098):

@@ -1,7 +1,7 @@
 """Bus connection: opens, receives, sends and closes, whatever the interface.
 
-Received frames go to one callable, on the ticking thread where that one reads the bus (socketcan),
-else on the Notifier's. A failed interface is reported once through `on_lost`; the reconnector opens
+Received frames go to one callable, on the thread that calls `read_waiting`: the ticking one. A
+failed interface is reported once through `on_lost`; the reconnector opens
 it again, the ticking thread starts sending again.
 """
 
@@ -143,9 +143,8 @@ class BusConnection:
     def read_waiting(self, until_ns: int) -> int:
         """Take in what arrived until this time; how many frames that were.
 
-        On the ticking thread, right before a tick. Only where frames wait in a socket of ours
-        (socketcan); elsewhere a thread has taken them in. What came before the interface was lost
-        is taken in, too. It neither waits nor raises.
+        On the ticking thread, right before a tick. What came before the interface was lost is taken
+        in, too. It neither waits nor raises.
         """
         was_lost = self.lost is not None
         opening = self._opening

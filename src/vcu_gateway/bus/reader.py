@@ -1,11 +1,13 @@
 """Readers of an open bus: python-can's Notifier on the ticking thread, or on one of its own.
 
 A bus whose frames wait in a socket of ours (socketcan) is drained by the ticking thread: all frames
-of a period cost no wake-up of their own. On any other bus the Notifier has a thread.
+of a period cost no wake-up of their own. On any other bus the Notifier has a thread, and what that
+one has received waits for the ticking thread.
 """
 
 import functools
 import threading
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
@@ -81,10 +83,7 @@ class DrainingReader:
     def _receive_batch(self, receive_one: Callable[[], object], now_ns: int) -> int:
         count = self._bus.read_batch(now_ns)
         for _ in range(count):
-            try:
-                receive_one()
-            except Exception as error:  # noqa: BLE001 - as the Notifier's thread does
-                self._listener.on_error(error)
+            _hand_on(receive_one, self._listener)
         return count
 
     def close(self) -> None:
@@ -96,20 +95,47 @@ class DrainingReader:
 
 
 class ThreadReader:
-    """The Notifier on a thread of its own, which has every frame as soon as it is there."""
+    """The Notifier on a thread of its own; its frames wait for `read_waiting`."""
 
     drains = None
 
     def __init__(self, bus: can.BusABC, listener: FrameListener) -> None:
-        self._bus = bus
-        self._notifier = can.Notifier(bus, [listener], timeout=_NOTIFIER_TIMEOUT_S)
+        self._bus, self._listener = bus, listener
+        self._inbox = _Inbox(listener)
+        self._notifier = can.Notifier(bus, [self._inbox], timeout=_NOTIFIER_TIMEOUT_S)
 
     def read_waiting(self, until_ns: int) -> int:
-        """0: nothing waits."""
+        """Hand on what has arrived; how many frames that were. It never raises."""
         del until_ns
-        return 0
+        waiting = self._inbox.messages
+        count = len(waiting)
+        for _ in range(count):
+            _hand_on(functools.partial(self._listener, waiting.popleft()), self._listener)
+        return count
 
     def close(self) -> None:
         """Stop the Notifier, then close the bus; it takes as long as a wake-up of its thread."""
         self._notifier.stop()
         self._bus.shutdown()
+
+
+class _Inbox:
+    """Listener of the Notifier's thread: frames wait for the next tick, errors go on at once."""
+
+    def __init__(self, listener: FrameListener) -> None:
+        self.messages: deque[can.Message] = deque()
+        self.on_error = listener.on_error
+
+    def __call__(self, message: can.Message) -> None:
+        """Keep one frame."""
+        self.messages.append(message)
+
+    def stop(self) -> None:
+        """Nothing to flush."""
+
+
+def _hand_on(receive_one: Callable[[], object], listener: FrameListener) -> None:
+    try:
+        receive_one()
+    except Exception as error:  # noqa: BLE001 - as the Notifier's thread does
+        listener.on_error(error)

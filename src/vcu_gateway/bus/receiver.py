@@ -1,4 +1,4 @@
-"""Receiver: python-can messages to the core's frames, on the Notifier's thread."""
+"""Receiver: python-can messages to the core's frames."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from vcu_gateway.units import NS_PER_S
 
 
 class FrameListener:
-    """Listener of the Notifier; calls `receive` with each frame and never raises."""
+    """Hands each frame to `receive`, on the ticking thread; errors may come on another one."""
 
     def __init__(
         self,

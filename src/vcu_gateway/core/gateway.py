@@ -26,9 +26,8 @@ A tick decides in these steps, all of them on one snapshot:
 `frames` is empty while the gateway listens before it talks. `sent` reports what the bus did with
 each frame before the next tick: slews start from what was really sent.
 
-`receive` is called by the thread that reads the bus, and right before a tick by the ticking
-thread, never by both at once. Any thread may read `snapshot`, `counters` and `link`; everything
-else belongs to the ticking thread.
+All of it belongs to one thread, the ticking one; any thread may read `snapshot`, `counters` and
+`link`.
 """
 
 from collections.abc import Mapping

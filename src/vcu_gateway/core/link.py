@@ -116,19 +116,11 @@ class PassiveTime:
 class LinkMonitor:
     """Link state from error frames, carrier, opening and loss.
 
-    Two threads feed it without a lock, because each field has one writer and holds an immutable
-    value that is replaced whole:
+    Each field holds an immutable value that is replaced whole: any thread may read `link`.
 
-    | written by the receiving thread | written by the ticking thread                           |
-    |---------------------------------|---------------------------------------------------------|
-    | `_reported`: last error frame   | `_opened`: state at the last opening                    |
-    | `_last_off`: last bus-off       | `_carrier`, `_lost`: as the shell reports them           |
-    |                                 | `_last_off_seen`, `_missed`: bus-off and tick           |
-    |                                 | `_passive`: error-passive time by tick                  |
-
-    The ticking thread never resets what the receiving thread wrote: an opening is a time, and
-    what was reported before that time no longer counts. So an error frame that arrives while the
-    link is being opened is neither lost nor mistaken for one of the old link.
+    An opening does not undo what was reported: it is a time, and what was reported before that
+    time no longer counts. So an error frame that arrives while the link is being opened is neither
+    lost nor mistaken for one of the old link.
 
     A controller that restarts by itself may be in bus-off for less than a tick. `begin_tick`
     compares the last bus-off with the one of the tick before, by identity, and has a new one
@@ -152,7 +144,7 @@ class LinkMonitor:
         self._passive = PassiveTime()
 
     def take_error_frame(self, can_id: int, data: bytes | bytearray, at_ns: int) -> None:
-        """On the receiving thread; `can_id` carries the error classes."""
+        """Take in an error frame; `can_id` carries the error classes."""
         before = self._latest()
         link = after_error_frame(before, can_id, data, at_ns)
         if link.state is LinkState.BUS_OFF:

@@ -1,7 +1,6 @@
 """Receiver: frames from the bus, sorted into messages, echoes, foreign commands and rejects.
 
-Frames come from the thread that reads the bus, the ticking one or python-can's: never from both.
-Any thread may read; what the ticking thread knows of the link is in `LinkMonitor`.
+What is known of the link is in `LinkMonitor`. Any thread may read.
 """
 
 from collections.abc import Mapping

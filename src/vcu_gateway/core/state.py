@@ -1,10 +1,7 @@
 """State store: the latest frame of each message, and every frame since the last tick.
 
-One writer (the receive thread) replaces whole immutable records; any thread reads them
-without a lock. Each record also goes into a list of arrivals, which the ticking thread takes
-and replaces by an empty one. A writer that still holds the list taken sees that it is
-no longer the current one and enters its record there too: a frame is judged twice in that
-rare case, and never not at all.
+The ticking thread replaces whole immutable records; any thread reads the latest ones without a
+lock. Each record also goes into a list of arrivals, which the next tick takes.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -77,16 +74,13 @@ class Store:
         self._note_arrival(name, latest)
 
     def _note_arrival(self, name: str, frame: LatestFrame) -> None:
-        arrivals = None
-        while arrivals is not self._arrived:  # taken meanwhile: it may be read already
-            arrivals = self._arrived
-            frames = arrivals.get(name)
-            if frames is None:
-                arrivals[name] = [frame]
-            elif len(frames) < MOST_ARRIVALS:
-                frames.append(frame)
-            else:
-                self.unjudged += 1
+        frames = self._arrived.get(name)
+        if frames is None:
+            self._arrived[name] = [frame]
+        elif len(frames) < MOST_ARRIVALS:
+            frames.append(frame)
+        else:
+            self.unjudged += 1
 
     def snapshot(self, now_ns: int) -> Snapshot:
         """State of every message at this instant; later frames do not change it."""
@@ -94,8 +88,8 @@ class Store:
 
     def take(self, now_ns: int) -> Snapshot:
         """The same with every frame since the last call: for the tick, which judges them."""
-        arrivals, self._arrived = self._arrived, {}
-        return self._snapshot(now_ns, {name: tuple(frames) for name, frames in arrivals.items()})
+        arrived, self._arrived = self._arrived, {}
+        return self._snapshot(now_ns, arrived)
 
     def _snapshot(self, now_ns: int, arrived: Mapping[str, Sequence[LatestFrame]]) -> Snapshot:
         latest = self._latest.copy()
