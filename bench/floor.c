@@ -17,7 +17,7 @@
 
 #define PERIOD_NS 50000000LL
 #define TICKS_AT_MOST 100000
-#define MANY_FRAMES 64 /* in one reading: then the next period is read in its middle, too */
+#define MANY_FRAMES 139 /* in one reading: then the next period is read in its middle, too */
 
 static struct can_frame table[4096];
 static int64_t deadlines[TICKS_AT_MOST], lateness[TICKS_AT_MOST];
