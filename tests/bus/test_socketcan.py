@@ -24,14 +24,27 @@ EFF, ERR = 0x8000_0000, 0x2000_0000
 BMS_STATUS = 0x1808D0F4
 BATCH_FRAMES = 256
 PATIENCE_S = 30.0
+SO_MEMINFO, SO_TIMESTAMPNS = 55, 35
+S = 1_000_000_000
 
 
 class StandIn(socket.socket):
-    """Forgives the options that only CAN has."""
+    """Forgives the options that only CAN has.
+
+    Attributes:
+        drops: the kernel's count of frames for which it had no room; CAN has one, this kind waits.
+    """
+
+    drops = 0
 
     def setsockopt(self, level: int, *rest: Any) -> None:
         if level != socket.SOL_CAN_RAW:
             super().setsockopt(level, *rest)
+
+    def getsockopt(self, level: int, option: int, *length: int) -> Any:
+        if option == SO_MEMINFO:
+            return struct.pack("@9I", *[0] * 8, self.drops)
+        return super().getsockopt(level, option, *length)
 
 
 class Wire:
@@ -88,6 +101,7 @@ def ends(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[socket.socket, socke
     far.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 212_992)
     far.setblocking(False)
     with near, far:
+        monkeypatch.setattr(StandIn, "drops", 0)
         monkeypatch.setattr(library, "create_socket", lambda: StandIn(fileno=near.detach()))
         monkeypatch.setattr(library, "bind_socket", lambda *_: None)
         yield near, far
@@ -181,6 +195,46 @@ def test_what_was_never_read_is_counted_as_dropped(wire: Wire):
     assert wire.read() == 0
 
 
+def test_dropped_frames_are_counted_at_once_where_many_frames_waited(wire: Wire):
+    wire.read()
+    StandIn.drops = 7
+    wire.send_numbered(0, 138)
+    wire.read()
+    assert wire.counters.dropped == 0
+    wire.send_numbered(0, 139)
+    wire.read()
+    assert wire.counters.dropped == 7
+
+
+def test_dropped_frames_of_a_small_buffer_are_counted_within_a_second(wire: Wire):
+    now_ns = time.monotonic_ns()
+    wire.reader.read_waiting(now_ns)
+    StandIn.drops = 0xFFFF_FFFF
+    wire.reader.read_waiting(now_ns + S - 1)
+    assert wire.counters.dropped == 0
+    wire.reader.read_waiting(now_ns + S)
+    assert wire.counters.dropped == 0xFFFF_FFFF
+    StandIn.drops = 1  # it has 32 bits
+    wire.reader.read_waiting(now_ns + 2 * S)
+    assert wire.counters.dropped == 0xFFFF_FFFF + 2
+
+
+def test_a_frame_without_a_stamp_is_as_old_as_the_reading_before_and_the_next_has_one(wire: Wire):
+    wire.send()
+    wire.read()
+    earlier_ns = time.monotonic_ns()
+    wire.bus.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 0)
+    wire.send()
+    wire.read()
+    wire.bus.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    time.sleep(0.005)
+    later_ns = time.monotonic_ns()
+    wire.send()
+    wire.read()
+    assert wire.frames[1].arrival_ns <= earlier_ns
+    assert wire.frames[2].arrival_ns >= later_ns - 100_000
+
+
 def test_nobody_waits_to_read_what_another_thread_reads_or_closes(wire: Wire):
     may_go_on, is_reading = threading.Event(), threading.Event()
 
@@ -252,12 +306,34 @@ def test_what_came_before_a_loss_is_read_before_the_connection_is_closed(
     assert connection.counters.dropped == 0
 
 
-def test_a_reading_that_began_before_the_loss_is_not_enough(connection: BusConnection):
-    connection.read_waiting(time.monotonic_ns())
-    connection.mark_lost("can0 is down")
+def is_waited_for(connection: BusConnection) -> bool:
     begun_s = time.monotonic()
     connection.wait_until_read(0.05)
-    assert time.monotonic() - begun_s >= 0.05
+    return time.monotonic() - begun_s >= 0.05
+
+
+def test_a_reading_that_began_before_the_loss_is_not_enough(
+    ends: tuple[socket.socket, socket.socket],
+):
+    def lose(frame: Frame) -> None:
+        one.mark_lost("can0 is down")
+
+    one = BusConnection(BusSettings("socketcan", "can0"), [BMS_STATUS], lose)
+    one.open()
+    ends[1].send(struct.pack("=IB3x8s", EFF | BMS_STATUS, 8, bytes(8)))
+    assert one.read_waiting(time.monotonic_ns()) == 1
+    assert is_waited_for(one)
+    one.read_waiting(time.monotonic_ns())
+    assert not is_waited_for(one)
+    one.close()
+
+
+def test_a_reading_since_an_earlier_loss_is_not_enough(connection: BusConnection):
+    connection.mark_lost("can0 is down")
+    connection.read_waiting(time.monotonic_ns())
+    connection.lost = None  # as another opening does
+    connection.mark_lost("can0 is down again")
+    assert is_waited_for(connection)
 
 
 def test_reads_are_counted_while_it_is_open(connection: BusConnection):

@@ -2,7 +2,9 @@
 
 import contextlib
 import gc
+import itertools
 import socket
+import statistics
 import threading
 import time
 import uuid
@@ -15,7 +17,7 @@ from vcu_gateway import simulator
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.instance_lock import InstanceLock
 from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
@@ -26,6 +28,7 @@ from vcu_gateway.simulator.play import open_bus, play
 COMMANDS = (0x0008A7D0, 0x0008A8D0)
 ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
 PATIENCE_S = 60.0
+MS = 1_000_000
 TRIES = 4
 # The vehicle is a thread here: on a busy machine it is late, and not silent.
 PATIENT = {f"{node}_Status{n}": 10_000 for node in ("PCU1", "PCU2") for n in (1, 2)}
@@ -275,3 +278,74 @@ def test_a_frame_is_not_sent_half_a_period_after_its_tick(rig, monkeypatch):
     assert held_up == ["PCU1"]
     assert one.connection.counters.refused["late"] >= 1
     assert [frame.arbitration_id for frame in one.heard()][:2] == [COMMANDS[0], COMMANDS[0]]
+
+
+class Readings:
+    """Readings of the bus and decisions of the gateway, in order, as the loop asks for them.
+
+    Attributes:
+        frames: that each reading tells of; took_s: how long each takes.
+        asked: each with its time to the next deadline, ns.
+    """
+
+    def __init__(self, one: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.frames, self.took_s = 0, 0.0
+        self.asked: list[tuple[str, int]] = []
+        self._one, self._tick = one, one.gateway.tick
+        monkeypatch.setattr(one.connection, "read_waiting", self._read)
+        monkeypatch.setattr(one.gateway, "tick", self._decide)
+
+    def _note(self, what: str) -> None:
+        left_ns = self._one.loop.schedule.next_deadline_ns - time.monotonic_ns()
+        self.asked.append((what, left_ns))
+
+    def _read(self, until_ns: int) -> int:
+        self._note("read")
+        time.sleep(self.took_s)
+        return self.frames
+
+    def _decide(self, now_ns: int) -> TickResult:
+        self._note("decide")
+        return self._tick(now_ns)
+
+    def of_a_period(self) -> list[list[int]]:
+        """Times to the deadline of each tick's readings, the one in the tick left out."""
+        periods: list[list[int]] = [[]]
+        for what, left_ns in self.asked:
+            if what == "read":
+                periods[-1].append(left_ns)
+            else:
+                periods[-1].pop()
+                periods.append([])
+        return periods[2:-1]
+
+
+@pytest.fixture
+def readings(rig, monkeypatch: pytest.MonkeyPatch) -> Readings:
+    return Readings(rig(), monkeypatch)
+
+
+def test_the_bus_is_read_before_each_tick_once_more_in_it_and_after_the_last(readings: Readings):
+    readings.frames = 139
+    readings._one.loop.run(duration_s=0.5)
+    asked = [what for what, _ in readings.asked]
+    ticks = asked.count("decide")
+    assert asked[-1] == "read"
+    assert all(before == "read" for before, what in itertools.pairwise(asked) if what == "decide")
+    assert asked.count("read") >= 2 * ticks + 1
+    assert {len(period) for period in readings.of_a_period()} == {1}
+
+
+def test_a_busy_bus_is_read_in_the_middle_of_the_period_too(readings: Readings):
+    readings.frames = 140
+    readings._one.loop.run(duration_s=1)
+    middle_ms = [period[0] / MS for period in readings.of_a_period() if len(period) == 2]
+    assert len(middle_ms) >= 10
+    assert 20 < statistics.median(middle_ms) <= 25
+
+
+def test_the_loop_wakes_earlier_by_the_time_that_reading_takes(readings: Readings):
+    readings.took_s = 0.0015
+    readings._one.loop.run(duration_s=2)
+    early_ms = [period[-1] / MS for period in readings.of_a_period()[-15:]]
+    assert statistics.median(early_ms) > 0.7

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import pytest
 
 from tests.faults.flood import EFF, Flood, poured
-from tests.vcan.conftest import Stand, ended_after, wait_until
+from tests.vcan.conftest import PATIENCE_S, Stand, ended_after, wait_until
 
 FULL_PER_S = 7_600
 LEVEL = bytes.fromhex("a81ea81ea81e0000")
@@ -61,6 +61,7 @@ def flooded(folder: Path, duration_s: float, times: int) -> Outcome:
             time.sleep(0.3)
             begun_s = time.monotonic()
             begin()
+            wait_until(path.exists, "the end of the flood", duration_s + PATIENCE_S)
             counts.update(poured(path))
             busy_s += time.monotonic() - begun_s
         assert gateway.stop() == 0
