@@ -25,6 +25,7 @@ from tests.faults.invariants import Checked, check
 from tests.faults.line_client import LineClient
 from tests.faults.machine import Program, program
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
+from vcu_gateway.bus.reader import ThreadReader
 
 # A busy machine has what is measured taken once more.
 pytestmark = pytest.mark.timeout(300)
@@ -175,8 +176,9 @@ def test_f53_a_decoder_that_raises_costs_its_frame_and_a_reader_that_is_gone_the
         bugs = counters.receiver_bugs
         driver.until_driving()
         heard(whole)
-        opening = whole.loop.connection._opening
-        opening.reader._notifier.stop()
+        reader = whole.loop.connection._opening.reader
+        assert isinstance(reader, ThreadReader)
+        reader._notifier.stop()
         found = let_go(whole, time.time_ns())
         whole.until_mode("fault")
         sentence = whole.latest_why.sentence()
