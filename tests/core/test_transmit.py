@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 
+from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import PowerMode
 from vcu_gateway.core.settings import Settings
@@ -51,6 +52,22 @@ def test_a_command_has_exactly_these_bytes(output, command, data):
 def test_each_controller_gets_its_own_command(output):
     frames = output.encoded(decided(Command(), Command(power_cut=True)))
     assert [frame.data[0] for frame in frames] == [0x0C, 0x8C]
+
+
+def test_like_commands_are_encoded_by_each_controllers_own_layout(codec):
+    def halved(message):
+        if message.name != "VCU_PCU2_Command":
+            return message
+        signals = tuple(
+            dataclasses.replace(one, factor=one.factor * 2) if one.name == "Throttle" else one
+            for one in message.signals
+        )
+        return dataclasses.replace(message, signals=signals)
+
+    messages = tuple(map(halved, codec.protocol.messages))
+    output = Transmitter(Codec(dataclasses.replace(codec.protocol, messages=messages)), Settings())
+    frames = output.encoded(decided(throttle_pct=39))
+    assert [frame.data[1] for frame in frames] == [100, 50]
 
 
 @pytest.mark.parametrize("priority", range(8))

@@ -229,7 +229,7 @@ class Gateway:
         sent.note_emitted(bool(frames))
         mode, events = self.supervisor.mode, modes.end_tick(now_ns)
         self._shutdown.note_tick(mode is Mode.STOPPING)
-        return TickResult(snapshot, mode, dict(self._commander.last), frames, events)
+        return TickResult(snapshot, mode, self._commander.last, frames, events)
 
     def _supervise(self, snapshot: Snapshot, settings: Settings) -> None:
         """Give the supervisor every stimulus of this tick, the most urgent first."""

@@ -34,6 +34,8 @@ class Transmitter:
             name: j1939.with_priority(one.spec.can_id, settings.transmit_priority)
             for name, one in self._codecs.items()
         }
+        first, *others = (one.spec.signals for one in self._codecs.values())
+        self._same_layout = all(first == other for other in others)
         # One whole byte and one bit, the same in both: they need no decoding.
         self._throttle = self._codecs[CONTROLLERS[0]].spec.signal("Throttle")
         self._throttle_byte = self._throttle.start_bit // 8
@@ -61,11 +63,16 @@ class Transmitter:
         self.gate.limits = self._limits(settings)
 
     def encoded(self, decided: Mapping[str, Command]) -> tuple[OutFrame, ...]:
-        """The frames of these commands, one for each controller."""
-        return tuple(
-            OutFrame(name, self._can_ids[name], codec.encode(decided[name].signals()))
-            for name, codec in self._codecs.items()
-        )
+        """The frames of these commands, one for each controller; mostly both have the same data."""
+        frames: list[OutFrame] = []
+        before: Command | None = None
+        for name, codec in self._codecs.items():
+            command = decided[name]
+            if command != before or not self._same_layout:
+                data = codec.encode(command.signals())
+            frames.append(OutFrame(name, self._can_ids[name], data))
+            before = command
+        return tuple(frames)
 
     def fault_of(
         self,
