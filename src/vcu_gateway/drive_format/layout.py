@@ -1,0 +1,181 @@
+"""Names and folders of recorded drives and incidents.
+
+    drives/20261123T180412Z-1f3a9c2e/    start of the gateway by the wall clock, and of its run id
+        drive.json  config.yaml  vcu.dbc
+        0001.frames.log.gz  0001.core.jsonl.gz  0002.frames.log.gz  ...
+    incidents/20261123T180612Z-fault_latched/
+        incident.json  incident-2.json ...   one for each reason, the first and what came meanwhile
+        drive.json  config.yaml  vcu.dbc     copies
+        0002.frames.log.gz  ...              hard links
+    keep                                     in either: the recorder never removes this folder
+
+Files and folders are made once: nothing is written again, and nothing is renamed over.
+"""
+
+import json
+import os
+import re
+import shutil
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.units import NS_PER_S
+
+FORMAT = 1
+DRIVES = "drives"
+INCIDENTS = "incidents"
+DRIVE_FILE = "drive.json"
+CONFIG_FILE = "config.yaml"
+DBC_FILE = "vcu.dbc"
+INCIDENT_FILE = "incident.json"
+KEEP_FILE = "keep"
+FRAMES_SUFFIX = ".frames.log.gz"
+CORE_SUFFIX = ".core.jsonl.gz"
+
+_SEGMENT = re.compile(r"(\d{4,9})(?:\.frames\.log\.gz|\.core\.jsonl\.gz)", re.ASCII)
+_INCIDENT = re.compile(r"incident(?:-\d+)?\.json", re.ASCII)
+_RUN_DIGITS = 8
+_PARTIAL = ".partial-"
+
+
+class SegmentFiles(NamedTuple):
+    """Both files of a segment; None for one that is not there."""
+
+    number: int
+    frames: Path | None
+    core: Path | None
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Those that are there."""
+        return tuple(path for path in (self.frames, self.core) if path is not None)
+
+
+def frames_name(number: int) -> str:
+    """File of a segment's frames."""
+    return f"{number:04d}{FRAMES_SUFFIX}"
+
+
+def core_name(number: int) -> str:
+    """File of everything else of a segment."""
+    return f"{number:04d}{CORE_SUFFIX}"
+
+
+def drive_name(start_wall_ns: int, run: str) -> str:
+    """Folder of a drive: when its gateway started, and the begin of its run id."""
+    return f"{_utc(start_wall_ns)}-{_plain(run)[:_RUN_DIGITS]}"
+
+
+def incident_name(wall_ns: int, reason: str) -> str:
+    """Folder of an incident; another of the same second gets `-2`, `-3` behind it."""
+    return f"{_utc(wall_ns)}-{_plain(reason)}"
+
+
+def _utc(wall_ns: int) -> str:
+    return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(wall_ns // NS_PER_S))
+
+
+def _plain(text: str) -> str:
+    """Text without what has a meaning in a path or a shell."""
+    return re.sub(r"[^0-9A-Za-z_-]", "_", text)
+
+
+def segments(folder: Path) -> list[SegmentFiles]:
+    """Segments of a drive or incident folder, by number; OSError as `listdir` has it."""
+    numbers = {int(found[1]) for name in os.listdir(folder) if (found := _SEGMENT.fullmatch(name))}
+    return [_segment(folder, number) for number in sorted(numbers)]
+
+
+def _segment(folder: Path, number: int) -> SegmentFiles:
+    paths = (folder / frames_name(number), folder / core_name(number))
+    frames, core = (path if os.path.lexists(path) else None for path in paths)
+    return SegmentFiles(number, frames, core)
+
+
+def recorded_folders(parent: Path) -> list[Path]:
+    """Drives or incidents of this folder, by name; none where the folder is not there."""
+    try:
+        names = os.listdir(parent)
+    except FileNotFoundError:
+        return []
+    paths = (parent / name for name in sorted(names) if not name.startswith("."))
+    return [path for path in paths if os.path.isdir(path)]
+
+
+def incident_files(folder: Path) -> list[Path]:
+    """Descriptions of an incident: `incident.json`, then those of what came meanwhile."""
+    names = [name for name in os.listdir(folder) if _INCIDENT.fullmatch(name)]
+    return [folder / name for name in sorted(names, key=lambda name: (len(name), name))]
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """A drive.json or incident.json; MissingInputError or DataError where it cannot be used."""
+    try:
+        described = json.loads(path.read_bytes())
+    except OSError as error:
+        what = f"cannot be read: {error.strerror}"
+        remedy = "give the folder of a drive or an incident"
+        raise MissingInputError(Problem(what, str(path), remedy)) from error
+    except ValueError as error:
+        raise DataError(Problem(f"is no JSON: {error}", str(path))) from error
+    if not isinstance(described, dict) or not isinstance(described.get("format"), int):
+        raise DataError(Problem("has no format number", str(path)))
+    if described["format"] > FORMAT:
+        what = f"has format {described['format']}, and this version reads up to {FORMAT}"
+        raise DataError(Problem(what, str(path), "read it with a newer vcu-gateway"))
+    return described
+
+
+def description_bytes(described: Mapping[str, Any]) -> bytes:
+    """JSON text of a description, for people too."""
+    return json.dumps(described, indent=2, sort_keys=True).encode() + b"\n"
+
+
+def write_new(path: Path, data: bytes) -> None:
+    """Make a file that was not there, and have it on the disk."""
+    with path.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the folder's entries on the disk."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path] = ()) -> None:
+    """Make a folder with files and hard links in it, all of it or nothing, on the disk.
+
+    FileExistsError where it is there already; other OSError as the disk has them. What a crash
+    leaves behind begins with `.partial-`.
+    """
+    partial = folder.with_name(_PARTIAL + folder.name)
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(mode=0o750, parents=True)
+    try:
+        for name, data in files.items():
+            write_new(partial / name, data)
+        for path in links:
+            os.link(path, partial / path.name)
+        sync_folder(partial)
+        if os.path.lexists(folder):
+            raise FileExistsError(folder)
+        partial.rename(folder)
+    except OSError:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    sync_folder(folder.parent)
+
+
+def remove_partial_folders(parent: Path) -> None:
+    """Remove what an interrupted `create_folder` left behind."""
+    for path in parent.glob(f"{_PARTIAL}*"):
+        shutil.rmtree(path, ignore_errors=True)

@@ -1,0 +1,195 @@
+"""Files of gzip members: each holds whole lines and says where it stands.
+
+A member is an ordinary one for zcat and every gzip library. Its header's extra field (RFC 1952,
+2.3.1.1), subfield `VR`, adds what a reader of a damaged file needs: how many lines of the file
+stand before it, how many it has, its size in bytes, and a checksum of the header. So a reader
+finds the next whole member after torn, zeroed or damaged bytes, and knows how many lines are
+missing between two.
+
+    0   1f 8b 08 04   gzip, deflate, extra field
+    4   seconds       when its lines were gathered, wall clock; 32 bits, little endian
+    8   04 ff         fastest compression, unknown system
+    10  14 00         length of the extra field: 20
+    12  56 52 10 00   `VR`, 16 bytes follow
+    16  lines before, lines, size of the member, CRC-32 of the 28 bytes before; 32 bits each
+    32  deflate data, CRC-32 and length of the lines
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+_HEADER = struct.Struct("<4sI2sH2sHIIII")
+_MAGIC = b"\x1f\x8b\x08\x04"
+_SIGNATURE = b"\x04\xff\x14\x00VR\x10\x00"
+_SIGNATURE_OFFSET = 8
+_CHECKED_BYTES = 28
+_TRAILER = struct.Struct("<II")
+_GZIP = b"\x1f\x8b\x08"
+_RAW_DEFLATE = -15
+_ANY_GZIP = 31
+_LEVEL = 1
+_32_BITS = 0xFFFF_FFFF
+_SEARCH_BYTES = 1 << 16
+MAX_MEMBER_BYTES = 1 << 26
+"""Of the lines of one member; more is damage, or an attack on the reader's memory."""
+
+
+class Member(NamedTuple):
+    """One readable member.
+
+    Attributes:
+        offset, size: where it stands in the file, bytes.
+        first_line: lines of the file before it, those of lost members included.
+        lines: how many it has.
+        wall_s: when its lines were gathered, seconds since 1970; 0 where it is not known.
+        data: its lines, each with its end.
+    """
+
+    offset: int
+    size: int
+    first_line: int
+    lines: int
+    wall_s: int
+    data: bytes
+
+
+class MemberDamage(NamedTuple):
+    """Bytes of the file that are no readable member.
+
+    Attributes:
+        offset, size: where they stand in the file, bytes.
+        torn: at the end of the file: what a crash, a power cut or a full disk leaves.
+        what: in words, without the place.
+    """
+
+    offset: int
+    size: int
+    torn: bool
+    what: str
+
+
+def packed(data: bytes, first_line: int, wall_s: int) -> bytes:
+    """One member of whole lines, each with its end; `first_line` lines stand before it."""
+    deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, _RAW_DEFLATE)
+    body = deflate.compress(data) + deflate.flush()
+    size = _HEADER.size + len(body) + _TRAILER.size
+    fields = (_MAGIC, wall_s & _32_BITS, b"\x04\xff", 20, b"VR", 16)
+    numbers = (first_line, data.count(b"\n"), size)
+    checked = _HEADER.pack(*fields, *numbers, 0)[:_CHECKED_BYTES]
+    crc = zlib.crc32(checked).to_bytes(4, "little")
+    return b"".join((checked, crc, body, _TRAILER.pack(zlib.crc32(data), len(data) & _32_BITS)))
+
+
+def read_members(path: Path) -> Iterator[Member | MemberDamage]:
+    """Every readable member in order, and between them what is damaged; OSError as `open` has it.
+
+    A file that is being written ends, for this reader, where it ended when it was opened. Members
+    of other programs are read as well; an ordinary gzip file is one member.
+    """
+    with path.open("rb") as file:
+        descriptor = file.fileno()
+        end = os.fstat(descriptor).st_size
+        offset = lines = 0
+        while offset < end:
+            part = _part_at(descriptor, offset, end, lines)
+            yield part
+            offset += part.size
+            if isinstance(part, Member):
+                lines = part.first_line + part.lines
+
+
+def _part_at(descriptor: int, offset: int, end: int, lines: int) -> Member | MemberDamage:
+    header = _header(os.pread(descriptor, _HEADER.size, offset))
+    if header is None:
+        return _foreign_or_damaged(descriptor, offset, end, lines)
+    wall_s, first_line, count, size = header
+    if offset + size > end:
+        return _damage(descriptor, offset, end, "the last member is cut off")
+    body = os.pread(descriptor, size - _HEADER.size, offset + _HEADER.size)
+    data = _inflated(body)
+    if data is None or data.count(b"\n") != count:
+        return _damage(descriptor, offset, end, f"{count} lines cannot be read")
+    return Member(offset, size, first_line, count, wall_s, data)
+
+
+def _header(data: bytes) -> tuple[int, int, int, int] | None:
+    """Second, lines before, lines and size of a member of ours; None for anything else."""
+    if len(data) < _HEADER.size or not data.startswith(_MAGIC):
+        return None
+    _, wall_s, *_, first_line, count, size, crc = _HEADER.unpack(data)
+    if data[_SIGNATURE_OFFSET:16] != _SIGNATURE or zlib.crc32(data[:_CHECKED_BYTES]) != crc:
+        return None
+    return (wall_s, first_line, count, size) if size > _HEADER.size + _TRAILER.size else None
+
+
+def _inflated(body: bytes) -> bytes | None:
+    """The lines of deflate data with its trailer; None where they are damaged."""
+    inflate = zlib.decompressobj(_RAW_DEFLATE)
+    try:
+        data = inflate.decompress(body, MAX_MEMBER_BYTES)
+    except zlib.error:
+        return None
+    if not inflate.eof or len(inflate.unused_data) != _TRAILER.size:
+        return None
+    crc, length = _TRAILER.unpack(inflate.unused_data)
+    return data if (zlib.crc32(data), len(data) & _32_BITS) == (crc, length) else None
+
+
+def _foreign_or_damaged(
+    descriptor: int, offset: int, end: int, lines: int
+) -> Member | MemberDamage:
+    """A member of another program, or damaged bytes."""
+    start = os.pread(descriptor, _HEADER.size, offset)
+    if start.startswith(_GZIP) and start[_SIGNATURE_OFFSET:16] != _SIGNATURE:
+        inflate = zlib.decompressobj(_ANY_GZIP)
+        read = _inflated_in_pieces(descriptor, offset, inflate)
+        if read is not None:
+            data, size = read
+            return Member(offset, size, lines, data.count(b"\n"), 0, data)
+    zeros = "zeros" if not start.strip(b"\0") else "bytes"
+    return _damage(descriptor, offset, end, f"{zeros} that are no member")
+
+
+def _inflated_in_pieces(
+    descriptor: int, offset: int, inflate: "zlib._Decompress"
+) -> tuple[bytes, int] | None:
+    """Lines and size of a gzip member of unknown length; None where it is damaged."""
+    pieces: list[bytes] = []
+    room, place = MAX_MEMBER_BYTES, offset
+    while not inflate.eof and room > 0:
+        piece = os.pread(descriptor, _SEARCH_BYTES, place)
+        try:
+            pieces.append(inflate.decompress(inflate.unconsumed_tail + piece, room))
+        except zlib.error:
+            return None
+        place, room = place + len(piece), room - len(pieces[-1])
+        if not piece and not inflate.eof:
+            return None
+    size = place - offset - len(inflate.unused_data)
+    return (b"".join(pieces), size) if inflate.eof else None
+
+
+def _damage(descriptor: int, offset: int, end: int, what: str) -> MemberDamage:
+    """From here to the next whole member of ours, or to the end of the file."""
+    found = _next_member(descriptor, offset + 1, end)
+    return MemberDamage(offset, found - offset, found == end, what)
+
+
+def _next_member(descriptor: int, start: int, end: int) -> int:
+    """Where the next member of ours begins; `end` where none does."""
+    place = start
+    while place < end:
+        piece = os.pread(descriptor, _SEARCH_BYTES, place)
+        found = piece.find(_MAGIC)
+        while found >= 0:
+            if _header(os.pread(descriptor, _HEADER.size, place + found)) is not None:
+                return place + found
+            found = piece.find(_MAGIC, found + 1)
+        if len(piece) < _SEARCH_BYTES:
+            break
+        place += len(piece) - len(_MAGIC) + 1
+    return end

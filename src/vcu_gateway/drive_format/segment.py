@@ -1,0 +1,124 @@
+"""Writer of one segment: frames and core lines, a gzip member a second in each file."""
+
+import os
+from pathlib import Path
+
+from vcu_gateway.drive_format import layout, members
+
+
+class MemberFile:
+    """File of members that only grows; made by this process, never opened again.
+
+    Attributes:
+        path: where it is.
+        lines: how many whole members of it hold.
+        size: bytes of whole members.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Make the file; FileExistsError where it is there already."""
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
+        self._descriptor = os.open(path, flags, 0o640)
+        self.path = path
+        self.lines = self.size = 0
+
+    def append(self, data: bytes, wall_s: int) -> None:
+        """Write whole lines as one member; OSError leaves the file without any of it."""
+        member = members.packed(data, self.lines, wall_s)
+        self._write(member)
+        self.size += len(member)
+        self.lines += data.count(b"\n")
+
+    def _write(self, member: bytes) -> None:
+        written = 0
+        try:
+            while written < len(member):
+                written += os.write(self._descriptor, memoryview(member)[written:])
+        except OSError:
+            if written:  # a disk that is full takes a part
+                os.ftruncate(self._descriptor, self.size)
+            raise
+
+    def sync(self) -> None:
+        """Have it on the disk."""
+        os.fdatasync(self._descriptor)
+
+    @property
+    def is_in_place(self) -> bool:
+        """False where somebody removed it, or its folder."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            return False
+        return os.path.samestat(found, os.fstat(self._descriptor))
+
+    def close(self) -> None:
+        """Close it."""
+        os.close(self._descriptor)
+
+
+class SegmentWriter:
+    """Both files of one segment, and the lines that wait for the next member.
+
+    Frames are written before the core lines that count them.
+
+    Attributes:
+        number: of the segment.
+        frames: how many it was given; the `f` of the next core line.
+    """
+
+    def __init__(self, folder: Path, number: int) -> None:
+        """Make both files; FileExistsError where there is one, else OSError as the disk has it."""
+        self.number = number
+        self.frames = 0
+        self._frame_text: list[str] = []
+        self._core_text: list[str] = []
+        self._frames_file = MemberFile(folder / layout.frames_name(number))
+        try:
+            self._core_file = MemberFile(folder / layout.core_name(number))
+            layout.sync_folder(folder)
+        except OSError:
+            self._frames_file.close()
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes of both files."""
+        return self._frames_file.size + self._core_file.size
+
+    @property
+    def recorded_frames(self) -> int:
+        """Frames that are in the file."""
+        return self._frames_file.lines
+
+    @property
+    def is_in_place(self) -> bool:
+        """False where somebody removed a file of it, or its folder."""
+        return self._frames_file.is_in_place and self._core_file.is_in_place
+
+    def add(self, frame_lines: list[str], core_text: str) -> None:
+        """Frame lines, and core lines after them; each with its line end."""
+        self.frames += len(frame_lines)
+        self._frame_text += frame_lines
+        if core_text:
+            self._core_text.append(core_text)
+
+    def flush(self, wall_s: int) -> None:
+        """Write what waits, a member for each file; OSError leaves what is unwritten waiting."""
+        for file, waiting in self._files():
+            if waiting:
+                file.append("".join(waiting).encode(), wall_s)
+                waiting.clear()
+
+    def _files(self) -> tuple[tuple[MemberFile, list[str]], ...]:
+        return (self._frames_file, self._frame_text), (self._core_file, self._core_text)
+
+    def sync(self) -> None:
+        """Have on the disk what was written."""
+        for file, _ in self._files():
+            file.sync()
+
+    def close(self) -> None:
+        """Close both files; what waits is lost."""
+        for file, _ in self._files():
+            file.close()
