@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.mf4 import PATIENCE_S, ROOT, mf4_folder, with_asammdf
+from tests.export_libraries import PATIENCE_S, ROOT, export_folder, with_export_libraries
 from vcu_gateway.protocol import dbc, packaged
 
-__all__ = ["mf4_folder"]
+__all__ = ["export_folder"]
 pytestmark = pytest.mark.timeout(PATIENCE_S)
 
 SOURCE = ROOT / "src"
@@ -35,7 +35,7 @@ for suffix in (".log", ".mf4"):
 
 
 def python(folder: Path | None, *arguments: str, timeout_s: float = 90) -> str:
-    environment = dict(os.environ) if folder is None else with_asammdf(folder)
+    environment = dict(os.environ) if folder is None else with_export_libraries(folder)
     done = subprocess.run(
         [sys.executable, *arguments],
         capture_output=True,
@@ -53,17 +53,17 @@ def decoded(folder: Path, path: Path) -> list[dict]:
     return [{"message": one["message"], "signals": one["signals"]} for one in frames]
 
 
-def test_decode_reads_mf4_where_asammdf_is_installed(mf4_folder, tmp_path):
+def test_decode_reads_mf4_where_asammdf_is_installed(export_folder, tmp_path):
     messages = dbc.load(packaged("vcu.dbc")).messages
     identifiers = [str(message.can_id) for message in messages * 3]
-    python(mf4_folder, "-c", WRITE, str(tmp_path / "drive"), *identifiers)
-    expected = decoded(mf4_folder, tmp_path / "drive.log")
+    python(export_folder, "-c", WRITE, str(tmp_path / "drive"), *identifiers)
+    expected = decoded(export_folder, tmp_path / "drive.log")
     assert len(expected) == len(identifiers)
     recording = tmp_path / "drive.mf4"
-    assert decoded(mf4_folder, recording) == expected
+    assert decoded(export_folder, recording) == expected
     packed = tmp_path / "drive.mf4.gz"
     packed.write_bytes(gzip.compress(recording.read_bytes()))
-    assert decoded(mf4_folder, packed) == expected
+    assert decoded(export_folder, packed) == expected
 
 
 def imports_of(path: Path) -> set[str]:
@@ -86,27 +86,27 @@ def modules_with_python_can() -> list[str]:
     ]
 
 
-def test_there_is_something_to_keep_out(mf4_folder):
+def test_there_is_something_to_keep_out(export_folder):
     loaded = "import sys, can; print(*sys.modules)"
-    assert set(HEAVY) <= set(python(mf4_folder, "-c", loaded).split())
+    assert set(HEAVY) <= set(python(export_folder, "-c", loaded).split())
     assert len(modules_with_python_can()) >= 6
 
 
 @pytest.mark.parametrize("module", [*modules_with_python_can(), "vcu_gateway.cli.run"])
-def test_whatever_module_comes_first_python_can_comes_without_asammdf(mf4_folder, module):
+def test_whatever_module_comes_first_python_can_comes_without_asammdf(export_folder, module):
     program = f"import {module}, sys; print(*sys.modules)"
-    loaded = set(python(mf4_folder, "-c", program).split())
+    loaded = set(python(export_folder, "-c", program).split())
     assert "can.io.mf4" in loaded
     assert not loaded & set(HEAVY)
 
 
-def test_asammdf_is_hidden_only_while_python_can_is_imported(mf4_folder):
+def test_asammdf_is_hidden_only_while_python_can_is_imported(export_folder):
     program = "import vcu_gateway.python_can, asammdf; print(asammdf.__name__)"
-    assert python(mf4_folder, "-c", program).strip() == "asammdf"
+    assert python(export_folder, "-c", program).strip() == "asammdf"
     program = (
         "import asammdf, vcu_gateway.python_can, sys; print(sys.modules['asammdf'] is asammdf)"
     )
-    assert python(mf4_folder, "-c", program).strip() == "True"
+    assert python(export_folder, "-c", program).strip() == "True"
 
 
 class Cost(NamedTuple):
@@ -133,7 +133,7 @@ def configuration(tmp_path: Path) -> Path:
 @contextlib.contextmanager
 def gateway(folder: Path | None, configuration: Path, *options: str) -> Iterator[Running]:
     """A gateway that has ticked for a moment."""
-    environment = dict(os.environ) if folder is None else with_asammdf(folder)
+    environment = dict(os.environ) if folder is None else with_export_libraries(folder)
     command = [sys.executable, *options, "-m", "vcu_gateway", "run", "-c", str(configuration)]
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
         said = []
@@ -158,12 +158,12 @@ def cost(folder: Path | None, configuration: Path) -> Cost:
     return Cost(sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK"), int(memory))
 
 
-def test_a_gateway_starts_with_asammdf_installed_as_without(mf4_folder, configuration, capsys):
+def test_a_gateway_starts_with_asammdf_installed_as_without(export_folder, configuration, capsys):
     """A busy machine only adds: the least of some turns is compared, of more where it is busy."""
     without, beside = [], []
     for turn in range(1, 11):
         without.append(cost(None, configuration))
-        beside.append(cost(mf4_folder, configuration))
+        beside.append(cost(export_folder, configuration))
         least, least_beside = (Cost(*map(min, zip(*of, strict=True))) for of in (without, beside))
         if turn >= 3 and least_beside.cpu_s <= 1.3 * least.cpu_s:
             break
@@ -173,12 +173,12 @@ def test_a_gateway_starts_with_asammdf_installed_as_without(mf4_folder, configur
     assert least_beside.memory_kb <= 1.1 * least.memory_kb
 
 
-def test_nothing_of_asammdf_is_in_a_running_gateway(mf4_folder, configuration):
-    with gateway(mf4_folder, configuration, "-X", "importtime") as running:
+def test_nothing_of_asammdf_is_in_a_running_gateway(export_folder, configuration):
+    with gateway(export_folder, configuration, "-X", "importtime") as running:
         mapped = Path(f"/proc/{running.pid}/maps").read_text()
     lines = [line for line in running.said if line.startswith("import time:")]
     imported = {line.rpartition("|")[2].strip() for line in lines}
     assert {"can.io.mf4", "vcu_gateway.daemon.loop"} <= imported
     assert not imported & {"asammdf.mdf", "numpy", "pandas"}  # asammdf itself was looked for
     assert ".so" in mapped
-    assert str(mf4_folder) not in mapped
+    assert str(export_folder) not in mapped

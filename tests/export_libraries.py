@@ -1,4 +1,4 @@
-"""asammdf, installed for the tests of MF4 in a folder of its own."""
+"""asammdf, pyarrow and mcap, installed for the tests of export in a folder of their own."""
 
 import os
 import subprocess
@@ -12,10 +12,10 @@ PATIENCE_S = 600
 
 
 @pytest.fixture(scope="session")
-def mf4_folder() -> Path:
-    """The folder of asammdf; to be installed where it is not there, and a must on CI."""
+def export_folder() -> Path:
+    """Folder of the libraries; installed where it is not there, and a must on CI."""
     found = subprocess.run(
-        [ROOT / "scripts" / "test-mf4", Path(sys.executable).parent],
+        [ROOT / "scripts" / "test-export", Path(sys.executable).parent],
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -26,6 +26,6 @@ def mf4_folder() -> Path:
     return Path(found.stdout.strip())
 
 
-def with_asammdf(folder: Path) -> dict[str, str]:
-    """The environment of a process in which asammdf is installed."""
+def with_export_libraries(folder: Path) -> dict[str, str]:
+    """The environment of a process in which they are installed."""
     return {**os.environ, "PYTHONPATH": str(folder)}
