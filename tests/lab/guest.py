@@ -10,6 +10,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+DISK = "/dev/ubdb"  # the first one is the root's, with a systemd
 TMPDIR = "/run/tmp"  # in the guest: in RAM. /tmp stays the machine's, a command may live there
 # Whom init.sh passes signals on to, and what it kills at the end.
 PREPARE = "echo $$ >/run/lab/group\necho $$ >/run/lab/cgroup/command/cgroup.procs\n"

@@ -14,6 +14,7 @@ SCRIPT = Path(__file__).with_name("debian-kernel")
 FLAVOURS = ("standard", "rt")
 UML_MACHINES = ("x86_64", "i686")  # what Debian builds User Mode Linux for
 IN_GUEST = "/lib/modules"
+DISK = "/dev/vdb"  # the first one is the root's
 
 
 class Architecture(NamedTuple):
@@ -86,7 +87,7 @@ def prepare(job, options, modules):
     (tree,) = (kernel / "modules").iterdir()
     lines = guest.module_lines(modules, options.module_param, tree)
     (job / "modules").write_text(lines.replace(f"{kernel}/modules", IN_GUEST))
-    return command(job, kernel, options.mem)
+    return command(job, kernel, options.mem, options.disk)
 
 
 def find_kernel(options):
@@ -99,8 +100,10 @@ def find_kernel(options):
     return Path(done.stdout.strip())
 
 
-def command(job, kernel, mem):
+def command(job, kernel, mem, disk=None):
     own = architecture()
+    disks = [f"file={escaped((job / 'root').resolve())},format=raw,if=virtio,readonly=on"]
+    disks += [f"file={escaped(disk)},format=raw,if=virtio"] if disk else []
     options = f"console={own.console} {KERNEL_OPTIONS} {machine.KERNEL_OPTIONS}"
     folders = (job / "shared").read_text().splitlines()
     shares = [("job", job, False), ("modules", kernel / "modules", True)]
@@ -108,7 +111,7 @@ def command(job, kernel, mem):
     return [
         *(own.emulator, *own.computer.split(), *EMULATION.split(), "-m", mem),
         *("-kernel", kernel / "vmlinuz", "-initrd", kernel / "initramfs", "-append", options),
-        *("-drive", f"file={escaped((job / 'root').resolve())},format=raw,if=virtio,readonly=on"),
+        *(word for one in disks for word in ("-drive", one)),
         *(word for share in shares for word in ("-virtfs", shared(*share))),
         *CONTROLLERS.split(),
     ]

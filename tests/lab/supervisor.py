@@ -45,7 +45,7 @@ class Supervisor:
         self.process = self.undertaker = self.control = None
         self.pumps = {}  # file descriptor to read: where that goes, None for the guest's console
         self.console = deque(maxlen=50)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             signal.signal(number, lambda number, _frame: self.asked.append(number))
 
     def start(self, argv, **options):
@@ -111,8 +111,12 @@ class Supervisor:
         while self.asked:
             if self.cause:  # told twice: no more patience
                 self.kill_at = now
-            self.cause = self.cause or 128 + self.asked[0]
-            self.ask(self.asked.popleft())
+            number = self.asked.popleft()
+            self.cause = self.cause or 128 + number
+            if number == signal.SIGQUIT:  # a power cut: nothing in the guest learns of it
+                self.kill_at = now
+            else:
+                self.ask(number)
         if now >= self.kill_at:
             self.kill()
 

@@ -43,6 +43,7 @@ facts = {
     "frame": receiver.recv(16).hex(" ", 4),
     "drivers": [os.path.basename(os.path.realpath(f"/sys/class/net/{name}/device/driver"))
         for name in ("can0", "can1")],
+    "disk": pathlib.Path(os.environ["VCU_DISK"]).read_bytes()[:4].decode(),
     "vcan0": output("ip -brief link show vcan0"), "kernel": os.uname().release,
 }
 print(json.dumps(facts))
@@ -72,8 +73,10 @@ def test_a_command_meets_its_own_surroundings_and_two_controllers_on_one_bus(tmp
     directory = tmp_path / "a place with spaces, ü, and 'quotes'"
     directory.mkdir()
     (directory / "program.py").write_text(FACTS)
+    (disk := tmp_path / "disk").write_bytes(b"disk" * 1024)
     done = lab(
         *("/usr/bin/python3", "program.py", "two words", "'\"$HOME\n"),
+        options=["--disk", str(disk)],
         cwd=directory,
         env={**os.environ, "ODD": "x\n'y'"},
     )
@@ -86,6 +89,7 @@ def test_a_command_meets_its_own_surroundings_and_two_controllers_on_one_bus(tmp
     assert facts["drivers"] == ["kvaser_pci", "kvaser_pci"]
     assert facts["frame"] == "23010000 02000000 abcd0000 00000000"
     assert "UP" in facts["vcan0"]
+    assert facts["disk"] == "disk"
 
 
 def test_the_interpreter_is_the_one_of_venv_and_a_signal_reaches_the_command():
