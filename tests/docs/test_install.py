@@ -316,7 +316,7 @@ def test_the_files_of_the_source_tree_that_the_page_installs_are_there():
     (block,) = (block for block in blocks(INSTALL, "sh") if "systemd/sysusers.conf" in block)
     named = re.findall(r"\b((?:systemd|config)/\S+|requirements\.lock)", block)
     named = [name for name in named if not name.endswith("/")]
-    assert len(named) == 7
+    assert len(named) == 9
     for name in named:
         assert (ROOT / name).is_file(), name
 
@@ -334,7 +334,13 @@ def test_the_releases_of_the_pages_are_those_that_the_package_is_tested_on():
 
 def test_every_path_that_a_unit_needs_is_in_the_table_of_places():
     places = " ".join(codes(section(INSTALL, "## What lies where")))
-    for name in ("vcu-gateway.service", "vcu-gateway@.service", "vcu-gateway-exporter.service"):
+    for name in (
+        "vcu-gateway.service",
+        "vcu-gateway@.service",
+        "vcu-gateway-exporter.service",
+        "vcu-gateway-recorder.service",
+        "vcu-gateway-recorder.socket",
+    ):
         unit = (ROOT / "systemd" / name).read_text().replace("%i", "can1")
         for found in re.findall(r"(?<=[= :])/(?:etc|run|var/lib|usr/lib)/vcu-gateway[\w-]*", unit):
             assert found in places, found

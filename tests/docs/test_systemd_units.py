@@ -11,12 +11,16 @@ SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNITS = sorted(
     path
     for path in SYSTEMD.rglob("*")
-    if path.suffix in {".service", ".network", ".netdev", ".link"}
+    if path.suffix in {".service", ".socket", ".network", ".netdev", ".link"}
 )
 
 
 SERVICES = sorted(path.name for path in UNITS if path.suffix == ".service")
-MOST_EXPOSED = {"vcu-gateway.service": 1.0, "vcu-gateway@.service": 1.0}
+MOST_EXPOSED = {
+    "vcu-gateway.service": 1.0,
+    "vcu-gateway@.service": 1.0,
+    "vcu-gateway-recorder.service": 0.1,
+}
 """What `systemd-analyze security` may say, 0 to 10; the exporter has an internet socket."""
 
 
@@ -50,7 +54,7 @@ def test_an_instance_shares_no_folder_with_another():
     shared = [
         line
         for line in directives
-        if re.search(r"(/run|Directory=)/?vcu-gateway(?!-%i|-root|/%i)", line)
+        if re.search(r"(/run|Directory=)/?vcu-gateway(?!-%i|-root|-recorder|/%i)", line)
     ]
     assert shared == []
 
@@ -59,7 +63,8 @@ def test_an_instance_shares_no_folder_with_another():
 def test_systemd_understands_every_line(name, tmp_path):
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze on this machine; tests/service asks the real one")
-    shutil.copy(SYSTEMD / name, tmp_path)
+    for unit in [SYSTEMD / name, *SYSTEMD.glob("*.socket")]:
+        shutil.copy(unit, tmp_path)
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", f"./{name}"],
         cwd=tmp_path, capture_output=True, text=True, check=False,
@@ -96,3 +101,35 @@ def test_the_exporter_needs_the_gateway_only_for_the_order():
     text = (SYSTEMD / "vcu-gateway-exporter.service").read_text()
     assert "\nAfter=vcu-gateway.service\n" in text
     assert not re.search(r"^(Requires|BindsTo|PartOf|Requisite|Wants)=", text, re.MULTILINE)
+
+
+RECORDER = SYSTEMD / "vcu-gateway-recorder.service"
+
+
+def test_no_gateway_ever_waits_for_the_recorder():
+    ordering = re.compile(
+        r"^(?:After|Before|Requires|BindsTo|PartOf|Requisite|Wants|Upholds)=(.*)$", re.MULTILINE
+    )
+    of_recorder = ordering.findall(RECORDER.read_text())
+    assert of_recorder == ["vcu-gateway-recorder.socket"]
+    of_gateway = " ".join(ordering.findall((SYSTEMD / "vcu-gateway.service").read_text()))
+    assert "recorder" not in of_gateway
+
+
+def test_the_recorders_socket_lies_where_the_gateways_root_folder_has_it():
+    socket = (SYSTEMD / "vcu-gateway-recorder.socket").read_text()
+    (path,) = re.findall(r"^ListenSequentialPacket=(.*)$", socket, re.MULTILINE)
+    folder = str(Path(path).parent)
+    for name in ("vcu-gateway.service", "vcu-gateway@.service"):
+        assert f"\nBindReadOnlyPaths=-{folder}\n" in (SYSTEMD / name).read_text()
+    assert f"\nBindPaths={folder}\n" in RECORDER.read_text()
+    assert (
+        f"\nd {folder} 0750 vcu-gateway-recorder vcu-gateway\n"
+        in (SYSTEMD / "tmpfiles.conf").read_text()
+    )
+
+
+def test_the_recorder_has_no_network_at_all():
+    text = RECORDER.read_text()
+    for line in ("RestrictAddressFamilies=AF_UNIX", "PrivateNetwork=yes", "IPAddressDeny=any"):
+        assert f"\n{line}\n" in text

@@ -16,12 +16,20 @@ from vcu_gateway import __version__
 
 pytestmark = pytest.mark.timeout(1200)  # the first test builds, and may install what builds
 
+UNITS = (
+    "vcu-gateway.service",
+    "vcu-gateway@.service",
+    "vcu-gateway-exporter.service",
+    "vcu-gateway-recorder.service",
+)
 PROGRAMS = {f"{HOME}/bin/vcu-gateway", f"{HOME}/is-active"}
 FROM_THE_TREE = {
     "etc/vcu-gateway/gateway.yaml": "config/gateway.yaml",
     "{units}/vcu-gateway.service": "systemd/vcu-gateway.service",
     "{units}/vcu-gateway@.service": "systemd/vcu-gateway@.service",
     "{units}/vcu-gateway-exporter.service": "systemd/vcu-gateway-exporter.service",
+    "{units}/vcu-gateway-recorder.service": "systemd/vcu-gateway-recorder.service",
+    "{units}/vcu-gateway-recorder.socket": "systemd/vcu-gateway-recorder.socket",
     "usr/lib/sysusers.d/vcu-gateway.conf": "systemd/sysusers.conf",
     "usr/lib/tmpfiles.d/vcu-gateway.conf": "systemd/tmpfiles.conf",
     "usr/share/vcu-gateway/network/can0.network": "systemd/can0.network",
@@ -188,7 +196,7 @@ def test_the_licence_of_every_library_is_named(deb):
 def test_every_program_and_file_that_the_units_name_is_there(deb):
     missing = {
         path
-        for unit in ("vcu-gateway.service", "vcu-gateway@.service", "vcu-gateway-exporter.service")
+        for unit in UNITS
         for line in deb.text(f"{deb.release.units}/{unit}").splitlines()
         if line.startswith(("Exec", "RootDirectory="))
         for path in re.findall(r"/(?:usr|etc)/[^\s%]+(?=\s|$)", line)

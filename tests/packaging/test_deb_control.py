@@ -40,6 +40,24 @@ def test_installing_enables_the_gateway_and_not_the_exporter(control):
     assert was_enabled in before or not after
 
 
+def test_installing_enables_the_recorders_socket_and_starts_nothing(control):
+    script = (control / "postinst").read_text()
+    assert "deb-systemd-helper enable 'vcu-gateway-recorder.socket'" in script
+    assert "invoke start" not in script
+
+
+def test_the_recorder_ends_after_the_gateways_that_hand_over_to_it(control):
+    script = (control / "prerm").read_text()
+    assert 0 < script.index("stop vcu-gateway-exporter") < script.index("stop vcu-gateway-recorder")
+
+
+def test_recordings_go_with_the_configuration_and_not_before(control):
+    script = (control / "postrm").read_text()
+    before, _, after = script.partition('if [ "$1" = purge ]; then\n    rm -rf /var')
+    assert "/var/lib/vcu-gateway-recorder" in after
+    assert "/var/lib/vcu-gateway-recorder" not in before
+
+
 def test_the_sums_are_those_of_all_files_but_the_configuration(deb, control):
     listed = {line.split("  ", 1)[1] for line in (control / "md5sums").read_text().splitlines()}
     assert listed == set(deb.contents) - {"etc/vcu-gateway/gateway.yaml"}
