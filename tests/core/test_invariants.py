@@ -29,6 +29,7 @@ from tests.core.reference_model import (
     ReferenceModel,
     is_safe,
 )
+from vcu_gateway.core import why
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.frame import Frame
@@ -97,6 +98,7 @@ class GatewayMachine(RuleBasedStateMachine):
         self.now_ns = 5_000_000 * MS
         self.gateway = None
         self.broken = self.ending = False
+        self.kept_why = None
 
     @initialize(settings=SETTINGS, warm=st.sampled_from([True, True, True, True, False]))
     def begin(self, settings, warm):
@@ -313,6 +315,7 @@ class GatewayMachine(RuleBasedStateMachine):
             self.released_ns = None
         self.elapsed_ns = elapsed_ns
         self._check_frames(result, effects, found)
+        self._check_why()
         self.reference.end_tick()
         self._send(result)
         self.emergency = self.reference.foreign = self.broken = False
@@ -374,6 +377,15 @@ class GatewayMachine(RuleBasedStateMachine):
             if self.last_frames_ns is not None:
                 assert 2 * (self.now_ns - self.last_frames_ns) >= self.settings.period_ns, "I4"
             self.last_frames_ns = self.now_ns
+
+    def _check_why(self):
+        """What was kept at the tick before reads as it was then."""
+        if self.kept_why is not None:
+            reasons, ages, explanation = self.kept_why
+            assert why.explained(reasons, *ages) == explanation
+        demand_age_ns = self.gateway.requests.arbiter.age_ns(self.now_ns)
+        ages = self.now_ns, self.now_ns, demand_age_ns
+        self.kept_why = self.gateway.reasons(self.now_ns), ages, self.gateway.why(self.now_ns)
 
     def _check_content(self, command, frame):
         """I5, I15: the frame is this tick's command, within half a bit."""

@@ -20,7 +20,7 @@ from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, Finding, HeldCau
 from vcu_gateway.core.coded_signals import BATTERY_EFFECTS, CONTROLLER_EFFECTS
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode
-from vcu_gateway.core.why import LONGEST_CHARACTERS, Explanation, next_step
+from vcu_gateway.core.why import LONGEST_CHARACTERS, Explanation, Reasons, next_step
 
 
 def test_while_listening():
@@ -144,16 +144,30 @@ def test_a_cut_names_the_level_of_its_reset(refusal, step):
     assert next_step(Mode.FAULT, latch, refusal) == step
 
 
-def why(now_ns: int, detail: str = "1101 ms", effect: Effect = Effect.POWER_LIMIT) -> Explanation:
-    limits = (HeldCause(Finding("late", "BMS_Status", effect, detail), 0, now_ns),)
-    return Explanation(
-        now_ns, now_ns, Mode.ACTIVE, None, (), limits, (), (), "driver", 50 * MS, 200, True, "drive"
-    )
+def reasons(seen_ns: int, detail: str = "1101 ms", effect=Effect.POWER_LIMIT) -> Reasons:
+    held = (HeldCause(Finding("late", "BMS_Status", effect, detail), 0, seen_ns),)
+    return Reasons(Mode.ACTIVE, None, held, (), "driver", 200, demand_fresh=True, refusal="")
 
 
 def test_the_same_answer_at_another_time_has_the_same_signature():
-    assert why(0).signature() == why(500 * MS, "1601 ms").signature()
-    assert why(0).signature() != why(0, effect=Effect.REGEN_LIMIT).signature()
+    assert reasons(0).signature() == reasons(500 * MS, "1601 ms").signature()
+    assert reasons(0).signature() != reasons(0, effect=Effect.REGEN_LIMIT).signature()
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"mode": Mode.STANDBY},
+        {"latch": LatchedFault(FaultClass.DRIVER, "", 0)},
+        {"held": ()},
+        {"waits": ("waiting for BMS_Status",)},
+        {"demand_source": "other"},
+        {"demand_fresh": False},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_an_answer_that_a_person_reads_differently_has_another_signature(other):
+    assert reasons(0).signature() != reasons(0)._replace(**other).signature()
 
 
 def test_the_answer_is_data_too():

@@ -47,7 +47,7 @@ class ServiceRig:
     def tick(self, times: int = 1) -> None:
         for _ in range(times):
             result = self.drive.tick()
-            self.loop.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
+            self.loop.latest = LastTick.explained(self.drive.gateway, result, self.drive.now_ns)
             self.service.observe(TICK, result)
             self._listen()
 

@@ -93,7 +93,7 @@ class Program:
         schedule.due(schedule.next_deadline_ns + late_ns)
         self.loop.silent_ticks += not result.frames
         self.connection.counters.sent += len(result.frames)
-        self.loop.latest = LastTick(result, self.drive.gateway.why(self.drive.now_ns))
+        self.loop.latest = LastTick.explained(self.drive.gateway, result, self.drive.now_ns)
 
     def run(self, duration_ms: int) -> "Program":
         """Tick for so long."""

@@ -105,9 +105,9 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
                 gateway.receive(Frame(sent.can_id, sent.data, now_ns, own_echo=True))
                 nodes.receive(sent.can_id, sent.data, now_ns)
             tick_ns += gateway.settings.period_ns
-    why = gateway.why(result.snapshot.now_ns)
-    state = views.state(result.snapshot, LastTick(result, why), None)
-    return ViewModel(state, views.why(why), HEALTH)
+    latest = LastTick.explained(gateway, result, result.snapshot.now_ns)
+    state = views.state(result.snapshot, latest, None)
+    return ViewModel(state, views.why(latest.why), HEALTH)
 
 
 def driving() -> ViewModel:

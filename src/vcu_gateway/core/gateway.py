@@ -60,7 +60,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.snapshot import Snapshot
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Stimulus
 from vcu_gateway.core.transmit import OutFrame, Transmitter
-from vcu_gateway.core.why import Explanation
+from vcu_gateway.core.why import Explanation, Reasons
 from vcu_gateway.units import NS_PER_MS
 
 
@@ -280,15 +280,27 @@ class Gateway:
 
     def why(self, now_ns: int) -> Explanation:
         """Mode, blocking and limiting causes, the demand and the next step."""
-        mode, refusal = self.supervisor.mode, ""
+        age_ns = self.requests.arbiter.age_ns(now_ns)
+        return why.explained(self.reasons(now_ns), now_ns, self._snapshot.now_ns, age_ns)
+
+    def reasons(self, now_ns: int) -> Reasons:
+        """What `why` says, without ages and before it is put into words."""
+        mode, requests, refusal = self.supervisor.mode, self.requests, ""
         if mode is Mode.STANDBY:
-            refusal = self.requests.against_arming(now_ns)
+            refusal = requests.against_arming(now_ns)
         elif mode is Mode.FAULT:
-            refusal = self.requests.against_resetting(FaultClass.SERVICE, now_ns)
-        inputs = why.ExplanationInputs(
-            self._snapshot.now_ns, self.supervisor, self.causes, self.requests.arbiter
+            refusal = requests.against_resetting(FaultClass.SERVICE, now_ns)
+        demand = requests.arbiter.current
+        return Reasons(
+            mode,
+            self.supervisor.latch,
+            self.causes.held,
+            tuple(self._waits(now_ns)),
+            None if demand is None else demand.source,
+            None if demand is None else demand.ttl_ms,
+            requests.arbiter.fresh(now_ns),
+            refusal,
         )
-        return why.explained(inputs, tuple(self._waits(now_ns)), refusal, now_ns)
 
     def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:

@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
-from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, HeldCause
+from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, HeldCause
 from vcu_gateway.core.commands import Commander
-from vcu_gateway.core.demand import ControllerDemands, DemandArbiter, PowerMode
+from vcu_gateway.core.demand import ControllerDemands, PowerMode
 from vcu_gateway.core.pedals import ThrottleHold
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Supervisor
+from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 LONGEST_CHARACTERS = 200
@@ -125,12 +125,6 @@ class Explanation(NamedTuple):
         state = "" if self.demand_fresh else ", expired"
         return f"demand of {self.demand_source} {self.demand_age_ns // NS_PER_MS} ms old{state}"
 
-    def signature(self) -> tuple[object, ...]:
-        """Key of answers that are the same to a person: all but ages and values."""
-        held = self.blocks + self.limits + self.alarms
-        keys = tuple([one.finding.key for one in held]) if held else ()
-        return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
-
 
 def _joined(forms: dict[str, list[str]]) -> str:
     return "; ".join(form for form, *_ in forms.values() if form)
@@ -165,35 +159,54 @@ def _first(what: str, held: tuple[HeldCause, ...]) -> str:
     return f"{what} {held[0].finding}{more}" if held else ""
 
 
-class ExplanationInputs(NamedTuple):
-    """Inputs of an explanation; `judged_ns` is the tick that last judged the causes."""
+class Reasons(NamedTuple):
+    """All that an explanation says but ages, as it is found in every tick.
 
-    judged_ns: int
-    supervisor: Supervisor
-    causes: Causes
-    arbiter: DemandArbiter
+    Equal ones say the same; nothing in them changes later, so any thread may read them.
+
+    Attributes:
+        held: every cause that counts, in the order of its appearance.
+        refusal: why arming or resetting would be refused, or empty.
+    """
+
+    mode: Mode
+    latch: LatchedFault | None
+    held: tuple[HeldCause, ...]
+    waits: tuple[str, ...]
+    demand_source: str | None
+    demand_ttl_ms: int | None
+    demand_fresh: bool
+    refusal: str
+
+    def signature(self) -> tuple[object, ...]:
+        """Key of answers that are the same to a person: all but values and the next step."""
+        keys = tuple([one.finding.key for one in self.held])
+        return (self.mode, self.latch, keys, self.waits, self.demand_source, self.demand_fresh)
 
 
 def explained(
-    inputs: ExplanationInputs, waits: tuple[str, ...], refusal: str, now_ns: int
+    reasons: Reasons, now_ns: int, judged_ns: int, demand_age_ns: int | None
 ) -> Explanation:
-    """The answer now; `refusal` is why arming or resetting would be refused, or empty."""
-    mode, latch, demand = inputs.supervisor.mode, inputs.supervisor.latch, inputs.arbiter.current
+    """The answer at `now_ns`; `judged_ns` is the tick that last judged the causes."""
     return Explanation(
         now_ns=now_ns,
-        judged_ns=inputs.judged_ns,
-        mode=mode,
-        latch=latch,
-        blocks=inputs.causes.having(BLOCKING),
-        limits=inputs.causes.having(LIMITING),
-        alarms=inputs.causes.having(_ALARM),
-        waits=waits,
-        demand_source=None if demand is None else demand.source,
-        demand_age_ns=inputs.arbiter.age_ns(now_ns),
-        demand_ttl_ms=None if demand is None else demand.ttl_ms,
-        demand_fresh=inputs.arbiter.fresh(now_ns),
-        next_step=next_step(mode, latch, refusal),
+        judged_ns=judged_ns,
+        mode=reasons.mode,
+        latch=reasons.latch,
+        blocks=_having(BLOCKING, reasons.held),
+        limits=_having(LIMITING, reasons.held),
+        alarms=_having(_ALARM, reasons.held),
+        waits=reasons.waits,
+        demand_source=reasons.demand_source,
+        demand_age_ns=demand_age_ns,
+        demand_ttl_ms=reasons.demand_ttl_ms,
+        demand_fresh=reasons.demand_fresh,
+        next_step=next_step(reasons.mode, reasons.latch, reasons.refusal),
     )
+
+
+def _having(effects: frozenset[Effect], causes: tuple[HeldCause, ...]) -> tuple[HeldCause, ...]:
+    return tuple(held for held in causes if held.finding.effect in effects)
 
 
 _NEXT_STEPS = {
@@ -228,7 +241,10 @@ def waits(
         return found
     if commander.reverse_pending(demanded):
         found.append(_turning(demanded, speeds_rpm, settings.direction_change_rpm))
-    safety = [name for name, one in demanded.items() if one.power_mode is PowerMode.SAFETY]
+    safety = []
+    for name, one in demanded.items():  # in every tick: a comprehension is a call more
+        if one.power_mode is PowerMode.SAFETY:
+            safety.append(name)
     if safety:
         found.append(f"throttle 0 in power mode safety ({' and '.join(safety)})")
     return found

@@ -12,7 +12,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.core.why import Explanation
+from vcu_gateway.core.why import Explanation, Reasons, explained
 from vcu_gateway.daemon import realtime
 from vcu_gateway.daemon.drain_plan import DrainPlan
 from vcu_gateway.daemon.event_log import EventLog
@@ -31,10 +31,37 @@ Observer = Callable[[Tick, TickResult], None]
 
 
 class LastTick(NamedTuple):
-    """Result of the last tick and the explanation since; replaced whole by the ticking thread."""
+    """Result of the last tick, and how all is since; replaced whole by the ticking thread.
+
+    Attributes:
+        reasons: as they were at `explained_ns`, when the demand was `demand_age_ns` old.
+        why_signature: the same object as long as the same is to be said.
+    """
 
     result: TickResult
-    why: Explanation
+    reasons: Reasons
+    why_signature: tuple[object, ...]
+    explained_ns: int
+    demand_age_ns: int | None
+
+    @classmethod
+    def explained(
+        cls, gateway: Gateway, result: TickResult, now_ns: int, before: "LastTick | None" = None
+    ) -> "LastTick":
+        """The result, and why the gateway is as it is now; `before` saves what is the same."""
+        reasons = gateway.reasons(now_ns)
+        if before is not None and before.reasons == reasons:
+            signature = before.why_signature
+        else:
+            signature = reasons.signature()
+        age_ns = gateway.requests.arbiter.age_ns(now_ns)
+        return cls(result, reasons, signature, now_ns, age_ns)
+
+    @property
+    def why(self) -> Explanation:
+        """The explanation, put together where it is read; on any thread."""
+        judged_ns = self.result.snapshot.now_ns
+        return explained(self.reasons, self.explained_ns, judged_ns, self.demand_age_ns)
 
 
 class TickLoop:
@@ -189,17 +216,17 @@ class TickLoop:
             self._processor_time.since_last()  # in every tick it would cost a tenth of it
         for event in result.events:
             self.event_log.emit(event)
-        why = self.gateway.why(result.snapshot.now_ns)
-        self.latest = LastTick(result, why)
-        signature = why.signature()
-        if signature != self._last_why:
-            self._last_why = signature
-            log.info("why", sentence=why.sentence())
+        now_ns = result.snapshot.now_ns
+        latest = self.latest = LastTick.explained(self.gateway, result, now_ns, self.latest)
+        if latest.why_signature != self._last_why:
+            self._last_why = latest.why_signature
+            log.info("why", sentence=latest.why.sentence())
 
     def refresh_why(self) -> None:
         """Explain `latest` again, where a request has changed something since the tick."""
-        if self.latest is not None:
-            self.latest = self.latest._replace(why=self.gateway.why(time.monotonic_ns()))
+        before, now_ns = self.latest, time.monotonic_ns()
+        if before is not None:
+            self.latest = LastTick.explained(self.gateway, before.result, now_ns, before)
 
     def _log_end(self) -> None:
         schedule = self.schedule

@@ -143,7 +143,7 @@ class ServiceReporter:
         latest, lost = self._loop.latest, self._loop.connection.lost
         if latest is None or now_ns < self._status_ns:
             return
-        signature = latest.why.signature(), lost
+        signature = latest.why_signature, lost
         if signature != self._last_status:
             self._last_status, self._status_ns = signature, now_ns + _STATUS_EVERY_NS
             self._manager.status(_status(latest.why, lost))
