@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 from vcu_gateway.core import freshness
 from vcu_gateway.core.codec import Codec
@@ -191,7 +191,7 @@ class Drive:
             result = self.tick()
         return result
 
-    def until(self, mode: Mode, within_ms: int = 5000) -> "Drive":
+    def until(self, mode: Mode, within_ms: int = 5000) -> Self:
         """Tick until this mode."""
         for _ in range(within_ms // 50):
             if self.mode is mode:
