@@ -1,0 +1,1 @@
+"""Recorded drives: every input and result of the core, written, read and restored."""

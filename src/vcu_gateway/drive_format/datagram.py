@@ -1,0 +1,186 @@
+"""Datagrams of the tap: what the gateway hands to the recorder, one a tick.
+
+All integers are little endian. A connection begins with HELLO, one JSON object in one or more
+parts, and goes on with ticks:
+
+    HELLO  kind 1, format, last part (0 or 1)   3 bytes
+           a part of the JSON text, UTF-8
+    TICK   kind 2, format, zero                 3 bytes
+           sequence, frames, datagrams lost, frames lost   4 x 64 bits
+           frames here                          32 bits
+           the frames                           14 bytes and the payload each
+           core lines, UTF-8, each with its line end
+    frame  arrival, ns (signed)                 64 bits
+           identifier with Linux's flags        32 bits
+           1: echo of an own frame; length      2 bytes
+
+`sequence` numbers the ticks' datagrams of a gateway from 1, lost ones counted; `frames` is how many
+frames it handed on up to the end of this datagram, `frames lost` how many of them in lost ones.
+"""
+
+import json
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+FORMAT = 1
+HELLO, TICK = 1, 2
+
+PART_BYTES = 64_000
+"""Of a HELLO in one datagram, at most; a socket's send buffer takes three times as much."""
+
+MOST_HELLO_BYTES = 16_000_000
+"""Of a whole HELLO; more is no gateway's."""
+
+EXTENDED = 0x8000_0000
+REMOTE = 0x4000_0000
+ERROR = 0x2000_0000
+"""Flags of an identifier, as Linux has them (CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG)."""
+
+ID_MASK = 0x1FFF_FFFF
+
+_PREFIX = struct.Struct("<BBB")
+_HEADER = struct.Struct("<BBBQQQQI")
+_FRAME = struct.Struct("<qIBB")
+CLASSIC = struct.Struct("<qIBB8s")
+"""Record of a frame with eight bytes: arrival, identifier, echo, 8, payload."""
+_CLASSIC_BYTES = 8
+_LONGEST_PAYLOAD_BYTES = 64
+
+
+class DatagramError(ValueError):
+    """A datagram is not one of this format; the text says why."""
+
+
+class FrameRecord(NamedTuple):
+    """One frame of a datagram.
+
+    Attributes:
+        arrival_ns: on the monotonic clock of the gateway's machine.
+        can_id: identifier with Linux's flags.
+        own_echo: the gateway's own frame, come back because it has left.
+    """
+
+    arrival_ns: int
+    can_id: int
+    own_echo: bool
+    data: bytes
+
+
+class TickHeader(NamedTuple):
+    """Numbers of a tick's datagram, since the start of the gateway's process.
+
+    Attributes:
+        sequence: number of the datagram, from 1; lost ones have one too.
+        frames: handed on up to the end of this datagram, lost ones counted.
+        datagrams_lost, frames_lost: that no datagram brought.
+    """
+
+    sequence: int
+    frames: int
+    datagrams_lost: int
+    frames_lost: int
+
+
+class HelloPart(NamedTuple):
+    """A part of the JSON text that begins a connection."""
+
+    last: bool
+    text: bytes
+
+
+class TickDatagram(NamedTuple):
+    """Frames and core lines of one tick; `lines` is UTF-8, each line with its end, or empty."""
+
+    header: TickHeader
+    frames: list[FrameRecord]
+    lines: bytes
+
+
+def packed_frame(arrival_ns: int, can_id: int, own_echo: bool, data: bytes | bytearray) -> bytes:
+    """One frame; `can_id` has Linux's flags."""
+    length = len(data)
+    if length == _CLASSIC_BYTES:
+        return CLASSIC.pack(arrival_ns, can_id, own_echo, length, data)
+    return _FRAME.pack(arrival_ns, can_id, own_echo, length) + data
+
+
+def packed_tick(header: TickHeader, frames: Iterable[bytes], lines: str) -> bytes:
+    """A tick's datagram of packed frames and finished core lines."""
+    packed = list(frames)
+    begin = _HEADER.pack(TICK, FORMAT, 0, *header, len(packed))
+    return b"".join((begin, *packed, lines.encode()))
+
+
+def packed_hello(hello: Mapping[str, Any]) -> Iterator[bytes]:
+    """The datagrams that begin a connection."""
+    text = json.dumps(hello, separators=(",", ":")).encode()
+    for start in range(0, len(text), PART_BYTES):
+        last = start + PART_BYTES >= len(text)
+        yield _PREFIX.pack(HELLO, FORMAT, last) + text[start : start + PART_BYTES]
+
+
+def unpack(datagram: bytes) -> HelloPart | TickDatagram:
+    """What a datagram holds; DatagramError where it is damaged or of another format."""
+    if len(datagram) < _PREFIX.size:
+        raise DatagramError(f"a datagram of {len(datagram)} bytes is too short")
+    kind, number, last = _PREFIX.unpack_from(datagram)
+    if number != FORMAT:
+        raise DatagramError(f"the format is {number}, and this version reads {FORMAT}")
+    if kind == HELLO and last in (0, 1):
+        return HelloPart(bool(last), datagram[_PREFIX.size :])
+    if kind == TICK and last == 0:
+        return _unpacked_tick(datagram)
+    raise DatagramError(f"kind {kind} with {last} is neither a HELLO nor a tick")
+
+
+def _unpacked_tick(datagram: bytes) -> TickDatagram:
+    if len(datagram) < _HEADER.size:
+        raise DatagramError(f"a tick of {len(datagram)} bytes is too short")
+    *_, sequence, frames, datagrams_lost, frames_lost, count = _HEADER.unpack_from(datagram)
+    records, end = _unpacked_frames(datagram, count)
+    lines = datagram[end:]
+    if lines and not lines.endswith(b"\n"):
+        raise DatagramError("the last core line has no end")
+    header = TickHeader(sequence, frames, datagrams_lost, frames_lost)
+    return TickDatagram(header, records, lines)
+
+
+def _unpacked_frames(datagram: bytes, count: int) -> tuple[list[FrameRecord], int]:
+    """The frames, and where they end."""
+    records: list[FrameRecord] = []
+    place = _HEADER.size
+    for _ in range(count):
+        data_at = place + _FRAME.size
+        if data_at > len(datagram):
+            raise DatagramError(f"it ends in frame {len(records) + 1} of {count}")
+        arrival_ns, can_id, own_echo, length = _FRAME.unpack_from(datagram, place)
+        place = data_at + length
+        if place > len(datagram) or length > _LONGEST_PAYLOAD_BYTES or own_echo > 1:
+            raise DatagramError(f"frame {len(records) + 1} of {count} is damaged")
+        data = datagram[data_at:place]
+        records.append(FrameRecord(arrival_ns, can_id, own_echo == 1, data))
+    return records, place
+
+
+class HelloText:
+    """JSON object of a HELLO, gathered from its parts."""
+
+    def __init__(self) -> None:
+        self._text = b""
+
+    def take(self, part: HelloPart) -> Mapping[str, Any] | None:
+        """Take a part; the object with the last one, else None. DatagramError where it is none."""
+        self._text += part.text
+        if len(self._text) > MOST_HELLO_BYTES:
+            raise DatagramError(f"a HELLO of more than {MOST_HELLO_BYTES} bytes")
+        if not part.last:
+            return None
+        text, self._text = self._text, b""
+        try:
+            hello = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise DatagramError(f"the HELLO is no JSON: {error}") from error
+        if not isinstance(hello, dict) or hello.get("format") != FORMAT:
+            raise DatagramError("the HELLO has no format that this version reads")
+        return hello

@@ -1,0 +1,30 @@
+"""A drive in simulated time whose gateway is tapped."""
+
+from typing import Any
+
+from tests.core.simulated_drive import CODEC, Drive
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.drive.core_line_parser import LineParser, Placed
+from vcu_gateway.drive.core_lines import LineWriter
+from vcu_gateway.drive.tap import Tap, TappedGateway
+
+
+class TappedDrive(Drive):
+    """`tap` has what was noted since its last take."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.tap = Tap()
+        self.gateway = TappedGateway(CODEC, Settings(**settings), self.now_ns, self.tap)
+
+
+def lines_of(tap: Tap, writer: LineWriter | None = None) -> str:
+    """The core lines of what the tap has."""
+    noted = tap.take()
+    return (writer or LineWriter()).lines(noted.calls, len(noted.frames))
+
+
+def parsed(text: str, parser: LineParser | None = None) -> list[Placed]:
+    """The records of these lines."""
+    parser = parser or LineParser()
+    return [record for line in text.splitlines() for record in parser.records(line)]
