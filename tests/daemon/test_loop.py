@@ -349,3 +349,23 @@ def test_the_loop_wakes_earlier_by_the_time_that_reading_takes(readings: Reading
     readings._one.loop.run(duration_s=2)
     early_ms = [period[-1] / MS for period in readings.of_a_period()[-15:]]
     assert statistics.median(early_ms) > 0.7
+
+
+def test_the_loop_wakes_earlier_by_the_time_that_waking_takes_too(readings, monkeypatch):
+    loop = readings._one.loop
+    run_until = loop.work_queue.run_until
+
+    def run_longer(last_begin_ns: int, end_ns: int) -> None:
+        run_until(last_begin_ns, end_ns)
+        time.sleep(0.0015)
+
+    monkeypatch.setattr(loop.work_queue, "run_until", run_longer)
+    loop.run(duration_s=2)
+    assert loop._drain_plan.lead_ns > 0.7 * MS
+
+
+@pytest.mark.parametrize("left_ns", [50_000, 150_000, 250_000, 5 * MS])
+def test_no_tick_begins_before_its_deadline_however_little_is_left(rig, left_ns):
+    deadline_ns = time.monotonic_ns() + left_ns
+    rig().loop._sleep_until(deadline_ns)
+    assert time.monotonic_ns() >= deadline_ns

@@ -5,15 +5,16 @@ from vcu_gateway.units import NS_PER_MS
 # Half of what the kernel's usual receive buffer holds.
 _BUSY_FRAMES = 139
 _LEAD_MAX_NS = 2 * NS_PER_MS
+# A stall moves the lead by an eighth of this.
+_LONGER_MAX_NS = 400_000
 
 
 class DrainPlan:
     """Everything is read shortly before each tick, and in mid-period while the bus is busy.
 
     Attributes:
-        lead_ns: time that reading before a tick usually takes or more; the thread wakes so much
-            earlier. It follows shorter times faster than longer ones: who wakes too early has to
-            sleep again.
+        lead_ns: time that waking up and reading before a tick usually take; the thread is to wake
+            so much earlier.
         busy: in the last period more frames were read than half the usual receive buffer holds.
     """
 
@@ -27,8 +28,8 @@ class DrainPlan:
         self._frames = frames
 
     def read_before_tick(self, frames: int, took_ns: int) -> None:
-        """Note frames that were read before a tick, and how long that took."""
+        """Note frames that were read before a tick, and the time since the thread was to wake."""
         self.busy = self._frames + frames > _BUSY_FRAMES
         self._frames = 0
         longer_ns = min(took_ns, _LEAD_MAX_NS) - self.lead_ns
-        self.lead_ns += longer_ns // 8 if longer_ns > 0 else longer_ns // 2
+        self.lead_ns += min(longer_ns, _LONGER_MAX_NS) // 8

@@ -24,6 +24,8 @@ from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 # No work for others is begun so shortly before the bus is read for a tick.
 _PUNCTUAL_NS = 3_000_000
+# Less is waited for busily: another wake-up would take as long and come late.
+_SHORTEST_SLEEP_NS = 200_000
 _FIRST_LOOK_WITHIN_S = 0.5
 _PROCESSOR_TIME_EVERY_TICKS = 20
 
@@ -156,9 +158,8 @@ class TickLoop:
             plan.read_between(self.connection.read_waiting(time.monotonic_ns()))
         wake_ns = deadline_ns - plan.lead_ns
         self.work_queue.run_until(wake_ns - _PUNCTUAL_NS, wake_ns)
-        begun_ns = time.monotonic_ns()
-        frames = self.connection.read_waiting(begun_ns)
-        plan.read_before_tick(frames, time.monotonic_ns() - begun_ns)
+        frames = self.connection.read_waiting(time.monotonic_ns())
+        plan.read_before_tick(frames, time.monotonic_ns() - wake_ns)
         self._sleep_until(deadline_ns)
         tick = schedule.due(time.monotonic_ns())
         if tick is None:
@@ -170,8 +171,10 @@ class TickLoop:
     @staticmethod
     def _sleep_until(deadline_ns: int) -> None:
         left_ns = deadline_ns - time.monotonic_ns()
-        if left_ns > 0:
+        if left_ns > _SHORTEST_SLEEP_NS:
             time.sleep(left_ns / NS_PER_S)
+        while time.monotonic_ns() < deadline_ns:
+            pass
 
     def _tick(self, tick: Tick) -> None:
         gateway, begun_ns = self.gateway, time.monotonic_ns()
