@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.core.simulated_drive import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, rule_inputs
 from vcu_gateway.core.link import LinkState, LinkStatus
@@ -386,6 +388,29 @@ def test_all_findings_are_those_of_every_rule():
         ("own frames", "STOP"),
         ("IMU_Attitude", "ALARM"),
     }
+
+
+FACTS = st.fixed_dictionaries(
+    {},
+    optional={
+        "link": st.builds(LinkStatus, st.sampled_from(LinkState), st.just(0)),
+        "passive_ns": st.sampled_from([0, 1, 1_000 * MS, 1_000 * MS + 1]),
+        "tick_late_ns": st.sampled_from([-MS, 0, PERIOD_NS + 1, 4 * PERIOD_NS, 4 * PERIOD_NS + 1]),
+        "unconfirmed_ticks": st.integers(0, 4),
+        "foreign_sender": st.just(0x0008A7D0),
+        "emergency_stop": st.booleans(),
+        "blocked_by_gate": st.just("length"),
+        "observed": st.builds(Observed, wheels_apart_ns=st.sampled_from([None, 1_000 * MS])),
+        "codes": st.just({"BMS_Status.CellUndervoltage": 2}),
+        "never": st.just(["BMS_Temperatures"]),
+    },
+)
+
+
+@given(FACTS)
+def test_no_rule_that_is_passed_by_would_have_found_anything(facts):
+    inputs = rule_inputs(**facts)
+    assert findings(inputs) == tuple(one for rule in RULES for one in rule(inputs))
 
 
 def test_only_overcharge_of_level_3_is_held_until_restart():

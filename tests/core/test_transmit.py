@@ -186,7 +186,7 @@ class Ticks:
         for name in echoes:
             self.confirmed[name] += 1
         missed = self.history.note_confirmed(self.confirmed)
-        self.history.note_emitted(emits)
+        self.history.emitted = emits
         return missed
 
 

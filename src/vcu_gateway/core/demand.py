@@ -191,16 +191,19 @@ class DemandArbiter:
     A source owns the demand while its own is fresh; meanwhile only a source of higher
     priority takes it over. The last sequence number of every source is kept, so that an old
     request cannot come back, whichever source had the demand meanwhile.
+
+    Attributes:
+        current: the last demand taken, fresh or not; None before the first.
     """
 
     def __init__(self, bench_demand: ControllerDemand | None) -> None:
-        self._current: Demand | None = None
+        self.current: Demand | None = None
         self._made_ns = 0
         self._ended = False
         self._sequences: dict[str, int] = {}
         if bench_demand is not None:
             both = dict.fromkeys(CONTROLLERS, bench_demand)
-            self._current = Demand(BENCH_SOURCE, 0, None, both)
+            self.current = Demand(BENCH_SOURCE, 0, None, both)
 
     def offer(self, demand: Demand, terms: DemandTerms, now_ns: int) -> RequestResult:
         """Take a demand or refuse it; a refused one changes nothing."""
@@ -215,7 +218,7 @@ class DemandArbiter:
         if answer.granted:
             answer = self._right_of(demand.source, terms.priorities, now_ns)
         if answer.granted:
-            self._current, self._made_ns, self._ended = demand, made_ns, False
+            self.current, self._made_ns, self._ended = demand, made_ns, False
             self._sequences[demand.source] = demand.sequence
         return answer
 
@@ -231,7 +234,7 @@ class DemandArbiter:
         return refused(Refusal.OLD_SEQUENCE, f"sequence {demand.sequence} is not above {last}")
 
     def _right_of(self, source: str, priorities: Mapping[str, int], now_ns: int) -> RequestResult:
-        owner = self._current
+        owner = self.current
         if owner is None or owner.source == source or not self.fresh(now_ns):
             return GRANTED
         if priorities.get(source, 0) > priorities.get(owner.source, 0):
@@ -240,31 +243,26 @@ class DemandArbiter:
 
     def end(self, source: str) -> RequestResult:
         """The demand of its owner counts no more; refused for any other source."""
-        if self._current is None or self._current.source != source:
+        if self.current is None or self.current.source != source:
             return refused(Refusal.OTHER_OWNER, f"{source} does not own the demand")
         self._ended = True
         return GRANTED
 
     @property
-    def current(self) -> Demand | None:
-        """The last demand taken, fresh or not; None before the first."""
-        return self._current
-
-    @property
     def taken(self) -> bool:
         """True once a source made a demand: the bench demand counts no more."""
-        return self._current is not None and self._current.ttl_ms is not None
+        return self.current is not None and self.current.ttl_ms is not None
 
     def age_ns(self, now_ns: int) -> int | None:
         """Time since the demand was made; None without one and for the bench demand."""
-        if self._current is None or self._current.ttl_ms is None:
+        if self.current is None or self.current.ttl_ms is None:
             return None
         return now_ns - self._made_ns
 
     def fresh(self, now_ns: int) -> bool:
         """True while the demand counts: not ended, and not older than its time to live."""
-        if self._current is None or self._ended:
+        if self.current is None or self._ended:
             return False
-        if self._current.ttl_ms is None:
+        if self.current.ttl_ms is None:
             return True
-        return 0 <= now_ns - self._made_ns <= self._current.ttl_ms * NS_PER_MS
+        return 0 <= now_ns - self._made_ns <= self.current.ttl_ms * NS_PER_MS

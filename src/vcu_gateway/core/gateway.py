@@ -210,15 +210,13 @@ class Gateway:
     def tick(self, now_ns: int) -> TickResult:
         """Decide both controllers' frames; they come from one snapshot."""
         modes, requests, settings = self._modes, self.requests, self.settings
-        sent = self.transmitter.history
-        modes.judge_lateness(now_ns)
+        sent, late_ns = self.transmitter.history, modes.judge_lateness(now_ns)
         snapshot = self._snapshot = self.receiver.store.take(now_ns)
         emergency_stop, requests.emergency_stop_requested = requests.emergency_stop_requested, False
-        late_ns = modes.late_ns(now_ns)
         inputs = self._collector.collect(snapshot, settings, late_ns, emergency_stop)
         if inputs.foreign_sender is not None or inputs.link.state is LinkState.LOST:
             self._listening.again(now_ns)  # without a bus no other sender is heard
-        talking = self._listening.update(now_ns)
+        talking = self._listening.over or self._listening.update(now_ns)
         if not sent.begun:
             self._commander.take_over(echoed_directions(snapshot, sent.unsent))
         modes.update(rules.findings(inputs), settings.clear_hold_ms * NS_PER_MS, now_ns)
@@ -226,7 +224,7 @@ class Gateway:
         self._speeds = motor_speeds.of(snapshot, inputs.observed)
         commands = self._decide(settings, now_ns)
         frames = self._frames(commands, now_ns) if talking else ()
-        sent.note_emitted(bool(frames))
+        sent.emitted = bool(frames)
         mode, events = self.supervisor.mode, modes.end_tick(now_ns)
         self._shutdown.note_tick(mode is Mode.STOPPING)
         return TickResult(snapshot, mode, self._commander.last, frames, events)

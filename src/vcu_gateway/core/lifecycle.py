@@ -38,7 +38,7 @@ class Qualification:
 
     def observe(self, snapshot: Snapshot, required: tuple[str, ...]) -> bool:
         """Begin anew where a required message was lost; True while none is missing."""
-        missing = {message for message in required if snapshot.stale(message)}
+        missing = set(snapshot.stale_messages()).intersection(required)
         if self._missing is not None and missing - self._missing:
             self.begin(snapshot, required)
         self._missing = missing

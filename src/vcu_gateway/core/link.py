@@ -99,7 +99,10 @@ class _Reported(NamedTuple):
 
 
 class PassiveTime:
-    """Error-passive time within the last 5 s, of what had gathered by each tick."""
+    """Error-passive time within the last 5 s, of what had gathered by each tick.
+
+    Kept are the ticks by which more had gathered.
+    """
 
     def __init__(self) -> None:
         self._gathered: deque[tuple[int, int]] = deque()
@@ -107,7 +110,8 @@ class PassiveTime:
     def within(self, gathered_ns: int, now_ns: int) -> int:
         """How much of it fell into the window, or up to a tick more; it begins with a tick."""
         gathered = self._gathered
-        gathered.append((now_ns, gathered_ns))
+        if not gathered or gathered[-1][1] != gathered_ns:
+            gathered.append((now_ns, gathered_ns))
         while len(gathered) > 1 and gathered[1][0] <= now_ns - _PASSIVE_WINDOW_NS:
             gathered.popleft()
         return gathered_ns - gathered[0][1]
@@ -117,6 +121,9 @@ class LinkMonitor:
     """Link state from error frames, carrier, opening and loss.
 
     Each field holds an immutable value that is replaced whole: any thread may read `link`.
+
+    Attributes:
+        link: the worst that is known.
 
     An opening does not undo what was reported: it is a time, and what was reported before that
     time no longer counts. So an error frame that arrives while the link is being opened is neither
@@ -134,7 +141,7 @@ class LinkMonitor:
     """
 
     def __init__(self, now_ns: int) -> None:
-        self._opened = LinkStatus(LinkState.UP, now_ns)
+        self._opened = self._known = LinkStatus(LinkState.UP, now_ns)
         self._reported = _Reported(self._opened, 0)
         self._last_off: LinkStatus | None = None
         self._carrier: Carrier | None = None
@@ -142,10 +149,11 @@ class LinkMonitor:
         self._last_off_seen: LinkStatus | None = None
         self._missed: LinkStatus | None = None
         self._passive = PassiveTime()
+        self.link = self._opened
 
     def take_error_frame(self, can_id: int, data: bytes | bytearray, at_ns: int) -> None:
         """Take in an error frame; `can_id` carries the error classes."""
-        before = self._latest()
+        before = self._known
         link = after_error_frame(before, can_id, data, at_ns)
         if link.state is LinkState.BUS_OFF:
             self._last_off = link
@@ -153,34 +161,41 @@ class LinkMonitor:
         if before.state is LinkState.PASSIVE:
             passive_ns += max(0, link.since_ns - before.since_ns)
         self._reported = _Reported(link, passive_ns)
+        self._judge()
 
     def open(self, opened: LinkStatus, carrier: Carrier | None = None) -> None:
         """The interface was opened then, in this state; earlier reports no longer count."""
         self._opened, self._carrier, self._lost = opened, carrier, None
         self._passive = PassiveTime()
+        self._judge()
 
     def lose(self, now_ns: int) -> None:
         """The interface is down or gone; since the first of several calls."""
         if self._lost is None:
             self._lost = LinkStatus(LinkState.LOST, now_ns)
+            self._judge()
 
     def change_carrier(self, carrier: Carrier) -> None:
         """The carrier came or went."""
         self._carrier = carrier
+        self._judge()
 
     def begin_tick(self) -> None:
         """A bus-off that came and went since the last tick is to count in the one that begins."""
-        last = self._last_off
+        last, missed = self._last_off, self._missed
         self._missed = None if last is self._last_off_seen else last
         self._last_off_seen = last
+        if self._missed is not missed:
+            self._judge()
 
-    @property
-    def link(self) -> LinkStatus:
-        """The worst that is known; for any thread."""
-        if self._lost is not None:
-            return self._lost
-        link = with_carrier(self._latest(), self._carrier)
-        return link if link.state is LinkState.BUS_OFF else self._missed or link
+    def _judge(self) -> None:
+        """After every change: the state since the opening, and the worst of all."""
+        reported, opened = self._reported.link, self._opened
+        known = self._known = reported if reported.since_ns >= opened.since_ns else opened
+        link = with_carrier(known, self._carrier)
+        if link.state is not LinkState.BUS_OFF:
+            link = self._missed or link
+        self.link = self._lost or link
 
     def recent_passive_ns(self, now_ns: int) -> int:
         """Error-passive time within the last 5 s; once a tick."""
@@ -188,16 +203,7 @@ class LinkMonitor:
 
     def passive_ns(self, now_ns: int) -> int:
         """Error-passive time in all; that before an opening may be missing."""
-        reported = self._reported
-        link = self._after_opening(reported.link)
+        gathered_ns, link = self._reported.passive_ns, self._known
         if link.state is not LinkState.PASSIVE:
-            return reported.passive_ns
-        return reported.passive_ns + max(0, now_ns - link.since_ns)
-
-    def _latest(self) -> LinkStatus:
-        return self._after_opening(self._reported.link)
-
-    def _after_opening(self, reported: LinkStatus) -> LinkStatus:
-        """The reported state where it was reported after the opening, else that of the opening."""
-        opened = self._opened
-        return reported if reported.since_ns >= opened.since_ns else opened
+            return gathered_ns
+        return gathered_ns + max(0, now_ns - link.since_ns)

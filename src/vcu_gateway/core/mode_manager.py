@@ -55,19 +55,18 @@ class ModeManager:
         self._events += self.causes.note(finding, now_ns)
         self.apply(Stimulus.LATCHING_STOP, now_ns, reason)
 
-    def late_ns(self, now_ns: int) -> int:
-        """Lateness of a tick at `now_ns`: negative before its period is over, 0 for the first."""
-        last_ns = self._last_tick_ns
-        return 0 if last_ns is None else now_ns - last_ns - self._period_ns
-
-    def judge_lateness(self, now_ns: int) -> None:
+    def judge_lateness(self, now_ns: int) -> int:
         """Latch a tick that is too late in ACTIVE, before anything else of it is applied.
 
         It was ACTIVE that had to be ticked where only a request since the tick before ended it.
+        How late it is: negative before its period is over, 0 for the first.
         """
+        last_ns = self._last_tick_ns
+        late_ns = 0 if last_ns is None else now_ns - last_ns - self._period_ns
         if self._was_active or self.supervisor.mode is Mode.ACTIVE:
-            for finding in rules.late(self.late_ns(now_ns), self._period_ns):
+            for finding in rules.late(late_ns, self._period_ns):
                 self.latch(finding, now_ns, str(finding))
+        return late_ns
 
     def end_tick(self, now_ns: int) -> tuple[Event, ...]:
         """All events since the last tick; the time to the next one counts from `now_ns`."""

@@ -106,7 +106,8 @@ class Pedals:
         return held
 
     def _note_directions(self, demanded: ControllerDemands) -> None:
-        self._directions.update([(name, one.motor_reverse) for name, one in demanded.items()])
+        for name, one in demanded.items():
+            self._directions.add((name, one.motor_reverse))
 
     def _state_of(self, demanded: ControllerDemands) -> _PedalState:
         """Pedals of a demand; kept, because a tick meets the one again that was judged last."""

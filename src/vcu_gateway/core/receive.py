@@ -62,6 +62,7 @@ class Receiver:
         self.rejected = dict.fromkeys(Reason, 0)
         self.confirmed = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_commands = dict.fromkeys(CONTROLLERS, 0)
+        self.foreign_count = 0
         self.foreign_id: int | None = None
         self.monitor = LinkMonitor(now_ns)
 
@@ -93,6 +94,7 @@ class Receiver:
         else:
             self.foreign_id = frame.can_id
             self.foreign_commands[controller] += 1
+            self.foreign_count += 1
 
     def counters(self, blocked_by_gate: Mapping[str, int]) -> FrameCounters:
         """Counts so far, copied, beside those of the gate."""
@@ -104,11 +106,6 @@ class Receiver:
             foreign_commands=dict(self.foreign_commands),
             blocked_by_gate=dict(blocked_by_gate),
         )
-
-    @property
-    def foreign_count(self) -> int:
-        """Command frames from another sender so far, one to all counted for each controller."""
-        return sum(self.foreign_commands.values())
 
 
 def _command_groups(own_ids: Mapping[str, int]) -> Mapping[int, tuple[str, ...]]:

@@ -88,11 +88,11 @@ class Snapshot:
         self._pickers = pickers
         self._latest = latest
         self._arrived = arrived
-        self._fresh = {
-            name
-            for name, frame in latest.items()
-            if -FUTURE_TOLERANCE_NS <= now_ns - frame.arrival_ns <= stale_after_ns[name]
-        }
+        fresh: set[str] = set()
+        for name, frame in latest.items():  # in every tick: a comprehension is a call more
+            if -FUTURE_TOLERANCE_NS <= now_ns - frame.arrival_ns <= stale_after_ns[name]:
+                fresh.add(name)
+        self._fresh = fresh
 
     @property
     def messages(self) -> tuple[MessageSpec, ...]:

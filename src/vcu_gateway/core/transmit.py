@@ -120,6 +120,8 @@ class SentHistory:
 
     Attributes:
         frames: values of the last 80 frames of each controller, oldest first.
+        begun: a frame has left for every controller.
+        emitted: the last tick gave frames to send at all.
     """
 
     def __init__(self, controllers: tuple[str, ...]) -> None:
@@ -128,32 +130,24 @@ class SentHistory:
         }
         self._confirmed_before = dict.fromkeys(controllers, 0)
         self._missed = dict.fromkeys(controllers, 0)
-        self._emitted = False
+        self.begun = self.emitted = False
 
     def note_sent(self, controller: str, sent: SentValues) -> None:
         """A frame was handed to the bus."""
         self.frames[controller].append(sent)
+        self.begun = self.begun or all(self.frames.values())
 
     @property
     def unsent(self) -> list[str]:
         """The controllers for which no frame has left yet."""
         return [name for name, sent in self.frames.items() if not sent]
 
-    @property
-    def begun(self) -> bool:
-        """True once a frame has left for every controller."""
-        return all(self.frames.values())
-
-    def note_emitted(self, emitted: bool) -> None:
-        """Whether this tick gave frames to send at all."""
-        self._emitted = emitted
-
     def note_confirmed(self, confirmed: Mapping[str, int]) -> int:
         """Take the echo counts at the start of a tick; ticks in a row without an echo."""
         for name, count in confirmed.items():
             if count != self._confirmed_before[name]:
                 self._missed[name] = 0
-            elif self._emitted:
+            elif self.emitted:
                 self._missed[name] += 1
             self._confirmed_before[name] = count
         return max(self._missed.values())
