@@ -27,6 +27,7 @@ _VERBS = {
     "estop": "emergency stop: cut the power now",
     "events": "the latest events, counted",
     "reload": "read the configuration file again, all of it or nothing",
+    "recorder": "keep every drive on disk, bounded",
     "exporter": "serve the gateway's metrics to Prometheus",
     "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
     "demo": "gateway and simulated vehicle together, live",

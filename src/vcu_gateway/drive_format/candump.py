@@ -6,14 +6,9 @@ R: received, T: the echo of an own frame. A remote frame is `#R8`, an FD frame `
 frame has bit 29 of the identifier set, as in `20000040#`.
 """
 
+from vcu_gateway.drive_format.datagram import ERROR, EXTENDED, ID_MASK, REMOTE
 from vcu_gateway.units import NS_PER_S
 
-EXTENDED = 0x8000_0000
-REMOTE = 0x4000_0000
-ERROR = 0x2000_0000
-"""Flags of an identifier, as Linux has them (CAN_EFF_FLAG, CAN_RTR_FLAG, CAN_ERR_FLAG)."""
-
-_EXTENDED_MASK = 0x1FFF_FFFF
 _STANDARD_MASK = 0x7FF
 _CLASSIC_BYTES = 8
 _KEPT_IDENTIFIERS = 4096
@@ -42,9 +37,9 @@ class CandumpLines:
     def _head(self, can_id: int) -> str:
         """Channel and identifier; at most 4096 are kept, whatever a flood sends."""
         if can_id & ERROR:
-            digits = f"{can_id & _EXTENDED_MASK | ERROR:08X}"
+            digits = f"{can_id & ID_MASK | ERROR:08X}"
         elif can_id & EXTENDED:
-            digits = f"{can_id & _EXTENDED_MASK:08X}"
+            digits = f"{can_id & ID_MASK:08X}"
         else:
             digits = f"{can_id & _STANDARD_MASK:03X}"
         head = f" {self._channel} {digits}#"

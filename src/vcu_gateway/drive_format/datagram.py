@@ -134,6 +134,13 @@ def unpack(datagram: bytes) -> HelloPart | TickDatagram:
     raise DatagramError(f"kind {kind} with {last} is neither a HELLO nor a tick")
 
 
+def tick_header(datagram: bytes) -> TickHeader:
+    """Header of a tick's datagram, which is not looked at further; DatagramError as `unpack`."""
+    if len(datagram) < _HEADER.size or tuple(datagram[:3]) != (TICK, FORMAT, 0):
+        raise DatagramError("it is no tick of this format")
+    return TickHeader(*_HEADER.unpack_from(datagram)[3:7])
+
+
 def _unpacked_tick(datagram: bytes) -> TickDatagram:
     if len(datagram) < _HEADER.size:
         raise DatagramError(f"a tick of {len(datagram)} bytes is too short")

@@ -12,6 +12,7 @@
 Files and folders are made once: nothing is written again, and nothing is renamed over.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -21,7 +22,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
 from vcu_gateway.units import NS_PER_S
 
 FORMAT = 1
@@ -129,6 +130,14 @@ def read_description(path: Path) -> dict[str, Any]:
     return described
 
 
+def description_if_any(path: Path) -> dict[str, Any]:
+    """A drive.json or incident.json; empty where it cannot be used."""
+    try:
+        return read_description(path)
+    except GatewayError:
+        return {}
+
+
 def description_bytes(described: Mapping[str, Any]) -> bytes:
     """JSON text of a description, for people too."""
     return json.dumps(described, indent=2, sort_keys=True).encode() + b"\n"
@@ -164,7 +173,8 @@ def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path
         for name, data in files.items():
             write_new(partial / name, data)
         for path in links:
-            os.link(path, partial / path.name)
+            with contextlib.suppress(FileNotFoundError):  # somebody removed it
+                os.link(path, partial / path.name)
         sync_folder(partial)
         if os.path.lexists(folder):
             raise FileExistsError(folder)

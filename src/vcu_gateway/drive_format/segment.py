@@ -65,12 +65,13 @@ class SegmentWriter:
     Attributes:
         number: of the segment.
         frames: how many it was given; the `f` of the next core line.
+        waiting: characters that no member has yet.
     """
 
     def __init__(self, folder: Path, number: int) -> None:
         """Make both files; FileExistsError where there is one, else OSError as the disk has it."""
         self.number = number
-        self.frames = 0
+        self.frames = self.waiting = 0
         self._frame_text: list[str] = []
         self._core_text: list[str] = []
         self._frames_file = MemberFile(folder / layout.frames_name(number))
@@ -79,6 +80,7 @@ class SegmentWriter:
             layout.sync_folder(folder)
         except OSError:
             self._frames_file.close()
+            self._frames_file.path.unlink(missing_ok=True)
             raise
 
     @property
@@ -99,16 +101,19 @@ class SegmentWriter:
     def add(self, frame_lines: list[str], core_text: str) -> None:
         """Frame lines, and core lines after them; each with its line end."""
         self.frames += len(frame_lines)
-        self._frame_text += frame_lines
-        if core_text:
-            self._core_text.append(core_text)
+        frame_text = "".join(frame_lines)
+        self.waiting += len(frame_text) + len(core_text)
+        self._frame_text.append(frame_text)
+        self._core_text.append(core_text)
 
     def flush(self, wall_s: int) -> None:
         """Write what waits, a member for each file; OSError leaves what is unwritten waiting."""
         for file, waiting in self._files():
-            if waiting:
-                file.append("".join(waiting).encode(), wall_s)
-                waiting.clear()
+            text = "".join(waiting).encode()
+            if text:
+                file.append(text, wall_s)
+            waiting.clear()
+        self.waiting = 0
 
     def _files(self) -> tuple[tuple[MemberFile, list[str]], ...]:
         return (self._frames_file, self._frame_text), (self._core_file, self._core_text)

@@ -1,0 +1,74 @@
+"""`vcu-gateway recorder`: every drive of the gateways of this machine on disk, bounded."""
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from vcu_gateway.recorder import Recorder, RecorderOptions
+from vcu_gateway.recorder.options import DEFAULT_FOLDER, DEFAULT_SOCKET, size_bytes
+
+_DEFAULTS = RecorderOptions()
+
+
+def _size(context: click.Context, parameter: click.Parameter, text: str) -> int:
+    """Bytes of SIZE: a number with k, M, G or T behind it."""
+    del context, parameter
+    try:
+        return size_bytes(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from error
+
+
+_Option = Callable[[Callable[..., None]], Callable[..., None]]
+
+
+def _size_option(name: str, default: str, text: str) -> _Option:
+    return click.option(
+        name, metavar="SIZE", default=default, show_default=True, callback=_size, help=text
+    )
+
+
+@click.command("recorder")
+@click.option(
+    "--folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    default=DEFAULT_FOLDER,
+    show_default=True,
+    help="Where drives and incidents are kept.",
+)
+@click.option(
+    "--socket",
+    "socket_path",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    default=DEFAULT_SOCKET,
+    show_default=True,
+    help="Where gateways connect, unless the service manager hands a socket over.",
+)
+@_size_option("--max-bytes", "4G", "Of all drives; the oldest segments go above it.")
+@_size_option("--keep-free-bytes", "1G", "Of the disk; the oldest segments go below it.")
+@_size_option("--incident-max-bytes", "1G", "Of all incidents.")
+@_size_option("--memory-bytes", "32M", "Of what waits for a disk that is slow or full.")
+@click.option(
+    "--status",
+    "status_path",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Tell once a second how it goes, in this file; on a tmpfs.",
+)
+def command(**options: Any) -> None:
+    """Record what the gateways of this machine receive, decide and send.
+
+    A program beside them, which none of them waits for. SIGUSR1 keeps what surrounds this moment
+    as an incident; Ctrl-C or SIGTERM ends it in order.
+    """
+    Recorder(_DEFAULTS._replace(**options), _say).run()
+
+
+def _say(sentence: str) -> None:
+    with contextlib.suppress(OSError):  # nobody reads stderr any more
+        click.echo(sentence, err=True)

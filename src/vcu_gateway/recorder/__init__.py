@@ -1,0 +1,13 @@
+"""Recorder: a process beside the gateway that keeps every drive on disk.
+
+`receiver` takes the tap's datagrams from the gateways that connected, and never waits for the disk:
+what it took lies in the `backlog`, bounded, until the `writer`'s thread has it. A connection's
+drive is a `DriveRecorder`, which writes segments through `drive_format`; `ring` removes the oldest
+of them, `incidents` keeps what surrounds a fault by hard links, and `status` says how it goes.
+Nothing of the gateway is imported, and the standard library alone.
+"""
+
+from vcu_gateway.recorder.options import RecorderOptions
+from vcu_gateway.recorder.program import Recorder
+
+__all__ = ["Recorder", "RecorderOptions"]

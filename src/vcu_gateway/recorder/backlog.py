@@ -1,0 +1,80 @@
+"""Bounded queue of datagrams between the receiver's thread and the writer's."""
+
+import threading
+from collections import deque
+from typing import NamedTuple
+
+from vcu_gateway.recorder.connection import Connection
+
+_ITEM_BYTES = 200
+"""Of an entry's own, roughly, besides its datagram."""
+
+
+class Received(NamedTuple):
+    """A tick's datagram of a connection; None: the connection has ended."""
+
+    connection: Connection
+    datagram: bytes | None
+    begins_segment: bool = False
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory, roughly."""
+        return _ITEM_BYTES + (len(self.datagram) if self.datagram is not None else 0)
+
+
+class Backlog:
+    """Queue of what was received and is not written.
+
+    Where it is full the oldest goes, up to the next datagram that begins a segment: what follows
+    can be read by itself. Neither side waits for the other.
+
+    Attributes:
+        size: bytes in it, roughly.
+        dropped: datagrams that went for want of room.
+    """
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self._items: deque[Received] = deque()
+        self._lock = threading.Lock()
+        self.size = self.dropped = 0
+
+    def put(self, item: Received) -> None:
+        """Append, whatever has to go for it."""
+        with self._lock:
+            self._items.append(item)
+            self.size += item.size
+            while self.size > self._max_bytes and self._drop_oldest():
+                pass
+
+    def take(self) -> Received | None:
+        """The oldest; None where there is none."""
+        with self._lock:
+            if not self._items:
+                return None
+            item = self._items.popleft()
+            self.size -= item.size
+            return item
+
+    def _drop_oldest(self) -> bool:
+        """Drop a connection's oldest datagrams up to its next segment; False where there are none.
+
+        Where all of them go its gateway is to connect again: that begins a segment.
+        """
+        datagrams = (item for item in self._items if item.datagram is not None)
+        oldest = next(datagrams, None)
+        if oldest is None:
+            return False
+        dropped = {id(oldest)}
+        for item in datagrams:
+            if item.connection is oldest.connection:
+                if item.begins_segment:
+                    break
+                dropped.add(id(item))
+        else:
+            oldest.connection.begin_again = True
+        self.size -= sum(item.size for item in self._items if id(item) in dropped)
+        self._items = deque(item for item in self._items if id(item) not in dropped)
+        self.dropped += len(dropped)
+        return True

@@ -1,0 +1,95 @@
+"""Connection of a gateway: what it said of itself, and its datagrams."""
+
+import contextlib
+import socket
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from vcu_gateway.drive_format import datagram
+from vcu_gateway.drive_format.datagram import DatagramError, HelloPart, HelloText
+
+_BUFFER_BYTES = 4 << 20
+_CHECKPOINT = b'{"checkpoint":'
+_HELLO_KEYS = {"run": str, "channel": str, "clock": dict, "config": str, "dbc": str}
+_CLOCK_KEYS = ("monotonic_ns", "wall_ns")
+
+
+class Connection:
+    """Connected gateway, as the receiver's thread has it.
+
+    Attributes:
+        hello: what it said of itself; None before that.
+        begin_again: it is to be closed, so that its gateway connects again and begins a segment.
+        frames: that it handed on so far, lost ones counted, since the gateway started.
+        since_wall_ns, last_wall_ns: when it began, and when the latest datagram came.
+    """
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._sock = sock
+        self._hello_text = HelloText()
+        self.hello: Mapping[str, Any] | None = None
+        self.begin_again = False
+        self.frames = 0
+        self.since_wall_ns = self.last_wall_ns = time.time_ns()
+
+    def fileno(self) -> int:
+        """Descriptor, for a selector."""
+        return self._sock.fileno()
+
+    def receive(self, buffer: bytearray) -> bytes | None:
+        """The next tick's datagram, empty for a part of the HELLO; None where it has ended.
+
+        BlockingIOError where none waits; DatagramError where it is none, or too long.
+        """
+        size = self._sock.recv_into(buffer, 0, socket.MSG_TRUNC)
+        if size == 0:
+            return None
+        if size > len(buffer):
+            raise DatagramError(f"a datagram of {size} bytes is too long")
+        self.last_wall_ns = time.time_ns()
+        received = bytes(memoryview(buffer)[:size])
+        if received[0] != datagram.HELLO:
+            return self._tick(received)
+        part = datagram.unpack(received)
+        if isinstance(part, HelloPart):
+            self._take(part)
+        return b""
+
+    def _tick(self, received: bytes) -> bytes:
+        if self.hello is None:
+            raise DatagramError("a tick before the HELLO")
+        self.frames = datagram.tick_header(received).frames
+        return received
+
+    def _take(self, part: HelloPart) -> None:
+        hello = self._hello_text.take(part)
+        if hello is not None:
+            self.hello = _checked(hello)
+
+    def close(self) -> None:
+        """End it."""
+        with contextlib.suppress(OSError):
+            self._sock.close()
+
+
+def new_buffer() -> bytearray:
+    """Room for the longest datagram."""
+    return bytearray(_BUFFER_BYTES)
+
+
+def begins_segment(received: bytes) -> bool:
+    """True for a tick's datagram that holds a checkpoint, which is its first line."""
+    return _CHECKPOINT in received
+
+
+def _checked(hello: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The HELLO; DatagramError where what the recorder needs is not in it."""
+    for key, kind in _HELLO_KEYS.items():
+        if not isinstance(hello.get(key), kind):
+            raise DatagramError(f"the HELLO has no {key}")
+    if not all(isinstance(hello["clock"].get(key), int) for key in _CLOCK_KEYS):
+        raise DatagramError("the HELLO has no clock")
+    if not hello["run"] or not hello["channel"].isprintable() or " " in hello["channel"]:
+        raise DatagramError("the HELLO's run or channel cannot be used")
+    return hello

@@ -1,0 +1,250 @@
+"""Recorded drive of one run of a gateway: its folder, its segments, and what is missing in it."""
+
+import contextlib
+import errno
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from vcu_gateway import __version__
+from vcu_gateway.drive_format import layout, lock
+from vcu_gateway.drive_format.candump import CandumpLines
+from vcu_gateway.drive_format.datagram import TickDatagram
+from vcu_gateway.drive_format.segment import SegmentWriter
+from vcu_gateway.errors import GatewayError
+from vcu_gateway.recorder import resume
+from vcu_gateway.recorder.resume import Lost, Position
+from vcu_gateway.recorder.totals import Totals
+from vcu_gateway.units import NS_PER_S
+
+_CHECKPOINT = b'{"checkpoint":'
+_OWN_FILES = {"config": layout.CONFIG_FILE, "dbc": layout.DBC_FILE}
+
+
+class DriveRecorder:
+    """Writes one drive; belongs to the writer's thread.
+
+    Attributes:
+        folder: of the drive; made with its first segment.
+        segment: being written; None where only a checkpoint can begin one.
+        hello: what its gateway said of itself.
+    """
+
+    def __init__(
+        self,
+        drives: Path,
+        number: int,
+        hello: Mapping[str, Any],
+        totals: Totals,
+        segment_ended: Callable[[Path, int], None],
+    ) -> None:
+        name = layout.drive_name(hello["clock"]["wall_ns"], hello["run"])
+        self.folder = drives / name
+        self.segment: SegmentWriter | None = None
+        self.hello = hello
+        self._number = number
+        self._totals = totals
+        self._segment_ended = segment_ended
+        self._lost = Lost()
+        self._line = CandumpLines(hello["channel"]).line
+        self._clock_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
+        self._hold: int | None = None
+        self._next_segment = 1
+        self._next_sequence = self._frames_not_handed_on = 0
+        self._begin_position = self._position = Position()
+        self._waiting_ticks = self._segment_ticks = 0
+        self._end_stands = False
+        self._missing_because = "the recorder was not connected yet"
+
+    def take(self, tick: TickDatagram) -> bool:
+        """Take one datagram; False where it cannot be read without a checkpoint before it.
+
+        OSError where a segment cannot be begun: then nothing of it was taken.
+        """
+        if tick.lines.startswith(_CHECKPOINT):
+            lines = self._begin(tick)
+        elif self.segment is None or tick.header.sequence != self._next_sequence:
+            return False
+        else:
+            lines = tick.lines
+        self._add(tick, lines)
+        return True
+
+    def _add(self, tick: TickDatagram, lines: bytes) -> None:
+        line, clock_ns = self._line, self._clock_ns
+        frame_lines = [
+            line(arrival_ns + clock_ns, can_id, data, own_echo)
+            for arrival_ns, can_id, own_echo, data in tick.frames
+        ]
+        if self.segment is not None:
+            self.segment.add(frame_lines, lines.decode(errors="replace"))
+        self._waiting_ticks += resume.ticks_of(lines)
+        self._next_sequence = tick.header.sequence + 1
+
+    def _begin(self, tick: TickDatagram) -> bytes:
+        """Begin a segment with this datagram's checkpoint; the lines behind that."""
+        self.end("the next segment begins")
+        self._open_folder()
+        number, self._next_segment = self._next_segment, self._next_segment + 1
+        segment = SegmentWriter(self.folder, number)
+        checkpoint, line_end, rest = tick.lines.partition(b"\n")
+        begins = Position(tick.header.frames - len(tick.frames), _ticks_so_far(checkpoint))
+        head = (checkpoint + line_end).decode(errors="replace")
+        segment.add([], head + self._begin_lines(begins, tick.header.frames_lost))
+        self.segment, self._end_stands = segment, False
+        self._begin_position = self._position = begins
+        self._segment_ticks = self._waiting_ticks = 0
+        with contextlib.suppress(OSError):  # it waits, then, and the next flush says why
+            segment.flush(int(time.time()))
+        return rest
+
+    def _begin_lines(self, begins: Position, not_handed_on: int) -> str:
+        """What came before this segment, and what of it is missing."""
+        frames = max(0, begins.frames - self._position.frames)
+        ticks = max(0, begins.ticks - self._position.ticks)
+        gap = ""
+        if frames or ticks:
+            self._lost = self._lost.with_gap(frames, ticks)
+            self._totals.lost(frames, ticks)
+            if not_handed_on - self._frames_not_handed_on >= frames > 0:
+                self._missing_because = "the recorder did not take them in time"
+            told = {"frames": frames, "ticks": ticks, "why": self._missing_because}
+            gap = _line({"f": 0, "gap": told})
+        self._frames_not_handed_on = not_handed_on
+        self._missing_because = "the gateway was not connected"
+        begin = {
+            **begins._asdict(),
+            "wall_ns": time.time_ns(),
+            "recorder": __version__,
+            "lost": self._lost._asdict(),
+        }
+        return _line({"f": 0, "begin": begin}) + gap
+
+    def _open_folder(self) -> None:
+        """Make the drive's folder, or find it as an earlier recorder left it."""
+        if self._hold is not None:
+            if os.path.isdir(self.folder):
+                return
+            self._release()
+        elif self._found_own_folder():
+            self._resume()
+        if not os.path.isdir(self.folder):
+            layout.create_folder(self.folder, self._files())
+        self._hold = lock.hold(self.folder)
+
+    def _found_own_folder(self) -> bool:
+        """True where this run's folder is there; the name of another run's is not taken."""
+        name, count = self.folder.name, 1
+        while os.path.lexists(self.folder):
+            with contextlib.suppress(GatewayError):
+                path = self.folder / layout.DRIVE_FILE
+                if layout.read_description(path).get("run") == self.hello["run"]:
+                    return True
+            count += 1
+            self.folder = self.folder.with_name(f"{name}-{count}")
+        return False
+
+    def _resume(self) -> None:
+        found = resume.recorded(self.folder)
+        if self._next_segment == 1:
+            self._position, self._lost = found.position, found.lost
+            self._missing_because = "the recorder had ended"
+        self._next_segment = max(self._next_segment, found.next_segment)
+
+    def _files(self) -> dict[str, bytes]:
+        described = {key: value for key, value in self.hello.items() if key not in _OWN_FILES}
+        described |= {
+            "format": layout.FORMAT,
+            "number": self._number,
+            "created": _iso(time.time_ns()),
+            "recorder": __version__,
+        }
+        texts = {name: self.hello[key].encode() for key, name in _OWN_FILES.items()}
+        return {layout.DRIVE_FILE: layout.description_bytes(described), **texts}
+
+    def flush(self) -> None:
+        """Write what waits; OSError leaves it waiting."""
+        if self.segment is None:
+            return
+        frames, size = self.segment.recorded_frames, self.segment.size
+        try:
+            self.segment.flush(int(time.time()))
+            self._segment_ticks += self._waiting_ticks
+            self._totals.ticks += self._waiting_ticks
+            self._waiting_ticks = 0
+        finally:
+            self._totals.frames += self.segment.recorded_frames - frames
+            self._totals.bytes += self.segment.size - size
+
+    def sync(self) -> None:
+        """Have on the disk what was written; FileNotFoundError where somebody removed it."""
+        if self.segment is None:
+            return
+        begin_s = time.monotonic()
+        try:
+            self.segment.sync()
+        except OSError:
+            self._totals.sync_failures += 1
+            raise
+        self._totals.synced(time.monotonic() - begin_s)
+        if not self.segment.is_in_place:
+            what = "somebody removed what was being written"
+            raise FileNotFoundError(errno.ENOENT, what, str(self.folder))
+
+    def end(self, why: str) -> None:
+        """End the segment in order; OSError leaves it as it is, to be tried again."""
+        if self.segment is None:
+            return
+        if not self._end_stands:
+            told = {"frames": self.segment.frames, "why": why}
+            self.segment.add([], _line({"f": self.segment.frames, "end": told}))
+            self._end_stands = True
+        self.flush()
+        self.sync()
+        self._leave_segment()
+
+    def abandon(self, why: str) -> None:
+        """End the segment as it is on the disk; what waits is lost, and a gap will say so."""
+        self._missing_because = why
+        self._leave_segment()
+
+    def _leave_segment(self) -> None:
+        if self.segment is None:
+            return
+        with contextlib.suppress(OSError):
+            self.segment.close()
+        begins = self._begin_position
+        self._position = Position(
+            begins.frames + self.segment.recorded_frames, begins.ticks + self._segment_ticks
+        )
+        number, self.segment = self.segment.number, None
+        self._segment_ended(self.folder, number)
+
+    def close(self, why: str) -> None:
+        """End the drive, until its gateway connects again; OSError as `end`."""
+        self.end(why)
+        self._release()
+
+    def _release(self) -> None:
+        if self._hold is not None:
+            os.close(self._hold)
+            self._hold = None
+
+
+def _line(values: Mapping[str, Any]) -> str:
+    return json.dumps(values, separators=(",", ":")) + "\n"
+
+
+def _ticks_so_far(checkpoint: bytes) -> int:
+    """Ticks before a checkpoint; 0 where it does not say."""
+    try:
+        return int(json.loads(checkpoint)["checkpoint"]["ticks"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return 0
+
+
+def _iso(wall_ns: int) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall_ns // NS_PER_S))

@@ -1,0 +1,46 @@
+"""Options of the recorder."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
+DEFAULT_SOCKET = Path("/run/vcu-gateway-recorder/tap.sock")
+
+_KIB = 1 << 10
+_MIB = 1 << 20
+_GIB = 1 << 30
+
+
+class RecorderOptions(NamedTuple):
+    """What is kept, where, and how much of it.
+
+    Attributes:
+        max_bytes: of all drives; the oldest segments are removed above it.
+        keep_free_bytes: of the file system; the oldest segments are removed below it.
+        incident_max_bytes: of all incidents.
+        memory_bytes: of what waits for the disk.
+        before_s, after_s: what an incident keeps around its reason.
+        status_path: file that says once a second how it goes; None: there is none.
+    """
+
+    folder: Path = DEFAULT_FOLDER
+    socket_path: Path = DEFAULT_SOCKET
+    max_bytes: int = 4 * _GIB
+    keep_free_bytes: int = _GIB
+    incident_max_bytes: int = _GIB
+    memory_bytes: int = 32 * _MIB
+    before_s: float = 60.0
+    after_s: float = 30.0
+    status_path: Path | None = None
+
+
+_UNITS = {"": 1, "k": _KIB, "m": _MIB, "g": _GIB, "t": 1 << 40}
+
+
+def size_bytes(text: str) -> int:
+    """Bytes of `4G`, `512M`, `100k` or `123456`; ValueError for anything else."""
+    digits = text.strip().removesuffix("B").removesuffix("i")
+    number, unit = (digits[:-1], digits[-1:]) if digits[-1:].isalpha() else (digits, "")
+    if not (number.isascii() and number.isdecimal() and unit.lower() in _UNITS):
+        raise ValueError(f"{text!r} is no size such as 4G, 512M or 100k")
+    return int(number) * _UNITS[unit.lower()]

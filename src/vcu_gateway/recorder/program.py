@@ -1,0 +1,129 @@
+"""Recorder's process: its parts, put together."""
+
+import contextlib
+import fcntl
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from types import FrameType
+
+from vcu_gateway.drive_format import layout
+from vcu_gateway.errors import GatewayError, Problem, UnavailableError
+from vcu_gateway.recorder.backlog import Backlog
+from vcu_gateway.recorder.disk import Disk
+from vcu_gateway.recorder.listener import TapListener
+from vcu_gateway.recorder.options import RecorderOptions
+from vcu_gateway.recorder.receiver import Receiver
+from vcu_gateway.recorder.status import StatusFile
+from vcu_gateway.recorder.writer import Writer
+
+_STATUS_S = 1.0
+_LAST_DATAGRAMS_S = 1.0
+_LAST_WRITES_S = 3.5
+
+
+class Recorder:
+    """Receives in the main thread, writes in another, until SIGTERM or SIGINT.
+
+    SIGUSR1 keeps an incident of this moment.
+    """
+
+    def __init__(self, options: RecorderOptions, say: Callable[[str], None]) -> None:
+        """`say` takes a sentence for the log. UnavailableError, with what to do."""
+        self._options = options
+        self._say = say
+        self._stop = False
+        self._lock = _locked(options)
+        self._backlog = Backlog(options.memory_bytes)
+        self._disk = Disk(say)
+        try:
+            self._writer = Writer(options, self._backlog, self._disk, say)
+        except OSError as error:
+            raise _cannot_use(options, error) from error
+        self._listener = TapListener(options.socket_path, os.environ, os.getpid())
+        self._status = StatusFile(options, self._writer, self._backlog, self._disk)
+
+    def run(self) -> None:
+        """Record until a signal; GatewayError after a bug of the writer."""
+        with _woken_by_signals(self._on_signal) as wake_up:
+            receiver = Receiver(
+                self._listener, wake_up, self._backlog, self._writer.wake, self._say
+            )
+            self._writer.start()
+            self._say(f"recording into {self._options.folder}, from {self._listener.name}")
+            try:
+                self._receive(receiver)
+                receiver.receive_rest(_LAST_DATAGRAMS_S)
+            finally:
+                self._listener.close()
+                receiver.close()
+                in_order = self._writer.stop(_LAST_WRITES_S)
+        if not in_order:
+            self._say("the disk does not take the last seconds: they are lost")
+
+    def _receive(self, receiver: Receiver) -> None:
+        status_s = 0.0
+        while not self._stop:
+            now_s = time.monotonic()
+            if now_s >= status_s:
+                status_s = now_s + _STATUS_S
+                self._disk.watch()
+                self._status.write(receiver.connections)
+                if not self._writer.is_alive:
+                    raise GatewayError(Problem("the writer's thread has ended by a bug"))
+            receiver.receive(max(0.0, status_s - now_s))
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        if number == signal.SIGUSR1:
+            self._writer.request_incident()
+        else:
+            self._stop = True
+
+
+@contextlib.contextmanager
+def _woken_by_signals(
+    handler: Callable[[int, FrameType | None], None],
+) -> Iterator[socket.socket]:
+    """Handle the recorder's signals; the socket can be read when one came."""
+    awake, wake_up = socket.socketpair()
+    for sock in (awake, wake_up):
+        sock.setblocking(False)
+    numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
+    before = {number: signal.signal(number, handler) for number in numbers}
+    signal.set_wakeup_fd(awake.fileno(), warn_on_full_buffer=False)
+    try:
+        yield wake_up
+    finally:
+        signal.set_wakeup_fd(-1)
+        for number, old in before.items():
+            signal.signal(number, old)
+        awake.close()
+        wake_up.close()
+
+
+def _locked(options: RecorderOptions) -> int:
+    """Descriptor of the folder, which is ours alone; made where it is not there."""
+    folder = options.folder
+    try:
+        for path in (folder, folder / layout.DRIVES, folder / layout.INCIDENTS):
+            path.mkdir(mode=0o750, parents=True, exist_ok=True)
+            layout.remove_partial_folders(path)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError as error:
+        raise _cannot_use(options, error) from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        what = f"another recorder writes into {folder}"
+        raise UnavailableError(Problem(what, remedy="give each a folder with --folder")) from error
+    return descriptor
+
+
+def _cannot_use(options: RecorderOptions, error: OSError) -> UnavailableError:
+    what = f"cannot record into {options.folder}: {error.strerror or error}"
+    remedy = f"it must be a folder that this user can write; look at: ls -ld {options.folder}"
+    return UnavailableError(Problem(what, remedy=remedy))

@@ -1,0 +1,117 @@
+"""Receiver: takes the datagrams of every connected gateway; it never waits for the disk."""
+
+import contextlib
+import selectors
+import socket
+import time
+from collections.abc import Callable
+
+from vcu_gateway.drive_format.datagram import DatagramError
+from vcu_gateway.recorder import triggers
+from vcu_gateway.recorder.backlog import Backlog, Received
+from vcu_gateway.recorder.connection import Connection, begins_segment, new_buffer
+from vcu_gateway.recorder.listener import TapListener
+
+_MOST_CONNECTIONS = 16
+_MOST_AT_ONCE = 64
+_WAKE_UP_BYTES = 4096
+
+
+class Receiver:
+    """Connections and what they send.
+
+    Attributes:
+        connections: those that are open.
+    """
+
+    def __init__(
+        self,
+        listener: TapListener,
+        wake_up: socket.socket,
+        backlog: Backlog,
+        urgent: Callable[[], None],
+        say: Callable[[str], None],
+    ) -> None:
+        """`wake_up` ends a wait when it can be read; `urgent` is called for what must not wait."""
+        self.connections: list[Connection] = []
+        self._listener = listener
+        self._wake_up = wake_up
+        self._backlog = backlog
+        self._urgent = urgent
+        self._say = say
+        self._buffer = new_buffer()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(listener.sock, selectors.EVENT_READ)
+        self._selector.register(wake_up, selectors.EVENT_READ)
+
+    def receive(self, timeout_s: float) -> None:
+        """Take what comes, for at most this time or until there was something."""
+        for key, _ in self._selector.select(timeout_s):
+            if key.fileobj is self._listener.sock:
+                self._accept()
+            elif key.fileobj is self._wake_up:
+                self._wake_up.recv(_WAKE_UP_BYTES)
+            else:
+                self._read(key.data)
+        for connection in [one for one in self.connections if one.begin_again]:
+            self._end(connection)
+
+    def receive_rest(self, limit_s: float) -> None:
+        """Take what the gateways still send until they have closed, for at most this time."""
+        end_s = time.monotonic() + limit_s
+        while self.connections and (left_s := end_s - time.monotonic()) > 0:
+            self.receive(left_s)
+        for connection in list(self.connections):
+            self._read(connection)
+            self._end(connection)
+
+    def _accept(self) -> None:
+        try:
+            sock, _ = self._listener.sock.accept()
+        except OSError:
+            return
+        if len(self.connections) >= _MOST_CONNECTIONS:
+            self._say(f"more than {_MOST_CONNECTIONS} connections; one is turned away")
+            sock.close()
+            return
+        sock.setblocking(False)
+        connection = Connection(sock)
+        self.connections.append(connection)
+        self._selector.register(connection, selectors.EVENT_READ, connection)
+
+    def _read(self, connection: Connection) -> None:
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_MOST_AT_ONCE):
+                if not self._read_one(connection):
+                    self._end(connection)
+                    return
+
+    def _read_one(self, connection: Connection) -> bool:
+        """False where the connection has ended."""
+        try:
+            received = connection.receive(self._buffer)
+        except DatagramError as error:
+            self._say(f"a connection is closed: {error}")
+            return False
+        except BlockingIOError:
+            raise
+        except OSError:
+            return False
+        if received:
+            self._backlog.put(Received(connection, received, begins_segment(received)))
+            if triggers.may_be_urgent(received):
+                self._urgent()
+        return received is not None
+
+    def _end(self, connection: Connection) -> None:
+        if connection in self.connections:
+            self.connections.remove(connection)
+            self._selector.unregister(connection)
+            connection.close()
+            self._backlog.put(Received(connection, None))
+
+    def close(self) -> None:
+        """End every connection."""
+        for connection in list(self.connections):
+            self._end(connection)
+        self._selector.close()

@@ -1,0 +1,89 @@
+"""Core lines that must be on the disk at once, and those that are the reason of an incident."""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+FAULT_LATCHED = "fault_latched"
+EMERGENCY_STOP = "emergency_stop"
+RESTARTED_UNEXPECTEDLY = "restarted_unexpectedly"
+REQUESTED = "requested"
+
+_URGENT = (b'"events":', b'"mode":', b'"estop":', b'"restarted":')
+_STOPPING_EFFECTS = ("stop", "cut")
+
+
+class Trigger(NamedTuple):
+    """Reason of an incident.
+
+    Attributes:
+        reason: one of the four words above.
+        kind: word for like ones: the cause of a latched fault, else the reason.
+        what: sentence for people.
+    """
+
+    reason: str
+    kind: str
+    what: str
+
+
+def may_be_urgent(datagram: bytes) -> bool:
+    """False where nothing in it needs to be on the disk at once; quick, and seldom wrong."""
+    return any(word in datagram for word in _URGENT)
+
+
+class Noticed(NamedTuple):
+    """What core lines ask of the recorder: `urgent` ones are written and synced at once."""
+
+    urgent: bool
+    triggers: tuple[Trigger, ...]
+
+
+NOTHING = Noticed(False, ())
+
+
+def noticed(lines: bytes) -> Noticed:
+    """Reasons among these core lines; damaged lines are none."""
+    if not may_be_urgent(lines):
+        return NOTHING
+    found = [_noticed(values) for line in lines.splitlines() if (values := _values(line))]
+    triggers = tuple(trigger for one in found for trigger in one.triggers)
+    return Noticed(any(one.urgent for one in found), triggers)
+
+
+def _values(line: bytes) -> Mapping[str, Any] | None:
+    if not may_be_urgent(line) or line.startswith(b'{"checkpoint":'):
+        return None
+    try:
+        values = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return values if isinstance(values, dict) else None
+
+
+def _noticed(values: Mapping[str, Any]) -> Noticed:
+    if "estop" in values:
+        return Noticed(True, (Trigger(EMERGENCY_STOP, EMERGENCY_STOP, "emergency stop"),))
+    if restarts := values.get("restarted"):
+        what = f"the gateway restarted unexpectedly, {restarts} times in this drive"
+        return Noticed(True, (Trigger(RESTARTED_UNEXPECTEDLY, RESTARTED_UNEXPECTEDLY, what),))
+    triggers = tuple(_latched(values.get("events")))
+    return Noticed("mode" in values or bool(triggers), triggers)
+
+
+def _latched(events: Any) -> Iterator[Trigger]:
+    """A trigger for each fault that was latched; named by the cause that stopped the vehicle."""
+    described = [one for one in events or () if isinstance(one, list) and len(one) == 3]
+    for name, _, fields in described:
+        if name == FAULT_LATCHED and isinstance(fields, dict):
+            reason = str(fields.get("reason", ""))
+            yield Trigger(FAULT_LATCHED, _cause(described, reason), f"fault latched: {reason}")
+
+
+def _cause(events: list[list[Any]], reason: str) -> str:
+    for name, _, fields in events:
+        if name == "cause_began" and fields.get("effect") in _STOPPING_EFFECTS:
+            return str(fields.get("cause"))
+    words = re.findall(r"[a-z]+", reason.partition(":")[0].lower())
+    return "_".join(words[:5]) or FAULT_LATCHED

@@ -1,0 +1,265 @@
+"""Writer's thread: takes what was received and puts it on the disk, however long that takes."""
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from vcu_gateway.drive_format import datagram, layout
+from vcu_gateway.drive_format.datagram import DatagramError, TickDatagram
+from vcu_gateway.recorder import triggers
+from vcu_gateway.recorder.backlog import Backlog, Received
+from vcu_gateway.recorder.connection import Connection
+from vcu_gateway.recorder.disk import Disk, is_full
+from vcu_gateway.recorder.drive import DriveRecorder
+from vcu_gateway.recorder.incidents import Incidents
+from vcu_gateway.recorder.options import RecorderOptions
+from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, free_bytes
+from vcu_gateway.recorder.totals import Totals
+from vcu_gateway.recorder.triggers import Trigger
+
+_MEMBER_S = 1.0
+_SYNC_S = 5.0
+_SYNC_AFTER_LATCH_S = 0.15
+_AFTER_LATCH_S = 2.0
+_MOST_WAITING = 1 << 20
+_MOST_SEGMENT_BYTES = 16 << 20
+_MOST_PENDING = 100
+_MOST_RUNS = 8
+_ROOM_BYTES = 1 << 20
+_REQUESTED = Trigger(triggers.REQUESTED, triggers.REQUESTED, "somebody asked to keep this")
+
+
+class _Pending(NamedTuple):
+    """What is to be done for incidents; None: link the segment that a drive began."""
+
+    drive: DriveRecorder
+    trigger: Trigger | None
+
+
+class Writer:
+    """Writes every drive; all but `wake`, `request_incident` and `stop` belongs to its thread."""
+
+    def __init__(
+        self,
+        options: RecorderOptions,
+        backlog: Backlog,
+        disk: Disk,
+        say: Callable[[str], None],
+    ) -> None:
+        """Find what is recorded already; OSError where the folder cannot be read."""
+        self.totals = Totals()
+        self.ring = Ring(options.folder / layout.DRIVES)
+        self.incidents = Incidents(options, self.ring)
+        self.drives: dict[Connection, DriveRecorder] = {}
+        self._options = options
+        self._backlog = backlog
+        self._disk = disk
+        self._say = say
+        self._runs: dict[str, DriveRecorder] = {}
+        self._held: Received | None = None
+        self._pending: deque[_Pending] = deque()
+        self._wake = threading.Event()
+        self._stopping = self._requested = self._urgent = False
+        self._member_s = self._sync_s = self._latched_until_s = 0.0
+        self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
+
+    def start(self) -> None:
+        """Begin to write."""
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Something in the backlog should be on the disk at once."""
+        self._wake.set()
+
+    def request_incident(self) -> None:
+        """Keep what surrounds this moment."""
+        self._requested = True
+        self._wake.set()
+
+    def stop(self, timeout_s: float) -> bool:
+        """Write what is there and end; False where the disk does not let it in that time."""
+        self._stopping = True
+        self._wake.set()
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    @property
+    def is_alive(self) -> bool:
+        """False after a bug of it."""
+        return self._thread.is_alive()
+
+    def _run(self) -> None:
+        while True:
+            stopping = self._stopping
+            self._disk.busy(True)
+            self._turn(stopping)
+            self._disk.busy(False)
+            if stopping:
+                return
+            self._wake.wait(self._pause_s())
+            self._wake.clear()
+
+    def _pause_s(self) -> float:
+        due_s = min(self._member_s, self._sync_s) - time.monotonic()
+        return max(self._disk.pause_s, due_s, 0.01)
+
+    def _turn(self, stopping: bool) -> None:
+        if self._disk.pause_s and not stopping:
+            return
+        try:
+            self._take_all()
+            self._write(time.monotonic())
+            if stopping:
+                self._end_all()
+        except OSError as error:
+            self._failed(error)
+        else:
+            self._disk.worked()
+
+    def _failed(self, error: OSError) -> None:
+        if is_full(error) and self.ring.make_room(_ROOM_BYTES):
+            self._say("the disk is full; the oldest recordings make room")
+            self._wake.set()
+            return
+        self._disk.failed(error)
+
+    def _take_all(self) -> None:
+        """Take everything that was received; what cannot be taken now stays the next one."""
+        while True:
+            self._held = self._held or self._backlog.take()
+            if self._held is None:
+                return
+            self._take(self._held)
+            self._held = None
+            for drive in self.drives.values():
+                if drive.segment is not None and drive.segment.waiting > _MOST_WAITING:
+                    self._flush(drive)
+
+    def _take(self, item: Received) -> None:
+        if item.datagram is None:
+            self._close(item.connection)
+            return
+        try:
+            tick = datagram.unpack(item.datagram)
+        except DatagramError as error:
+            self._say(f"a datagram cannot be read: {error}")
+            item.connection.begin_again = True
+            return
+        if isinstance(tick, TickDatagram):
+            self._take_tick(item.connection, tick)
+
+    def _take_tick(self, connection: Connection, tick: TickDatagram) -> None:
+        drive = self._drive_of(connection)
+        before = drive.segment
+        with self._abandoning(drive):
+            taken = drive.take(tick)
+        if not taken:
+            connection.begin_again = True
+            return
+        if drive.segment is not before:
+            self._pending.append(_Pending(drive, None))
+        elif before is not None and before.size > _MOST_SEGMENT_BYTES:
+            connection.begin_again = True
+        self._notice(drive, tick.lines)
+
+    def _notice(self, drive: DriveRecorder, lines: bytes) -> None:
+        found = triggers.noticed(lines)
+        self._urgent |= found.urgent
+        for trigger in found.triggers:
+            self._latched_until_s = time.monotonic() + _AFTER_LATCH_S
+            if len(self._pending) < _MOST_PENDING:
+                self._pending.append(_Pending(drive, trigger))
+
+    def _drive_of(self, connection: Connection) -> DriveRecorder:
+        """The connection's drive; that of an earlier one of the same run goes on."""
+        drive = self.drives.get(connection)
+        if drive is None:
+            drive = self._begun(connection.hello or {})
+            self.drives = {one: its for one, its in self.drives.items() if its is not drive}
+            self.drives[connection] = drive
+        return drive
+
+    def _begun(self, hello: Mapping[str, Any]) -> DriveRecorder:
+        run = hello["run"]
+        if run not in self._runs:
+            number, self.ring.next_drive = self.ring.next_drive, self.ring.next_drive + 1
+            drives = self._options.folder / layout.DRIVES
+            self._runs[run] = DriveRecorder(drives, number, hello, self.totals, self.ring.ended)
+            written = self.drives.values()
+            for old in [one for one in self._runs if self._runs[one] not in written][:-_MOST_RUNS]:
+                del self._runs[old]
+        return self._runs[run]
+
+    def _close(self, connection: Connection) -> None:
+        drive = self.drives.get(connection)
+        if drive is not None:
+            with self._abandoning(drive):
+                drive.close("the connection ended")
+            del self.drives[connection]
+
+    @contextlib.contextmanager
+    def _abandoning(self, drive: DriveRecorder) -> Iterator[None]:
+        """End a segment whose file fails; one that only lacks room is written on later."""
+        try:
+            yield
+        except OSError as error:
+            if not is_full(error):
+                drive.abandon(f"the disk failed: {error.strerror or error}")
+            raise
+
+    def _write(self, now_s: float) -> None:
+        """Write and sync what is due; OSError leaves it due."""
+        urgent = self._urgent
+        if urgent or now_s >= self._member_s:
+            for drive in self.drives.values():
+                self._flush(drive)
+            self._member_s = now_s + _MEMBER_S
+        if urgent or now_s >= self._sync_s:
+            for drive in self.drives.values():
+                with self._abandoning(drive):
+                    drive.sync()
+            self._sync_s = now_s + _SYNC_S
+            self._make_room()
+        if now_s < self._latched_until_s:
+            self._member_s = self._sync_s = now_s + _SYNC_AFTER_LATCH_S
+        self._urgent = False
+        self._keep_incidents()
+
+    def _flush(self, drive: DriveRecorder) -> None:
+        with self._abandoning(drive):
+            drive.flush()
+
+    @property
+    def drives_bytes(self) -> int:
+        """Bytes of all drives, those being written too."""
+        segments = [drive.segment for drive in tuple(self.drives.values())]
+        return self.ring.size + sum(one.size for one in segments if one is not None)
+
+    def _make_room(self) -> None:
+        if self.drives:
+            options = self._options
+            self.ring.make_room(self.drives_bytes - options.max_bytes)
+            missing = options.keep_free_bytes - free_bytes(options.folder)
+            self.ring.make_room(missing, keep=KEPT_WITHOUT_ROOM)
+
+    def _keep_incidents(self) -> None:
+        """Make the incidents that were noticed; OSError leaves them to be made."""
+        if self._requested:
+            self._requested = False
+            self._pending += [_Pending(drive, _REQUESTED) for drive in self.drives.values()]
+        while self._pending:
+            drive, trigger = self._pending[0]
+            with contextlib.suppress(FileNotFoundError):  # somebody removed it meanwhile
+                if trigger is None:
+                    self.incidents.segment_began(drive)
+                else:
+                    self.incidents.begin(trigger, drive)
+            self._pending.popleft()
+        self.incidents.forget_ended()
+
+    def _end_all(self) -> None:
+        for drive in self.drives.values():
+            drive.close("the recorder stopped")
