@@ -1,4 +1,4 @@
-"""Mark of a drive's folder while somebody writes into it; it ends with the process, however that ends."""
+"""Mark of a drive's folder that is being written; it ends with the process, however that ends."""
 
 import fcntl
 import os
