@@ -43,6 +43,17 @@ def main(folder: Path) -> None:
         if command := group.get_command(top, verb):
             context = click.Context(command, info_name=verb, parent=top)
             _write(folder, f"{_PROGRAM}-{verb}", _verb_page(context, _verbs(top)[verb]))
+            _write_verbs_of(folder, context)
+
+
+def _write_verbs_of(folder: Path, parent: click.Context) -> None:
+    """The pages of a verb that has verbs of its own."""
+    if not isinstance(parent.command, click.Group):
+        return
+    for verb, command in parent.command.commands.items():
+        context = click.Context(command, info_name=verb, parent=parent)
+        name = context.command_path.replace(" ", "-")
+        _write(folder, name, _verb_page(context, command.get_short_help_str(200)))
 
 
 def _write(folder: Path, name: str, lines: Iterable[str]) -> None:
@@ -70,6 +81,11 @@ def _main_page(context: click.Context) -> Iterator[str]:
 def _verb_page(context: click.Context, summary: str) -> Iterator[str]:
     yield from _head(context.command_path.replace(" ", "-"), summary, context)
     yield from _description(context.command)
+    if isinstance(context.command, click.Group):
+        yield ".SH COMMANDS"
+        for verb, command in context.command.commands.items():
+            page = f"{context.command_path} {verb}".replace(" ", "-")
+            yield from (".TP", f".BR {_plain(page)} (1)", _line(command.get_short_help_str(200)))
     yield from _options(context)
     yield from _tail(_PROGRAM)
 

@@ -3,7 +3,7 @@
 Exit codes follow sysexits.h and are part of the interface:
 
     0   done
-    1   a check answered no (`dbc --check`, `status --check`, `doctor`)
+    1   a check answered no (`dbc --check`, `status --check`, `doctor`, `recordings check`)
     2   the command line is wrong
     65  a file's contents are wrong (EX_DATAERR)
     66  a file cannot be read (EX_NOINPUT)

@@ -11,6 +11,7 @@ OPERATIONS = ROOT / "docs" / "operations.md"
 PAGES = (INSTALL, OPERATIONS)
 SAFETY = ROOT / "docs" / "safety.md"
 PROTOCOL = ROOT / "docs" / "protocol.md"
+RECORDINGS = ROOT / "docs" / "recordings.md"
 SECURITY = ROOT / "SECURITY.md"
 UNIT = ROOT / "systemd" / "vcu-gateway.service"
 

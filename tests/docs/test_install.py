@@ -20,6 +20,7 @@ from tests.docs.pages import (
     INSTALL,
     OPERATIONS,
     PAGES,
+    RECORDINGS,
     ROOT,
     SECURITY,
     blocks,
@@ -41,7 +42,9 @@ pytestmark = pytest.mark.timeout(400)  # a trial may be begun again
 
 NETWORK = ROOT / "systemd"
 READING = ("status", "why", "events", "version", "check-config", "doctor", "reload")
-LINES = [(page.name, line) for page in (*PAGES, SECURITY) for line in command_lines(page)]
+LINES = [
+    (page.name, line) for page in (*PAGES, SECURITY, RECORDINGS) for line in command_lines(page)
+]
 READ_LINES = [line for _, line in LINES if words(line)[0] in READING]
 SOCKETS = re.compile(r"/run/vcu-gateway\S*/control\.sock")
 FILES = re.compile(r"/etc/vcu-gateway/\S+\.yaml")
@@ -101,6 +104,9 @@ def parsed(line: str) -> None:
     verb, *arguments = words(line)
     command = cli.group.get_command(click.Context(cli.group), verb)
     assert command is not None, line
+    if isinstance(command, click.Group):
+        verb, *arguments = arguments
+        command = command.commands[verb]
     command.make_context(verb, [one.replace("NAME", "a") for one in arguments])
 
 
@@ -267,7 +273,7 @@ def test_a_configuration_of_the_page_is_valid(tmp_path, number):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("page", [*PAGES, SECURITY], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [*PAGES, SECURITY, RECORDINGS], ids=lambda page: page.name)
 def test_every_block_is_shell(page):
     for block in blocks(page, "sh"):
         done = subprocess.run(["bash", "-n"], input=block, capture_output=True, text=True)

@@ -13,8 +13,14 @@ from tests.packaging.built import BIN, REPOSITORY
 from vcu_gateway.cli import group
 from vcu_gateway.errors import __doc__ as exit_codes
 
-VERBS = group.list_commands(click.Context(group))
-NAMES = ["vcu-gateway", *(f"vcu-gateway-{verb}" for verb in VERBS)]
+TOP = click.Context(group)
+COMMANDS = {verb: group.get_command(TOP, verb) for verb in group.list_commands(TOP)}
+GROUPS = {verb: one for verb, one in COMMANDS.items() if isinstance(one, click.Group)}
+NAMES = [
+    "vcu-gateway",
+    *(f"vcu-gateway-{verb}" for verb in COMMANDS),
+    *(f"vcu-gateway-{verb}-{own}" for verb, one in GROUPS.items() for own in one.commands),
+]
 SECTIONS = ["NAME", "SYNOPSIS", "DESCRIPTION", "OPTIONS", "EXIT STATUS", "ENVIRONMENT", "FILES"]
 
 
@@ -39,7 +45,8 @@ def test_the_package_has_them_all(deb):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_page_has_every_section(pages, name):
     found = re.findall(r"^\.SH (.+)$", (pages / f"{name}.1").read_text(), flags=re.MULTILINE)
-    commands = ["COMMANDS"] if name == "vcu-gateway" else []
+    with_verbs = {"vcu-gateway", *(f"vcu-gateway-{verb}" for verb in GROUPS)}
+    commands = ["COMMANDS"] if name in with_verbs else []
     assert sorted(found) == sorted([*SECTIONS, *commands, "SEE ALSO"])
 
 

@@ -28,6 +28,7 @@ _VERBS = {
     "events": "the latest events, counted",
     "reload": "read the configuration file again, all of it or nothing",
     "recorder": "keep every drive on disk, bounded",
+    "recordings": "list, check, keep and remove what the recorder has written",
     "exporter": "serve the gateway's metrics to Prometheus",
     "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
     "demo": "gateway and simulated vehicle together, live",

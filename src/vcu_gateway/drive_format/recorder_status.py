@@ -20,16 +20,13 @@ from vcu_gateway.units import NS_PER_S
 STATUS_PATH = Path("/run/vcu-gateway-recorder/status.json")
 STALE_S = 10.0
 
-_FORMAT = 1
-_MODE = 0o644
-
 
 class RecordedConnection(NamedTuple):
-    """A gateway that is connected; `drive` is the name of its folder."""
+    """A gateway that is connected; `drive` is the name of its folder, None before there is one."""
 
     channel: str
     run: str
-    drive: str
+    drive: str | None
 
 
 class RecorderStatus(NamedTuple):
@@ -40,13 +37,13 @@ class RecorderStatus(NamedTuple):
         started_wall_ns: when it started.
         written_monotonic_ns: when this was written.
         folder: of the recordings.
-        total_bytes, free_bytes: of its file system, for this user.
+        total_bytes, free_bytes: of its file system, for its user; None before they are known.
         max_bytes, keep_free_bytes, incident_max_bytes: as it was told.
         drives_bytes, incidents_bytes: on the disk now; what both have counts as the drives'.
         incidents: how many there are.
         disk: "ok", "full", "failing" or "stalled".
         last_error: of the disk; None where there was none.
-        waiting_bytes: in memory, not yet written.
+        waiting_bytes: in memory, not yet written; memory_bytes at most.
         last_sync_s, longest_sync_s: how long fdatasync took, the longest in a minute; None before
             the first.
         bytes: written.
@@ -54,6 +51,7 @@ class RecorderStatus(NamedTuple):
         frames, ticks: recorded.
         gaps, frames_lost, ticks_lost: told in the recordings.
         syncs, sync_failures: calls of fdatasync.
+        removed_segments, removed_incidents: gone for want of room.
         connections: the gateways.
     """
 
@@ -62,8 +60,8 @@ class RecorderStatus(NamedTuple):
     started_wall_ns: int
     written_monotonic_ns: int
     folder: str
-    total_bytes: int
-    free_bytes: int
+    total_bytes: int | None
+    free_bytes: int | None
     max_bytes: int
     keep_free_bytes: int
     incident_max_bytes: int
@@ -73,6 +71,7 @@ class RecorderStatus(NamedTuple):
     disk: str
     last_error: str | None
     waiting_bytes: int
+    memory_bytes: int
     last_sync_s: float | None
     longest_sync_s: float | None
     bytes: int
@@ -84,26 +83,14 @@ class RecorderStatus(NamedTuple):
     ticks_lost: int
     syncs: int
     sync_failures: int
+    removed_segments: int
+    removed_incidents: int
     connections: tuple[RecordedConnection, ...]
 
     def age_s(self, now_ns: int | None = None) -> float:
         """How long ago it was written; `now_ns` is of the monotonic clock."""
         now_ns = time.monotonic_ns() if now_ns is None else now_ns
         return (now_ns - self.written_monotonic_ns) / NS_PER_S
-
-
-def write_status(path: Path, status: RecorderStatus) -> None:
-    """Replace the file in one piece, for all who may enter its folder; OSError as it comes."""
-    connections = [one._asdict() for one in status.connections]
-    values = {"format": _FORMAT, **status._asdict(), "connections": connections}
-    temporary = path.with_name(f".{path.name}.new")
-    try:
-        temporary.write_text(json.dumps(values), encoding="utf-8")
-        temporary.chmod(_MODE)
-        temporary.replace(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def read_status(path: Path = STATUS_PATH) -> RecorderStatus:
@@ -136,9 +123,19 @@ def _unreadable(path: Path, error: OSError) -> GatewayError:
 
 def _status(found: dict[str, Any]) -> RecorderStatus:
     """What this version does not know is left out; KeyError for what is missing."""
-    values = {name: found[name] for name in RecorderStatus._fields}
-    connections = tuple(
-        RecordedConnection(*(one[name] for name in RecordedConnection._fields))
-        for one in values.pop("connections")
-    )
-    return RecorderStatus(**values, connections=connections)
+    sync, memory, room = found["sync_seconds"], found["memory"], found["filesystem"]
+    flat = {
+        **found,
+        **found["totals"],
+        "last_sync_s": sync["last"],
+        "longest_sync_s": sync["max_minute"],
+        "waiting_bytes": memory["bytes"],
+        "memory_bytes": memory["max_bytes"],
+        "total_bytes": room.get("total_bytes"),
+        "free_bytes": room.get("free_bytes"),
+        "connections": tuple(
+            RecordedConnection(one["channel"], one["run"], one["drive"])
+            for one in found["connections"]
+        ),
+    }
+    return RecorderStatus(**{name: flat[name] for name in RecorderStatus._fields})

@@ -57,6 +57,7 @@ class StatusFile:
             "version": __version__,
             "started_wall_ns": self._started_wall_ns,
             "written_wall_ns": time.time_ns(),
+            "written_monotonic_ns": time.monotonic_ns(),
             "folder": os.path.abspath(options.folder),
             "filesystem": self._filesystem(),
             "max_bytes": options.max_bytes,

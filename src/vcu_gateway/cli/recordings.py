@@ -1,0 +1,177 @@
+"""`vcu-gateway recordings`: what the recorder has written, listed, checked, kept, removed."""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import click
+
+from vcu_gateway.cli import recordings_text as text
+from vcu_gateway.drive_format.recorder_status import STATUS_PATH, read_status
+from vcu_gateway.recordings import (
+    CheckedRecording,
+    RecordingFolder,
+    RecordingPath,
+    act_as_owner,
+    check_recording,
+    keep_whole,
+    remove_recording,
+    summarise,
+)
+from vcu_gateway.recordings.running_recorder import keep_now
+
+_DEFAULT_FOLDER = "/var/lib/vcu-gateway-recorder"
+_NOW = "now"
+
+folder_option = click.option(
+    "--folder",
+    "folder_path",
+    metavar="FOLDER",
+    type=click.Path(path_type=Path),
+    default=_DEFAULT_FOLDER,
+    show_default=True,
+    help="Where the recordings are.",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+
+
+def _opened(path: Path) -> RecordingFolder:
+    """The folder; with root's rights given up, for they are not needed."""
+    act_as_owner(path)
+    return RecordingFolder(path)
+
+
+@click.group("recordings")
+def command() -> None:
+    """List, check, keep and remove what the recorder has written.
+
+    Neither a gateway nor the recorder has to run. Drives and incidents are named as `list` shows
+    them; all times are UTC. Members of the group vcu-gateway-recorder may list and check; to
+    keep and to remove, use sudo.
+    """
+
+
+@command.command("list")
+@folder_option
+@json_option
+def list_command(folder_path: Path, as_json: bool) -> None:
+    """List drives and incidents: begin, duration, size, gaps, and why an incident is kept."""
+    found = [summarise(recording) for recording in _opened(folder_path).recordings()]
+    if as_json:
+        click.echo(json.dumps({"recordings": [text.summary_json(one) for one in found]}))
+        return
+    for line in text.listed(found, str(folder_path)):
+        click.echo(line)
+
+
+@command.command("check")
+@click.argument("names", metavar="[NAME]...", nargs=-1)
+@folder_option
+@json_option
+def check_command(names: tuple[str, ...], folder_path: Path, as_json: bool) -> None:
+    """Read recordings whole: is received = recorded + gaps, and can every member be read?
+
+    Without NAME all of them. What is torn, damaged or missing is told with its file and place, and
+    the rest is read. Exit code 1 where something is damaged, or missing and in no gap; a torn end,
+    which a kill or a power cut leaves, is told and no failure.
+    """
+    folder = _opened(folder_path)
+    chosen = [folder.named(name) for name in names] or folder.recordings()
+    results = []
+    for result in _checked(chosen):
+        results.append(result)
+        if not as_json:
+            click.echo("\n".join(text.check_lines(result)))
+    if as_json:
+        whole = all(result.is_whole for result in results)
+        document = {"whole": whole, "recordings": [text.check_json(one) for one in results]}
+        click.echo(json.dumps(document))
+    if not all(result.is_whole for result in results):
+        sys.exit(1)
+
+
+def _checked(chosen: list[RecordingPath]) -> Iterator[CheckedRecording]:
+    """Each in turn, with a line of progress where a person waits."""
+    shown = sys.stderr.isatty()
+    for number, recording in enumerate(chosen, 1):
+        where = f"{recording.name} ({number} of {len(chosen)})"
+        yield check_recording(recording, _progress(where) if shown else lambda _: None)
+        if shown:
+            click.echo("\r\033[K", nl=False, err=True)
+
+
+def _progress(where: str) -> Callable[[int], None]:
+    read_bytes = 0
+
+    def show(size: int) -> None:
+        nonlocal read_bytes
+        read_bytes += size
+        click.echo(f"\r{where}: {text.size(read_bytes)} ", nl=False, err=True)
+
+    return show
+
+
+@command.command("keep")
+@click.argument("name", metavar="NAME|now")
+@folder_option
+@click.option(
+    "--status",
+    "status_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    default=STATUS_PATH,
+    show_default=True,
+    help="Where the running recorder says how it goes; for now.",
+)
+def keep_command(
+    name: str,
+    folder_path: Path,
+    status_path: Path,
+) -> None:
+    """Keep a recording: the recorder never removes it.
+
+    now asks the running recorder for an incident of this moment: the minute before, and the
+    half minute that follows. NAME keeps a drive or an incident whole.
+    """
+    folder = _opened(folder_path)
+    if name == _NOW:
+        made = keep_now(folder, read_status(status_path).pid)
+        click.echo(made or "asked; the incident is there once its segment is")
+        return
+    kept = keep_whole(folder.named(name))
+    click.echo(f"{name} stays until somebody removes it" if kept else f"{name} is kept already")
+
+
+@command.command("remove")
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
+@folder_option
+@click.option("--yes", is_flag=True, help="Do not ask.")
+def remove_command(names: tuple[str, ...], folder_path: Path, yes: bool) -> None:
+    """Remove drives or incidents from the disk, after a question.
+
+    Never one that is being written, nothing outside the folder, and no file that is none of a
+    recording's: a folder with others in it stays, with them. What an incident has in common with
+    its drive is gone from the disk when both are removed.
+    """
+    folder = _opened(folder_path)
+    chosen = [folder.named(name) for name in names]
+    if not yes:
+        _ask(chosen)
+    for recording in chosen:
+        others = remove_recording(recording)
+        click.echo(f"{recording.name} is removed")
+        if others:
+            click.echo(
+                f"{recording.path} stays: {', '.join(others)} in it is no recording", err=True
+            )
+
+
+def _ask(chosen: list[RecordingPath]) -> None:
+    """Ask on a terminal; without one, --yes has to be said."""
+    found = [summarise(recording) for recording in chosen]
+    for line in text.chosen_lines(found):
+        click.echo(line)
+    if not sys.stdin.isatty():
+        raise click.UsageError("nobody is there to be asked: say --yes")
+    click.confirm("Remove for good?", abort=True)

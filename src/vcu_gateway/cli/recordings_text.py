@@ -1,0 +1,118 @@
+"""Recordings as text for people and as JSON."""
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from vcu_gateway.recordings import CheckedRecording, RecordingSummary
+from vcu_gateway.units import NS_PER_S
+
+_MINUTE_S, _HOUR_S = 60, 3600
+_UNITS = ("kB", "MB", "GB", "TB")
+_NONE = "-"
+
+
+def size(size_bytes: float) -> str:
+    """Bytes with three digits and a unit, as disks are sold: 1 MB is 1,000,000 bytes."""
+    if size_bytes < 1000:
+        return f"{size_bytes:.0f} B"
+    power = min(len(_UNITS), int(math.log(size_bytes * 1.0005, 1000)))
+    return f"{size_bytes / 1000**power:.3g} {_UNITS[power - 1]}"
+
+
+def duration(seconds: float) -> str:
+    """`42 s`, `3 min 07 s`, `26 h 05 min`."""
+    whole_s = round(seconds)
+    if whole_s < _MINUTE_S:
+        return f"{whole_s} s"
+    if whole_s < _HOUR_S:
+        return f"{whole_s // _MINUTE_S} min {whole_s % _MINUTE_S:02d} s"
+    return f"{whole_s // _HOUR_S} h {whole_s % _HOUR_S // _MINUTE_S:02d} min"
+
+
+def listed(found: Sequence[RecordingSummary], folder: str) -> Iterator[str]:
+    """The list: drives, incidents, and what all of it takes."""
+    for kind in ("drive", "incident"):
+        rows = [one for one in found if one.kind == kind]
+        yield f"{len(rows)} {kind}{'' if len(rows) == 1 else 's'} in {folder}/{kind}s"
+        if rows:
+            head = ("NAME", "BEGAN (UTC)", "DURATION", "SIZE", "GAPS", "")
+            yield from _table([head, *map(_row, rows)])
+        yield ""
+    drives_bytes = sum(one.size_bytes for one in found if one.kind == "drive")
+    yield f"{size(drives_bytes)} of drives; while a drive is there, its incidents take no room"
+
+
+def _row(one: RecordingSummary) -> tuple[str, ...]:
+    notes = [*one.reasons, *(["being written"] if one.is_written else [])]
+    notes += ["kept"] if one.kept else []
+    notes += one.problems
+    return (
+        one.name,
+        _NONE if one.begun_wall_ns is None else _utc(one.begun_wall_ns),
+        _NONE if one.duration_s is None else duration(one.duration_s),
+        size(one.size_bytes),
+        _gaps(one),
+        "; ".join(notes),
+    )
+
+
+def _gaps(one: RecordingSummary) -> str:
+    if one.lost is None:
+        return _NONE
+    return f"{one.lost.gaps} ({one.lost.frames} frames)" if one.lost.gaps else "none"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        yield f"  {'  '.join(cells)}".rstrip()
+
+
+def _utc(wall_ns: int) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(wall_ns // NS_PER_S))
+
+
+def summary_json(one: RecordingSummary) -> dict[str, Any]:
+    """The summary; begun_wall_ns in nanoseconds since 1970."""
+    return {**one._asdict(), "lost": one.lost and one.lost._asdict()}
+
+
+def check_lines(found: CheckedRecording) -> Iterator[str]:
+    """The verdict, the sum, and every fault."""
+    yield f"{found.name}: {_verdict(found)}; {_sum(found)}"
+    yield from (f"  {fault.file}: {fault.what}" for fault in found.faults)
+
+
+def _verdict(found: CheckedRecording) -> str:
+    if not found.is_whole:
+        return "NOT WHOLE"
+    if found.is_written:
+        return "whole, and being written"
+    return "whole up to its end, which is cut off" if found.is_cut_off else "whole"
+
+
+def _sum(found: CheckedRecording) -> str:
+    gaps = found.gaps
+    received = found.frames + gaps.frames + found.missing_frames
+    in_gaps = f" + {gaps.frames} in {gaps.gaps} gap{'' if gaps.gaps == 1 else 's'}"
+    missing = f" + {found.missing_frames} missing" if found.missing_frames else ""
+    frames = f"{received} frames received = {found.frames} recorded{in_gaps}{missing}"
+    return f"{found.segments} segment{'' if found.segments == 1 else 's'}, {frames}"
+
+
+def check_json(found: CheckedRecording) -> dict[str, Any]:
+    """What the check found."""
+    return {
+        **found._asdict(),
+        "is_whole": found.is_whole,
+        "gaps": found.gaps._asdict(),
+        "faults": [fault._asdict() for fault in found.faults],
+    }
+
+
+def chosen_lines(found: Sequence[RecordingSummary]) -> Iterator[str]:
+    """What is about to be removed."""
+    yield from _table([_row(one) for one in found])

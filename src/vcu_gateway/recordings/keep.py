@@ -1,0 +1,103 @@
+"""Keeping a recording: whole, or a part of it as an incident."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath, write_error
+from vcu_gateway.recordings.segment_lines import last_second, read_begin
+from vcu_gateway.units import NS_PER_S
+
+_REASON = "requested"
+
+
+def keep_whole(recording: RecordingPath) -> bool:
+    """Have the recorder never remove it; False where that is so already."""
+    path = recording.path / layout.KEEP_FILE
+    try:
+        layout.write_new(path, b"")
+    except FileExistsError:
+        return False
+    except OSError as error:
+        raise write_error(error, path) from error
+    return True
+
+
+def keep_part(
+    folder: RecordingFolder, drive: RecordingPath, begin_ns: int, end_ns: int, reason: str
+) -> RecordingPath:
+    """Make an incident, which the recorder never removes, of the segments in that time.
+
+    Hard links: it takes no room while the drive is there. Both stamps are of the wall clock.
+    DataError where nothing was recorded then.
+    """
+    links = [
+        path
+        for segment, first_ns, last_ns in segment_times(drive.path)
+        if first_ns <= end_ns and last_ns >= begin_ns
+        for path in segment.paths
+    ]
+    if not links:
+        what = "has nothing of that time"
+        raise DataError(Problem(what, drive.name, "vcu-gateway recordings list, all times in UTC"))
+    files = _incident_files(drive, begin_ns, end_ns, reason)
+    path = _free_name(folder.path / layout.INCIDENTS, begin_ns)
+    try:
+        layout.create_folder(path, files, links)
+    except OSError as error:
+        raise write_error(error, path) from error
+    return RecordingPath("incident", path)
+
+
+def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
+    """Segments of a drive with their first and last moment, wall clock; unreadable ones left out.
+
+    A segment lasts until the next one begins, the last until its last readable lines.
+    """
+    begun = [
+        (segment, begin.wall_ns)
+        for segment in layout.segments(drive)
+        if segment.core is not None and (begin := read_begin(segment.core)) is not None
+    ]
+    ends = [wall_ns for _, wall_ns in begun[1:]]
+    if begun:
+        last, wall_ns = begun[-1]
+        last_s = last_second(last.core) if last.core is not None else None
+        ends.append(max(wall_ns, (last_s or 0) * NS_PER_S))
+    return [(segment, begin, end) for (segment, begin), end in zip(begun, ends, strict=True)]
+
+
+def _incident_files(
+    drive: RecordingPath, begin_ns: int, end_ns: int, reason: str
+) -> dict[str, bytes]:
+    """Description, copies of the drive's own, and the mark that it stays."""
+    described = layout.read_description(drive.path / layout.DRIVE_FILE)
+    incident = {
+        "format": layout.FORMAT,
+        "reason": _REASON,
+        "kind": _REASON,
+        "what": reason,
+        "at": datetime.fromtimestamp(begin_ns // NS_PER_S, UTC).isoformat(),
+        "at_ns": begin_ns,
+        "before_s": 0,
+        "after_s": (end_ns - begin_ns) / NS_PER_S,
+        "drive": drive.name,
+        **{key: described.get(key) for key in ("run", "channel", "config_digest")},
+    }
+    copied = (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE)
+    present = [drive.path / name for name in copied if (drive.path / name).exists()]
+    return {
+        layout.INCIDENT_FILE: layout.description_bytes(incident),
+        layout.KEEP_FILE: b"",
+        **{path.name: path.read_bytes() for path in present},
+    }
+
+
+def _free_name(parent: Path, wall_ns: int) -> Path:
+    name = layout.incident_name(wall_ns, _REASON)
+    number = 1
+    while (path := parent / (name if number == 1 else f"{name}-{number}")).exists():
+        number += 1
+    return path

@@ -1,0 +1,107 @@
+"""Recordings as the recorder leaves them, written by its own writer."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.candump import CandumpLines
+from vcu_gateway.drive_format.datagram import EXTENDED
+from vcu_gateway.drive_format.segment import SegmentWriter
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
+
+START_S = 1_763_920_000  # 2025-11-23T17:46:40Z
+FRAMES_A_SECOND = 20
+SECONDS = 3  # of a segment
+FRAMES = FRAMES_A_SECOND * SECONDS
+_DESCRIPTION = {
+    "format": 1,
+    "run": "1f3a9c2e-0000",
+    "channel": "can0",
+    "config_digest": "abc",
+    "number": 1,
+}
+
+
+class WrittenDrive:
+    """A drive that grows by segments; each has 60 frames in 3 s.
+
+    Attributes:
+        folder: of all recordings.
+        path: of the drive.
+    """
+
+    def __init__(self, folder: Path, start_s: int = START_S) -> None:
+        self.folder = folder
+        self.path = folder / layout.DRIVES / layout.drive_name(start_s * NS_PER_S, "1f3a9c2e-0000")
+        files = {
+            layout.DRIVE_FILE: layout.description_bytes(_DESCRIPTION),
+            layout.CONFIG_FILE: b"bus: {channel: can0}\n",
+            layout.DBC_FILE: b"VERSION\n",
+        }
+        layout.create_folder(self.path, files)
+        self._lines = CandumpLines("can0")
+        self._second = start_s
+        self._number = self._handed_on = 0
+        self._lost = {"frames": 0, "ticks": 0, "gaps": 0}
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def segment(self, gap_frames: int = 0, ended: bool = True, silently: int = 0) -> Path:
+        """The next segment, after a gap that it tells and one that it does not; its core file."""
+        self._number += 1
+        self._handed_on += gap_frames + silently
+        writer = SegmentWriter(self.path, self._number)
+        writer.add([], self._begin(gap_frames))
+        for _ in range(SECONDS):
+            self._one_second(writer)
+        if ended:
+            writer.add([], _line({"f": writer.frames, "end": {"frames": writer.frames}}))
+            writer.flush(self._second)
+        self._handed_on += writer.frames
+        writer.close()
+        return self.path / layout.core_name(self._number)
+
+    def _begin(self, gap_frames: int) -> str:
+        begin = {
+            "frames": self._handed_on,
+            "ticks": self._handed_on,
+            "wall_ns": self._second * NS_PER_S,
+            "recorder": "0",
+            "lost": self._lost,
+        }
+        gap = ""
+        if gap_frames:
+            one = {"frames": gap_frames, "ticks": gap_frames, "gaps": 1}
+            self._lost = {key: self._lost[key] + count for key, count in one.items()}
+            begin["lost"] = self._lost
+            told = {"frames": gap_frames, "ticks": gap_frames, "why": "the disk was full"}
+            gap = _line({"f": 0, "gap": told})
+        return _line({"checkpoint": {}, "f": 0}) + _line({"f": 0, "begin": begin}) + gap
+
+    def _one_second(self, writer: SegmentWriter) -> None:
+        for frame in range(FRAMES_A_SECOND):
+            wall_ns = self._second * NS_PER_S + frame * 50 * NS_PER_MS
+            line = self._lines.line(wall_ns, EXTENDED | 0x40AD079, bytes(8), False)
+            writer.add([line], _line({"f": writer.frames + 1, "tick": wall_ns}))
+        writer.flush(self._second)
+        self._second += 1
+
+
+def _line(values: dict[str, Any]) -> str:
+    return json.dumps(values) + "\n"
+
+
+def torn(path: Path, size_bytes: int = 10) -> None:
+    """Cut the end of a file off, as a power cut does."""
+    data = path.read_bytes()
+    path.write_bytes(data[:-size_bytes])
+
+
+def zeroed(path: Path, offset: int, size_bytes: int = 40) -> None:
+    """Bytes of a file that a bad disk has lost."""
+    data = bytearray(path.read_bytes())
+    data[offset : offset + size_bytes] = bytes(size_bytes)
+    path.write_bytes(data)

@@ -1,0 +1,169 @@
+"""Received = recorded + gaps, and every member can be read."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.recordings.recorded import FRAMES, FRAMES_A_SECOND, WrittenDrive, torn, zeroed
+from vcu_gateway.drive_format import layout, lock
+from vcu_gateway.errors import MissingInputError
+from vcu_gateway.recordings import CheckedRecording, RecordingFolder, check_recording
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> WrittenDrive:
+    """Three whole segments."""
+    one = WrittenDrive(tmp_path)
+    for _ in range(3):
+        one.segment()
+    return one
+
+
+def checked(drive: WrittenDrive) -> CheckedRecording:
+    recording = RecordingFolder(drive.folder).named(drive.name)
+    return check_recording(recording, lambda size: None)
+
+
+def faults(drive: WrittenDrive) -> list[tuple[str, str]]:
+    return [(fault.file, fault.what) for fault in checked(drive).faults]
+
+
+def test_a_whole_drive_is_whole(drive):
+    found = checked(drive)
+    assert found.is_whole
+    assert (found.segments, found.frames, found.gaps.gaps) == (3, 3 * FRAMES, 0)
+    assert (found.missing_frames, found.is_cut_off, found.faults) == (0, False, ())
+
+
+def test_frames_in_a_gap_are_not_missing(drive):
+    drive.segment(gap_frames=7)
+    found = checked(drive)
+    assert found.is_whole
+    assert (found.gaps.frames, found.gaps.gaps, found.missing_frames) == (7, 1, 0)
+
+
+def test_frames_that_no_gap_tells_are_missing(drive):
+    drive.segment(silently=7)
+    found = checked(drive)
+    assert not found.is_whole
+    assert (found.frames, found.missing_frames) == (4 * FRAMES, 7)
+
+
+def test_more_frames_than_were_handed_on_are_a_fault(drive):
+    drive.segment(gap_frames=5, silently=-5)
+    assert not checked(drive).is_whole
+    assert "5 frames more are recorded" in faults(drive)[0][1]
+
+
+def test_a_ring_that_has_dropped_the_beginning_leaves_a_whole_drive(drive):
+    for path in layout.segments(drive.path)[0].paths:
+        path.unlink()
+    found = checked(drive)
+    assert found.is_whole
+    assert found.frames == 2 * FRAMES
+
+
+def test_a_segment_that_is_gone_from_the_middle_is_a_fault(drive):
+    for path in layout.segments(drive.path)[1].paths:
+        path.unlink()
+    assert not checked(drive).is_whole
+    assert faults(drive) == [(layout.frames_name(3), "segments between 1 and 3 are missing")]
+
+
+def test_a_torn_end_is_told_and_the_rest_is_read(drive):
+    drive.segment(ended=False)
+    torn(drive.path / layout.frames_name(4))
+    found = checked(drive)
+    assert found.is_whole
+    assert found.is_cut_off
+    assert found.frames == 4 * FRAMES - FRAMES_A_SECOND
+    (fault,) = found.faults
+    assert fault.at_end
+    assert "the last member is cut off" in fault.what
+
+
+def test_a_torn_end_that_was_no_end_is_missing(drive):
+    torn(drive.path / layout.frames_name(2))
+    found = checked(drive)
+    assert not found.is_whole
+    assert found.missing_frames == FRAMES_A_SECOND
+
+
+def test_damage_in_the_middle_is_told_with_its_lines_and_the_rest_is_read(drive):
+    zeroed(drive.path / layout.frames_name(2), offset=40)
+    found = checked(drive)
+    assert not found.is_whole
+    assert found.frames == 3 * FRAMES - FRAMES_A_SECOND
+    assert found.missing_frames == FRAMES_A_SECOND
+    assert (layout.frames_name(2), f"{FRAMES_A_SECOND} lines are lost") in faults(drive)
+
+
+def test_a_recorder_that_was_killed_between_two_members_left_no_fault(drive):
+    drive.segment(ended=False)
+    found = checked(drive)
+    assert found.is_whole
+    assert found.is_cut_off
+
+
+def test_frames_that_the_last_segment_counts_and_does_not_have_are_missing(drive):
+    path = drive.path / layout.frames_name(3)
+    path.write_bytes(b"")
+    assert checked(drive).missing_frames == FRAMES
+
+
+@pytest.mark.parametrize("name", [layout.frames_name(2), layout.core_name(2)])
+def test_a_file_that_is_gone_is_a_fault(drive, name):
+    (drive.path / name).unlink()
+    assert not checked(drive).is_whole
+    assert (name, "is missing") in faults(drive)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        (b'{"f": 5,', b'{"g": 5,', "line 7 has no number of frames before it"),
+        (b'{"f": 5,', b'{"f": 3,', "line 7 counts 3 frames after 4"),
+        (b'{"f": 5,', b'{"f": 5 ', "line 7 is no JSON"),
+        (b'{"checkpoint"', b'{"checkpaint"', "does not begin with a checkpoint"),
+        (b'"wall_ns"', b'"ball_ns"', "has no usable begin or gap"),
+    ],
+)
+def test_a_core_line_that_is_wrong_is_named(drive, before, after, told):
+    from vcu_gateway.drive_format.members import Member, packed, read_members
+
+    path = drive.path / layout.core_name(1)
+    members = [part for part in read_members(path) if isinstance(part, Member)]
+    first = members[0].data.replace(before, after)
+    rest = path.read_bytes()[members[0].size :]
+    path.write_bytes(packed(first, 0, members[0].wall_s) + rest)
+    assert not checked(drive).is_whole
+    assert any(told in what for _, what in faults(drive))
+
+
+def test_the_end_of_a_drive_that_is_being_written_is_not_judged(drive):
+    drive.segment(ended=False)
+    torn(drive.path / layout.core_name(4), 3)
+    descriptor = lock.hold(drive.path)
+    found = checked(drive)
+    assert descriptor
+    assert found.is_written
+    assert found.is_whole
+    assert (found.is_cut_off, found.faults) == (False, ())
+
+
+def test_a_description_that_is_damaged_is_a_fault(drive):
+    (drive.path / layout.DRIVE_FILE).write_text("{")
+    assert "is no JSON" in faults(drive)[0][1]
+
+
+def test_progress_tells_the_bytes_of_every_segment(drive):
+    sizes: list[int] = []
+    check_recording(RecordingFolder(drive.folder).named(drive.name), sizes.append)
+    files = [path for segment in layout.segments(drive.path) for path in segment.paths]
+    assert sum(sizes) == sum(path.stat().st_size for path in files)
+    assert len(sizes) == 3
+
+
+def test_a_folder_without_recordings_is_none(tmp_path):
+    with pytest.raises(MissingInputError, match="has no recordings in it"):
+        RecordingFolder(tmp_path)

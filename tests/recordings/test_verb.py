@@ -1,0 +1,213 @@
+"""`vcu-gateway recordings`, as it is typed."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.recordings.recorded import FRAMES, START_S, WrittenDrive, torn
+from vcu_gateway.drive_format import layout, lock
+
+PROGRAM = [sys.executable, "-m", "vcu_gateway", "recordings"]
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> WrittenDrive:
+    """Two whole segments."""
+    one = WrittenDrive(tmp_path)
+    one.segment()
+    one.segment(gap_frames=7)
+    return one
+
+
+AS_NOBODY = """
+import os, sys
+from vcu_gateway.cli import main, recordings
+os.setgroups([]), os.setresgid(65534, 65534, 65534), os.setresuid(65534, 65534, 65534)
+sys.argv[1:1] = ["recordings"]
+main()
+"""
+
+
+def said(
+    drive: WrittenDrive, *words: str, code: int = 0, program: Sequence[str] = PROGRAM
+) -> subprocess.CompletedProcess[str]:
+    command = [*program, *words, "--folder", str(drive.folder)]
+    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done
+
+
+def incident(drive: WrittenDrive, reason: str = "undervoltage") -> Path:
+    """Of the drive's first segment."""
+    path = drive.folder / layout.INCIDENTS / "20251123T174641Z-fault_latched"
+    described = {"format": 1, "reason": "fault_latched", "kind": reason, "what": reason}
+    own = (drive.path / layout.DRIVE_FILE).read_bytes()
+    files = {
+        layout.INCIDENT_FILE: layout.description_bytes(described),
+        layout.DRIVE_FILE: own,
+    }
+    layout.create_folder(path, files, layout.segments(drive.path)[0].paths)
+    return path
+
+
+def test_the_list_names_drives_and_incidents_with_duration_size_gaps_and_why(drive):
+    incident(drive)
+    lines = said(drive, "list").stdout.splitlines()
+    (of_drive,) = (line for line in lines if drive.name in line)
+    assert "2025-11-23 17:46:40" in of_drive
+    assert " 6 s " in of_drive
+    assert "1 (7 frames)" in of_drive
+    (of_incident,) = (line for line in lines if "fault_latched" in line)
+    assert "none" in of_incident
+    assert of_incident.endswith("undervoltage")
+
+
+def test_the_list_as_json_has_all_of_it(drive):
+    incident(drive)
+    (drive.path / layout.KEEP_FILE).touch()
+    of_drive, of_incident = json.loads(said(drive, "list", "--json").stdout)["recordings"]
+    assert of_drive["lost"] == {"frames": 7, "ticks": 7, "gaps": 1}
+    assert (of_drive["begun_wall_ns"], of_drive["channel"]) == (START_S * 10**9, "can0")
+    assert (of_drive["kept"], of_drive["is_written"]) == (True, False)
+    assert of_incident["reasons"] == ["undervoltage"]
+
+
+def test_the_list_tells_what_is_being_written(drive):
+    descriptor = lock.hold(drive.path)
+    assert "being written" in said(drive, "list").stdout
+    os.close(descriptor)
+
+
+def test_a_drive_that_cannot_be_read_does_not_hide_the_others(drive):
+    broken = WrittenDrive(drive.folder, START_S + 60)
+    (broken.path / layout.DRIVE_FILE).write_text("{")
+    listed = said(drive, "list").stdout
+    assert drive.name in listed
+    assert "is no JSON" in listed
+
+
+def test_a_link_among_the_drives_is_no_drive(drive, tmp_path):
+    (drive.path.parent / "20201123T").symlink_to(tmp_path)
+    assert "20201123T" not in said(drive, "list").stdout
+    said(drive, "remove", "--yes", "20201123T", code=66)
+
+
+def test_a_whole_recording_is_whole(drive):
+    (line,) = said(drive, "check").stdout.splitlines()
+    assert line == (
+        f"{drive.name}: whole; 2 segments, {2 * FRAMES + 7} frames received = "
+        f"{2 * FRAMES} recorded + 7 in 1 gap"
+    )
+
+
+def test_what_is_torn_is_told_and_what_is_missing_ends_with_1(drive):
+    torn(drive.path / layout.frames_name(1))
+    done = said(drive, "check", drive.name, code=1)
+    assert "NOT WHOLE" in done.stdout
+    assert "20 missing" in done.stdout
+    assert f"  {layout.frames_name(1)}: " in done.stdout
+
+
+def test_the_check_as_json_has_every_fault(drive):
+    torn(drive.path / layout.frames_name(1))
+    found = json.loads(said(drive, "check", "--json", code=1).stdout)
+    assert found["whole"] is False
+    (one,) = found["recordings"]
+    assert (one["missing_frames"], one["frames"]) == (20, 2 * FRAMES - 20)
+    assert one["faults"][0]["at_end"] is True
+
+
+def test_what_is_kept_stays_until_somebody_removes_it(drive):
+    assert "stays" in said(drive, "keep", drive.name).stdout
+    assert (drive.path / layout.KEEP_FILE).exists()
+    assert "already" in said(drive, "keep", drive.name).stdout
+
+
+def test_a_name_that_is_none_is_answered_with_the_nearest(drive):
+    done = said(drive, "keep", drive.name[:-1], code=66)
+    assert f'did you mean "{drive.name}"?' in done.stderr
+
+
+def test_a_removed_drive_is_gone_and_its_incident_is_not(drive):
+    kept = incident(drive)
+    said(drive, "remove", "--yes", drive.name)
+    assert not drive.path.exists()
+    assert "whole" in said(drive, "check", kept.name).stdout
+
+
+def test_what_is_being_written_is_not_removed(drive):
+    descriptor = lock.hold(drive.path)
+    done = said(drive, "remove", "--yes", drive.name, code=75)
+    os.close(descriptor)
+    assert "is being written by the recorder" in done.stderr
+    assert len(layout.segments(drive.path)) == 2
+
+
+def test_nothing_outside_is_removed_through_a_link(drive, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    (outside / "precious").write_text("kept")
+    segment = layout.segments(drive.path)[0].frames
+    assert segment is not None
+    segment.unlink()
+    segment.symlink_to(outside / "precious")
+    (drive.path / "folder").symlink_to(outside)
+    done = said(drive, "remove", "--yes", drive.name)
+    assert "stays: folder in it is no recording" in done.stderr
+    assert (outside / "precious").read_text() == "kept"
+    assert [path.name for path in drive.path.iterdir()] == ["folder"]
+
+
+@pytest.mark.parametrize("name", ["..", "../drives", "/etc", "."])
+def test_a_path_is_no_name(drive, name):
+    said(drive, "remove", "--yes", name, code=66)
+    assert drive.path.exists()
+
+
+def test_nobody_is_asked_where_nobody_is(drive):
+    done = said(drive, "remove", drive.name, code=2)
+    assert "say --yes" in done.stderr
+    assert drive.path.exists()
+
+
+@pytest.mark.parametrize(("answer", "gone"), [("y\n", True), ("n\n", False)])
+def test_a_person_is_asked_and_the_answer_counts(drive, answer, gone):
+    terminal, own = pty.openpty()
+    command = [*PROGRAM, "remove", drive.name, "--folder", str(drive.folder)]
+    with subprocess.Popen(command, stdin=own, stdout=subprocess.PIPE, text=True) as process:
+        os.write(terminal, answer.encode())
+        shown, _ = process.communicate(timeout=60)
+    os.close(terminal)
+    os.close(own)
+    assert drive.name in shown
+    assert drive.path.exists() is not gone
+
+
+def test_keep_now_without_a_recorder_says_what_to_do(drive):
+    done = said(drive, "keep", "now", "--status", str(drive.folder / "none.json"), code=69)
+    assert "no recorder has written its state" in done.stderr
+    assert "systemctl start vcu-gateway-recorder.socket" in done.stderr
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="another user's rights need root")
+def test_without_the_right_to_read_it_says_which_group_to_join(drive):
+    drive.folder.chmod(0o750)
+    done = said(drive, "list", code=77, program=[sys.executable, "-c", AS_NOBODY])
+    assert "may not be read by this user" in done.stderr
+    assert "usermod -aG vcu-gateway-recorder" in done.stderr
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives files away")
+def test_what_root_keeps_belongs_to_the_recorder_and_links_of_others_are_no_use(drive, tmp_path):
+    for path in [drive.folder, *drive.folder.rglob("*")]:
+        os.chown(path, 65534, 65534)
+    for path in [tmp_path, *tmp_path.parents][:-1]:
+        path.chmod(path.stat().st_mode | 0o111)
+    said(drive, "keep", drive.name)
+    kept = (drive.path / layout.KEEP_FILE).stat()
+    assert (kept.st_uid, kept.st_gid) == (65534, 65534)
