@@ -103,7 +103,7 @@ class GatewayMachine(RuleBasedStateMachine):
     @initialize(settings=SETTINGS, warm=st.sampled_from([True, True, True, True, False]))
     def begin(self, settings, warm):
         self.settings = settings
-        self.gateway = Gateway(CODEC, settings, self.now_ns)
+        self.gateway = self._new_gateway()
         self.reference = ReferenceModel(settings)
         self.schedule = Schedule(self.now_ns, settings.period_ns)
         self.quiet_until_ns = self.now_ns + settings.listen_before_talk_ms * MS
@@ -125,6 +125,9 @@ class GatewayMachine(RuleBasedStateMachine):
                 if self.gateway.supervisor.mode is Mode.STANDBY:
                     break
                 self._step()
+
+    def _new_gateway(self):
+        return Gateway(CODEC, self.settings, self.now_ns)
 
     def _well(self):
         self.bms = [0, 0]

@@ -12,6 +12,8 @@ from vcu_gateway.drive.tap import Tap, TappedGateway
 class TappedDrive(Drive):
     """`tap` has what was noted since its last take."""
 
+    gateway: TappedGateway
+
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.tap = Tap()

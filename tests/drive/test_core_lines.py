@@ -173,6 +173,11 @@ def test_a_gap_says_what_is_missing():
     assert parsed(text) == [Placed(9, Gap(5, None, 1, "the disk was full"))]
 
 
+@pytest.mark.parametrize("line", ['{"f":1}', '{"f":0,"begin":{"frames":1}}', '{"f":0,"new":1}'])
+def test_a_line_of_another_kind_is_passed_by(line):
+    assert parsed(line) == []
+
+
 @pytest.mark.parametrize(
     "line",
     [
@@ -181,7 +186,6 @@ def test_a_gap_says_what_is_missing():
         "[]",
         "3",
         "null",
-        '{"f":1}',
         '{"arm":5}',
         '{"f":true,"arm":5}',
         '{"f":1,"arm":"now"}',

@@ -41,7 +41,10 @@ class LineParser:
         self._mode = Mode.STARTING
 
     def records(self, line: bytes | str) -> list[Placed]:
-        """Records of one line, the calls of `sent` after their tick; LineError where it is none."""
+        """Records of one line, the calls of `sent` after their tick; LineError where it is none.
+
+        A line of a kind that is not known has none.
+        """
         try:
             return self._records(json.loads(line))
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as e:
@@ -56,7 +59,9 @@ class LineParser:
         kind = next((key for key in values if key in _INPUTS), None)
         if kind is not None:
             return [Placed(before, InputRecord(_INPUTS[kind](values), _answer(values)))]
-        kind = next((key for key in values if key in _RECORDS), "")
+        kind = next((key for key in values if key in _RECORDS), None)
+        if kind is None:
+            return []  # the recorder's own, or a later version's
         record = _RECORDS[kind](values)
         if isinstance(record, Checkpoint):
             self._mode = record.mode

@@ -174,6 +174,11 @@ def packed_frames(frames: list[Frame]) -> list[bytes]:
 
 
 def _packed_frame(frame: Frame) -> bytes:
+    return datagram.packed_frame(*recorded_frame(frame))
+
+
+def recorded_frame(frame: Frame) -> datagram.FrameRecord:
+    """The frame with Linux's flags in its identifier."""
     can_id = frame.can_id & datagram.ID_MASK
     if frame.extended:
         can_id |= datagram.EXTENDED
@@ -181,7 +186,7 @@ def _packed_frame(frame: Frame) -> bytes:
         can_id |= datagram.REMOTE
     if frame.error:
         can_id |= datagram.ERROR
-    return datagram.packed_frame(frame.arrival_ns, can_id, frame.own_echo, frame.data)
+    return datagram.FrameRecord(frame.arrival_ns, can_id, frame.own_echo, bytes(frame.data))
 
 
 def frame_of(record: datagram.FrameRecord) -> Frame:

@@ -90,6 +90,12 @@ def segments(folder: Path) -> list[SegmentFiles]:
     return [_segment(folder, number) for number in sorted(numbers)]
 
 
+def segment_number(name: str) -> int | None:
+    """Number of the segment that a file of this name belongs to; None for other files."""
+    found = _SEGMENT.fullmatch(name)
+    return None if found is None else int(found[1])
+
+
 def _segment(folder: Path, number: int) -> SegmentFiles:
     paths = (folder / frames_name(number), folder / core_name(number))
     frames, core = (path if os.path.lexists(path) else None for path in paths)

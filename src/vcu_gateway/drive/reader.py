@@ -1,0 +1,128 @@
+"""Reader of recorded drives: what a gateway was given and what it answered, in order.
+
+    drive = open_drive(Path("drives/20261123T180412Z-1f3a9c2e"))
+    for record in drive.records():
+        ...
+
+Memory does not grow with the drive. What is missing is a `Gap`; after it a checkpoint follows.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vcu_gateway.core.arrival_time import ClockPair
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.drive.frame_lines import frame_of
+from vcu_gateway.drive.records import CoreRecord
+from vcu_gateway.drive.segment_reader import SegmentReader
+from vcu_gateway.drive.settings_json import settings_of
+from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.drive_format.members import Member, read_members
+from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.recording.recorded import RecordedFrame
+
+
+class DriveInfo(NamedTuple):
+    """What a gateway said of itself when it began to be recorded.
+
+    Attributes:
+        run: id of its process.
+        versions: of the program, Python, the kernel and the machine.
+        clock: wall time of a frame is arrival_ns + clock.distance_ns.
+        settings: in effect when the drive began; those of a checkpoint are later ones.
+        config, dbc: the texts.
+        described: all of drive.json.
+    """
+
+    run: str
+    channel: str
+    versions: dict[str, str]
+    clock: ClockPair
+    settings: Settings
+    config: str
+    config_digest: str
+    dbc: str
+    described: dict[str, Any]
+
+
+def open_drive(path: Path) -> "Drive":
+    """A drive's or an incident's folder, or one file of a segment in it.
+
+    Raises MissingInputError or DataError, with the file and what to do.
+    """
+    folder, only = path, None
+    if path.is_file() and (number := layout.segment_number(path.name)) is not None:
+        folder, only = path.parent, number
+    elif not path.is_dir():
+        what = "is no recorded drive" if path.exists() else "is not there"
+        remedy = "give a drive's or an incident's folder, or a segment's file in it"
+        raise MissingInputError(Problem(what, str(path), remedy))
+    info = _info(folder)
+    files = [one for one in layout.segments(folder) if only in (None, one.number)]
+    return Drive(folder, info, tuple(files))
+
+
+def _info(folder: Path) -> DriveInfo:
+    path = folder / layout.DRIVE_FILE
+    described = layout.read_description(path)
+    try:
+        clock = described["clock"]
+        return DriveInfo(
+            run=described["run"],
+            channel=described["channel"],
+            versions=dict(described["versions"]),
+            clock=ClockPair(int(clock["monotonic_ns"]), int(clock["wall_ns"])),
+            settings=settings_of(described["settings"]),
+            config=_text(folder / layout.CONFIG_FILE),
+            config_digest=str(described.get("config_digest", "")),
+            dbc=_text(folder / layout.DBC_FILE),
+            described=described,
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        version = described.get("versions", {})
+        what = f"cannot be used ({type(error).__name__}: {error}); written by {version}"
+        raise DataError(Problem(what, str(path))) from error
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise MissingInputError(Problem(f"cannot be read: {error.strerror}", str(path))) from error
+
+
+class Drive:
+    """A recorded drive, or the part of one that is in a folder.
+
+    Attributes:
+        segments: files by number; records begin with the checkpoint of each.
+    """
+
+    def __init__(self, folder: Path, info: DriveInfo, segments: tuple[SegmentFiles, ...]) -> None:
+        self.folder = folder
+        self.info = info
+        self.segments = segments
+
+    def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
+        """Every call and result in order, from this segment on; frames as `FrameInput`.
+
+        Raises DataError where a line is whole and wrong.
+        """
+        before: SegmentReader | None = None
+        for files in self.segments:
+            if first_segment is None or files.number >= first_segment:
+                segment = SegmentReader(files, self.info.clock.distance_ns, before)
+                yield from segment.records()
+                before = segment if segment.begun else None
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """Every frame with its wall time, without what belongs to it; damage is passed by."""
+        number = 0
+        for files in self.segments:
+            for part in () if files.frames is None else read_members(files.frames):
+                for line in part.data.splitlines() if isinstance(part, Member) else ():
+                    number += 1
+                    frame = frame_of(line.decode())
+                    yield RecordedFrame(frame, self.info.channel, number, len(frame.data) > 8)

@@ -1,0 +1,86 @@
+"""Writer of a drive in simulated time: a tapped gateway straight to files, without a recorder."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from vcu_gateway.drive.tap import TappedGateway, recorded_frame
+from vcu_gateway.drive.tap_stream import TapStream
+from vcu_gateway.drive_format import layout, lock
+from vcu_gateway.drive_format.candump import CandumpLines
+from vcu_gateway.drive_format.datagram import FrameRecord
+from vcu_gateway.drive_format.segment import SegmentWriter
+from vcu_gateway.units import NS_PER_S
+
+_SEGMENT_NS = 60 * NS_PER_S
+_TEXTS = {"config": layout.CONFIG_FILE, "dbc": layout.DBC_FILE}
+
+
+class DriveWriter:
+    """Records a gateway from now on, until `close`.
+
+    `hello` is what `hello.hello` gives. Call `after_tick` when the frames of a tick were sent.
+
+    Attributes:
+        folder: of the drive; it was not there.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        hello: Mapping[str, Any],
+        gateway: TappedGateway,
+        now_ns: int,
+        segment_ns: int = _SEGMENT_NS,
+    ) -> None:
+        described = {key: value for key, value in hello.items() if key not in _TEXTS}
+        texts = {name: str(hello[key]).encode() for key, name in _TEXTS.items()}
+        files = {layout.DRIVE_FILE: layout.description_bytes(described)} | texts
+        layout.create_folder(folder, files)
+        self.folder = folder
+        self._hold = lock.hold(folder)
+        self._distance_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
+        self._line = CandumpLines(hello["channel"]).line
+        self._gateway = gateway
+        self._stream = TapStream(gateway)
+        self._segment_ns = segment_ns
+        self._number = 0
+        self._segment = self._begin(now_ns)
+
+    def _begin(self, now_ns: int) -> SegmentWriter:
+        self._stream.begin(now_ns, now_ns + self._distance_ns)
+        self._number += 1
+        self._next_segment_ns = now_ns + self._segment_ns
+        self._next_member_ns = now_ns + NS_PER_S
+        return SegmentWriter(self.folder, self._number)
+
+    def after_tick(self, now_ns: int) -> None:
+        """Write what the tick made of its inputs; a second is a member."""
+        self._stream.note_why(now_ns, self._gateway.reasons(now_ns).signature())
+        self._take()
+        if now_ns >= self._next_member_ns:
+            self._next_member_ns += NS_PER_S
+            self._flush(now_ns)
+        if now_ns >= self._next_segment_ns:
+            self._flush(now_ns)
+            self._segment.close()
+            self._segment = self._begin(now_ns)
+
+    def _take(self) -> None:
+        frames, lines = self._stream.batch()
+        self._segment.add([self._frame_line(recorded_frame(frame)) for frame in frames], lines)
+
+    def _frame_line(self, frame: FrameRecord) -> str:
+        wall_ns = frame.arrival_ns + self._distance_ns
+        return self._line(wall_ns, frame.can_id, frame.data, frame.own_echo)
+
+    def _flush(self, now_ns: int) -> None:
+        self._segment.flush((now_ns + self._distance_ns) // NS_PER_S)
+
+    def close(self, now_ns: int) -> None:
+        """Write what is left, and end the drive."""
+        self._take()
+        self._flush(now_ns)
+        self._segment.close()
+        os.close(self._hold)
