@@ -156,7 +156,7 @@ BEGUN_WITH = {
     "speed_limit_max_rpm": {"_before"},
     "power_limit_max_w": {"_ramps"},
     "listen_before_talk_ms": {"_quiet_until_ns"},
-    "bench_demand": {"_current"},
+    "bench_demand": {"current"},
     "auto_arm": set(),
 }
 

@@ -1,8 +1,7 @@
 """Frame lines of a recorded drive, candump's, read quickly: the recorder wrote them."""
 
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.drive_format.candump import ERROR
-from vcu_gateway.drive_format.datagram import ID_MASK
+from vcu_gateway.drive_format.datagram import ERROR, ID_MASK
 
 _EXTENDED_DIGITS = 8
 
