@@ -4,7 +4,7 @@ from vcu_gateway.units import NS_PER_MS
 
 # Half of what the kernel's usual receive buffer holds.
 _BUSY_FRAMES = 139
-_LEAD_MAX_NS = 2 * NS_PER_MS
+_LEAD_MAX_NS = 4 * NS_PER_MS
 # A stall moves the lead by an eighth of this.
 _LONGER_MAX_NS = 400_000
 
