@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
 # What needs a bus runs in the lab, the faults in a lab for each kind of bus.
-BUS_ROOMS := vcan oracle controller lab service faults/vcan faults/slcan faults/netem
+BUS_ROOMS := vcan oracle controller lab power_cut service faults/vcan faults/slcan faults/netem
 NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS))
 IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
 WITH_SLCAN := --modules slcan
@@ -28,7 +28,7 @@ ORDINARY := -m 'not slow'
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
 .PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others \
-	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
+	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
 	test-faults-slcan test-faults-netem test-systems lint nightly soak faults mutants oracle-mutants bench lock clean
 
 help:  ## show this list
@@ -143,6 +143,9 @@ test-debians: setup
 
 test-lab: setup test-guests
 	$(BIN)/pytest -q tests/lab --ignore=$(LAB_QEMU)
+
+test-power-cut: setup test-guests  ## what a power cut leaves of a recording, in the lab
+	$(BIN)/pytest -q tests/power_cut
 
 test-vcan: setup lab
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
