@@ -33,6 +33,7 @@ _VERBS = {
     "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
     "demo": "gateway and simulated vehicle together, live",
     "decode": "decode a recording to JSON lines or CSV",
+    "export": "a recorded drive or a log as HTML, CSV, MF4, Parquet or MCAP",
     "check-config": "check a configuration file",
     "doctor": "check this machine, and say how to fix what fails",
     "schema": "JSON Schema of the configuration, OpenRPC document of the API",

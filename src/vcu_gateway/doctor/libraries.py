@@ -38,7 +38,7 @@ took_s = time.process_time() - began_s
 held = dict(line.split(":", 1) for line in open("/proc/self/status"))
 print(took_s * 1000, int(held["VmHWM"].split()[0]) / 1024)
 """
-_SECOND_ENVIRONMENT = "pip uninstall asammdf; install vcu-gateway[mf4] into an environment of its own (docs/install.md)"
+_SECOND_ENVIRONMENT = "pip uninstall asammdf; vcu-gateway[mf4] belongs into a second environment"
 _IMPORT_TIME = re.compile(r"import time: +(\d+) \| +\d+ \| +([\w.]+)")
 
 

@@ -1,5 +1,6 @@
 """Recording of any format, opened by its name."""
 
+import codecs
 import gzip
 import importlib.util
 import io
@@ -92,6 +93,32 @@ class Recording:
             yield from candump.frames(lines, self.problems)
         except (OSError, EOFError, zlib.error) as error:
             raise self.problems.failure(lines.number, error) from error
+
+    def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]] | None:
+        """Whole lines of candump text, and how many stand before them; None for other formats.
+
+        Instead of iterating: either gives the recording once. A line that is longer than a block
+        comes in pieces.
+        """
+        return self._blocks(size_bytes) if self._suffix == _CANDUMP else None
+
+    def _blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]]:
+        lines, rest = 0, b""
+        while block := self._block(size_bytes, lines):
+            text = rest + block
+            if not lines:
+                text = text.removeprefix(codecs.BOM_UTF8)
+            end = text.rfind(b"\n") + 1 or len(text)
+            yield lines, text[:end]
+            lines, rest = lines + text.count(b"\n", 0, end), text[end:]
+        if rest:
+            yield lines, rest
+
+    def _block(self, size_bytes: int, lines: int) -> bytes:
+        try:
+            return self._plain.read(size_bytes)
+        except (OSError, EOFError, zlib.error) as error:
+            raise self.problems.failure(lines, error) from error
 
     def share_read(self) -> float | None:
         """How much of the file was read, 0..1; None where nobody knows."""

@@ -1,0 +1,170 @@
+"""CSV for a spreadsheet: a row each 50 ms, with the value of every signal at that moment."""
+
+import csv
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from itertools import groupby
+from typing import NamedTuple, TextIO
+
+from vcu_gateway.core.codec import Decoded
+from vcu_gateway.core.spec import SignalSpec
+from vcu_gateway.export.controllers import LatestFrames
+from vcu_gateway.export.decisions import MODES
+from vcu_gateway.export.selection import Selection
+from vcu_gateway.export.source import Source
+from vcu_gateway.export.tables import GATEWAY
+from vcu_gateway.recording.writers import decimals
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
+
+PERIOD_MS = 50
+_KEPT_CODES = 8192
+_COMMAND = re.compile(r"VCU_(\w+)_Command")
+
+
+class _SignalColumn:
+    """Column of one signal; its texts are kept, as they follow from the raw codes alone."""
+
+    def __init__(self, message: str, index: int, signal: SignalSpec) -> None:
+        unit = f" [{signal.unit}]" if signal.unit else ""
+        self.head = f"{message}.{signal.name}{unit}"
+        self.message = message
+        self._index, self._signal = index, signal
+        self._decimals = decimals(signal)
+        self._kept: dict[int, str] = {}
+
+    def text(self, decoded: Decoded | None) -> str:
+        """Name of the code, or the value with the decimals that the signal can have."""
+        if decoded is None:
+            return ""
+        raw = decoded.raws[self._index]
+        kept = self._kept.get(raw)
+        if kept is None:
+            value = round(decoded.values[self._index], self._decimals) + 0
+            if len(self._kept) >= _KEPT_CODES:
+                self._kept.clear()
+            kept = self._kept[raw] = self._signal.names.get(raw) or repr(value)
+        return kept
+
+
+class _DecisionColumn(NamedTuple):
+    """Column of what the gateway decided: its text between two rows."""
+
+    head: str
+    text: Callable[[int, int], str]
+
+
+def write(source: Source, selection: Selection, out: TextIO) -> None:
+    """Write the table; a cell is empty where nothing came yet, or only what is stale."""
+    decided = list(_decision_columns(source, selection))
+    signals = signal_columns(source, selection)
+    latest = {
+        name: LatestFrames(source.store.rows[name]) for name in {one.message for one in signals}
+    }
+    writer = csv.writer(out, lineterminator="\n")
+    heads = [one.head for one in decided] + [one.head for one in signals]
+    writer.writerow(["time", "seconds", *heads])
+    before_ns = source.start_ns - 1
+    for moment_ns in _moments_ns(source):
+        frames = {name: one.at(moment_ns) for name, one in latest.items()}
+        row = [_iso(moment_ns), f"{(moment_ns - source.start_ns) / NS_PER_S:.3f}"]
+        row += [one.text(before_ns, moment_ns) for one in decided]
+        row += [one.text(frames[one.message]) for one in signals]
+        writer.writerow(row)
+        before_ns = moment_ns
+
+
+def signal_columns(source: Source, selection: Selection) -> list[_SignalColumn]:
+    """Every signal that is asked for, each command's beside what answers to it."""
+    found: list[tuple[tuple[str, int, int], _SignalColumn]] = []
+    orders = {name: number for number, name in enumerate(source.store.rows)}
+    for name, rows in source.store.rows.items():
+        for index, signal in enumerate(rows.message.spec.signals):
+            if rows.count and selection.wants(name, signal.name):
+                key = _place(source, name, index, signal.name, orders)
+                found.append((key, _SignalColumn(name, index, signal)))
+    return [column for _, column in sorted(found, key=lambda one: one[0])]
+
+
+def _place(
+    source: Source, message: str, index: int, signal: str, orders: dict[str, int]
+) -> tuple[str, int, int]:
+    """Order of the columns: a controller's together, what is echoed behind what was commanded."""
+    command = message
+    if not _COMMAND.fullmatch(message):
+        command = f"VCU_{message.partition('_')[0]}_Command"
+    node = _COMMAND.fullmatch(command)
+    if node is None or command not in source.store.rows:
+        return "~", orders[message], index
+    commanded = source.store.rows[command].message.spec.signal_names
+    answered = {"MotorSpeed": "SpeedLimit"}.get(signal, signal)
+    if answered in commanded:
+        return node[1], commanded.index(answered), int(message != command)
+    return node[1], len(commanded) + orders[message], index
+
+
+def _moments_ns(source: Source) -> Iterator[int]:
+    ticks = source.decisions.tick_times_ns
+    if ticks:
+        yield from ticks
+    else:
+        yield from range(source.start_ns, source.end_ns + 1, PERIOD_MS * NS_PER_MS)
+
+
+def _iso(stamp_ns: int) -> str:
+    seconds, fraction_ns = divmod(stamp_ns, NS_PER_S)
+    date = datetime.fromtimestamp(seconds, UTC)
+    return f"{date:%Y-%m-%d %H:%M:%S}.{fraction_ns // NS_PER_MS:03d}"
+
+
+def _decision_columns(source: Source, selection: Selection) -> Iterator[_DecisionColumn]:
+    decisions = source.decisions
+    if not decisions.tick_times_ns:
+        return
+    if selection.wants(GATEWAY, "Mode"):
+        modes = dict(zip(decisions.tick_times_ns, decisions.tick_modes, strict=True))
+        yield _DecisionColumn(f"{GATEWAY}.Mode", lambda _, moment_ns: MODES[modes[moment_ns]])
+    if selection.wants(GATEWAY, "Causes"):
+        yield _DecisionColumn(f"{GATEWAY}.Causes", _causes_at(source))
+    if selection.wants(f"{GATEWAY}_Events", "Event"):
+        events = [(one.wall_ns, one.name) for one in decisions.events]
+        yield _DecisionColumn(f"{GATEWAY}.Events", _between(events))
+    if selection.wants(f"{GATEWAY}_Why", "Sentence"):
+        yield _DecisionColumn(f"{GATEWAY}.Why", _latest_of(decisions.whys))
+
+
+def _causes_at(source: Source) -> Callable[[int, int], str]:
+    """Every cause that counts at a moment; made anew only where one begins or ends."""
+    spans = source.decisions.causes
+    edges = sorted({edge for span in spans for edge in (span.began_ns, span.ended_ns) if edge})
+    texts = [
+        "; ".join(
+            f"{span.subject}: {span.effect}"
+            for span in spans
+            if span.began_ns <= edge and (span.ended_ns is None or span.ended_ns > edge)
+        )
+        for edge in edges
+    ]
+    return _latest_of(list(zip(edges, texts, strict=True)))
+
+
+def _latest_of(texts: Sequence[tuple[int, str]]) -> Callable[[int, int], str]:
+    stamps = [stamp for stamp, _ in texts]
+
+    def text(_: int, moment_ns: int) -> str:
+        place = bisect_right(stamps, moment_ns)
+        return texts[place - 1][1] if place else ""
+
+    return text
+
+
+def _between(names: Sequence[tuple[int, str]]) -> Callable[[int, int], str]:
+    stamps = [stamp for stamp, _ in names]
+
+    def text(before_ns: int, moment_ns: int) -> str:
+        first, last = bisect_right(stamps, before_ns), bisect_right(stamps, moment_ns)
+        counted = groupby(name for _, name in names[first:last])
+        return "; ".join(name for name, _ in counted)
+
+    return text

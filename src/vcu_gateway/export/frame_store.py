@@ -1,0 +1,133 @@
+"""Frames of a recording, sorted by message; whole blocks of candump lines at once."""
+
+import io
+import re
+from typing import NamedTuple
+
+from vcu_gateway.core.codec import Codec, MessageCodec, Reason
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.spec import FRAME_LENGTH_BYTES
+from vcu_gateway.export.message_rows import MessageRows
+from vcu_gateway.recording import LineProblems, RecordedFrame, candump
+from vcu_gateway.recording.lines import LineReader
+from vcu_gateway.recording.summary import Summary
+from vcu_gateway.time_window import Window
+from vcu_gateway.units import NS_PER_S
+
+# Seconds, nanoseconds, channel, identifier and eight bytes of data, as the recorder writes them.
+# Whatever else a line may be is left to recording.candump.
+_LINE = re.compile(
+    rb"^\((\d{1,10})\.(\d{9})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: [RT])?\n",
+    re.MULTILINE,
+)
+_MICROSECONDS = re.compile(
+    rb"^\((\d{1,10})\.(\d{6})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: [RT])?\n",
+    re.MULTILINE,
+)
+_KEPT_IDENTIFIERS = 4096
+
+
+class FrameStore:
+    """Every decodable frame inside the window, by message.
+
+    Attributes:
+        rows: by message name, of every message of the protocol.
+        summary: what became of the frames.
+        first_ns, last_ns: stamps of the first and the last frame of the recording; None without.
+        channel: the first frame's.
+    """
+
+    def __init__(self, codec: Codec, window: Window, folder: str | None = None) -> None:
+        self.rows = {name: MessageRows(one, folder) for name, one in codec.by_name.items()}
+        self.summary = Summary()
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+        self.channel: str | None = None
+        self._codec = codec
+        self._window = window
+        self._pending: dict[bytes, _Entry] = {}
+
+    def close(self) -> None:
+        """Give memory and disk back."""
+        for rows in self.rows.values():
+            rows.close()
+
+    def add(self, recorded: RecordedFrame) -> None:
+        """Take in one frame of any kind."""
+        frame = recorded.frame
+        self._seen(frame.arrival_ns, recorded.channel)
+        found = self._codec.find(frame)
+        if not self._window.holds(frame.arrival_ns):
+            self.summary.passed_over += 1
+        elif isinstance(found, Reason):
+            self.summary.reject(found, frame.can_id)
+        elif recorded.fd:
+            self.summary.reject_fd()
+        else:
+            self._keep(self.rows[found.spec.name], [frame.arrival_ns], bytes(frame.data))
+
+    def _keep(self, rows: MessageRows, times_ns: list[int], payloads: bytes) -> None:
+        self.summary.decoded[rows.message.spec.name] += len(times_ns)
+        rows.add(times_ns, payloads)
+
+    def _seen(self, stamp_ns: int, channel: str | None) -> None:
+        if self.first_ns is None:
+            self.first_ns, self.channel = stamp_ns, channel
+            self._window.bounds_ns(stamp_ns)
+        self.last_ns = stamp_ns
+
+    def add_lines(self, text: bytes, first_line: int, problems: LineProblems) -> None:
+        """Take in whole lines of candump text; `first_line` stand before them."""
+        lines = text.count(b"\n")
+        for pattern, factor in ((_LINE, 1), (_MICROSECONDS, 1000)):
+            found = pattern.findall(text)
+            if len(found) == lines:
+                if found:
+                    self._add_matches(found, factor)
+                return
+        reader = LineReader(io.StringIO(text.decode("utf-8", "replace")))
+        reader.number = first_line
+        for recorded in candump.frames(reader, problems):
+            self.add(recorded)
+
+    def _add_matches(self, found: list[tuple[bytes, ...]], factor: int) -> None:
+        stamps = [int(match[0]) * NS_PER_S + int(match[1]) * factor for match in found]
+        self._seen(stamps[0], found[0][2].decode("utf-8", "replace"))
+        self._seen(stamps[-1], None)
+        if not self._window.open:
+            kept = [i for i, stamp in enumerate(stamps) if self._window.holds(stamp)]
+            self.summary.passed_over += len(found) - len(kept)
+            found, stamps = [found[i] for i in kept], [stamps[i] for i in kept]
+        pending = self._pending
+        for stamp, match in zip(stamps, found, strict=True):
+            entry = pending.get(match[3]) or self._entry(match[3])
+            entry.times_ns.append(stamp)
+            entry.data.append(match[4])
+        self._take_pending()
+
+    def _entry(self, identifier: bytes) -> "_Entry":
+        frame = Frame(int(identifier, 16), bytes(FRAME_LENGTH_BYTES), 0)
+        entry = self._pending[identifier] = _Entry(frame.can_id, self._codec.find(frame), [], [])
+        return entry
+
+    def _take_pending(self) -> None:
+        for entry in self._pending.values():
+            if isinstance(entry.found, Reason):
+                for _ in entry.times_ns:
+                    self.summary.reject(entry.found, entry.can_id)
+            elif entry.times_ns:
+                payloads = bytes.fromhex(b"".join(entry.data).decode())
+                self._keep(self.rows[entry.found.spec.name], entry.times_ns, payloads)
+            entry.times_ns.clear()
+            entry.data.clear()
+        if len(self._pending) > _KEPT_IDENTIFIERS:
+            self._pending.clear()
+
+
+class _Entry(NamedTuple):
+    """Frames of one identifier in the block that is being read."""
+
+    can_id: int
+    found: MessageCodec | Reason
+    times_ns: list[int]
+    data: list[bytes]

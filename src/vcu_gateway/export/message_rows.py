@@ -1,0 +1,84 @@
+"""Frames of one message as they were recorded: 16 bytes each, on the disk where they are many."""
+
+import os
+import tempfile
+from array import array
+from collections.abc import Iterator
+from typing import IO, NamedTuple
+
+from vcu_gateway.core.codec import MessageCodec
+from vcu_gateway.core.spec import FRAME_LENGTH_BYTES
+
+_STAMP_BYTES = 8
+CHUNK_ROWS = 1 << 16
+"""Rows that are held in memory at once."""
+
+
+class RowChunk(NamedTuple):
+    """Some frames of one message, in the recording's order.
+
+    Attributes:
+        times_ns: the recording's stamps.
+        payloads: eight bytes a frame, joined.
+    """
+
+    times_ns: "array[int]"
+    payloads: bytes
+
+
+class MessageRows:
+    """Every frame of one message; beyond 65,536 they wait in an unnamed file.
+
+    Attributes:
+        count: frames so far.
+        first_ns, last_ns: stamps of the first and the last of them; None without.
+    """
+
+    def __init__(self, message: MessageCodec, folder: str | None = None) -> None:
+        self.message = message
+        self.count = 0
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+        self._folder = folder
+        self._times_ns = array("q")
+        self._payloads = bytearray()
+        self._spilled: IO[bytes] | None = None
+        self._chunks: list[int] = []
+
+    def add(self, times_ns: list[int], payloads: bytes) -> None:
+        """Take in one frame or more, eight bytes of payload each."""
+        if self.first_ns is None:
+            self.first_ns = times_ns[0]
+        self.last_ns = times_ns[-1]
+        self._times_ns.extend(times_ns)
+        self._payloads += payloads
+        self.count += len(times_ns)
+        if len(self._times_ns) >= CHUNK_ROWS:
+            self._spill()
+
+    def _spill(self) -> None:
+        if self._spilled is None:
+            self._spilled = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 - close() does
+        self._spilled.write(self._times_ns.tobytes())
+        self._spilled.write(self._payloads)
+        self._chunks.append(len(self._times_ns))
+        self._times_ns = array("q")
+        self._payloads.clear()
+
+    def chunks(self) -> Iterator[RowChunk]:
+        """Every frame again, from the first on."""
+        if self._spilled is not None:
+            self._spilled.flush()
+            handle, place = self._spilled.fileno(), 0
+            for rows in self._chunks:  # several readers may be at different places
+                times_ns = array("q", os.pread(handle, rows * _STAMP_BYTES, place))
+                place += rows * _STAMP_BYTES
+                yield RowChunk(times_ns, os.pread(handle, rows * FRAME_LENGTH_BYTES, place))
+                place += rows * FRAME_LENGTH_BYTES
+        if self._times_ns:
+            yield RowChunk(self._times_ns, bytes(self._payloads))
+
+    def close(self) -> None:
+        """Give the disk back."""
+        if self._spilled is not None:
+            self._spilled.close()

@@ -1,0 +1,153 @@
+"""Report built from a recording: headline, facts, bands, plots and events."""
+
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+
+from vcu_gateway.export.decisions import Decisions
+from vcu_gateway.export.report import Band, Overlay, Report, ReportEvent
+from vcu_gateway.export.report_bands import cause_bands, code_bands, mode_band, overlay_bands
+from vcu_gateway.export.report_lines import Grid, by_key, signal_lines
+from vcu_gateway.export.report_plots import plots
+from vcu_gateway.export.selection import Selection
+from vcu_gateway.export.source import Source
+from vcu_gateway.export.tables import GATEWAY, severity_name
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
+
+_FINEST_NS = 50 * NS_PER_MS
+_MOST_BUCKETS = 36_000
+_MOST_EVENTS = 3000
+_YEAR_2000_NS = 946_684_800 * NS_PER_S
+_LONGEST_TEXT = 200_000
+
+
+def build(
+    source: Source, selection: Selection, overlay: Overlay | None = None, title: str = ""
+) -> Report:
+    """The report of a recording that was read."""
+    grid = _grid(source)
+    end_ns = grid.start_ns + grid.buckets * grid.bucket_ns
+    lines = by_key(signal_lines(source.store.rows.values(), selection, grid))
+    drawn, constant = plots(lines, overlay, grid)
+    bands = [*mode_band(source.decisions, end_ns)]
+    if overlay is not None:
+        bands += overlay_bands(overlay, end_ns)
+    if selection.wants(GATEWAY, "Causes"):
+        bands += cause_bands(source.decisions, grid.start_ns, end_ns)
+    bands += code_bands(lines, grid, {key for key in lines if "_Command" in key})
+    return Report(
+        title=title or source.title,
+        headline=headline(source, bands),
+        facts=tuple(_facts(source, grid)),
+        start_ns=grid.start_ns,
+        end_ns=source.end_ns,
+        bucket_ns=grid.bucket_ns,
+        buckets=grid.buckets,
+        plots=drawn,
+        bands=tuple(bands),
+        events=tuple(_events(source.decisions))[:_MOST_EVENTS],
+        whys=tuple(source.decisions.whys),
+        constant=constant,
+        texts=_texts(source.attachments),
+        overlay=overlay,
+    )
+
+
+def _grid(source: Source) -> Grid:
+    """Grid of 50 ms, of twice that and so on for what is long."""
+    start_ns, end_ns = source.start_ns, source.end_ns
+    bucket_ns = _FINEST_NS
+    while (end_ns - start_ns) // bucket_ns >= _MOST_BUCKETS:
+        bucket_ns *= 2
+    return Grid(start_ns, bucket_ns, (end_ns - start_ns) // bucket_ns + 1)
+
+
+def headline(source: Source, bands: list[Band]) -> str:
+    """The recording in a sentence or two: how long, in which modes, and what ended it."""
+    duration = span_text(source.end_ns - source.start_ns)
+    decisions = source.decisions
+    if not decisions.tick_times_ns:
+        count, channel = source.store.summary.decoded.total(), source.store.channel
+        where = f" on {channel}" if channel else ""
+        known = sum(1 for rows in source.store.rows.values() if rows.count)
+        return (
+            f"{duration} of traffic{where}: {count:,} frames of {known} messages."
+            " The recording has no decisions of a gateway."
+        )
+    sentences = [_driven(bands, duration)]
+    faults = [one for one in decisions.events if one.name == "fault_latched"]
+    if not faults:
+        sentences.append("No fault latched.")
+    else:
+        first = faults[0]
+        reason = first.fields.get("reason", "")
+        several = f"{len(faults)} faults latched, the first"
+        what = several if len(faults) > 1 else "A fault latched"
+        sentences.append(f"{what} at {clock_text(first.wall_ns)}: {reason}.")
+    return " ".join(sentences)
+
+
+def _driven(bands: list[Band], duration: str) -> str:
+    modes = next((band.spans for band in bands if band.title == "mode"), ())
+    active = [span.end_ns - span.begin_ns for span in modes if span.kind == "active"]
+    if not active:
+        return f"{duration} recorded, never active."
+    times = "once" if len(active) == 1 else f"{len(active)} times"
+    return f"{duration} recorded, {span_text(sum(active))} of it active ({times})."
+
+
+def _facts(source: Source, grid: Grid) -> Iterator[tuple[str, str]]:
+    if grid.start_ns > _YEAR_2000_NS:
+        date = datetime.fromtimestamp(grid.start_ns // NS_PER_S, UTC)
+        yield "begins", f"{date:%Y-%m-%d %H:%M:%S} UTC"
+    yield "lasts", span_text(source.end_ns - source.start_ns)
+    yield "frames", f"{source.store.summary.decoded.total():,}"
+    if source.decisions.tick_times_ns:
+        yield "ticks", f"{len(source.decisions.tick_times_ns):,}"
+        yield "missing", "; ".join(what for _, what in source.decisions.gaps) or "nothing"
+    if source.unreadable:
+        yield "unreadable", f"{source.unreadable} lines"
+    if source.store.channel:
+        yield "channel", source.store.channel
+    yield from _versions(source.description)
+
+
+def _versions(description: Mapping[str, object]) -> Iterator[tuple[str, str]]:
+    versions = description.get("versions")
+    if isinstance(versions, dict):
+        yield from ((str(name), str(version)) for name, version in versions.items())
+    digest = description.get("config_digest")
+    if digest:
+        yield "configuration", str(digest)[:12]
+
+
+def _events(decisions: Decisions) -> Iterator[ReportEvent]:
+    for one in decisions.events:
+        yield ReportEvent(one.wall_ns, severity_name(one.severity), one.name, one.text)
+    for stamp, what in decisions.gaps:
+        yield ReportEvent(stamp, "warning", "gap", what)
+
+
+def _texts(attachments: Mapping[str, bytes]) -> dict[str, str]:
+    return {
+        name: contents.decode("utf-8", "replace")[:_LONGEST_TEXT]
+        for name, contents in attachments.items()
+        if not name.endswith(".dbc")
+    }
+
+
+def span_text(duration_ns: int) -> str:
+    """`1 h 3 min`, `12 min 4 s`, `8.3 s`."""
+    seconds = duration_ns / NS_PER_S
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
+def clock_text(wall_ns: int) -> str:
+    """Time of day with milliseconds, UTC."""
+    seconds, rest_ns = divmod(wall_ns, NS_PER_S)
+    date = datetime.fromtimestamp(seconds, UTC)
+    return f"{date:%H:%M:%S}.{rest_ns // NS_PER_MS:03d}"

@@ -1,0 +1,199 @@
+"""Recording to be exported: a drive, an incident, one of its files, or a foreign log."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.members import MemberDamage, read_members
+from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.export.core_lines import CoreLines
+from vcu_gateway.export.decisions import Decisions
+from vcu_gateway.export.frame_store import FrameStore
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
+from vcu_gateway.recording import STANDARD_INPUT, LineProblems, open_recording
+from vcu_gateway.time_window import Window
+
+_FRAMES_BETWEEN_LOOKS = 8192
+_BLOCK_BYTES = 1 << 22
+
+Report = Callable[[Problem], None]
+Progress = Callable[[float | None, int], None]
+
+
+class ReadOptions(NamedTuple):
+    """How a recording is read.
+
+    Attributes:
+        dbc_path: instead of the recording's own or the packaged one.
+        aliased: take 0x08F02DE2 for IMU_Attitude.
+        report: is given every complaint that is worth telling.
+        progress: is given the share that was read, None where nobody knows, and the frames so far.
+    """
+
+    window: Window
+    report: Report
+    progress: Progress
+    dbc_path: Path | None = None
+    aliased: bool = True
+
+
+class Source(NamedTuple):
+    """A recording, read.
+
+    Attributes:
+        name: as it was given; title: for people.
+        description: drive.json; empty for a foreign log.
+        attachments: files that belong to it, by name.
+        unreadable: lines that could not be read.
+    """
+
+    name: str
+    title: str
+    codec: Codec
+    store: FrameStore
+    decisions: Decisions
+    description: Mapping[str, Any]
+    attachments: Mapping[str, bytes]
+    unreadable: int
+
+    @property
+    def start_ns(self) -> int:
+        """Stamp of the first frame or tick that is exported."""
+        firsts = [rows.first_ns for rows in self.store.rows.values() if rows.first_ns is not None]
+        return min([*firsts, *self.decisions.tick_times_ns[:1]], default=0)
+
+    @property
+    def end_ns(self) -> int:
+        """Stamp of the last frame or tick that is exported."""
+        lasts = [rows.last_ns for rows in self.store.rows.values() if rows.last_ns is not None]
+        return max([*lasts, *self.decisions.tick_times_ns[-1:]], default=0)
+
+
+def is_drive(name: str) -> bool:
+    """Whether this is a drive, an incident, or a file of one."""
+    path = Path(name)
+    if path.is_dir():
+        return True
+    segment = path.name.endswith((layout.FRAMES_SUFFIX, layout.CORE_SUFFIX))
+    return segment and (path.parent / layout.DRIVE_FILE).exists()
+
+
+def title(name: str) -> str:
+    """Name of a recording for people, and for the file that is made of it."""
+    path = Path(name)
+    if path.is_dir():
+        return path.resolve().name
+    if name == STANDARD_INPUT:
+        return "recording"
+    stem = path.name.removesuffix(".gz")
+    if is_drive(name):
+        return f"{path.resolve().parent.name}-{stem.partition('.')[0]}"
+    return stem.rpartition(".")[0] or stem
+
+
+def read(name: str, options: ReadOptions) -> Source:
+    """Read a recording once; MissingInputError, DataError where it cannot be."""
+    source = _read_drive(Path(name), options) if is_drive(name) else _read_log(name, options)
+    if not source.store.summary.frames and not source.decisions.tick_times_ns:
+        remedy = "" if source.unreadable else "it is empty"
+        raise DataError(Problem("holds no frame that can be read", name, remedy))
+    return source
+
+
+def _codec(path: Path, aliased: bool) -> Codec:
+    protocol = dbc.load(path)
+    names = {message.name for message in protocol.messages}
+    aliases = {can_id: name for can_id, name in DEFAULT_ALIASES.items() if name in names}
+    return Codec(dataclasses.replace(protocol, aliases=aliases if aliased else {}))
+
+
+def _read_log(name: str, options: ReadOptions) -> Source:
+    path = options.dbc_path or packaged("vcu.dbc")
+    codec = _codec(path, options.aliased)
+    store = FrameStore(codec, options.window)
+    with open_recording(name, options.report) as recording:
+        blocks = recording.blocks(_BLOCK_BYTES)
+        if blocks is not None:
+            for first_line, text in blocks:
+                store.add_lines(text, first_line, recording.problems)
+                options.progress(recording.share_read(), store.summary.frames)
+        else:
+            for count, recorded in enumerate(recording, 1):
+                store.add(recorded)
+                if count % _FRAMES_BETWEEN_LOOKS == 0:
+                    options.progress(recording.share_read(), count)
+        unreadable = recording.problems.unreadable
+    decisions = Decisions(options.window)
+    attached = {path.name: path.read_bytes()}
+    return Source(name, title(name), codec, store, decisions, {}, attached, unreadable)
+
+
+def _read_drive(path: Path, options: ReadOptions) -> Source:
+    folder = path if path.is_dir() else path.parent
+    description = layout.read_description(folder / layout.DRIVE_FILE)
+    codec = _codec(options.dbc_path or folder / layout.DBC_FILE, options.aliased)
+    store, decisions = FrameStore(codec, options.window), Decisions(options.window)
+    segments = layout.segments(folder)
+    if not path.is_dir():
+        segments = [one for one in segments if path in one.paths]
+    if not segments:
+        raise MissingInputError(Problem("has no segment of a recording", str(folder)))
+    core = CoreLines(decisions, description, folder / layout.DRIVE_FILE)
+    reader = _DriveReader(store, core, options)
+    reader.read(segments)
+    attached = _attachments(folder)
+    return Source(
+        *(str(path), title(str(path)), codec, store, decisions),
+        *(description, attached, reader.unreadable + core.unreadable),
+    )
+
+
+def _attachments(folder: Path) -> dict[str, bytes]:
+    """Configuration, DBC and descriptions, as far as they are there."""
+    files = [folder / name for name in (layout.CONFIG_FILE, layout.DBC_FILE, layout.DRIVE_FILE)]
+    files += layout.incident_files(folder)
+    return {path.name: path.read_bytes() for path in files if path.exists()}
+
+
+class _DriveReader:
+    """Reader of a drive's segments, frames and core lines of each."""
+
+    def __init__(self, store: FrameStore, core: CoreLines, options: ReadOptions) -> None:
+        self._store, self._core, self._options = store, core, options
+        self.unreadable = 0
+
+    def read(self, segments: list[layout.SegmentFiles]) -> None:
+        sizes = [sum(path.stat().st_size for path in one.paths) for one in segments]
+        for number, segment in enumerate(segments):
+            if segment.core is not None:
+                for first_line, text in self._texts(segment.core):
+                    self._core.add(text, self._damaged(segment.core, first_line))
+            if segment.frames is not None:
+                problems = LineProblems(_places(segment.frames), self._options.report)
+                for first_line, text in self._texts(segment.frames):
+                    self._store.add_lines(text, first_line, problems)
+                self.unreadable += problems.unreadable
+            share = sum(sizes[: number + 1]) / max(1, sum(sizes))
+            self._options.progress(share, self._store.summary.frames)
+
+    def _damaged(self, path: Path, first_line: int) -> Callable[[int, str], None]:
+        def told(number: int, what: str) -> None:
+            self._options.report(Problem(what, f"{path}:{first_line + number}"))
+
+        return told
+
+    def _texts(self, path: Path) -> Iterator[tuple[int, bytes]]:
+        for member in read_members(path):
+            if isinstance(member, MemberDamage):
+                end = "the end of what was written" if member.torn else "read on behind it"
+                where = f"{path}, byte {member.offset}"
+                self._options.report(Problem(f"{member.size} bytes: {member.what}", where, end))
+            else:
+                yield member.first_line, member.data
+
+
+def _places(path: Path) -> Callable[[int], str]:
+    return lambda position: f"{path}:{position}"

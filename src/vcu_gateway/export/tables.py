@@ -1,0 +1,175 @@
+"""Tables of an export: decoded messages, commanded beside actual, and what the gateway decided."""
+
+from array import array
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from vcu_gateway.core.events import Severity
+from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, SignalSpec
+from vcu_gateway.export.decisions import MODES, Decisions
+from vcu_gateway.export.message_rows import CHUNK_ROWS, MessageRows, RowChunk
+from vcu_gateway.export.selection import Selection
+
+GATEWAY = "Gateway"
+"""Table of modes and causes; events and `why` have tables with it as the begin of their names."""
+
+Column = Sequence[float] | Sequence[str]
+
+
+class Channel(NamedTuple):
+    """One column of a table.
+
+    Attributes:
+        kind: "int", "float" (NaN where there is no value) or "text".
+        names: names of the values of an enumeration.
+        factor, offset: physical = raw * factor + offset, where the raw codes are given.
+        raw_bits: width of the raw codes, negative where they are signed; 0 where there are none.
+    """
+
+    name: str
+    unit: str = ""
+    kind: str = "float"
+    names: Mapping[int, str] = {}
+    comment: str = ""
+    factor: float = 1.0
+    offset: float = 0.0
+    raw_bits: int = 0
+
+
+class Chunk(NamedTuple):
+    """Some rows: a stamp for each, and a column for each channel."""
+
+    times_ns: "array[int]"
+    columns: tuple[Column, ...]
+
+
+class Table(NamedTuple):
+    """One table; `chunks` gives its rows from the first on, as often as it is called.
+
+    Attributes:
+        raw_chunks: the same with the codes on the wire; None where there are none.
+    """
+
+    name: str
+    comment: str
+    channels: tuple[Channel, ...]
+    chunks: Callable[[], Iterator[Chunk]]
+    raw_chunks: Callable[[], Iterator[Chunk]] | None = None
+
+
+def message_tables(rows: Iterable[MessageRows], selection: Selection) -> Iterator[Table]:
+    """A table for each message of which there are frames and a signal is asked for."""
+    for one in rows:
+        spec = one.message.spec
+        wanted = [i for i, name in enumerate(spec.signal_names) if selection.wants(spec.name, name)]
+        if wanted and one.count:
+            yield _message_table(one, wanted)
+
+
+def _message_table(rows: MessageRows, wanted: list[int]) -> Table:
+    spec = rows.message.spec
+    channels = tuple(signal_channel(spec.signals[i]) for i in wanted)
+    return Table(
+        spec.name,
+        spec.comment,
+        channels,
+        lambda: (_decoded(rows, chunk, wanted, 0) for chunk in rows.chunks()),
+        lambda: (_decoded(rows, chunk, wanted, 1) for chunk in rows.chunks()),
+    )
+
+
+def signal_channel(signal: SignalSpec) -> Channel:
+    """Channel of a signal."""
+    whole = float(signal.factor).is_integer() and float(signal.offset).is_integer()
+    kind = "int" if whole else "float"
+    return Channel(
+        *(signal.name, signal.unit, kind, signal.names, signal.comment),
+        *(
+            signal.factor,
+            signal.offset,
+            -signal.length_bits if signal.signed else signal.length_bits,
+        ),
+    )
+
+
+def _decoded(rows: MessageRows, chunk: RowChunk, wanted: list[int], part: int) -> Chunk:
+    """Columns of a chunk; part 0 of what is decoded are the values, 1 the codes."""
+    decode, payloads = rows.message.decode, chunk.payloads
+    length = FRAME_LENGTH_BYTES
+    decoded = [decode(payloads[i : i + length])[part] for i in range(0, len(payloads), length)]
+    columns = tuple(zip(*decoded, strict=True))
+    return Chunk(chunk.times_ns, tuple(columns[i] for i in wanted))
+
+
+def decision_tables(decisions: Decisions, selection: Selection) -> Iterator[Table]:
+    """Modes and causes at each tick, events, `why`, and gaps of the recording."""
+    if decisions.tick_times_ns:
+        yield from _tick_table(decisions, selection)
+    yield from _texts("Events", ("Event", "Severity", "Detail"), _event_rows(decisions), selection)
+    for name, channel, texts in (
+        ("Why", "Sentence", decisions.whys),
+        ("Gaps", "Missing", decisions.gaps),
+    ):
+        rows = [(stamp, (text,)) for stamp, text in texts]
+        yield from _texts(name, (channel,), rows, selection)
+
+
+def _tick_table(decisions: Decisions, selection: Selection) -> Iterator[Table]:
+    times_ns = decisions.tick_times_ns
+    columns: list[tuple[Channel, Sequence[float]]] = []
+    if selection.wants(GATEWAY, "Mode"):
+        mode = Channel("Mode", kind="int", names=dict(enumerate(MODES)), comment="operating mode")
+        columns.append((mode, decisions.tick_modes))
+    spans: dict[str, list[tuple[int, int]]] = {}
+    for span in decisions.causes:
+        last = len(times_ns) if span.ended_ns is None else bisect_left(times_ns, span.ended_ns)
+        reach = bisect_left(times_ns, span.began_ns), last
+        spans.setdefault(f"{span.subject}: {span.effect}", []).append(reach)
+    for name, reaches in spans.items():
+        if selection.wants(GATEWAY, name):
+            stands = array("b", bytes(len(times_ns)))
+            for first, last in reaches:
+                stands[first:last] = array("b", b"\1" * (last - first))
+            columns.append((Channel(name, kind="int", comment="1 while the cause counts"), stands))
+    if columns:
+        channels = tuple(channel for channel, _ in columns)
+        parts = [column for _, column in columns]
+        yield Table(
+            *(GATEWAY, "what the gateway decided at each tick", channels),
+            lambda: _sliced(times_ns, parts),
+        )
+
+
+def _sliced(times_ns: "array[int]", columns: Sequence[Column]) -> Iterator[Chunk]:
+    for first in range(0, len(times_ns), CHUNK_ROWS):
+        part = slice(first, first + CHUNK_ROWS)
+        yield Chunk(times_ns[part], tuple(column[part] for column in columns))
+
+
+def _event_rows(decisions: Decisions) -> list[tuple[int, tuple[str, ...]]]:
+    return [
+        (one.wall_ns, (one.name, severity_name(one.severity), one.text)) for one in decisions.events
+    ]
+
+
+def severity_name(severity: int) -> str:
+    """Name of a level of the log; the number where it has none."""
+    known = {one.value: one.name.lower() for one in Severity}
+    return known.get(severity, str(severity))
+
+
+def _texts(
+    name: str,
+    channels: tuple[str, ...],
+    rows: Sequence[tuple[int, tuple[str, ...]]],
+    selection: Selection,
+) -> Iterator[Table]:
+    table = f"{GATEWAY}_{name}"
+    wanted = [i for i, channel in enumerate(channels) if selection.wants(table, channel)]
+    if not (wanted and rows):
+        return
+    times_ns = array("q", [stamp for stamp, _ in rows])
+    columns = [[texts[i] for _, texts in rows] for i in wanted]
+    kept = tuple(Channel(channels[i], kind="text") for i in wanted)
+    yield Table(table, f"{name.lower()} of the gateway", kept, lambda: _sliced(times_ns, columns))
