@@ -194,9 +194,16 @@ def test_keep_now_without_a_recorder_says_what_to_do(drive):
     assert "systemctl start vcu-gateway-recorder.socket" in done.stderr
 
 
+def entered_by_all(folder: Path) -> None:
+    for path in [folder, *folder.parents]:
+        if not path.stat().st_mode & 0o001:
+            path.chmod(path.stat().st_mode | 0o111)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="another user's rights need root")
 def test_without_the_right_to_read_it_says_which_group_to_join(drive):
     drive.folder.chmod(0o750)
+    entered_by_all(drive.folder.parent)
     done = said(drive, "list", code=77, program=[sys.executable, "-c", AS_NOBODY])
     assert "may not be read by this user" in done.stderr
     assert "usermod -aG vcu-gateway-recorder" in done.stderr
@@ -206,8 +213,7 @@ def test_without_the_right_to_read_it_says_which_group_to_join(drive):
 def test_what_root_keeps_belongs_to_the_recorder_and_links_of_others_are_no_use(drive, tmp_path):
     for path in [drive.folder, *drive.folder.rglob("*")]:
         os.chown(path, 65534, 65534)
-    for path in [tmp_path, *tmp_path.parents][:-1]:
-        path.chmod(path.stat().st_mode | 0o111)
+    entered_by_all(tmp_path)
     said(drive, "keep", drive.name)
     kept = (drive.path / layout.KEEP_FILE).stat()
     assert (kept.st_uid, kept.st_gid) == (65534, 65534)

@@ -21,6 +21,8 @@ from tests.faults.driving import QUIET
 PACKAGE = "vcu-gateway"
 SERVICE = "vcu-gateway.service"
 INSTANCE = "vcu-gateway@second.service"
+RECORDER, RECORDER_SOCKET = "vcu-gateway-recorder.service", "vcu-gateway-recorder.socket"
+RECORDINGS = Path("/var/lib/vcu-gateway-recorder")
 CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
 SECOND = CONFIG.with_name("second.yaml")
 HOME = Path("/usr/lib/vcu-gateway")
@@ -183,6 +185,8 @@ def test_it_installs_without_a_network_enabled_and_not_started(first):
     assert apt("check").returncode == 0
     assert (show(SERVICE, "UnitFileState"), show(SERVICE, "ActiveState")) == ("enabled", "inactive")
     assert output("systemctl", "is-enabled", INSTANCE) == "disabled"
+    assert output("systemctl", "is-enabled", RECORDER_SOCKET) == "enabled"
+    assert show(RECORDER_SOCKET, "ActiveState") == "inactive"
     said = [line for line in first.splitlines() if line.startswith("vcu-gateway: ")]
     assert len(said) == 2
     assert "vcu-gateway doctor" in said[0]
@@ -308,12 +312,22 @@ def test_a_stopped_process_that_cannot_answer_is_no_reason_to_refuse(revision_1,
     assert installed()[1] == "2"
 
 
-def test_removal_stops_it_and_leaves_the_configuration_alone(running):
+@pytest.fixture
+def recording(running: int) -> int:
+    """The recorder runs too, and has a folder; its process."""
+    assert output("systemctl", "start", RECORDER) == ""
+    until((RECORDINGS / "drives").exists, "its folder")
+    return int(show(RECORDER, "MainPID"))
+
+
+def test_removal_stops_it_and_leaves_configuration_and_recordings_alone(running, recording):
     remove()
     assert installed()[0] == "deinstall ok config-files"
     assert not Path(f"/proc/{running}").exists()
-    assert show(SERVICE, "LoadState") == "not-found"
-    kept = {"/etc/vcu-gateway", "/var/lib/vcu-gateway", "/run/vcu-gateway"}
+    assert not Path(f"/proc/{recording}").exists()
+    for unit in (SERVICE, RECORDER, RECORDER_SOCKET):
+        assert show(unit, "LoadState") == "not-found"
+    kept = {"/etc/vcu-gateway", "/var/lib/vcu-gateway", "/run/vcu-gateway", str(RECORDINGS)}
     assert named_after_it() - NOTES_OF_SYSTEMD == kept
     assert [path.name for path in CONFIG.parent.iterdir()] == ["gateway.yaml"]
 
@@ -324,11 +338,24 @@ NOTES_OF_SYSTEMD = {
     "/var/lib/systemd/deb-systemd-helper-enabled/multi-user.target.wants/vcu-gateway.service",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-exporter.service.dsh-also",
+    "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-recorder.service.dsh-also",
+    "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-recorder.socket.dsh-also",
+    *(
+        f"{folder}/{wanting}.wants/vcu-gateway-recorder.socket"
+        for folder in ("/etc/systemd/system", "/var/lib/systemd/deb-systemd-helper-enabled")
+        for wanting in ("sockets.target", "vcu-gateway.service", "vcu-gateway@.service")
+    ),
+    *(
+        f"{folder}/{name}.wants"
+        for folder in ("/etc/systemd/system", "/var/lib/systemd/deb-systemd-helper-enabled")
+        for name in ("vcu-gateway.service", "vcu-gateway@.service")
+    ),
 }
 
 
-def test_purging_leaves_nothing_but_the_user(running):
+def test_purging_leaves_nothing_but_the_users(running, recording):
     remove("purge")
+    assert not RECORDINGS.exists()
     assert named_after_it() == set()
     assert pwd.getpwnam("vcu-gateway")
 

@@ -43,7 +43,7 @@ def _size_option(name: str, default: str, text: str) -> _Option:
 @click.option(
     "--socket",
     "socket_path",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, readable=False),  # systemd's, which only gateways may open
     metavar="PATH",
     default=DEFAULT_SOCKET,
     show_default=True,

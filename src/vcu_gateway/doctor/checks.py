@@ -16,6 +16,7 @@ from vcu_gateway.doctor import (
     permissions,
     process,
     protocol,
+    recorder,
     running_gateway,
     service,
 )
@@ -27,7 +28,7 @@ _NETWORKD_RUNS = "/run/systemd/netif/state"
 _PACKAGED_CHANNEL, _PACKAGED_BIT_S = "can0", 250_000
 _ORDER = (
     *("protocol", "interface", "bus", "time", "permissions", "buffers", "process", "service"),
-    *("libraries", "gateway", "exporter"),
+    *("libraries", "gateway", "recorder", "exporter"),
 )
 _Check = Callable[[], Iterable[CheckResult]]
 _DEFAULT_SERVICE_USER = "root"  # what systemd takes where a unit names nobody
@@ -95,8 +96,16 @@ def _machine_checks(shared: _SharedFacts) -> dict[str, _Check]:
         "service": lambda: service.judge(shared.unit),
         "libraries": lambda: libraries.judge(libraries.read()),
         "gateway": lambda: running_gateway.judge(shared.gateway),
+        "recorder": lambda: _recorder(shared),
         "exporter": lambda: exporter.judge(service.read(exporter.UNIT)),
     }
+
+
+def _recorder(shared: _SharedFacts) -> Iterable[CheckResult]:
+    """The recorder, which is there for every gateway of the machine."""
+    runs = shared.unit.is_active or shared.pid is not None
+    socket = service.read(recorder.SOCKET_UNIT)
+    return recorder.judge(recorder.read(socket, gateway_runs=runs))
 
 
 def _guarded(name: str, check: _Check) -> list[CheckResult]:

@@ -1,0 +1,207 @@
+"""The installed recorder under a real systemd: started by its socket, in a sandbox of its own."""
+
+import json
+import os
+import pwd
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.recorder.gateway import Gateway
+from tests.service.conftest import STRANGER, Booted
+from tests.service.test_running import as_user
+from tests.service.unit import PATIENCE_S, Unit, systemctl
+from tests.vcan.conftest import wait_until
+from vcu_gateway.drive_format import layout
+from vcu_gateway.recordings import RecordingFolder, RecordingPath, check_recording
+
+SOCKET, SERVICE = "vcu-gateway-recorder.socket", "vcu-gateway-recorder.service"
+RUNTIME = Path("/run/vcu-gateway-recorder")
+TAP = RUNTIME / "tap.sock"
+RECORDINGS = Path("/var/lib/vcu-gateway-recorder")
+READER = "reader"
+EXPOSURE = 0.1
+
+
+def show(unit: str, name: str) -> str:
+    return systemctl("show", "--value", f"--property={name}", unit).stdout.strip()
+
+
+def pid() -> int:
+    return int(show(SERVICE, "MainPID"))
+
+
+def journal() -> str:
+    """What it said, for a test that fails."""
+    return subprocess.run(
+        ["journalctl", "--unit", SERVICE, "--no-pager", "--output", "cat", "--lines=20"],
+        capture_output=True,
+        text=True,
+    ).stdout
+
+
+@pytest.fixture
+def gateway(booted: Booted) -> Iterator[Gateway]:
+    """A gateway's end of the tap, connected."""
+    one = Gateway(TAP)
+    one.connect()
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def recording(gateway: Gateway) -> RecordingPath:
+    """The gateway's drive, some seconds of it on the disk."""
+    gateway.drive(2.5)
+    name = layout.drive_name(gateway.clock["wall_ns"], gateway.run)
+    path = RECORDINGS / layout.DRIVES / name
+    wait_until(lambda: path.exists() and bool(layout.segments(path)), journal(), PATIENCE_S)
+    return RecordingPath("drive", path)
+
+
+@pytest.fixture(scope="module")
+def reader(people: None) -> None:
+    """A user who may read recordings."""
+    subprocess.run(["useradd", "-G", "vcu-gateway-recorder", READER], check=True)
+
+
+def test_the_boot_listens_and_the_first_gateway_starts_it(booted: Booted):
+    assert show(SOCKET, "UnitFileState") == "enabled"
+    assert show(SOCKET, "ActiveState") == "active"
+    one = Gateway(TAP)
+    one.connect()
+    wait_until(lambda: show(SERVICE, "ActiveState") == "active", "started", PATIENCE_S)
+    one.close()
+
+
+def test_it_writes_as_its_own_user_what_its_group_may_read(recording: RecordingPath):
+    user = pwd.getpwnam("vcu-gateway-recorder")
+    assert os.stat(f"/proc/{pid()}").st_uid == user.pw_uid
+    assert RECORDINGS.stat().st_mode & 0o7777 == 0o750
+    for path in [recording.path, *recording.path.iterdir()]:
+        found = path.stat()
+        assert (found.st_uid, found.st_gid) == (user.pw_uid, user.pw_gid)
+        assert found.st_mode & 0o037 == 0, path
+
+
+def test_whoever_is_in_its_group_lists_and_checks_and_nobody_else_does(
+    recording: RecordingPath, reader: None
+):
+    listed = as_user(READER, "vcu-gateway", "recordings", "list")
+    assert listed.returncode == 0, listed.stderr
+    assert recording.name in listed.stdout
+    assert "being written" in listed.stdout
+    refused = as_user(STRANGER, "vcu-gateway", "recordings", "list")
+    assert refused.returncode == 77
+    assert "usermod -aG vcu-gateway-recorder" in refused.stderr
+    kept = as_user(READER, "vcu-gateway", "recordings", "keep", recording.name)
+    assert kept.returncode == 77
+    assert "use sudo" in kept.stderr
+
+
+def test_what_root_keeps_the_recorder_owns(recording: RecordingPath):
+    done = subprocess.run(["vcu-gateway", "recordings", "keep", recording.name])
+    assert done.returncode == 0
+    assert (recording.path / layout.KEEP_FILE).owner() == "vcu-gateway-recorder"
+    subprocess.run(["vcu-gateway", "recordings", "remove", "--yes", recording.name])
+    assert recording.path.exists(), "it is being written"
+
+
+def test_keep_now_makes_an_incident(gateway: Gateway, recording: RecordingPath):
+    command = ["vcu-gateway", "recordings", "keep", "now"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as keeping:
+        while keeping.poll() is None:
+            gateway.drive(0.1)
+        assert keeping.stdout is not None
+        name = keeping.stdout.read().strip()
+    assert (RECORDINGS / layout.INCIDENTS / name / layout.INCIDENT_FILE).exists()
+
+
+def test_the_exporters_user_reads_its_state_and_a_stranger_does_not(
+    recording: RecordingPath, people: None
+):
+    status = RUNTIME / "status.json"
+    wait_until(lambda: json.loads(status.read_text())["totals"]["frames"] > 0, "told", PATIENCE_S)
+    exporter = [
+        "runuser",
+        "-u",
+        "vcu-gateway-exporter",
+        "-G",
+        "vcu-gateway",
+        "--",
+        "cat",
+        str(status),
+    ]
+    assert subprocess.run(exporter, stdout=subprocess.DEVNULL).returncode == 0
+    assert as_user(STRANGER, "cat", str(status)).returncode != 0
+
+
+def test_the_gateway_sees_the_socket_in_its_own_root_folder(service: Unit):
+    assert (Path(f"/proc/{service.pid}/root") / TAP.relative_to("/")).is_socket()
+
+
+def test_it_has_no_network_no_rights_and_no_priority(recording: RecordingPath):
+    process = Path(f"/proc/{pid()}")
+    assert os.readlink(process / "ns/net") != os.readlink("/proc/self/ns/net")
+    status = dict(
+        line.split(":\t", 1)
+        for line in (process / "status").read_text().splitlines()
+        if ":\t" in line
+    )
+    assert int(status["CapEff"], 16) == int(status["CapBnd"], 16) == 0
+    assert (status["NoNewPrivs"], status["Seccomp"]) == ("1", "2")
+    assert os.sched_getscheduler(pid()) == os.SCHED_OTHER
+    assert os.getpriority(os.PRIO_PROCESS, pid()) == 10
+    assert show(SERVICE, "MemoryMax") == str(128 << 20)
+    seen = set(os.listdir(process / "root"))
+    assert "srv" not in seen
+    assert os.listdir(process / "root/home") == []
+
+
+def test_it_is_exposed_as_little_as_the_unit_says():
+    done = subprocess.run(
+        ["systemd-analyze", "security", "--no-pager", f"--threshold={EXPOSURE * 10:.0f}", SERVICE],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_killed_it_comes_back_and_goes_on_with_the_drive(
+    gateway: Gateway, recording: RecordingPath
+):
+    before = pid()
+    os.kill(before, signal.SIGKILL)
+    wait_until(lambda: pid() not in (0, before), "restarted", PATIENCE_S)
+    frames = gateway.frames
+    while gateway.sock is None or gateway.frames < frames + 100:
+        gateway.drive(0.5)
+    gateway.drive(2)
+    found = check_recording(recording, lambda size: None)
+    assert found.is_whole, found
+    assert found.gaps.frames > 0
+
+
+def test_stopping_the_socket_stops_it_for_good_and_the_end_is_in_order(
+    gateway: Gateway, recording: RecordingPath
+):
+    assert systemctl("stop", SOCKET).returncode == 0
+    assert show(SERVICE, "ActiveState") == "inactive"
+    assert show(SERVICE, "Result") == "success"
+    assert not TAP.exists()
+    found = check_recording(recording, lambda size: None)
+    assert found.is_whole, found
+    assert not found.is_cut_off
+    assert systemctl("start", SOCKET).returncode == 0
+
+
+def test_the_gateway_runs_on_without_it(service: Unit):
+    systemctl("stop", SOCKET)
+    assert service.show("ActiveState") == "active"
+    service.restart()
+    assert service.show("ActiveState") == "active"
+    assert RecordingFolder(RECORDINGS).recordings()
+    wait_until(lambda: show(SOCKET, "ActiveState") == "active", "wanted by it", PATIENCE_S)
