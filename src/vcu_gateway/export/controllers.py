@@ -2,7 +2,6 @@
 
 import math
 import re
-from array import array
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
@@ -117,17 +116,19 @@ def _channels(pair: _Pair) -> tuple[Channel, Channel]:
 
 
 def _rows(command: MessageRows, pairs: list[_Pair]) -> Iterator[Chunk]:
-    latest = {id(pair.source): LatestFrames(pair.source) for pair in pairs}
+    latest = {pair.source: LatestFrames(pair.source) for pair in pairs}
     decode, length = command.message.decode, FRAME_LENGTH_BYTES
     for chunk in command.chunks():
-        columns = [array("d") for _ in range(2 * len(pairs))]
-        for place, moment_ns in zip(
-            range(0, len(chunk.payloads), length), chunk.times_ns, strict=True
-        ):
-            values = decode(chunk.payloads[place : place + length]).values
-            answers = {key: one.at(moment_ns) for key, one in latest.items()}
-            for number, pair in enumerate(pairs):
-                answer = answers[id(pair.source)]
-                columns[2 * number].append(values[pair.place])
-                columns[2 * number + 1].append(_NAN if answer is None else pair.value(answer))
+        payloads = chunk.payloads
+        values = [decode(payloads[i : i + length])[0] for i in range(0, len(payloads), length)]
+        commanded = list(zip(*values, strict=True))
+        answers = {
+            source: [one.at(moment_ns) for moment_ns in chunk.times_ns]
+            for source, one in latest.items()
+        }
+        columns = []
+        for pair in pairs:
+            value = pair.value
+            found = [_NAN if one is None else value(one) for one in answers[pair.source]]
+            columns += [commanded[pair.place], found]
         yield Chunk(chunk.times_ns, tuple(columns))

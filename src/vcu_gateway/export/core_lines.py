@@ -1,11 +1,14 @@
 """Core lines of a drive, as decisions of the gateway."""
 
+import contextlib
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.events import Event
+from vcu_gateway.drive.checkpoint import StateError, restore
 from vcu_gateway.drive.core_line_parser import LineError, LineParser
 from vcu_gateway.drive.records import (
     Checkpoint,
@@ -33,8 +36,12 @@ class CoreLines:
         unreadable: lines that are no core lines.
     """
 
-    def __init__(self, decisions: Decisions, description: Mapping[str, Any], where: Path) -> None:
+    def __init__(
+        self, decisions: Decisions, description: Mapping[str, Any], codec: Codec, where: Path
+    ) -> None:
         self.unreadable = 0
+        self._codec = codec
+        self._unknown = True
         self._decisions = decisions
         self._parser = LineParser()
         self._latest_ns = 0
@@ -76,11 +83,22 @@ class CoreLines:
         elif isinstance(record, Checkpoint):
             self._checkpoint(record)
         elif isinstance(record, Gap):
+            self._unknown = True
             self._decisions.gap(self._latest_ns, _missing(record))
 
     def _checkpoint(self, record: Checkpoint) -> None:
         self._latest_ns = self._wall_ns(record.now_ns)
         self._decisions.begin(self._latest_ns, record.mode.value, record.why)
+        if not self._unknown:
+            return
+        self._unknown = False
+        # Damaged, or of another version: causes are then known from their next change on.
+        with contextlib.suppress(StateError):
+            gateway = restore(record.state, self._codec, record.settings)
+            told = gateway.why(record.now_ns)
+            found = [held.finding for held in (*told.blocks, *told.limits, *told.alarms)]
+            causes = [(one.subject, one.effect.value, one.detail) for one in found]
+            self._decisions.stand(self._latest_ns, causes)
 
     def _tick(self, now_ns: int, mode: str | None) -> None:
         self._latest_ns = self._wall_ns(now_ns)

@@ -10,6 +10,9 @@ from vcu_gateway.time_window import Window
 MODES = tuple(mode.value for mode in Mode)
 """Names of the modes; the index of each is its code in a table."""
 
+NEVER_RECEIVED = "never received"
+"""Detail of a cause whose message has not come since the start."""
+
 
 class DecidedEvent(NamedTuple):
     """Event of the gateway; the stamp is its tick's."""

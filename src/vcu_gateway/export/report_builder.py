@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
+from itertools import groupby
 
-from vcu_gateway.export.decisions import Decisions
+from vcu_gateway.export.decisions import NEVER_RECEIVED, DecidedEvent, Decisions
 from vcu_gateway.export.report import Band, Overlay, Report, ReportEvent
 from vcu_gateway.export.report_bands import cause_bands, code_bands, mode_band, overlay_bands
 from vcu_gateway.export.report_lines import Grid, by_key, signal_lines
@@ -44,7 +45,7 @@ def build(
         buckets=grid.buckets,
         plots=drawn,
         bands=tuple(bands),
-        events=tuple(_events(source.decisions))[:_MOST_EVENTS],
+        events=tuple(_events(source.decisions)[:_MOST_EVENTS]),
         whys=tuple(source.decisions.whys),
         constant=constant,
         texts=_texts(source.attachments),
@@ -120,11 +121,37 @@ def _versions(description: Mapping[str, object]) -> Iterator[tuple[str, str]]:
         yield "configuration", str(digest)[:12]
 
 
-def _events(decisions: Decisions) -> Iterator[ReportEvent]:
-    for one in decisions.events:
-        yield ReportEvent(one.wall_ns, severity_name(one.severity), one.name, one.text)
-    for stamp, what in decisions.gaps:
-        yield ReportEvent(stamp, "warning", "gap", what)
+def _events(decisions: Decisions) -> list[ReportEvent]:
+    """Events and gaps in their order; what had never come yet in one row for each tick."""
+    found = [ReportEvent(stamp, "warning", "gap", what) for stamp, what in decisions.gaps]
+    for (stamp, name, waited), group in groupby(decisions.events, key=_moment_and_kind):
+        events = list(group)
+        if waited:
+            subjects = dict.fromkeys(str(one.fields["subject"]) for one in events)
+            text = f"{', '.join(subjects)} {NEVER_RECEIVED}"
+            found.append(ReportEvent(stamp, severity_name(events[0].severity), name, text))
+        else:
+            found += [
+                ReportEvent(stamp, severity_name(one.severity), name, _sentence(one))
+                for one in events
+            ]
+    return sorted(found, key=lambda one: one.wall_ns)
+
+
+def _moment_and_kind(event: DecidedEvent) -> tuple[int, str, bool]:
+    return event.wall_ns, event.name, event.fields.get("detail") == NEVER_RECEIVED
+
+
+def _sentence(event: DecidedEvent) -> str:
+    """What the event says, without the names of its fields where they go without saying."""
+    fields = {name: str(value) for name, value in event.fields.items() if value not in (None, "")}
+    if {"subject", "effect"} <= fields.keys():
+        detail = f" {fields['detail']}" if "detail" in fields else ""
+        return f"{fields['subject']}{detail}: {fields['effect']}"
+    if {"before", "after"} <= fields.keys():
+        reason = f": {fields['reason']}" if "reason" in fields else ""
+        return f"{fields['before']} → {fields['after']}{reason}"
+    return event.text
 
 
 def _texts(attachments: Mapping[str, bytes]) -> dict[str, str]:

@@ -141,7 +141,7 @@ def _read_drive(path: Path, options: ReadOptions) -> Source:
         segments = [one for one in segments if path in one.paths]
     if not segments:
         raise MissingInputError(Problem("has no segment of a recording", str(folder)))
-    core = CoreLines(decisions, description, folder / layout.DRIVE_FILE)
+    core = CoreLines(decisions, description, codec, folder / layout.DRIVE_FILE)
     reader = _DriveReader(store, core, options)
     reader.read(segments)
     attached = _attachments(folder)

@@ -231,6 +231,7 @@
         ctx.fillRect(x - ratio, bbox.top + 4 * ratio, 2 * ratio, (SEVERE.has(severity) ? 16 : 10) * ratio);
       }
       ctx.textBaseline = "alphabetic";
+      ctx.textAlign = "left";
       bands.forEach((band, row) => {
         const y = bbox.top + (top + row * ROW) * ratio;
         ctx.font = `${11.5 * ratio}px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif`;
@@ -250,23 +251,24 @@
           const room = ctx.measureText(label).width + 8 * ratio;
           const short = ctx.measureText(text).width + 8 * ratio;
           if (room < width || short < width) {
-            ctx.fillStyle = plain ? colour("ink") : "#fff";
-            if (!plain && matchMedia("(prefers-color-scheme: dark)").matches) ctx.fillStyle = "#0f1216";
+            ctx.fillStyle = plain || band.whatIf ? colour("ink") : "#fff";
+            if (!plain && !band.whatIf && matchMedia("(prefers-color-scheme: dark)").matches) ctx.fillStyle = "#0f1216";
             ctx.fillText(room < width ? label : text, from + 4 * ratio, y + 26.5 * ratio);
           }
         }
       });
       ctx.restore();
     };
-    const options = { ...common(), width: box.clientWidth || 600, height, padding: [0, 12, 0, 0], series: [{}, { show: false }],
+    const options = { ...common(), width: box.clientWidth || 600, height, padding: [0, 26, 0, 0], series: [{}, { show: false }],
       axes: axes({ values: () => [], grid: { show: false }, splits: () => [] }), hooks: { drawClear: [], draw: [draw, mark], setSelect: [selected], setCursor: [(u) => u.cursor.left >= 0 && explain(u.posToVal(u.cursor.left, "x"))] } };
     options.scales.y = { range: [0, 1] };
     keep(new uPlot(options, [[0, whole[1]], [null, null]], box), box);
   }
 
   // Plots.
-  const ROLES = { commanded: ["commanded", [7, 4]], actual: ["actual", []], "what if": ["whatif", [3, 3]] };
-  const stroke = (line, index) => (line.role in ROLES ? ROLES[line.role][0] : `l${index % 6}`);
+  const ROLES = { commanded: "commanded", actual: "actual", "what if": "whatif" };
+  const limit = (line) => line.label === "limit";
+  const stroke = (line, index) => ROLES[line.role] || `l${index % 6}`;
   const rounded = (line, value) => {
     if (value == null) return "–";
     const code = Math.round((value - line.offset) / line.factor);
@@ -287,14 +289,14 @@
     const box = element("div");
     card.append(box);
     const series = plot.lines.map((line, index) => ({
-      label: line.label, scale: "y", stroke: () => colour(stroke(line, index)), width: line.role === "actual" ? 1.8 : 1.5,
-      dash: ROLES[line.role] ? ROLES[line.role][1] : [], points: { show: false },
+      label: line.label, scale: "y", stroke: () => colour(stroke(line, index)), width: line.role === "commanded" && !limit(line) ? 5 : 1.6,
+      alpha: line.role === "commanded" && !limit(line) ? 0.5 : 1, dash: line.role === "what if" || limit(line) ? [6, 4] : [], points: { show: false },
       paths: line.steps ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear(),
     }));
     const named = plot.lines[0].names && Object.keys(plot.lines[0].names).length ? plot.lines[0].names : null;
     const small = matchMedia("(max-width: 560px)").matches;
     const texts = named ? { splits: () => Object.keys(named).map(Number), values: (u, all) => all.map((one) => named[one] ?? "") } : {};
-    const options = { ...common(), width: box.clientWidth || 600, height: named ? 120 : small ? 170 : 200, padding: [8, 12, 0, 0],
+    const options = { ...common(), width: box.clientWidth || 600, height: named ? 120 : small ? 170 : 200, padding: [8, 26, 0, 0],
       series: [{}, ...series], axes: axes(texts),
       hooks: { drawClear: [shade], draw: [mark], setSelect: [selected], setCursor: [(u) => { legend(u); if (u.cursor.left >= 0) explain(u.posToVal(u.cursor.left, "x")); }] } };
     options.scales.y = { range: (u, low, high) => {
@@ -324,7 +326,7 @@
     card.append(element("h3", {}, plot.title, element("small", { textContent: plot.unit })));
     const list = element("ul", { className: "legend" });
     plot.lines.forEach((line, index) => {
-      const sample = element("i", { className: line.role === "commanded" || line.role === "what if" ? "dashed" : "" });
+      const sample = element("i", { className: line.role === "what if" || limit(line) ? "dashed" : line.role === "commanded" ? "broad" : "" });
       sample.style.borderTopColor = `var(--${stroke(line, index)})`;
       const toggle = element("button", { type: "button" }, sample, element("span", { textContent: line.label }), element("b"));
       toggle.setAttribute("aria-pressed", "true");
@@ -337,12 +339,18 @@
   // Events.
   const MOST_ROWS = 1500;
   function events(side) {
+    const together = [];
+    for (const event of data.events) {
+      const before = together[together.length - 1];
+      if (before && before[2] === event[2] && before[3] === event[3]) before[4] += 1;
+      else together.push([...event, 1]);
+    }
     const filter = element("input", { type: "search", placeholder: "filter events" });
     filter.setAttribute("aria-label", "Filter events");
     const list = element("ol");
-    const rows = data.events.slice().sort((a, b) => a[0] - b[0]).map((event) => {
-      const [at, severity, name, text] = event;
-      const what = element("span", { className: "what" }, element("i", { className: "dot" }), element("strong", { textContent: name.replaceAll("_", " ") }), " ", element("span", { textContent: text }));
+    const rows = together.map((event) => {
+      const [at, severity, name, text, count] = event;
+      const what = element("span", { className: "what" }, element("i", { className: "dot" }), element("strong", { textContent: name.replaceAll("_", " ") }), " ", element("span", { textContent: text }), count > 1 ? element("span", { className: "times", textContent: ` × ${count}` }) : "");
       const row = element("li", { className: severity }, element("button", { type: "button" }, element("time", { textContent: clock(at) }), what));
       return { event, row, key: `${name} ${name.replaceAll("_", " ")} ${text} ${severity}`.toLowerCase() };
     });
@@ -372,7 +380,8 @@
     timeline(overview);
     if (data.events.length) { columns.append(side); events(side); } else columns.style.gridTemplateColumns = "minmax(0, 1fr)";
     zoom(...whole);
-    if (data.whys.length) explain(whole[1]);
+    const severe = data.events.find((event) => SEVERE.has(event[1]));
+    if (data.whys.length) explain(severe ? severe[0] + 1e-6 : whole[1]);
     if (typeof DecompressionStream === "undefined") {
       left.append(element("p", { className: "empty", textContent: "This browser is too old for the plots: Chrome 80, Firefox 113, Safari 16.4 or newer draws them." }));
       return;
