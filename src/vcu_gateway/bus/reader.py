@@ -82,8 +82,7 @@ class DrainingReader:
 
     def _receive_batch(self, receive_one: Callable[[], object], now_ns: int) -> int:
         count = self._bus.read_batch(now_ns)
-        for _ in range(count):
-            _hand_on(receive_one, self._listener)
+        _hand_on(receive_one, count, self._listener)
         return count
 
     def close(self) -> None:
@@ -109,8 +108,7 @@ class ThreadReader:
         del until_ns
         waiting = self._inbox.messages
         count = len(waiting)
-        for _ in range(count):
-            _hand_on(functools.partial(self._listener, waiting.popleft()), self._listener)
+        _hand_on(lambda: self._listener(waiting.popleft()), count, self._listener)
         return count
 
     def close(self) -> None:
@@ -134,8 +132,9 @@ class _Inbox:
         """Nothing to flush."""
 
 
-def _hand_on(receive_one: Callable[[], object], listener: FrameListener) -> None:
-    try:
-        receive_one()
-    except Exception as error:  # noqa: BLE001 - as the Notifier's thread does
-        listener.on_error(error)
+def _hand_on(receive_one: Callable[[], object], count: int, listener: FrameListener) -> None:
+    for _ in range(count):
+        try:
+            receive_one()
+        except Exception as error:  # noqa: BLE001 - as the Notifier's thread does
+            listener.on_error(error)

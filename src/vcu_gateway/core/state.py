@@ -41,6 +41,11 @@ class Store:
             name: {signal: i for i, signal in enumerate(spec.signal_names)}
             for name, spec in self._specs.items()
         }
+        self._life_indexes = {
+            name: indexes[LIFE_SIGNAL]
+            for name, indexes in self._indexes.items()
+            if LIFE_SIGNAL in indexes
+        }
         self.out_of_order = 0
         self.unjudged = 0
 
@@ -49,7 +54,8 @@ class Store:
         last = self._latest.get(name)
         marked = 1 if decoded.marks else 0
         if last is None:
-            self._keep(name, LatestFrame(decoded, arrival_ns, 1, marked, None))
+            latest = self._latest[name] = LatestFrame(decoded, arrival_ns, 1, marked, None)
+            self._note_arrival(name, latest)
             return True
         interval_ns = arrival_ns - last.arrival_ns
         if interval_ns < 0:
@@ -62,16 +68,14 @@ class Store:
         else:
             period_ns += (interval_ns - period_ns) // _PERIOD_SMOOTHING
         repeats = 0
-        life = self._indexes[name].get(LIFE_SIGNAL)
+        life = self._life_indexes.get(name)
         if life is not None and decoded.raws[life] == last.decoded.raws[life]:
             repeats = last.life_repeats + 1
         frames, marks = last.frame_count + 1, last.marked_count + marked
-        self._keep(name, LatestFrame(decoded, arrival_ns, frames, marks, period_ns, repeats))
-        return True
-
-    def _keep(self, name: str, latest: LatestFrame) -> None:
+        latest = LatestFrame(decoded, arrival_ns, frames, marks, period_ns, repeats)
         self._latest[name] = latest
         self._note_arrival(name, latest)
+        return True
 
     def _note_arrival(self, name: str, frame: LatestFrame) -> None:
         frames = self._arrived.get(name)
