@@ -6,12 +6,27 @@ R: received, T: the echo of an own frame. A remote frame is `#R8`, an FD frame `
 frame has bit 29 of the identifier set, as in `20000040#`.
 """
 
-from vcu_gateway.drive_format.datagram import ERROR, EXTENDED, ID_MASK, REMOTE
+import struct
+
+from vcu_gateway.drive_format import datagram
+from vcu_gateway.drive_format.datagram import (
+    CLASSIC,
+    ERROR,
+    EXTENDED,
+    ID_MASK,
+    REMOTE,
+    TickParts,
+)
 from vcu_gateway.units import NS_PER_S
 
 _STANDARD_MASK = 0x7FF
 _CLASSIC_BYTES = 8
 _KEPT_IDENTIFIERS = 4096
+_STAMP_AND_KIND = struct.Struct("<q6s8x")
+_KIND = struct.Struct("<IBB")
+_PAYLOAD_AT = 2 * (CLASSIC.size - _CLASSIC_BYTES)
+_PAYLOAD_END = 2 * CLASSIC.size
+_SECOND_DIGITS = -9
 
 
 class CandumpLines:
@@ -20,6 +35,7 @@ class CandumpLines:
     def __init__(self, channel: str) -> None:
         self._channel = channel
         self._kept: dict[int, str] = {}
+        self._kept_kinds: dict[bytes, tuple[str, str]] = {}
 
     def line(self, wall_ns: int, can_id: int, data: bytes, own_echo: bool, length: int = 0) -> str:
         """One frame with its line end.
@@ -33,6 +49,43 @@ class CandumpLines:
             payload = f"R{length or ''}" if can_id & REMOTE else f"#0{data.hex().upper()}"
             return f"({seconds}.{nanoseconds:09d}){head}{payload} {direction}\n"
         return f"({seconds}.{nanoseconds:09d}){head}{data.hex().upper()} {direction}\n"
+
+    def text(self, tick: TickParts, clock_ns: int) -> str:
+        """All frames of a tick; `clock_ns` is the wall clock less the gateway's monotonic one."""
+        if len(tick.frames) == tick.frame_count * CLASSIC.size and clock_ns >= NS_PER_S:
+            try:
+                return self._classic(tick.frames, clock_ns)
+            except KeyError:
+                self._keep_kinds(tick.frames)
+        return "".join(
+            self.line(arrival_ns + clock_ns, can_id, data, own_echo)
+            for arrival_ns, can_id, own_echo, data in datagram.frame_records(tick.frames)
+        )
+
+    def _classic(self, packed: bytes, clock_ns: int) -> str:
+        """Frames with eight bytes each; KeyError where one is of a kind that is not kept.
+
+        As quick as Python can: an identifier's text is made once, all payloads' together.
+        """
+        kinds, place, lines = self._kept_kinds, _PAYLOAD_AT, []
+        digits = packed.hex().upper()
+        for arrival_ns, kind in _STAMP_AND_KIND.iter_unpack(packed):
+            head, tail = kinds[kind]
+            stamp = str(arrival_ns + clock_ns)
+            payload = digits[place : place + 2 * _CLASSIC_BYTES]
+            lines.append(
+                f"({stamp[:_SECOND_DIGITS]}.{stamp[_SECOND_DIGITS:]}){head}{payload}{tail}"
+            )
+            place += _PAYLOAD_END
+        return "".join(lines)
+
+    def _keep_kinds(self, packed: bytes) -> None:
+        """Keep the texts around the payloads of these frames, but of remote ones."""
+        for _, kind in _STAMP_AND_KIND.iter_unpack(packed):
+            can_id, own_echo, length = _KIND.unpack(kind)
+            is_classic = length == _CLASSIC_BYTES and not can_id & REMOTE
+            if is_classic and len(self._kept_kinds) < _KEPT_IDENTIFIERS:
+                self._kept_kinds[kind] = self._head(can_id), " T\n" if own_echo else " R\n"
 
     def _head(self, can_id: int) -> str:
         """Channel and identifier; at most 4096 are kept, whatever a flood sends."""

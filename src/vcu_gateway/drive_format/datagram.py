@@ -45,6 +45,8 @@ _FRAME = struct.Struct("<qIBB")
 CLASSIC = struct.Struct("<qIBB8s")
 """Record of a frame with eight bytes: arrival, identifier, echo, 8, payload."""
 _CLASSIC_BYTES = 8
+_EIGHT = bytes([_CLASSIC_BYTES])
+_LENGTH_AT = 13
 _LONGEST_PAYLOAD_BYTES = 64
 
 
@@ -97,6 +99,15 @@ class TickDatagram(NamedTuple):
     lines: bytes
 
 
+class TickParts(NamedTuple):
+    """Tick whose frames are still packed, one behind the other."""
+
+    header: TickHeader
+    frame_count: int
+    frames: bytes
+    lines: bytes
+
+
 def packed_frame(arrival_ns: int, can_id: int, own_echo: bool, data: bytes | bytearray) -> bytes:
     """One frame; `can_id` has Linux's flags."""
     length = len(data)
@@ -130,7 +141,8 @@ def unpack(datagram: bytes) -> HelloPart | TickDatagram:
     if kind == HELLO and last in (0, 1):
         return HelloPart(bool(last), datagram[_PREFIX.size :])
     if kind == TICK and last == 0:
-        return _unpacked_tick(datagram)
+        parts = tick_parts(datagram)
+        return TickDatagram(parts.header, frame_records(parts.frames), parts.lines)
     raise DatagramError(f"kind {kind} with {last} is neither a HELLO nor a tick")
 
 
@@ -141,33 +153,44 @@ def tick_header(datagram: bytes) -> TickHeader:
     return TickHeader(*_HEADER.unpack_from(datagram)[3:7])
 
 
-def _unpacked_tick(datagram: bytes) -> TickDatagram:
-    if len(datagram) < _HEADER.size:
-        raise DatagramError(f"a tick of {len(datagram)} bytes is too short")
-    *_, sequence, frames, datagrams_lost, frames_lost, count = _HEADER.unpack_from(datagram)
-    records, end = _unpacked_frames(datagram, count)
+def tick_parts(datagram: bytes) -> TickParts:
+    """A tick's datagram with its frames as they are; DatagramError as `unpack`."""
+    header = tick_header(datagram)
+    count = _HEADER.unpack_from(datagram)[-1]
+    end = _end_of_frames(datagram, count)
     lines = datagram[end:]
     if lines and not lines.endswith(b"\n"):
         raise DatagramError("the last core line has no end")
-    header = TickHeader(sequence, frames, datagrams_lost, frames_lost)
-    return TickDatagram(header, records, lines)
+    return TickParts(header, count, datagram[_HEADER.size : end], lines)
 
 
-def _unpacked_frames(datagram: bytes, count: int) -> tuple[list[FrameRecord], int]:
-    """The frames, and where they end."""
-    records: list[FrameRecord] = []
+def _end_of_frames(datagram: bytes, count: int) -> int:
+    """Where the frames end; quick where each has eight bytes, as nearly all do."""
+    end = _HEADER.size + count * CLASSIC.size
+    lengths = datagram[_HEADER.size + _LENGTH_AT : end : CLASSIC.size]
+    if end <= len(datagram) and lengths == _EIGHT * count:
+        return end
     place = _HEADER.size
-    for _ in range(count):
+    for number in range(1, count + 1):
+        if place + _FRAME.size > len(datagram):
+            raise DatagramError(f"it ends in frame {number} of {count}")
+        length = datagram[place + _LENGTH_AT]
+        place += _FRAME.size + length
+        if place > len(datagram) or length > _LONGEST_PAYLOAD_BYTES:
+            raise DatagramError(f"frame {number} of {count} is damaged")
+    return place
+
+
+def frame_records(packed: bytes) -> list[FrameRecord]:
+    """The frames of `TickParts`."""
+    records: list[FrameRecord] = []
+    place = 0
+    while place < len(packed):
+        arrival_ns, can_id, own_echo, length = _FRAME.unpack_from(packed, place)
         data_at = place + _FRAME.size
-        if data_at > len(datagram):
-            raise DatagramError(f"it ends in frame {len(records) + 1} of {count}")
-        arrival_ns, can_id, own_echo, length = _FRAME.unpack_from(datagram, place)
         place = data_at + length
-        if place > len(datagram) or length > _LONGEST_PAYLOAD_BYTES or own_echo > 1:
-            raise DatagramError(f"frame {len(records) + 1} of {count} is damaged")
-        data = datagram[data_at:place]
-        records.append(FrameRecord(arrival_ns, can_id, own_echo == 1, data))
-    return records, place
+        records.append(FrameRecord(arrival_ns, can_id, own_echo != 0, packed[data_at:place]))
+    return records
 
 
 class HelloText:

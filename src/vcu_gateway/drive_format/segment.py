@@ -100,8 +100,11 @@ class SegmentWriter:
 
     def add(self, frame_lines: list[str], core_text: str) -> None:
         """Frame lines, and core lines after them; each with its line end."""
-        self.frames += len(frame_lines)
-        frame_text = "".join(frame_lines)
+        self.add_text("".join(frame_lines), len(frame_lines), core_text)
+
+    def add_text(self, frame_text: str, frames: int, core_text: str) -> None:
+        """As `add`, with the lines of that many frames in one text."""
+        self.frames += frames
         self.waiting += len(frame_text) + len(core_text)
         self._frame_text.append(frame_text)
         self._core_text.append(core_text)

@@ -12,7 +12,7 @@ from typing import Any
 from vcu_gateway import __version__
 from vcu_gateway.drive_format import layout, lock
 from vcu_gateway.drive_format.candump import CandumpLines
-from vcu_gateway.drive_format.datagram import TickDatagram
+from vcu_gateway.drive_format.datagram import TickParts
 from vcu_gateway.drive_format.segment import SegmentWriter
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recorder import resume
@@ -21,6 +21,7 @@ from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.units import NS_PER_S
 
 _CHECKPOINT = b'{"checkpoint":'
+_MEMORY_FULL = "the recorder's memory was full"
 _OWN_FILES = {"config": layout.CONFIG_FILE, "dbc": layout.DBC_FILE}
 
 
@@ -49,7 +50,7 @@ class DriveRecorder:
         self._totals = totals
         self._segment_ended = segment_ended
         self._lost = Lost()
-        self._line = CandumpLines(hello["channel"]).line
+        self._candump = CandumpLines(hello["channel"])
         self._clock_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
         self._hold: int | None = None
         self._next_segment = 1
@@ -57,9 +58,9 @@ class DriveRecorder:
         self._begin_position = self._position = Position()
         self._waiting_ticks = self._segment_ticks = 0
         self._end_stands = False
-        self._missing_because = "the recorder was not connected yet"
+        self._missing_because: str | None = "the recorder was not connected yet"
 
-    def take(self, tick: TickDatagram) -> bool:
+    def take(self, tick: TickParts) -> bool:
         """Take one datagram; False where it cannot be read without a checkpoint before it.
 
         OSError where a segment cannot be begun: then nothing of it was taken.
@@ -67,31 +68,28 @@ class DriveRecorder:
         if tick.lines.startswith(_CHECKPOINT):
             lines = self._begin(tick)
         elif self.segment is None or tick.header.sequence != self._next_sequence:
+            self._missing_because = self._missing_because or _MEMORY_FULL
             return False
         else:
             lines = tick.lines
         self._add(tick, lines)
         return True
 
-    def _add(self, tick: TickDatagram, lines: bytes) -> None:
-        line, clock_ns = self._line, self._clock_ns
-        frame_lines = [
-            line(arrival_ns + clock_ns, can_id, data, own_echo)
-            for arrival_ns, can_id, own_echo, data in tick.frames
-        ]
+    def _add(self, tick: TickParts, lines: bytes) -> None:
+        frame_text = self._candump.text(tick, self._clock_ns)
         if self.segment is not None:
-            self.segment.add(frame_lines, lines.decode(errors="replace"))
+            self.segment.add_text(frame_text, tick.frame_count, lines.decode(errors="replace"))
         self._waiting_ticks += resume.ticks_of(lines)
         self._next_sequence = tick.header.sequence + 1
 
-    def _begin(self, tick: TickDatagram) -> bytes:
+    def _begin(self, tick: TickParts) -> bytes:
         """Begin a segment with this datagram's checkpoint; the lines behind that."""
         self.end("the next segment begins")
         self._open_folder()
         number, self._next_segment = self._next_segment, self._next_segment + 1
         segment = SegmentWriter(self.folder, number)
         checkpoint, line_end, rest = tick.lines.partition(b"\n")
-        begins = Position(tick.header.frames - len(tick.frames), _ticks_so_far(checkpoint))
+        begins = Position(tick.header.frames - tick.frame_count, _ticks_so_far(checkpoint))
         head = (checkpoint + line_end).decode(errors="replace")
         segment.add([], head + self._begin_lines(begins, tick.header.frames_lost))
         self.segment, self._end_stands = segment, False
@@ -99,6 +97,7 @@ class DriveRecorder:
         self._segment_ticks = self._waiting_ticks = 0
         with contextlib.suppress(OSError):  # it waits, then, and the next flush says why
             segment.flush(int(time.time()))
+        self._totals.bytes += segment.size
         return rest
 
     def _begin_lines(self, begins: Position, not_handed_on: int) -> str:
@@ -111,10 +110,11 @@ class DriveRecorder:
             self._totals.lost(frames, ticks)
             if not_handed_on - self._frames_not_handed_on >= frames > 0:
                 self._missing_because = "the recorder did not take them in time"
-            told = {"frames": frames, "ticks": ticks, "why": self._missing_because}
+            why = self._missing_because or _MEMORY_FULL
+            told = {"frames": frames, "ticks": ticks, "why": why}
             gap = _line({"f": 0, "gap": told})
         self._frames_not_handed_on = not_handed_on
-        self._missing_because = "the gateway was not connected"
+        self._missing_because = None
         begin = {
             **begins._asdict(),
             "wall_ns": time.time_ns(),
@@ -226,6 +226,7 @@ class DriveRecorder:
     def close(self, why: str) -> None:
         """End the drive, until its gateway connects again; OSError as `end`."""
         self.end(why)
+        self._missing_because = self._missing_because or "the gateway was not connected"
         self._release()
 
     def _release(self) -> None:

@@ -1,6 +1,5 @@
 """Receiver: takes the datagrams of every connected gateway; it never waits for the disk."""
 
-import contextlib
 import selectors
 import socket
 import time
@@ -13,7 +12,6 @@ from vcu_gateway.recorder.connection import Connection, begins_segment, new_buff
 from vcu_gateway.recorder.listener import TapListener
 
 _MOST_CONNECTIONS = 16
-_MOST_AT_ONCE = 64
 _WAKE_UP_BYTES = 4096
 
 
@@ -61,9 +59,6 @@ class Receiver:
         end_s = time.monotonic() + limit_s
         while self.connections and (left_s := end_s - time.monotonic()) > 0:
             self.receive(left_s)
-        for connection in list(self.connections):
-            self._read(connection)
-            self._end(connection)
 
     def _accept(self) -> None:
         try:
@@ -80,28 +75,22 @@ class Receiver:
         self._selector.register(connection, selectors.EVENT_READ, connection)
 
     def _read(self, connection: Connection) -> None:
-        with contextlib.suppress(BlockingIOError):
-            for _ in range(_MOST_AT_ONCE):
-                if not self._read_one(connection):
-                    self._end(connection)
-                    return
-
-    def _read_one(self, connection: Connection) -> bool:
-        """False where the connection has ended."""
+        """Take one datagram; what else waits makes the next `receive` return at once."""
         try:
             received = connection.receive(self._buffer)
+        except BlockingIOError:
+            return
         except DatagramError as error:
             self._say(f"a connection is closed: {error}")
-            return False
-        except BlockingIOError:
-            raise
+            received = None
         except OSError:
-            return False
-        if received:
+            received = None
+        if received is None:
+            self._end(connection)
+        elif received:
             self._backlog.put(Received(connection, received, begins_segment(received)))
             if triggers.may_be_urgent(received):
                 self._urgent()
-        return received is not None
 
     def _end(self, connection: Connection) -> None:
         if connection in self.connections:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from vcu_gateway.drive_format import datagram, layout
-from vcu_gateway.drive_format.datagram import DatagramError, TickDatagram
+from vcu_gateway.drive_format.datagram import DatagramError, TickParts
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import Connection
@@ -109,6 +109,7 @@ class Writer:
     def _turn(self, stopping: bool) -> None:
         if self._disk.pause_s and not stopping:
             return
+        before = self.totals.bytes
         try:
             self._take_all()
             self._write(time.monotonic())
@@ -117,7 +118,8 @@ class Writer:
         except OSError as error:
             self._failed(error)
         else:
-            self._disk.worked()
+            if self.totals.bytes > before:
+                self._disk.worked()
 
     def _failed(self, error: OSError) -> None:
         if is_full(error) and self.ring.make_room(_ROOM_BYTES):
@@ -143,15 +145,14 @@ class Writer:
             self._close(item.connection)
             return
         try:
-            tick = datagram.unpack(item.datagram)
+            tick = datagram.tick_parts(item.datagram)
         except DatagramError as error:
             self._say(f"a datagram cannot be read: {error}")
             item.connection.begin_again = True
             return
-        if isinstance(tick, TickDatagram):
-            self._take_tick(item.connection, tick)
+        self._take_tick(item.connection, tick)
 
-    def _take_tick(self, connection: Connection, tick: TickDatagram) -> None:
+    def _take_tick(self, connection: Connection, tick: TickParts) -> None:
         drive = self._drive_of(connection)
         before = drive.segment
         with self._abandoning(drive):

@@ -1,0 +1,71 @@
+"""A recorder killed at any moment: what it leaves can be read, and the next one tells the gap."""
+
+import itertools
+import random
+import time
+
+import pytest
+
+from tests.recorder.faulty_disk import FaultyDisk
+from tests.recorder.gateway import account, core_lines, damage, drives, recorded_frames
+from vcu_gateway.drive_format import layout
+
+
+@pytest.mark.timeout(300)
+def test_fifty_kills_at_any_moment_lose_a_second_each_and_tell_it(recorder, gateway, tmp_path):
+    chance = random.Random(15)
+    process = recorder()
+    vehicle = gateway()
+    for _ in range(50):
+        vehicle.drive(0.3 + chance.random(), reconnect=False)
+        handed_on = vehicle.frames
+        process.kill()
+        segment = layout.segments(drives(tmp_path)[0])[-1]
+        begin = core_lines(segment)[1]["begin"]["frames"]
+        assert handed_on - begin - recorded_frames(segment) <= 1.2 * 18 / 0.05
+        process = recorder()
+        vehicle.close()
+        vehicle.connect()
+    vehicle.drive(0.5)
+    vehicle.close()
+    assert process.stop() == 0
+    (drive,) = drives(tmp_path)
+    recorded, lost = account(drive)
+    assert recorded + lost == vehicle.frames
+    assert len(layout.segments(drive)) == 51
+    for segment in layout.segments(drive):
+        assert all(one.torn for path in segment.paths for one in damage(path))
+
+
+def test_a_second_recorder_does_not_write_into_the_same_folder(recorder):
+    first = recorder()
+    first.wait_for(lambda status: True)
+    second = recorder("--socket", "/nonexistent/tap.sock")
+    assert second.process.wait(10) == 69
+    assert "another recorder writes into" in second.errors
+
+
+def test_a_latched_fault_is_on_the_disk_at_once_and_what_follows_it(recorder, gateway, tmp_path):
+    disk = FaultyDisk(tmp_path, tmp_path / "recordings")
+    recorder(environment=disk.environment)
+    vehicle = gateway()
+    vehicle.drive(2)
+    latched_s = time.monotonic()
+    vehicle.latch()
+    vehicle.drive(3)
+    after = [at_s - latched_s for at_s in disk.syncs_s if at_s > latched_s]
+    assert after[0] < 0.1
+    within = [at_s for at_s in after if at_s < 2.0]
+    assert max(later - at for at, later in itertools.pairwise(within)) < 0.25
+    assert not [at_s for at_s in after if 2.5 < at_s < 3]
+
+
+def test_what_follows_a_mode_change_is_on_the_disk_at_once(recorder, gateway, tmp_path):
+    disk = FaultyDisk(tmp_path, tmp_path / "recordings")
+    recorder(environment=disk.environment)
+    vehicle = gateway()
+    vehicle.drive(1)
+    changed_s = time.monotonic()
+    vehicle.tick(mode="active")
+    vehicle.drive(0.5)
+    assert [at_s for at_s in disk.syncs_s if changed_s < at_s < changed_s + 0.1]
