@@ -7,48 +7,15 @@ import pytest
 
 from tests.doctor.judged import not_ok, only, well
 from tests.doctor.test_service import TOLD
+from tests.recorder.told import STATUS
 from vcu_gateway.doctor import recorder, recorder_disk
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
 from vcu_gateway.doctor.recorder import SOCKET_UNIT, RecorderFacts, judge
 from vcu_gateway.doctor.recorder_disk import RecordingDisk
 from vcu_gateway.doctor.service import ServiceFacts
-from vcu_gateway.drive_format.recorder_status import RecordedConnection, RecorderStatus
 from vcu_gateway.errors import Problem
 
 GB = 10**9
-STATUS = RecorderStatus(
-    pid=123,
-    version="0.1.0",
-    started_wall_ns=1_763_920_000_000_000_000,
-    written_monotonic_ns=5_000_000_000,
-    folder="/var/lib/vcu-gateway-recorder",
-    total_bytes=32 * GB,
-    free_bytes=16 * GB,
-    max_bytes=4 << 30,
-    keep_free_bytes=1 << 30,
-    incident_max_bytes=1 << 30,
-    drives_bytes=100_000_000,
-    incidents_bytes=2_000_000,
-    incidents=2,
-    disk="ok",
-    last_error=None,
-    waiting_bytes=4096,
-    memory_bytes=32 << 20,
-    last_sync_s=0.003,
-    longest_sync_s=0.02,
-    bytes=50_000_000,
-    bytes_a_second=4000.0,
-    frames=5_000_000,
-    ticks=250_000,
-    gaps=0,
-    frames_lost=0,
-    ticks_lost=0,
-    syncs=2500,
-    sync_failures=0,
-    removed_segments=0,
-    removed_incidents=0,
-    connections=(RecordedConnection("can0", "1f3a9c2e", "20251123T174640Z-1f3a9c2e"),),
-)
 DISK = RecordingDisk("ext4", False, 32 * GB, 16 * GB)
 HEALTHY = RecorderFacts(ServiceFacts(SOCKET_UNIT, TOLD), STATUS, 0.5, DISK, True)
 

@@ -18,6 +18,7 @@ from tests.core.simulated_drive import (
     standby,
 )
 from tests.monitoring.program import STARTED_S, Program, Scrape, driven
+from tests.recorder.told import STATUS
 from vcu_gateway import __version__, exporter
 from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.config import Config, digest
@@ -516,3 +517,43 @@ def test_memory_does_not_grow_over_200_scrapes():
 
     before = blocks_after(20)
     assert blocks_after(200) - before < 100
+
+
+# The recorder.
+
+
+def test_a_recorder_that_tells_its_state_is_up_and_counted():
+    scrape = Program().scrape()
+    assert scrape.value("recorder_up") == 1
+    assert scrape.value("recorder_frames_total") == STATUS.frames
+    assert scrape.value("recorder_connections") == 1
+    assert scrape.by("recorder_disk_state", "state") == {
+        "ok": 1,
+        "full": 0,
+        "failing": 0,
+        "stalled": 0,
+    }
+
+
+@pytest.mark.parametrize(("age_s", "up"), [(10.0, 1), (10.1, 0)])
+def test_one_that_says_nothing_any_more_is_down_and_tells_no_old_figures(age_s, up):
+    program = Program()
+    program.recorder_age_s = age_s
+    scrape = program.scrape()
+    assert scrape.value("recorder_up") == up
+    assert (scrape.value("recorder_frames_total") is None) == (not up)
+
+
+def test_without_a_recorder_nothing_is_said_of_one():
+    program = Program()
+    program.recorder = None
+    assert not [name for name in exposed_names(program.scrape()) if "recorder" in name]
+
+
+def test_what_is_not_known_yet_is_absent():
+    program = Program()
+    program.recorder = STATUS._replace(longest_sync_s=None, free_bytes=None)
+    scrape = program.scrape()
+    assert scrape.value("recorder_sync_seconds") is None
+    assert scrape.value("recorder_free_bytes") is None
+    assert scrape.value("recorder_up") == 1

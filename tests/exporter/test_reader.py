@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.client.fake_gateway import FakeGateway
+from tests.recorder.gateway import RecorderProcess
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.client import Client
 from vcu_gateway.exporter import FAMILIES, GatewayAnswers, GatewayReader
@@ -28,12 +29,12 @@ def reports():
 @pytest.fixture
 def reader(fake, reports):
     with Client(fake.path) as client:
-        yield GatewayReader(client, reports.append, time_limit_s=1.0)
+        yield GatewayReader(client, reports.append, 1.0, fake.path.with_name("status.json"))
 
 
 def test_readings_ask_over_one_connection_and_for_the_configuration_once(fake, reader):
     for _ in range(3):
-        assert None not in reader.read()
+        assert None not in reader.read()[:4]
     assert fake.accepted == 1
     assert fake.methods() == ["health", "state.get", "why", "config.get"] + (
         ["health", "state.get", "why"] * 2
@@ -58,7 +59,7 @@ def test_a_gateway_that_is_gone_and_back_is_reported_once_each(fake, reader, rep
 def test_a_connection_that_broke_is_opened_again(fake, reader):
     reader.read()
     fake.hang_up()
-    assert None not in reader.read()
+    assert None not in reader.read()[:4]
     assert fake.accepted == 2
 
 
@@ -98,7 +99,7 @@ def test_what_comes_too_late_is_absent_and_the_rest_is_there(fake, reader):
     assert (reading.health is not None, reading.state is not None) == (True, True)
     assert (reading.why, reading.config) == (None, None)
     fake.faults.late.pop("why").set()
-    assert None not in reader.read()
+    assert None not in reader.read()[:4]
 
 
 def test_readings_that_wait_for_each_other_are_one(fake, reader):
@@ -114,3 +115,16 @@ def test_readings_that_wait_for_each_other_are_one(fake, reader):
     gate.set()
     assert len(found) == 8
     assert fake.methods().count("health") <= 2  # of the first, and of those that came meanwhile
+
+
+def test_the_recorder_is_read_also_where_the_gateway_does_not_answer(fake, tmp_path):
+    recorder = RecorderProcess(tmp_path)
+    recorder.wait_for(lambda status: status["pid"])
+    fake.stop()
+    with Client(fake.path) as client:
+        answers = GatewayReader(client, print, 1.0, recorder.status_path).read()
+    recorder.close()
+    assert answers.health is None
+    assert answers.recorder is not None
+    assert answers.recorder.pid == recorder.process.pid
+    assert 0 <= answers.recorder_age_s < 10

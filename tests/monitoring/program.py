@@ -7,6 +7,7 @@ from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.core.simulated_drive import COMMAND_IDS, Drive, active
+from tests.recorder.told import STATUS
 from vcu_gateway import config as configuration
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings
@@ -16,6 +17,7 @@ from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.drive_format.recorder_status import RecorderStatus
 from vcu_gateway.exporter import GatewayAnswers, prometheus
 from vcu_gateway.server import views
 from vcu_gateway.server.health import RunFacts, health
@@ -65,6 +67,7 @@ class Program:
 
     Attributes that break something:
         drive: the gateway among healthy nodes; api, facts: what the metrics are told.
+        recorder, recorder_age_s: what the recorder told last, and when.
     """
 
     def __init__(self, drive: Drive | None = None, interface: Any = "virtual") -> None:
@@ -85,6 +88,8 @@ class Program:
         )
         self.facts = RunFacts("0123", CountedStart(2, 0), lambda: 0, self.drive.now_ns)
         self.facts.start_time_s = STARTED_S
+        self.recorder: RecorderStatus | None = STATUS
+        self.recorder_age_s = 0.5
 
     def tick(self, late_ns: int = 10_000) -> None:
         """One tick of simulated time, booked as the daemon does."""
@@ -113,7 +118,8 @@ class Program:
             demand = gateway.requests.arbiter.current
             answers["state"] = views.state(gateway.snapshot(now_ns), latest, demand)
             answers["why"] = views.why(latest.why)
-        return GatewayAnswers(**json.loads(json.dumps(answers, allow_nan=False)))
+        answered = GatewayAnswers(**json.loads(json.dumps(answers, allow_nan=False)))
+        return answered._replace(recorder=self.recorder, recorder_age_s=self.recorder_age_s)
 
     def scrape(self) -> Scrape:
         return Scrape(prometheus.text(self.reading).decode())

@@ -44,9 +44,9 @@ def test_panels_do_not_overlap_and_have_numbers_of_their_own():
     assert all(not one & other for one, other in itertools.combinations(taken, 2))
 
 
-def test_the_rows_are_vehicle_bus_ticks_and_api():
+def test_the_rows_are_vehicle_bus_ticks_api_and_recorder():
     rows = [panel["title"] for panel in BOARD["panels"] if panel["type"] == "row"]
-    assert rows == ["Vehicle", "Bus", "Ticks", "API"]
+    assert rows == ["Vehicle", "Bus", "Ticks", "API", "Recorder"]
 
 
 def test_throttle_and_motor_speed_are_in_one_panel():

@@ -107,6 +107,17 @@ FIRES: dict[str, tuple[Series, set[str]]] = {
     "VcuGatewayApiTurnedAway": ({gateway("api_connections_turned_away_total"): step()}, set()),
     "VcuGatewayApiCrowded": ({gateway("api_connections_gave_way_total"): step()}, set()),
     "VcuGatewayLogLinesDropped": ({gateway("log_lines_dropped_total"): step()}, set()),
+    "VcuGatewayRecorderDown": ({gateway("recorder_up"): step("1", "0")}, set()),
+    "VcuGatewayNotRecorded": ({gateway("recorder_connections"): step("1", "0")}, set()),
+    "VcuGatewayRecorderDisk": (
+        {
+            gateway("recorder_disk_state", state="ok"): step("1", "0"),
+            gateway("recorder_disk_state", state="full"): step(),
+        },
+        set(),
+    ),
+    "VcuGatewayRecorderSlowDisk": ({gateway("recorder_sync_seconds"): step("0.02", "1.1")}, set()),
+    "VcuGatewayFramesNotRecorded": ({gateway("recorder_frames_lost_total"): step()}, set()),
 }
 """What breaks, by the alert that it raises; and which others that raises too."""
 
@@ -116,6 +127,7 @@ QUIET: dict[str, Series] = {
     "frames unsent because the bus is closed": {
         gateway("frames_unsent_total", reason="closed"): step()
     },
+    "a recorder that lets the disk have a second": {gateway("recorder_sync_seconds"): constant(1)},
     "a message that is stale for 10 s": {
         gateway("message_stale", message="BMS_Status"): f"0+0x142 1+0x1 0+0x{STEPS - 144}"
     },

@@ -47,7 +47,8 @@ def command(socket_path: Path | None, listen: ListenAddress) -> None:
     """Serve the metrics of the running gateway to Prometheus, over HTTP.
 
     A program beside the gateway: it asks the API at each scrape, and needs no more than to open
-    the gateway's socket. A gateway that does not answer is the metric vcu_gateway_up 0.
+    the gateway's socket; of the recorder it reads the state. A gateway that does not answer is
+    the metric vcu_gateway_up 0.
     Whoever reaches the port can read the metrics. Ctrl-C or SIGTERM ends it.
     """
     with _prometheus_client_needed():

@@ -1,13 +1,16 @@
-"""Answers of the API for one scrape, read over one connection."""
+"""Answers of the API for one scrape, read over one connection, and the recorder's state."""
 
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from vcu_gateway.api import results
 from vcu_gateway.client import Client, ClientError, calls
 from vcu_gateway.client.calls import Call
+from vcu_gateway.drive_format.recorder_status import STATUS_PATH, RecorderStatus, read_status
+from vcu_gateway.errors import GatewayError
 
 ResultT = TypeVar("ResultT")
 
@@ -22,12 +25,17 @@ class GatewayAnswers(NamedTuple):
         health: None where the gateway does not answer; then all others are None, too.
         state, why: None before the first tick, too.
         config: configuration in effect; None where the gateway does not tell it.
+        recorder: what the recorder told last, however long ago; None where there is none, or its
+            file may not be read. The gateway need not answer for that.
+        recorder_age_s: how long ago; None likewise.
     """
 
     health: results.Health | None = None
     state: results.State | None = None
     why: results.Why | None = None
     config: results.ConfigInEffect | None = None
+    recorder: RecorderStatus | None = None
+    recorder_age_s: float | None = None
 
 
 class GatewayReader:
@@ -39,9 +47,15 @@ class GatewayReader:
     """
 
     def __init__(
-        self, client: Client, report: Callable[[str], None], time_limit_s: float = TIME_LIMIT_S
+        self,
+        client: Client,
+        report: Callable[[str], None],
+        time_limit_s: float = TIME_LIMIT_S,
+        status_path: Path = STATUS_PATH,
     ) -> None:
+        """`status_path` is of the recorder's state."""
         self._client = client
+        self._status_path = status_path
         self._report = report
         self._time_limit_s = time_limit_s
         self._lock = threading.Lock()
@@ -55,7 +69,7 @@ class GatewayReader:
         begin_s = time.monotonic()
         with self._lock:
             if self._latest_end_s < begin_s:
-                self._latest = self._read()
+                self._latest = self._with_recorder(self._read())
                 self._latest_end_s = time.monotonic()
             return self._latest
 
@@ -73,6 +87,13 @@ class GatewayReader:
             self._call_if_answered(calls.why(), deadline_s),
             self._config_in_effect(health.get("config_digest"), deadline_s),
         )
+
+    def _with_recorder(self, answers: GatewayAnswers) -> GatewayAnswers:
+        try:
+            status = read_status(self._status_path)
+        except GatewayError:
+            return answers
+        return answers._replace(recorder=status, recorder_age_s=status.age_s())
 
     def _config_in_effect(
         self, digest: str | None, deadline_s: float

@@ -1,0 +1,105 @@
+"""Metrics of the recorder, from the file in which it tells its state."""
+
+from collections.abc import Callable
+
+from vcu_gateway.drive_format.recorder_status import STALE_S, RecorderStatus
+from vcu_gateway.exporter.family import Family, Samples, counter, gauge, one, states
+from vcu_gateway.exporter.reader import GatewayAnswers
+
+_DISK_STATES = ("ok", "full", "failing", "stalled")
+
+
+def _told(reading: GatewayAnswers) -> bool:
+    return reading.recorder_age_s is not None and reading.recorder_age_s <= STALE_S
+
+
+def _up(reading: GatewayAnswers) -> Samples:
+    return {} if reading.recorder is None else one(float(_told(reading)))
+
+
+def _of_recorder(read: Callable[[RecorderStatus], Samples]) -> Callable[[GatewayAnswers], Samples]:
+    """Samples of the state; none where the recorder does not tell it."""
+
+    def samples(reading: GatewayAnswers) -> Samples:
+        return read(reading.recorder) if reading.recorder is not None and _told(reading) else {}
+
+    return samples
+
+
+def _count(name: str, text: str, value: Callable[[RecorderStatus], float]) -> Family:
+    return counter(f"recorder_{name}", text, _of_recorder(lambda status: one(value(status))))
+
+
+def _gauge(name: str, text: str, value: Callable[[RecorderStatus], float | None]) -> Family:
+    return gauge(f"recorder_{name}", text, _of_recorder(lambda status: one(value(status))))
+
+
+FAMILIES: tuple[Family, ...] = (
+    gauge(
+        "recorder_up",
+        "1 where the recorder told its state in the last 10 s, else 0; absent where none has run.",
+        _up,
+    ),
+    _gauge(
+        "connections",
+        "Gateways that hand over to the recorder.",
+        lambda status: len(status.connections),
+    ),
+    gauge(
+        "recorder_disk_state",
+        "1 for the state of the recordings' disk, 0 for the others.",
+        _of_recorder(lambda status: states(_DISK_STATES, [status.disk])),
+        "state",
+    ),
+    _count("written_bytes", "Bytes of recordings written.", lambda status: status.bytes),
+    _count("frames", "Frames recorded.", lambda status: status.frames),
+    _count("ticks", "Ticks recorded.", lambda status: status.ticks),
+    _count("gaps", "Gaps told in the recordings.", lambda status: status.gaps),
+    _count("frames_lost", "Frames in gaps: not recorded.", lambda status: status.frames_lost),
+    _count("ticks_lost", "Ticks in gaps: not recorded.", lambda status: status.ticks_lost),
+    _count("syncs", "Calls of fdatasync.", lambda status: status.syncs),
+    _count("sync_failures", "Calls of fdatasync that failed.", lambda status: status.sync_failures),
+    _gauge(
+        "sync_seconds",
+        "Longest fdatasync of the last minute; absent before the first.",
+        lambda status: status.longest_sync_s,
+    ),
+    _gauge(
+        "waiting_bytes",
+        "Bytes in the recorder's memory that wait for the disk.",
+        lambda status: status.waiting_bytes,
+    ),
+    _gauge(
+        "waiting_limit_bytes",
+        "Bytes that may wait; what comes then is a gap.",
+        lambda status: status.memory_bytes,
+    ),
+    _gauge("drives_bytes", "Bytes of all drives.", lambda status: status.drives_bytes),
+    _gauge(
+        "drives_limit_bytes",
+        "Bytes that drives may have; the oldest segments go above it.",
+        lambda status: status.max_bytes,
+    ),
+    _gauge(
+        "incidents_bytes",
+        "Bytes of incidents that no drive has any more.",
+        lambda status: status.incidents_bytes,
+    ),
+    _gauge("incidents", "Incidents on the disk.", lambda status: status.incidents),
+    _gauge(
+        "free_bytes",
+        "Free bytes of the recordings' file system; absent before they are known.",
+        lambda status: status.free_bytes,
+    ),
+    _count(
+        "removed_segments",
+        "Segments removed for want of room.",
+        lambda status: status.removed_segments,
+    ),
+    _count(
+        "removed_incidents",
+        "Incidents removed for want of room.",
+        lambda status: status.removed_incidents,
+    ),
+)
+"""In the order of the text."""
