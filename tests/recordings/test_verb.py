@@ -129,6 +129,33 @@ def test_what_is_kept_stays_until_somebody_removes_it(drive):
     assert "already" in said(drive, "keep", drive.name).stdout
 
 
+def test_a_part_of_a_drive_becomes_an_incident_that_stays(drive):
+    drive.segment()
+    words = ("keep", drive.name, "--from", "3.5", "--to", "17:46:45", "--reason", "it swerved")
+    name = said(drive, *words).stdout.strip()
+    path = drive.folder / layout.INCIDENTS / name
+    described = layout.read_description(path / layout.INCIDENT_FILE)
+    assert (described["what"], described["drive"]) == ("it swerved", drive.name)
+    assert [segment.number for segment in layout.segments(path)] == [2]
+    kept = layout.segments(path)[0].frames
+    assert kept is not None
+    assert kept.samefile(drive.path / kept.name)
+    assert {one.name for one in path.iterdir()} >= {layout.KEEP_FILE, layout.CONFIG_FILE}
+    assert "it swerved" in said(drive, "list").stdout
+    again = said(drive, *words).stdout.strip()
+    assert again == f"{name}-2"
+
+
+def test_a_time_of_which_there_is_nothing_is_refused(drive):
+    done = said(drive, "keep", drive.name, "--from", "3600", code=65)
+    assert "has nothing of that time" in done.stderr
+    said(drive, "keep", drive.name, "--to", "noon", code=2)
+
+
+def test_now_is_no_part(drive):
+    said(drive, "keep", "now", "--reason", "why not", code=2)
+
+
 def test_a_name_that_is_none_is_answered_with_the_nearest(drive):
     done = said(drive, "keep", drive.name[:-1], code=66)
     assert f'did you mean "{drive.name}"?' in done.stderr

@@ -15,11 +15,13 @@ from vcu_gateway.recordings import (
     RecordingPath,
     act_as_owner,
     check_recording,
+    keep_part,
     keep_whole,
     remove_recording,
     summarise,
 )
 from vcu_gateway.recordings.running_recorder import keep_now
+from vcu_gateway.time_window import Moment, Window, moment
 
 _DEFAULT_FOLDER = "/var/lib/vcu-gateway-recorder"
 _NOW = "now"
@@ -115,6 +117,9 @@ def _progress(where: str) -> Callable[[int], None]:
 @command.command("keep")
 @click.argument("name", metavar="NAME|now")
 @folder_option
+@click.option("--from", "begin", metavar="TIME", help="Only from here on: 12:03, 90 (s), a date.")
+@click.option("--to", "end", metavar="TIME", help="Only up to here.")
+@click.option("--reason", metavar="TEXT", help="Why; shown by list. For a part of a drive.")
 @click.option(
     "--status",
     "status_path",
@@ -127,20 +132,40 @@ def _progress(where: str) -> Callable[[int], None]:
 def keep_command(
     name: str,
     folder_path: Path,
+    begin: str | None,
+    end: str | None,
+    reason: str | None,
     status_path: Path,
 ) -> None:
     """Keep a recording: the recorder never removes it.
 
     now asks the running recorder for an incident of this moment: the minute before, and the
-    half minute that follows. NAME keeps a drive or an incident whole.
+    half minute that follows. NAME keeps a drive or an incident whole; with --from, --to or
+    --reason it makes an incident of that part, which takes no room while the drive is there.
     """
     folder = _opened(folder_path)
     if name == _NOW:
-        made = keep_now(folder, read_status(status_path).pid)
-        click.echo(made or "asked; the incident is there once its segment is")
+        if begin or end or reason:
+            raise click.UsageError("now takes no --from, --to or --reason")
+        asked = keep_now(folder, read_status(status_path).pid)
+        click.echo(asked or "asked; the incident is there once the disk has taken it")
         return
-    kept = keep_whole(folder.named(name))
-    click.echo(f"{name} stays until somebody removes it" if kept else f"{name} is kept already")
+    recording = folder.named(name)
+    if not (begin or end or reason):
+        kept = keep_whole(recording)
+        click.echo(f"{name} stays until somebody removes it" if kept else f"{name} is kept already")
+        return
+    window = Window(_moment("--from", begin), _moment("--to", end))
+    start_ns = summarise(recording).begun_wall_ns or 0
+    made = keep_part(folder, recording, *window.bounds_ns(start_ns), reason or "")
+    click.echo(made.name)
+
+
+def _moment(option: str, text: str | None) -> Moment | None:
+    try:
+        return None if text is None else moment(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint=option) from error
 
 
 @command.command("remove")
