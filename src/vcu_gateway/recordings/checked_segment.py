@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
-from vcu_gateway.recordings.segment_lines import LineError, SegmentBegin, begin_of, parsed_line
+from vcu_gateway.recordings.segment_lines import CoreLineError, SegmentBegin, begin_of, parsed_line
 
 _LINES_OF_BEGIN = 4
 
@@ -105,24 +105,24 @@ class _CoreLines:
         try:
             for part in _readable(path, self.file, self.faults):
                 self._take(part)
-        except LineError as error:
+        except CoreLineError as error:
             self.faults.append(FileFault(self.file, str(error)))
 
     def _take(self, part: Member) -> None:
         lines = [self._line(part, number, text) for number, text in enumerate(_texts(part))]
         if part.first_line == 0:
             if "checkpoint" not in lines[0]:
-                raise LineError("does not begin with a checkpoint")
+                raise CoreLineError("does not begin with a checkpoint")
             self.begin = begin_of(lines[:_LINES_OF_BEGIN])
 
     def _line(self, part: Member, number: int, text: bytes) -> dict[str, Any]:
         where = f"line {part.first_line + number + 1}"
         try:
             line = parsed_line(text)
-        except LineError as error:
-            raise LineError(f"{where} {error}") from error
+        except CoreLineError as error:
+            raise CoreLineError(f"{where} {error}") from error
         if line["f"] < self.frames:
-            raise LineError(f"{where} counts {line['f']} frames after {self.frames}")
+            raise CoreLineError(f"{where} counts {line['f']} frames after {self.frames}")
         self.frames = line["f"]
         self.ended = "end" in line
         return line

@@ -41,18 +41,18 @@ class SegmentBegin(NamedTuple):
     gap: Losses
 
 
-class LineError(ValueError):
+class CoreLineError(ValueError):
     """A core line is not one of this format; the text says why."""
 
 
 def parsed_line(line: bytes) -> dict[str, Any]:
-    """A core line as its object; LineError where it is none."""
+    """A core line as its object; CoreLineError where it is none."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise LineError(f"is no JSON: {error}") from error
+        raise CoreLineError(f"is no JSON: {error}") from error
     if not isinstance(found, dict) or not isinstance(found.get("f"), int):
-        raise LineError("has no number of frames before it")
+        raise CoreLineError("has no number of frames before it")
     return found
 
 
@@ -64,12 +64,12 @@ def read_begin(core: Path) -> SegmentBegin | None:
     lines = first.data.split(b"\n", _LINES_OF_BEGIN)[:_LINES_OF_BEGIN]
     try:
         return begin_of([parsed_line(line) for line in lines if line])
-    except LineError:
+    except CoreLineError:
         return None
 
 
 def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
-    """The begin that stands in the first lines of a segment; LineError where it is wrong."""
+    """The begin that stands in the first lines of a segment; CoreLineError where it is wrong."""
     begin = next((line["begin"] for line in lines if "begin" in line), None)
     gaps = [line["gap"] for line in lines if "gap" in line]
     if begin is None:
@@ -79,7 +79,7 @@ def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
         told = Losses(**begin["lost"])
         return SegmentBegin(begin["frames"], begin["ticks"], begin["wall_ns"], told, gap)
     except (KeyError, TypeError) as error:
-        raise LineError(f"has no usable begin or gap: {error}") from error
+        raise CoreLineError(f"has no usable begin or gap: {error}") from error
 
 
 def last_second(path: Path) -> int | None:
