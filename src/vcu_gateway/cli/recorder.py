@@ -31,6 +31,18 @@ def _size_option(name: str, default: str, text: str) -> _Option:
     )
 
 
+def _seconds_option(name: str, parameter: str, default: float, text: str) -> _Option:
+    return click.option(
+        name,
+        parameter,
+        type=click.FloatRange(0, 600),
+        metavar="SECONDS",
+        default=default,
+        show_default=True,
+        help=text,
+    )
+
+
 @click.command("recorder")
 @click.option(
     "--folder",
@@ -52,6 +64,8 @@ def _size_option(name: str, default: str, text: str) -> _Option:
 @_size_option("--max-bytes", "4G", "Of all drives; the oldest segments go above it.")
 @_size_option("--keep-free-bytes", "1G", "Of the disk; the oldest segments go below it.")
 @_size_option("--incident-max-bytes", "1G", "Of all incidents.")
+@_seconds_option("--incident-before-s", "before_s", 60.0, "Kept before the reason of an incident.")
+@_seconds_option("--incident-after-s", "after_s", 30.0, "Kept after it.")
 @_size_option("--memory-bytes", "32M", "Of what waits for a disk that is slow or full.")
 @click.option(
     "--status",

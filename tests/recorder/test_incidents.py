@@ -1,0 +1,173 @@
+"""Incidents: what surrounds a fault stays, whatever the ring removes."""
+
+import json
+import os
+import signal
+import time
+
+import pytest
+
+from tests.recorder.gateway import core_lines, drives, incidents
+from vcu_gateway.drive_format import layout
+
+SHORT = ("--incident-before-s", "60", "--incident-after-s", "1.5")
+
+
+def wait_for_incidents(folder, count, timeout_s=5.0):
+    end_s = time.monotonic() + timeout_s
+    while len(incidents(folder)) < count and time.monotonic() < end_s:
+        time.sleep(0.02)
+    return incidents(folder)
+
+
+def numbers(folder):
+    return [segment.number for segment in layout.segments(folder)]
+
+
+def lines_of(folder):
+    return [line for segment in layout.segments(folder) for line in core_lines(segment)]
+
+
+def test_a_latched_fault_has_its_incident_with_both_sides(recorder, gateway, tmp_path):
+    process = recorder(*SHORT)
+    vehicle = gateway()
+    vehicle.drive(0.6)
+    vehicle.begin_segment()
+    vehicle.drive(0.6)
+    vehicle.latch("undervoltage")
+    (incident,) = wait_for_incidents(tmp_path, 1)
+    assert incident.name.endswith("Z-undervoltage")
+    assert numbers(incident) == [1, 2]
+    vehicle.drive(0.5)
+    vehicle.begin_segment()
+    vehicle.drive(2)
+    vehicle.begin_segment()
+    vehicle.drive(0.5)
+    assert process.stop() == 0
+    assert numbers(incident) == [1, 2, 3]
+    (drive,) = drives(tmp_path)
+    assert os.path.samefile(incident / "0002.core.jsonl.gz", drive / "0002.core.jsonl.gz")
+    for name in ("drive.json", "config.yaml", "vcu.dbc"):
+        assert (incident / name).read_bytes() == (drive / name).read_bytes()
+    told = json.loads((incident / "incident.json").read_text())
+    assert (told["reason"], told["kind"]) == ("fault_latched", "undervoltage")
+    assert told["what"] == "fault latched: battery undervoltage: cut"
+    assert (told["before_s"], told["after_s"]) == (60, 1.5)
+    assert (told["drive"], told["run"]) == (drive.name, vehicle.run)
+    latched = [line for line in lines_of(incident) if "events" in line]
+    assert len(latched) == 1
+
+
+def test_an_incident_holds_what_it_held_when_the_recorder_is_killed(recorder, gateway, tmp_path):
+    process = recorder(*SHORT)
+    vehicle = gateway()
+    vehicle.drive(0.5)
+    vehicle.latch()
+    (incident,) = wait_for_incidents(tmp_path, 1)
+    vehicle.drive(0.5)
+    process.kill()
+    assert [line for line in lines_of(incident) if "events" in line]
+
+
+def test_what_comes_while_an_incident_is_open_joins_it(recorder, gateway, tmp_path):
+    process = recorder(*SHORT)
+    vehicle = gateway()
+    vehicle.drive(0.2)
+    vehicle.latch("undervoltage")
+    vehicle.drive(1)
+    vehicle.tick(more='{"f":0,"estop":true,"granted":true}\n')
+    vehicle.drive(1)
+    vehicle.begin_segment()
+    vehicle.drive(0.5)
+    assert process.stop() == 0
+    (incident,) = incidents(tmp_path)
+    files = layout.incident_files(incident)
+    assert [path.name for path in files] == ["incident.json", "incident-2.json"]
+    assert json.loads(files[1].read_text())["reason"] == "emergency_stop"
+    assert numbers(incident) == [1, 2]
+
+
+def test_an_unexpected_restart_keeps_the_end_of_the_drive_before(recorder, gateway, tmp_path):
+    process = recorder(*SHORT)
+    before = gateway()
+    before.drive(0.5)
+    before.close()
+    after = gateway()
+    after.tick(more='{"f":0,"restarted":1}\n')
+    after.drive(0.5)
+    first, second = wait_for_incidents(tmp_path, 2)
+    assert process.stop() == 0
+    assert first.name.endswith("-restarted_unexpectedly")
+    assert second.name == f"{first.name}-before"
+    runs = [layout.read_description(one / "drive.json")["run"] for one in (first, second)]
+    assert runs == [after.run, before.run]
+    assert numbers(second) == [1]
+
+
+def test_a_start_that_nothing_unexpected_preceded_is_no_incident(recorder, gateway, tmp_path):
+    process = recorder(*SHORT)
+    vehicle = gateway()
+    vehicle.tick(more='{"f":0,"restarted":0}\n')
+    vehicle.drive(0.5)
+    assert process.stop() == 0
+    assert incidents(tmp_path) == []
+
+
+def test_somebody_may_ask_to_keep_this_moment(recorder, gateway, tmp_path):
+    process = recorder(*SHORT)
+    vehicle = gateway()
+    vehicle.drive(0.5)
+    process.process.send_signal(signal.SIGUSR1)
+    (incident,) = wait_for_incidents(tmp_path, 1)
+    assert incident.name.endswith("-requested")
+    vehicle.drive(0.2)
+    assert process.stop() == 0
+
+
+@pytest.fixture
+def faults(recorder, gateway, tmp_path):
+    """Faults one after the other, each an incident of its own of about 60 KiB."""
+    options = ("--incident-before-s", "0", "--incident-after-s", "0")
+
+    def begin(budget):
+        process = recorder(*options, "--incident-max-bytes", str(budget))
+        vehicle = gateway()
+
+        def latch(cause):
+            vehicle.begin_segment()
+            vehicle.drive(0.05, frames=5000)
+            vehicle.latch(cause)
+            time.sleep(0.25)
+
+        return process, latch
+
+    return begin
+
+
+def test_the_first_of_a_kind_is_kept_over_the_twentieth(faults, tmp_path):
+    process, latch = faults(400_000)
+    for cause in ["overspeed", *["undervoltage"] * 20, "overheated"]:
+        latch(cause)
+    first_undervoltage = min(
+        path.name for path in incidents(tmp_path) if "undervoltage" in path.name
+    )
+    status = process.wait_for(lambda status: status["totals"]["removed_incidents"] > 5)
+    assert process.stop() == 0
+    kinds = [layout.read_description(one / "incident.json")["kind"] for one in incidents(tmp_path)]
+    assert kinds.count("overspeed") == kinds.count("overheated") == 1
+    assert 1 <= kinds.count("undervoltage") < 10
+    assert (tmp_path / "recordings" / "incidents" / first_undervoltage).is_dir()
+    assert status["incidents_bytes"] < 600_000
+
+
+def test_an_incident_that_somebody_keeps_is_not_removed(faults, tmp_path):
+    process, latch = faults(150_000)
+    latch("undervoltage")
+    latch("undervoltage")
+    kept = incidents(tmp_path)[1]
+    (kept / layout.KEEP_FILE).touch()
+    for _ in range(6):
+        latch("undervoltage")
+    assert process.stop() == 0
+    assert kept in incidents(tmp_path)
+    assert len(incidents(tmp_path)) < 6
