@@ -74,7 +74,11 @@ class Gateway:
 
     def tick(self, frames=18, more="", events=(), mode=None):
         """One tick with its frames; False where the recorder did not take it."""
-        packed = [self._frame() for _ in range(frames)]
+        return self.hand_on([self._frame() for _ in range(frames)], more, events, mode)
+
+    def hand_on(self, packed, more="", events=(), mode=None):
+        """One tick with these frames."""
+        frames = len(packed)
         lines = ""
         if self._checkpoint_due:
             self._segment_frames = 0
@@ -167,7 +171,7 @@ class Gateway:
 class RecorderProcess:
     """`vcu-gateway recorder` as a process of its own."""
 
-    def __init__(self, folder, *options, environment=None, before=()):
+    def __init__(self, folder, *options, environment=None, before=(), pass_fds=()):
         self.folder = Path(folder) / "recordings"
         self.socket = Path(folder) / "tap.sock"
         self.status_path = Path(folder) / "status.json"
@@ -178,6 +182,7 @@ class RecorderProcess:
         self.process = subprocess.Popen(
             list(map(str, command)),
             stderr=self._errors,
+            pass_fds=pass_fds,
             env={**os.environ, **(environment or {})},
         )
 

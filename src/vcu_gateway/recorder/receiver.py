@@ -30,7 +30,7 @@ class Receiver:
         urgent: Callable[[], None],
         say: Callable[[str], None],
     ) -> None:
-        """`wake_up` ends a wait when it can be read; `urgent` is called for what must not wait."""
+        """`wake_up` ends a wait when it can be read; `urgent` is called for what is not to wait."""
         self.connections: list[Connection] = []
         self._listener = listener
         self._wake_up = wake_up
@@ -57,6 +57,7 @@ class Receiver:
     def receive_rest(self, limit_s: float) -> None:
         """Take what the gateways still send until they have closed, for at most this time."""
         end_s = time.monotonic() + limit_s
+        self.receive(0.0)  # who has connected a moment ago
         while self.connections and (left_s := end_s - time.monotonic()) > 0:
             self.receive(left_s)
 
@@ -98,6 +99,7 @@ class Receiver:
             self._selector.unregister(connection)
             connection.close()
             self._backlog.put(Received(connection, None))
+            self._urgent()
 
     def close(self) -> None:
         """End every connection."""
