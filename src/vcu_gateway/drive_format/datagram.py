@@ -46,7 +46,8 @@ CLASSIC = struct.Struct("<qIBB8s")
 """Record of a frame with eight bytes: arrival, identifier, echo, 8, payload."""
 _CLASSIC_BYTES = 8
 _EIGHT = bytes([_CLASSIC_BYTES])
-_LENGTH_AT = 13
+_ECHO_AT, _LENGTH_AT = 12, 13
+_TRUTH = b"\0\1"
 _LONGEST_PAYLOAD_BYTES = 64
 
 
@@ -148,8 +149,10 @@ def unpack(datagram: bytes) -> HelloPart | TickDatagram:
 
 def tick_header(datagram: bytes) -> TickHeader:
     """Header of a tick's datagram, which is not looked at further; DatagramError as `unpack`."""
-    if len(datagram) < _HEADER.size or tuple(datagram[:3]) != (TICK, FORMAT, 0):
+    if tuple(datagram[:3]) != (TICK, FORMAT, 0):
         raise DatagramError("it is no tick of this format")
+    if len(datagram) < _HEADER.size:
+        raise DatagramError(f"a tick of {len(datagram)} bytes is too short")
     return TickHeader(*_HEADER.unpack_from(datagram)[3:7])
 
 
@@ -168,15 +171,16 @@ def _end_of_frames(datagram: bytes, count: int) -> int:
     """Where the frames end; quick where each has eight bytes, as nearly all do."""
     end = _HEADER.size + count * CLASSIC.size
     lengths = datagram[_HEADER.size + _LENGTH_AT : end : CLASSIC.size]
-    if end <= len(datagram) and lengths == _EIGHT * count:
+    echoes = datagram[_HEADER.size + _ECHO_AT : end : CLASSIC.size]
+    if end <= len(datagram) and lengths == _EIGHT * count and not echoes.translate(None, _TRUTH):
         return end
     place = _HEADER.size
     for number in range(1, count + 1):
         if place + _FRAME.size > len(datagram):
             raise DatagramError(f"it ends in frame {number} of {count}")
-        length = datagram[place + _LENGTH_AT]
+        length, own_echo = datagram[place + _LENGTH_AT], datagram[place + _ECHO_AT]
         place += _FRAME.size + length
-        if place > len(datagram) or length > _LONGEST_PAYLOAD_BYTES:
+        if place > len(datagram) or length > _LONGEST_PAYLOAD_BYTES or own_echo not in _TRUTH:
             raise DatagramError(f"frame {number} of {count} is damaged")
     return place
 
