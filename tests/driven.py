@@ -52,7 +52,7 @@ class Driven:
             threading.Thread(
                 target=play, args=(self._vehicle_bus, self.nodes), kwargs={"stop": self._stop}
             ),
-            threading.Thread(target=self.loop.run),
+            threading.Thread(target=application.run),
         ]
 
     def configure(self, config: str) -> None:

@@ -28,6 +28,9 @@ from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
+from vcu_gateway.daemon.tap_hello import TapHello
+from vcu_gateway.daemon.tap_socket import RecorderTap
+from vcu_gateway.drive.tap import Tap, TappedGateway
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.server import health
 from vcu_gateway.server.context import ServerContext
@@ -65,9 +68,14 @@ class Application:
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)
         self.facts = health.RunFacts(_protocol_digest(config), None, log_lines_dropped)
-        self.api = ApiRunner(config, protocol, self.loop, self.facts)
+        in_effect = EffectiveConfig(config)
+        self.api = ApiRunner(in_effect, protocol, self.loop, self.facts)
         self.loop.add_observer(self.api.observe)
         self._service: ServiceReporter | None = None
+        self._tap = _recorder_tap(in_effect, self.loop, self.facts)
+        if self._tap is not None:
+            self.facts.tap = self._tap
+            self.loop.add_observer(self._tap.observe)
 
     def begin_service(self, manager: SystemdNotifier, runtime: Path | None) -> None:
         """Take over what the last run left, keep it for the next one, report to the manager.
@@ -75,6 +83,7 @@ class Application:
         The interface's lock is held: two gateways must not write the same files. `runtime` is the
         service's RuntimeDirectory; None: starts are not counted and no safe frames are kept.
         """
+        self._begin_recording()
         bus = self.loop.connection.settings
         folder = folder_for(bus, runtime)
         others = other_folders(bus, folder)
@@ -92,21 +101,46 @@ class Application:
         Raises UnavailableError where the bus did not take the last safe frames: they stay in
         their file, and the service manager sends them.
         """
-        self.loop.run(duration_s)
+        self._begin_recording()
+        try:
+            self.loop.run(duration_s)
+        finally:
+            if self._tap is not None:
+                self._tap.close()
         if self._service is not None:
             self._service.end()
         if self.loop.gateway.gave_up:
             what = "ended, but its last safe frames did not leave"
             raise UnavailableError(Problem(what, remedy="look at the bus: vcu-gateway doctor"))
 
+    def _begin_recording(self) -> None:
+        """Look for the recorder before anything happens; once."""
+        if self._tap is not None:
+            self._tap.begin()
+
 
 def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
-    codec = Codec(protocol)
-    gateway = Gateway(codec, settings(config), time.monotonic_ns())
+    codec, now_ns = Codec(protocol), time.monotonic_ns()
+    if config.recorder.socket_path is None:
+        gateway = Gateway(codec, settings(config), now_ns)
+    else:
+        gateway = TappedGateway(codec, settings(config), now_ns, Tap())
     connection = BusConnection(
         bus_settings(config), codec.identifiers(), gateway.receive, gateway.command_groups
     )
     return TickLoop(gateway, connection, reopen_ms=config.bus.reopen_ms)
+
+
+def _recorder_tap(
+    in_effect: EffectiveConfig, loop: TickLoop, facts: health.RunFacts
+) -> RecorderTap | None:
+    """The tap of this configuration; None where it has none."""
+    gateway, path = loop.gateway, in_effect.config.recorder.socket_path
+    if path is None or not isinstance(gateway, TappedGateway):
+        return None
+    dbc = dbc_path(in_effect.config)
+    hello = TapHello(in_effect, gateway, dbc, facts.protocol_digest)
+    return RecorderTap(Path(path), gateway, loop, hello)
 
 
 def settings(config: Config) -> Settings:
@@ -145,14 +179,13 @@ class ApiRunner:
 
     def __init__(
         self,
-        config: Config,
+        in_effect: EffectiveConfig,
         protocol: ProtocolSpec,
         loop: TickLoop,
         facts: health.RunFacts,
     ) -> None:
         self._loop = loop
-        self._config = config
-        in_effect = EffectiveConfig(config)
+        self._config = config = in_effect.config
         self.reloader = Reloader(in_effect, protocol, loop, settings)
         context = ServerContext(
             loop=loop,

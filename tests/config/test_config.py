@@ -317,7 +317,9 @@ def test_a_multicast_address_can_be_the_channel_of_udp_multicast(address: str) -
 
 _PLAIN = "write the plain number, without quotes, unit or leading zeros"
 _COLON = "write `key: value`, with a space after the colon"
-_SECTIONS = "the keys here are bus, protocol, freshness, limits, safety, demand, api, bench, log"
+_SECTIONS = (
+    "the keys here are bus, protocol, freshness, limits, safety, demand, api, recorder, bench, log"
+)
 _AT_LEAST = "write at least one section, such as `bus:` with `channel: can0` below it"
 _EXPORTER = (
     "remove it: the metrics are served by a program of their own,"

@@ -71,6 +71,7 @@ HEALTH: Health = {
         "closed": {},
         "lost_updates": 0,
     },
+    "recorder": {"connected": True, "datagrams": 15_268, "lost_datagrams": 0, "lost_frames": 0},
     "log_lines_dropped": 0,
     "process": {
         "cpu_time_s": 31.5,

@@ -221,6 +221,18 @@ class ApiCounts(TypedDict):
     """Requests of estop and disarm that were wrong in form, and done all the same."""
 
 
+class RecorderCounts(TypedDict):
+    """What the gateway handed to the recorder, a datagram a tick."""
+
+    connected: bool
+    """A recorder listens now."""
+    datagrams: int
+    lost_datagrams: int
+    """Datagrams that a connected recorder did not take in time."""
+    lost_frames: int
+    """Frames that were in them."""
+
+
 class ProcessUsage(TypedDict):
     """Resources of the gateway's process, from /proc; null where the system does not report it."""
 
@@ -259,6 +271,8 @@ class Health(TypedDict):
     ticks: Ticks
     frames: FrameCounts
     api: ApiCounts
+    recorder: RecorderCounts | None
+    """Null where the configuration hands nothing on."""
     log_lines_dropped: int
     process: ProcessUsage
     versions: Versions

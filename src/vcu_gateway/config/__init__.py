@@ -1,7 +1,7 @@
 """Configuration file: read whole, or refused with a problem for each mistake."""
 
 from vcu_gateway.config.checks import check_accounts, check_against, group_number, user_number
-from vcu_gateway.config.effective import digest, effective, schema
+from vcu_gateway.config.effective import digest, effective, schema, yaml_text
 from vcu_gateway.config.load import load, parse
 from vcu_gateway.config.model import (
     ApiSection,
@@ -40,4 +40,5 @@ __all__ = [
     "parse",
     "schema",
     "user_number",
+    "yaml_text",
 ]

@@ -184,6 +184,16 @@ class ApiSection(Section):
     )
 
 
+class RecorderSection(Section):
+    """What the recorder, a program of its own, is handed: docs/recordings.md."""
+
+    socket_path: SocketPath | None = Field(
+        default="/run/vcu-gateway-recorder/tap.sock",
+        description="The recorder's Unix socket, an absolute path of at most 107 bytes. It is"
+        " looked for once a second, and nothing waits for it; null hands nothing on.",
+    )
+
+
 class LogSection(Section):
     """The log, on stderr, and so in the journal."""
 
@@ -209,6 +219,7 @@ class Config(Section):
     safety: SafetySection = SafetySection()
     demand: DemandSection = DemandSection()
     api: ApiSection = ApiSection()
+    recorder: RecorderSection = RecorderSection()
     bench: BenchSection = BenchSection()
     log: LogSection = LogSection()
 

@@ -52,6 +52,8 @@ class LineParser:
 
     def _records(self, values: Any) -> list[Placed]:
         before = _number(values["f"])
+        if "tick" in values and "frames" not in values:  # it ended the gateway's process
+            return [Placed(before, InputRecord(inputs.TickInput(_number(values["tick"])), None))]
         if "tick" in values:
             tick = self._tick(values)
             sent = _sent(tick, values.get("ok", ()))

@@ -88,9 +88,9 @@ def _info(folder: Path) -> DriveInfo:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise MissingInputError(Problem(f"cannot be read: {error.strerror}", str(path))) from error
+        return path.read_bytes().decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise MissingInputError(Problem(f"cannot be read: {error}", str(path))) from error
 
 
 class Drive:

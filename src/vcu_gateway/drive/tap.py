@@ -9,6 +9,7 @@ from typing import NamedTuple
 from vcu_gateway.core import inputs
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import Demand, RequestResult
+from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.link import Carrier, LinkStatus
@@ -29,11 +30,17 @@ class Noted(NamedTuple):
 
 
 class Tap:
-    """Gathers frames and calls in the order in which the core was given them."""
+    """Gathers frames and calls in the order in which the core was given them.
+
+    Attributes:
+        frames, calls: since the last take.
+        events: of the last tick's result.
+    """
 
     def __init__(self) -> None:
         self.frames: list[Frame] = []
         self.calls: list[Call] = []
+        self.events: tuple[Event, ...] = ()
 
     def note(
         self,
@@ -105,9 +112,14 @@ class TappedGateway(Gateway):
         return answer
 
     def tick(self, now_ns: int) -> TickResult:
-        """Hand on, and note with the result."""
-        result = super().tick(now_ns)
+        """Hand on, and note with the result; a tick that fails is noted without one."""
+        try:
+            result = super().tick(now_ns)
+        except Exception:
+            self.tap.note(inputs.TickInput(now_ns))
+            raise
         self.tap.note(inputs.TickInput(now_ns), result)
+        self.tap.events = result.events
         return result
 
 

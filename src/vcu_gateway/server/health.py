@@ -17,6 +17,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, percentile_ns
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.server import views
 from vcu_gateway.server.process_usage import process_usage
 from vcu_gateway.units import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -37,6 +38,7 @@ class RunFacts:
         start: this start; None where starts are not counted.
         log_lines_dropped: number of lines that the log's writer dropped.
         started_ns: CLOCK_MONOTONIC; start_time_s: the same, seconds since 1970.
+        tap: what is handed to the recorder; None where the configuration has no tap.
     """
 
     protocol_digest: str
@@ -44,6 +46,7 @@ class RunFacts:
     log_lines_dropped: Callable[[], int]
     started_ns: int = field(default_factory=time.monotonic_ns)
     start_time_s: float = field(init=False)
+    tap: RecorderTap | None = None
 
     def __post_init__(self) -> None:
         age_s = (time.monotonic_ns() - self.started_ns) / NS_PER_S
@@ -86,9 +89,22 @@ def health(
         "ticks": _ticks(loop.schedule, loop.silent_ticks),
         "frames": _frames(loop),
         "api": api,
+        "recorder": _recorder(facts.tap),
         "log_lines_dropped": facts.log_lines_dropped(),
         "process": process_usage(),
         "versions": _VERSIONS,
+    }
+
+
+def _recorder(tap: RecorderTap | None) -> results.RecorderCounts | None:
+    if tap is None:
+        return None
+    counts = tap.counts
+    return {
+        "connected": counts.connected,
+        "datagrams": counts.datagrams,
+        "lost_datagrams": counts.lost_datagrams,
+        "lost_frames": counts.lost_frames,
     }
 
 
