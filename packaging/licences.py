@@ -19,6 +19,14 @@ Copyright: 2026 the authors of vcu-gateway
 License: Apache-2.0
 """
 
+# A library inside our own wheel.
+_UPLOT = """\
+Files: {where}/vcu_gateway/export/uplot/*
+Copyright: 2022 Leon Sorokin
+License: Expat
+Comment: uPlot 1.6.32, unchanged; its licence stands beside it
+"""
+
 # The names of Debian, of SPDX and of the wheels whose metadata name no version.
 _NAMES = {"MIT": "Expat", "LGPL-3.0-only": "LGPL-3", "PSF-2.0": "Python-2.0", "BSD": "BSD-2-Clause"}
 _CLASSIFIER = "License :: OSI Approved :: MIT License"
@@ -34,9 +42,10 @@ def main(site: Path, final: str, out: Path) -> None:
     folders = sorted(site.glob("*.dist-info"))
     bundled = {folder: _metadata(folder) for folder in folders if not _is_ours(folder)}
     paragraphs = [_HEAD.format(site=final)]
+    paragraphs.append(_UPLOT.format(where=final.lstrip("/")))
     paragraphs += [_paragraph(folder, wheel, final) for folder, wheel in bundled.items()]
     named = {name for wheel in bundled.values() for name in _single(_licence(wheel))}
-    paragraphs += [_text(name, final) for name in sorted(named | {"Apache-2.0"})]
+    paragraphs += [_text(name, final) for name in sorted(named | {"Apache-2.0", "Expat"})]
     out.write_text("\n".join(paragraphs), encoding="utf-8")
 
 

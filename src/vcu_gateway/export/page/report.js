@@ -96,7 +96,7 @@
     if (!shown.length) return;
     chosen = Math.max(0, Math.min(index, shown.length - 1));
     const at = shown[chosen].event[0];
-    const half = Math.min((range[1] - range[0]) / 2, 10);
+    const half = Math.min((range[1] - range[0]) / 2, Math.max(1.5, Math.min(10, whole[1] / 20)));
     zoom(at - half, at + half);
     for (const one of shown) one.row.firstChild.removeAttribute("aria-current");
     shown[chosen].row.firstChild.setAttribute("aria-current", "true");
@@ -269,12 +269,12 @@
   const ROLES = { commanded: "commanded", actual: "actual", "what if": "whatif" };
   const limit = (line) => line.label === "limit";
   const stroke = (line, index) => ROLES[line.role] || `l${index % 6}`;
+  const decimals = (number) => (String(number).split(".")[1] || "").length;
   const rounded = (line, value) => {
     if (value == null) return "–";
     const code = Math.round((value - line.offset) / line.factor);
     if (line.names[code] !== undefined) return line.names[code];
-    const digits = Math.max(0, Math.min(4, Math.ceil(-Math.log10(line.factor) - 1e-9)));
-    return value.toFixed(digits);
+    return value.toFixed(Math.min(4, Math.max(decimals(line.factor), decimals(line.offset))));
   };
   let xs = null;
   function times(points) {

@@ -1,0 +1,167 @@
+"""Recorded drives as a source: decisions by wall time, parts of a drive, and damage."""
+
+import gzip
+import json
+
+import pytest
+
+from tests.drive.recorded import WALL_NS
+from tests.export.drives import record
+from vcu_gateway.errors import DataError, MissingInputError
+from vcu_gateway.export.decisions import MODES
+from vcu_gateway.export.formats import tables_of
+from vcu_gateway.export.selection import Selection
+from vcu_gateway.export.source import ReadOptions, Source, read, title
+from vcu_gateway.time_window import Window, moment
+from vcu_gateway.units import NS_PER_S
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("drives") / "20251123T174640Z-01234567")
+
+
+@pytest.fixture
+def folder(recorded, tmp_path):
+    """A copy that may be damaged."""
+    target = tmp_path / recorded.writer.folder.name
+    target.mkdir()
+    for path in recorded.writer.folder.iterdir():
+        (target / path.name).write_bytes(path.read_bytes())
+    return target
+
+
+def source(path, window: Window | None = None, told: list | None = None) -> Source:
+    report = (lambda _: None) if told is None else told.append
+    return read(str(path), ReadOptions(window or Window(), report, lambda *_: None))
+
+
+def test_every_tick_has_its_mode_and_every_event_its_tick(recorded):
+    found = source(recorded.writer.folder).decisions
+    assert [MODES[code] for code in found.tick_modes] == [
+        one.mode.value for one in recorded.results
+    ]
+    expected = [event.name for one in recorded.results for event in one.events]
+    assert [one.name for one in found.events] == expected
+    whys = dict(found.whys)
+    assert recorded.sentences[-1].split(";")[0] == found.whys[-1][1].split(";")[0]
+    assert set(whys) <= {*found.tick_times_ns, WALL_NS}
+
+
+def test_wall_time_is_exact(recorded):
+    found = source(recorded.writer.folder)
+    first_ns = found.decisions.tick_times_ns[0]
+    assert (first_ns - WALL_NS) % 1_000_000 == 0
+    assert found.start_ns <= first_ns < found.end_ns
+
+
+def test_causes_are_stretches_of_time(recorded):
+    causes = source(recorded.writer.folder).decisions.causes
+    [fault] = [one for one in causes if one.subject == "BMS_Status.CellUndervoltage"]
+    assert (fault.effect, fault.detail, fault.ended_ns) == ("stop", "2 (level2)", None)
+
+
+def test_causes_that_stood_at_the_begin_of_a_part_are_known(recorded):
+    last = recorded.writer.folder / "0003.core.jsonl.gz"
+    found = source(last)
+    assert [one.subject for one in found.decisions.causes] == ["BMS_Status.CellUndervoltage"]
+    assert 0 < len(found.decisions.tick_times_ns) < len(recorded.results)
+    assert title(str(last)) == "20251123T174640Z-01234567-0003"
+
+
+def test_tables_have_modes_causes_events_and_sentences(recorded):
+    tables = {one.name: one for one in tables_of(source(recorded.writer.folder), Selection())}
+    assert {"Gateway", "Gateway_Events", "Gateway_Why", "PCU1", "PCU2"} <= tables.keys()
+    [chunk] = tables["Gateway"].chunks()
+    names = [channel.name for channel in tables["Gateway"].channels]
+    stands = chunk.columns[names.index("BMS_Status.CellUndervoltage: stop")]
+    fault = [one.mode.value for one in recorded.results].index("fault")
+    assert list(stands) == [int(number >= fault) for number in range(len(stands))]
+    assert tables["Gateway"].channels[0].names == dict(enumerate(MODES))
+
+
+def test_commanded_beside_actual_has_a_row_for_each_command(recorded):
+    [table] = tables_of(source(recorded.writer.folder), Selection(("PCU1.Throttle",)))
+    assert [one.name for one in table.channels] == ["Throttle_commanded", "Throttle_actual"]
+    commanded = [
+        frame.data[1] * 0.39
+        for one in recorded.results
+        for frame in one.frames
+        if frame.controller == "PCU1"
+    ]
+    assert [one for chunk in table.chunks() for one in chunk.columns[0]] == commanded
+
+
+def test_its_files_are_attached(recorded):
+    attached = source(recorded.writer.folder).attachments
+    assert set(attached) == {"config.yaml", "vcu.dbc", "drive.json"}
+    assert attached["config.yaml"] == b"limits: {}\n"
+
+
+def test_a_part_of_a_drive_has_its_frames_and_ticks(recorded):
+    found = source(recorded.writer.folder, Window(moment("2"), moment("4")))
+    for stamps in (found.decisions.tick_times_ns, [found.start_ns, found.end_ns]):
+        assert all(2 * NS_PER_S <= stamp - WALL_NS <= 4.2 * NS_PER_S for stamp in stamps)
+    assert len(found.decisions.tick_times_ns) in (40, 41)
+
+
+def test_a_torn_member_is_told_and_the_rest_is_read(folder):
+    whole = source(folder)
+    path = folder / "0002.frames.log.gz"
+    contents = path.read_bytes()
+    path.write_bytes(contents[:-20])
+    told: list = []
+    lost = whole.store.summary.frames - source(folder, told=told).store.summary.frames
+    assert 0 < lost < 500  # one member, a second
+    assert [one.where.partition(",")[0] for one in told] == [str(path)]
+
+
+def test_a_damaged_core_line_is_told_with_file_and_line(folder):
+    path = folder / "0001.core.jsonl.gz"
+    lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
+    lines[9] = b"{}\n"
+    path.write_bytes(gzip.compress(b"".join(lines)))
+    told: list = []
+    assert source(folder, told=told).unreadable == 1
+    assert [one.where for one in told] == [f"{path}:10"]
+
+
+def test_a_state_of_another_version_costs_the_causes_that_stood_alone(folder):
+    path = folder / "0003.core.jsonl.gz"
+    lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
+    checkpoint = json.loads(lines[0])
+    checkpoint["checkpoint"]["state"] = {"unknown": 1}
+    lines[0] = json.dumps(checkpoint).encode() + b"\n"
+    path.write_bytes(gzip.compress(b"".join(lines)))
+    assert source(path).decisions.causes == []
+
+
+def test_without_drive_json_it_is_said_what_to_give(folder):
+    (folder / "drive.json").unlink()
+    with pytest.raises(MissingInputError, match="give the folder of a drive or an incident"):
+        source(folder)
+
+
+def test_without_clocks_it_is_damaged(folder):
+    described = json.loads((folder / "drive.json").read_text())
+    del described["clock"]
+    (folder / "drive.json").write_text(json.dumps(described))
+    with pytest.raises(DataError, match="has no pair of clocks"):
+        source(folder)
+
+
+def test_a_folder_without_segments_is_told(folder):
+    for path in folder.glob("0*"):
+        path.unlink()
+    with pytest.raises(MissingInputError, match="has no segment"):
+        source(folder)
+
+
+def test_a_gap_is_told_in_the_tables(folder):
+    path = folder / "0002.core.jsonl.gz"
+    lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
+    gap = b'{"f":0,"gap":{"frames":12,"ticks":3,"why":"the recorder was slow"}}\n'
+    path.write_bytes(gzip.compress(b"".join([lines[0], gap, *lines[1:]])))
+    [(stamp, text)] = source(folder).decisions.gaps
+    assert text == "12 frames, 3 ticks missing; the recorder was slow"
+    assert stamp > WALL_NS
