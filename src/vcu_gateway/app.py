@@ -14,14 +14,12 @@ from vcu_gateway import config as configuration
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.bus.connection import BusConnection, BusSettings
-from vcu_gateway.config import BenchDemandSection, Config
+from vcu_gateway.config import Config, core_settings
 from vcu_gateway.config.protocol import dbc_path
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon.log import log_event
 from vcu_gateway.daemon.loop import TickLoop
@@ -122,9 +120,9 @@ class Application:
 def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
     codec, now_ns = Codec(protocol), time.monotonic_ns()
     if config.recorder.socket_path is None:
-        gateway = Gateway(codec, settings(config), now_ns)
+        gateway = Gateway(codec, core_settings(config), now_ns)
     else:
-        gateway = TappedGateway(codec, settings(config), now_ns, Tap())
+        gateway = TappedGateway(codec, core_settings(config), now_ns, Tap())
     connection = BusConnection(
         bus_settings(config), codec.identifiers(), gateway.receive, gateway.command_groups
     )
@@ -143,13 +141,6 @@ def _recorder_tap(
     return RecorderTap(Path(path), gateway, loop, hello)
 
 
-def settings(config: Config) -> Settings:
-    """Settings of the core that this configuration gives."""
-    values = {name: getattr(getattr(config, key.section), name) for name, key in KEYS.items()}
-    demand = config.bench.demand
-    return Settings(**values, bench_demand=None if demand is None else _bench_demand(demand))
-
-
 def bus_settings(config: Config) -> BusSettings:
     """The bus connection's settings."""
     bus = config.bus
@@ -160,11 +151,6 @@ def bus_settings(config: Config) -> BusSettings:
         receive_buffer_bytes=bus.receive_buffer_bytes,
         bit_rate_bit_s=bus.bit_rate_bit_s,
     )
-
-
-def _bench_demand(demand: BenchDemandSection) -> ControllerDemand:
-    values = demand.model_dump(exclude={"bench_use_only", "power_mode"})
-    return ControllerDemand(**values, power_mode=PowerMode[demand.power_mode.upper()])
 
 
 class ApiRunner:
@@ -186,7 +172,7 @@ class ApiRunner:
     ) -> None:
         self._loop = loop
         self._config = config = in_effect.config
-        self.reloader = Reloader(in_effect, protocol, loop, settings)
+        self.reloader = Reloader(in_effect, protocol, loop, core_settings)
         context = ServerContext(
             loop=loop,
             bus=bus_settings(config),

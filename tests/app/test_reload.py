@@ -13,10 +13,9 @@ import pytest
 from tests.config.test_config import LEAVES, one_key
 from tests.core.test_settings import OTHER_VALUES, STRICTER_AND_LOOSER
 from tests.driven import wait_until
-from vcu_gateway import app
 from vcu_gateway import config as configuration
 from vcu_gateway.client import ConfigRefusedError
-from vcu_gateway.config import parse
+from vcu_gateway.config import core_settings, parse
 from vcu_gateway.core.settings import RESTART_ONLY, changed
 from vcu_gateway.daemon.reload import changed as changed_keys
 from vcu_gateway.daemon.reload import is_live
@@ -108,7 +107,7 @@ def test_every_key_is_taken_by_a_running_gateway_or_named_as_needing_a_restart()
             continue
         after = parse(one_key(name, OTHER[name]), "gateway.yaml")
         assert changed_keys(before, after) == (name,)
-        settings = changed(app.settings(before), app.settings(after))
+        settings = changed(core_settings(before), core_settings(after))
         assert settings, name
         assert not set(settings) & set(RESTART_ONLY), name
 
@@ -124,13 +123,13 @@ OTHER = {name: other_value(name) for name in LEAVES if is_live(name)}
 
 def test_every_setting_that_a_running_gateway_takes_comes_from_a_live_key():
     live = {name for key in OTHER for name in settings_of(key)}
-    fields = {field.name for field in dataclasses.fields(app.settings(configuration.Config()))}
+    fields = {field.name for field in dataclasses.fields(core_settings(configuration.Config()))}
     assert live == fields - set(RESTART_ONLY)
 
 
 def settings_of(key: str) -> tuple[str, ...]:
     after = parse(one_key(key, OTHER[key]), "gateway.yaml")
-    return changed(app.settings(configuration.Config()), app.settings(after))
+    return changed(core_settings(configuration.Config()), core_settings(after))
 
 
 def test_a_hangup_signal_reloads_and_an_invalid_file_does_not_end_the_process(tmp_path):

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway import app
 from vcu_gateway.cli import main
-from vcu_gateway.config import Config, gateway_yaml, parse
+from vcu_gateway.config import Config, core_settings, gateway_yaml, parse
 from vcu_gateway.core.settings import KEYS, Reload, Settings
 from vcu_gateway.daemon.reload import is_live
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, RANGES, SPEED_LIMIT_HIGHEST_RPM
@@ -29,7 +28,7 @@ LINE = (
 
 PROGRAM = """
 import dataclasses, json
-from vcu_gateway import app, config
+from vcu_gateway import config
 from vcu_gateway.config import gateway_yaml
 from vcu_gateway.core.settings import Settings, loosened
 from vcu_gateway.daemon.reload import is_live
@@ -49,7 +48,9 @@ print(json.dumps({
     "smaller": loosened(usual, dataclasses.replace(usual, snow_limit_pct=20.0)),
     "larger": loosened(usual, dataclasses.replace(usual, snow_limit_pct=35.0)),
     "refusals": [refusal(4.9), refusal(5), refusal(40), refusal(40.1), refusal("soon")],
-    "setting": app.settings(config.parse("limits: {snow_limit_pct: 7}", "f")).snow_limit_pct,
+    "setting": config.core_settings(
+        config.parse("limits: {snow_limit_pct: 7}", "f")
+    ).snow_limit_pct,
 }))
 """
 
@@ -127,7 +128,7 @@ def test_a_limit_that_judges_several_frames_together_needs_a_restart(name: str) 
 
 
 def test_the_default_configuration_gives_the_default_settings() -> None:
-    assert app.settings(Config()) == Settings()
+    assert core_settings(Config()) == Settings()
 
 
 def test_every_setting_that_has_a_key_is_that_key_of_its_section() -> None:
@@ -143,7 +144,7 @@ def test_the_bench_demand_reaches_the_core_whole() -> None:
         "bench: {demand: {bench_use_only: true, throttle_pct: 1, brake_pct: 2, power_mode: turbo,"
         " motor_reverse: true, regen_brake: true, speed_limit_rpm: 3, power_limit_w: 4}}"
     )
-    demand = app.settings(parse(text, "f")).bench_demand
+    demand = core_settings(parse(text, "f")).bench_demand
     assert demand is not None
     assert dataclasses.asdict(demand) == {
         "throttle_pct": 1,

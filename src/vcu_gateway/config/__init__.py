@@ -1,8 +1,9 @@
 """Configuration file: read whole, or refused with a problem for each mistake."""
 
 from vcu_gateway.config.checks import check_accounts, check_against, group_number, user_number
+from vcu_gateway.config.core_settings import core_settings
 from vcu_gateway.config.effective import digest, effective, schema, yaml_text
-from vcu_gateway.config.load import load, parse
+from vcu_gateway.config.load import load, of_values, parse
 from vcu_gateway.config.model import (
     ApiSection,
     BusSection,
@@ -33,10 +34,12 @@ __all__ = [
     "SafetySection",
     "check_accounts",
     "check_against",
+    "core_settings",
     "digest",
     "effective",
     "group_number",
     "load",
+    "of_values",
     "parse",
     "schema",
     "user_number",

@@ -1,8 +1,9 @@
 """Loader: a configuration file -> Config, or a ConfigError with every problem."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from vcu_gateway.config.model import IDENTIFIER_KEYS, Config, ConfigSource
 from vcu_gateway.errors import ConfigError, Problem
@@ -27,13 +28,21 @@ def parse(contents: str, where: str) -> Config:
     if read.is_yaml and read.value is None and not read.findings:
         remedy = "write at least one section, such as `bus:` with `channel: can0` below it"
         raise ConfigError(Problem("is empty", where, remedy))
-    config, findings = validation.validated_document(Config, read)
+    return _checked(*validation.validated_document(Config, read), ConfigSource(where, read.lines))
+
+
+def of_values(values: Mapping[str, Any], where: str) -> Config:
+    """As `parse`, from the values of a document that was read before; `where` names its source."""
+    return _checked(*validation.validated(Config, values), ConfigSource(where))
+
+
+def _checked(config: Config | None, findings: list[FileProblem], source: ConfigSource) -> Config:
     if config is not None and not findings:
-        config = _resolved(config, Path(where).parent)
+        config = _resolved(config, Path(source.file).parent)
         findings += _contradictions(config)
     if config is None or findings:
-        raise ConfigError(*problems(findings, where, read.lines, IDENTIFIER_KEYS))
-    config.remember_source(ConfigSource(where, read.lines))
+        raise ConfigError(*problems(findings, source.file, source.lines, IDENTIFIER_KEYS))
+    config.remember_source(source)
     return config
 
 
