@@ -1,0 +1,195 @@
+"""Arrivals: what every frame since the last tick said, and what its order says."""
+
+from collections import deque
+from typing import NamedTuple
+
+from vcu_gateway.replay.verdict import wire
+from vcu_gateway.replay.verdict.limits import VerdictLimits
+from vcu_gateway.replay.verdict.wire import CONTROLLERS, MS, PERCENT_PER_BIT
+
+_SENT_FRAMES = 80
+_THROTTLE_WINDOW_NS = 1_000 * MS
+_DIRECTION_WINDOW_NS = 1_100 * MS
+_ABOVE_MAX_PCT = 5.0
+_STEP_WITHIN_NS = 100 * MS
+_PLAUSIBLE_FRAMES = 3
+_LENGTH = 8
+_LIFE = 0x80
+_REVERSE = 0x10
+
+
+class Arrived(NamedTuple):
+    """Payload of a frame and its arrival stamp."""
+
+    data: bytes
+    at_ns: int
+
+
+class LeftCommand(NamedTuple):
+    """Throttle code and direction of a command that left."""
+
+    at_ns: int
+    throttle_raw: int
+    reverse: bool
+
+
+class Deviations:
+    """Runs of frames of one kind that are not as they should be.
+
+    Attributes:
+        run: of the latest frames in a row.
+    """
+
+    def __init__(self) -> None:
+        self.run = 0
+        self._at_ns = 0
+        self._seen: tuple[int, int] | None = None
+
+    def note(self, odd: bool, at_ns: int, *, latest: bool = True) -> None:
+        """Take in the next frame; one out of order begins no new run."""
+        run = self.run + 1 if odd else 0
+        self._see(run, at_ns)
+        if latest:
+            self.run, self._at_ns = run, at_ns
+        else:
+            self._see(self.run, self._at_ns)
+
+    def _see(self, run: int, at_ns: int) -> None:
+        if self._seen is None or run > self._seen[0]:
+            self._seen = (run, at_ns)
+
+    @property
+    def worst(self) -> tuple[int, int]:
+        """Longest run since the last tick and the stamp of its frame; without one, what stands."""
+        return (self.run, self._at_ns) if self._seen is None else self._seen
+
+    def end_tick(self) -> None:
+        """The next tick judges what comes from now on, and the run that stands."""
+        self._seen = None
+
+
+class Arrivals:
+    """Memory of the bus: latest frames, frames since the last tick, and deviations.
+
+    Attributes:
+        latest: newest frame of each message.
+        since_tick: every frame of each message since the last tick.
+        sent: commands that left lately, by controller, oldest first.
+        echoed_ns: stamps of our own commands that came back since the last tick.
+        foreign_ns: stamp of the first command of another sender since the last tick.
+        life: frames in a row with an unchanged LifeSignal.
+        above, below, turned: echoes in a row with more throttle than was commanded, with too
+            little, with another direction.
+        doubted: frames until a motor's speed is believed again; speed_unknown: it was not
+            believed at some time since the last tick.
+    """
+
+    def __init__(self, limits: VerdictLimits) -> None:
+        self.limits = limits
+        self.latest: dict[str, Arrived] = {}
+        self.since_tick: dict[str, list[Arrived]] = {}
+        self.sent: dict[str, deque[LeftCommand]] = {
+            name: deque(maxlen=_SENT_FRAMES) for name in CONTROLLERS
+        }
+        self.echoed_ns: dict[str, int] = {}
+        self.foreign_ns: int | None = None
+        self.life = Deviations()
+        self.below = {name: Deviations() for name in CONTROLLERS}
+        self.turned = {name: Deviations() for name in CONTROLLERS}
+        self.above = {name: Deviations() for name in CONTROLLERS}
+        self.doubted = dict.fromkeys(CONTROLLERS, 0)
+        self.speed_unknown: set[str] = set()
+        self._aliases = wire.alias_keys(limits.aliases)
+
+    def receive(self, can_id: int, data: bytes, at_ns: int, *, own_echo: bool) -> None:
+        """Take in an extended data frame."""
+        name = wire.message_of(can_id, self._aliases)
+        if name is not None:
+            if len(data) == _LENGTH:
+                self._keep(name, Arrived(data, at_ns))
+            return
+        controller = wire.controller_commanded(can_id)
+        if own_echo:
+            if controller is not None and len(data) == _LENGTH:
+                self.echoed_ns[controller] = at_ns
+        elif wire.commands_somebody(can_id) and self.foreign_ns is None:
+            self.foreign_ns = at_ns
+
+    def _keep(self, name: str, frame: Arrived) -> None:
+        before = self.latest.get(name)
+        self.since_tick.setdefault(name, []).append(frame)
+        in_order = before is None or frame.at_ns >= before.at_ns
+        if name.endswith("Status1"):
+            self._hold_echo_against_commands(name[:4], frame, in_order)
+        if not in_order:
+            return
+        self.latest[name] = frame
+        if before is None:
+            return
+        if name == "BMS_Status":
+            self.life.note(not (before.data[7] ^ frame.data[7]) & _LIFE, frame.at_ns)
+        elif name.endswith("Status2"):
+            self._hold_speed_against_the_last(name[:4], before, frame)
+
+    def _hold_echo_against_commands(self, name: str, frame: Arrived, latest: bool) -> None:
+        at_ns, echoed = frame.at_ns, frame.data[1]
+        sent = [one for one in self.sent[name] if one.at_ns <= at_ns]
+        second = [one for one in sent if at_ns - one.at_ns <= _THROTTLE_WINDOW_NS]
+        raws = [one.throttle_raw for one in second]
+        whole = bool(sent) and at_ns - self.sent[name][0].at_ns >= _THROTTLE_WINDOW_NS
+        lack_pct = (min(raws, default=0) - echoed) * PERCENT_PER_BIT
+        low = whole and bool(raws) and lack_pct > self.limits.echo_below_max_pct
+        self.below[name].note(low, at_ns, latest=latest)
+        told = {one.reverse for one in sent if at_ns - one.at_ns <= _DIRECTION_WINDOW_NS}
+        odd = bool(told) and bool(frame.data[0] & _REVERSE) not in told
+        self.turned[name].note(odd, at_ns, latest=latest)
+        excess_pct = (echoed - max(raws, default=0)) * PERCENT_PER_BIT - _ABOVE_MAX_PCT
+        self.above[name].note(excess_pct > 1e-6, at_ns, latest=latest)
+
+    def _hold_speed_against_the_last(self, name: str, before: Arrived, frame: Arrived) -> None:
+        step_rpm = abs(wire.speed_rpm(frame.data) - wire.speed_rpm(before.data))
+        near = frame.at_ns - before.at_ns <= _STEP_WITHIN_NS
+        if near and step_rpm > self.limits.motor_speed_step_max_rpm:
+            self.doubted[name] = _PLAUSIBLE_FRAMES
+        elif self.doubted[name]:
+            self.doubted[name] -= 1
+        if self.doubted[name]:
+            self.speed_unknown.add(name)
+
+    def judged(self, name: str) -> list[Arrived]:
+        """Every frame of a message since the last tick; where none came, the latest."""
+        last = self.latest.get(name)
+        return self.since_tick.get(name) or ([] if last is None else [last])
+
+    def age_ns(self, name: str, now_ns: int) -> int | None:
+        """Age of the newest frame; None where none came."""
+        last = self.latest.get(name)
+        return None if last is None else now_ns - last.at_ns
+
+    def stale(self, name: str, now_ns: int) -> bool:
+        """True where a message is too old, or never came."""
+        age_ns = self.age_ns(name, now_ns)
+        return age_ns is None or age_ns > self.limits.stale_ns(name)
+
+    def speeds_rpm(self, now_ns: int) -> list[int] | None:
+        """Every speed of both motors that this tick knows; None where one is not known."""
+        names = [f"{name}_Status2" for name in CONTROLLERS]
+        if self.speed_unknown or any(self.stale(name, now_ns) for name in names):
+            return None
+        if any(self.doubted[name[:4]] and name not in self.since_tick for name in names):
+            return None
+        return [wire.speed_rpm(frame.data) for name in names for frame in self.judged(name)]
+
+    def note_sent(self, controller: str, data: bytes, at_ns: int) -> None:
+        """A command that left."""
+        self.sent[controller].append(LeftCommand(at_ns, data[1], bool(data[0] & _REVERSE)))
+
+    def end_tick(self) -> None:
+        """What came before this tick has been judged."""
+        self.since_tick.clear()
+        self.echoed_ns.clear()
+        self.foreign_ns = None
+        self.speed_unknown.clear()
+        echoes = (*self.above.values(), *self.below.values(), *self.turned.values())
+        for deviations in (self.life, *echoes):
+            deviations.end_tick()

@@ -1,0 +1,185 @@
+"""Command rules: what each command frame must be, beside the ones before it and what is asked.
+
+The gate's rules and the invariants of docs/safety.md, on bytes. A rule yields its short name and
+what was seen; `CommandRules.broken` runs all of them on one frame.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from vcu_gateway.replay.verdict import expected_effects
+from vcu_gateway.replay.verdict.limits import JudgedDemand, VerdictLimits
+from vcu_gateway.replay.verdict.ramps import LimitRamps
+from vcu_gateway.replay.verdict.wire import PERCENT_PER_BIT, SAFETY_MODE, CommandBytes
+
+_SPEED_LIMIT_MIN_RPM = 500
+# Half a bit now and half a bit before.
+_ROUNDING = 1.0
+_HALF_BIT = 0.51
+_CONFLICT_THROTTLE_PCT, _CONFLICT_BRAKE_PCT = 25.2, 5.2
+_ECO, _TURBO = 0, 2
+_NS_PER_S = 1_000_000_000
+
+Broken = Iterator[tuple[str, str]]
+"""Short name of the rule, and what was seen."""
+
+
+class TickFacts(NamedTuple):
+    """What the judge knows at a tick.
+
+    Attributes:
+        active: the recorded mode is ACTIVE.
+        effects: every effect that counts.
+        slow: both motors are known to turn below the change speed.
+        regenerates: both are known to turn fast enough.
+        cut: a CUT stands or is latched.
+        holds: reasons for a throttle of 0.
+        elapsed_ns: since the tick before, at most a period.
+    """
+
+    limits: VerdictLimits
+    active: bool
+    effects: set[str]
+    slow: bool
+    regenerates: bool
+    cut: bool
+    holds: set[str]
+    ramps: LimitRamps
+    elapsed_ns: int
+    now_ns: int
+
+
+class SentBefore(NamedTuple):
+    """The command of a controller that left last."""
+
+    command: CommandBytes
+    at_ns: int
+
+
+class Judged(NamedTuple):
+    """A command, the one before it and the demand for its controller; None where unknown."""
+
+    controller: str
+    command: CommandBytes
+    before: SentBefore | None
+    demanded: JudgedDemand | None
+
+
+def broken(one: Judged, facts: TickFacts) -> Broken:
+    """Every rule that a command breaks."""
+    yield from _shape(one, facts)
+    yield from _speed_limit(one, facts)
+    if one.before is not None:
+        yield from _direction(one, one.before, facts)
+    if not facts.active:
+        if not one.command.safe:
+            yield "I2 zero torque outside ACTIVE", _seen(one.command)
+        return
+    yield from _effects(one, facts)
+    yield from _throttle(one, facts)
+    yield from _ramps(one, facts)
+    if one.demanded is not None:
+        yield from _as_demanded(one, one.demanded)
+
+
+def _seen(command: CommandBytes) -> str:
+    throttle_pct = command.throttle_raw * PERCENT_PER_BIT
+    brake_pct = command.brake_raw * PERCENT_PER_BIT
+    return f"throttle {throttle_pct:.1f} %, brake {brake_pct:.1f} %, {command.power_limit_w} W"
+
+
+def _shape(one: Judged, facts: TickFacts) -> Broken:
+    command = one.command
+    if command.unused:
+        yield "gate unused bits", f"{command.unused:#06x} instead of 0"
+    if facts.cut and not command.cut:
+        yield "I6 POWER_CUT while a CUT stands", "PowerCut is 0"
+    if command.cut and not command.safe:
+        yield "gate POWER_CUT without torque", _seen(command)
+    throttle_pct = command.throttle_raw * PERCENT_PER_BIT
+    brake_pct = command.brake_raw * PERCENT_PER_BIT
+    if throttle_pct > _CONFLICT_THROTTLE_PCT and brake_pct > _CONFLICT_BRAKE_PCT:
+        yield "I11 throttle and brake", _seen(command)
+
+
+def _speed_limit(one: Judged, facts: TickFacts) -> Broken:
+    rpm, limits = one.command.speed_limit_rpm, facts.limits
+    step_rpm = limits.speed_slew_rpm_per_s * limits.period_ns / _NS_PER_S
+    before_rpm = None if one.before is None else one.before.command.speed_limit_rpm
+    if rpm < _SPEED_LIMIT_MIN_RPM:
+        yield "gate SpeedLimit", f"{rpm} rpm is below {_SPEED_LIMIT_MIN_RPM}"
+    # Above the maximum it may only be on its way down to one that a reload made stricter.
+    falling = before_rpm is not None and rpm <= before_rpm - step_rpm / 2 + _ROUNDING
+    if rpm > limits.speed_limit_max_rpm and not falling:
+        yield "gate SpeedLimit", f"{rpm} rpm is above {limits.speed_limit_max_rpm:g}"
+    if before_rpm is not None and before_rpm - rpm > step_rpm + _ROUNDING:
+        yield "gate SpeedLimit slew", f"from {before_rpm} to {rpm} rpm"
+
+
+def _direction(one: Judged, before: SentBefore, facts: TickFacts) -> Broken:
+    command, then = one.command, before.command
+    if command.reverse is then.reverse:
+        return
+    if command.throttle_raw or then.throttle_raw:
+        yield "I12 direction", "changes with throttle"
+    if not facts.slow:
+        limit_rpm = facts.limits.direction_change_rpm
+        yield "I12 direction", f"changes while a motor is unknown or not below {limit_rpm:g} rpm"
+
+
+def _effects(one: Judged, facts: TickFacts) -> Broken:
+    command, effects = one.command, facts.effects
+    stopping = effects & {expected_effects.STOP, expected_effects.CUT}
+    if stopping and not command.safe:
+        yield "a STOP or CUT leaves no torque", _seen(command)
+    if expected_effects.TURBO_OFF in effects and command.power_mode == _TURBO:
+        yield "TURBO_OFF", "PowerMode is turbo"
+    limited = expected_effects.POWER_LIMIT in effects
+    if limited and command.power_mode not in (_ECO, SAFETY_MODE):
+        yield "POWER_LIMIT", f"PowerMode is {command.power_mode}, not eco"
+    if expected_effects.REGEN_OFF in effects and (command.regenerates or command.brake_raw):
+        yield "I10 regeneration", f"though it is off: {_seen(command)}"
+    if command.regenerates and not facts.regenerates:
+        least_rpm = facts.limits.regen_min_rpm
+        yield "I10 regeneration", f"with a motor unknown or below {least_rpm:g} rpm"
+
+
+def _throttle(one: Judged, facts: TickFacts) -> Broken:
+    raw = one.command.throttle_raw
+    if not raw:
+        return
+    if one.command.power_mode == SAFETY_MODE:
+        yield "gate throttle in PowerMode safety", _seen(one.command)
+    if facts.holds:
+        yield "throttle held at 0", f"{', '.join(sorted(facts.holds))}: {_seen(one.command)}"
+    if one.before is None:
+        return
+    elapsed_ns = min(max(facts.now_ns - one.before.at_ns, 0), facts.limits.period_ns)
+    earned_pct = facts.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
+    then = one.before.command.throttle_raw
+    if raw > then + earned_pct / PERCENT_PER_BIT + _ROUNDING + 1e-6:
+        rise = f"from {then * PERCENT_PER_BIT:.1f} to {raw * PERCENT_PER_BIT:.1f} %"
+        yield "I3 throttle slew", f"{rise} in {elapsed_ns / 1e6:.1f} ms"
+
+
+def _ramps(one: Judged, facts: TickFacts) -> Broken:
+    power_w = facts.ramps.power_w[one.controller]
+    if one.command.power_limit_w > power_w + _ROUNDING:
+        yield "I1 PowerLimit", f"{one.command.power_limit_w} W, at most {power_w:.0f}"
+    brake_pct = facts.ramps.brake_pct[one.controller]
+    if one.command.brake_raw * PERCENT_PER_BIT > brake_pct + PERCENT_PER_BIT:
+        yield "I1 Brake", f"{_seen(one.command)}, at most {brake_pct:.1f} %"
+
+
+def _as_demanded(one: Judged, demanded: JudgedDemand) -> Broken:
+    command = one.command
+    if command.throttle_raw > demanded.throttle_pct / PERCENT_PER_BIT + _HALF_BIT:
+        yield "I1 throttle as demanded", f"{_seen(command)}, demanded {demanded.throttle_pct:g} %"
+    if command.brake_raw > demanded.brake_pct / PERCENT_PER_BIT + _HALF_BIT:
+        yield "I1 brake as demanded", f"{_seen(command)}, demanded {demanded.brake_pct:g} %"
+    if command.power_limit_w > demanded.power_limit_w + _ROUNDING:
+        yield "I1 power as demanded", f"{_seen(command)}, demanded {demanded.power_limit_w:g} W"
+    if command.regenerates and not demanded.regen_brake:
+        yield "I10 regeneration", "nobody demanded it"
+    if command.throttle_raw and command.reverse is not demanded.motor_reverse:
+        yield "I12 direction", "throttle while a change of direction waits"

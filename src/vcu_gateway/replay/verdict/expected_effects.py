@@ -1,0 +1,169 @@
+"""Expected effects: docs/safety.md, Causes, from the bytes of the frames alone."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from vcu_gateway.replay.verdict.arrivals import Arrivals
+from vcu_gateway.replay.verdict.limits import VerdictLimits
+from vcu_gateway.replay.verdict.wire import CONTROLLERS, MS
+
+TURBO_OFF, POWER_LIMIT, REGEN_LIMIT = "TURBO_OFF", "POWER_LIMIT", "REGEN_LIMIT"
+REGEN_OFF, STOP, CUT = "REGEN_OFF", "STOP", "CUT"
+
+# Bits of BMS_Status by byte and shift, with the effects of the codes 1, 2, 3.
+_BATTERY: tuple[tuple[str, int, int, int, tuple[tuple[str, ...], ...]], ...] = (
+    ("CellOvervoltage", 5, 0, 3, ((REGEN_LIMIT,), (REGEN_OFF,), (REGEN_OFF,))),
+    ("CellUndervoltage", 5, 2, 3, ((POWER_LIMIT,), (STOP,), (CUT,))),
+    ("DischargeOvercurrent", 5, 6, 3, ((REGEN_LIMIT, POWER_LIMIT), (CUT,), (CUT,))),
+    ("Overtemperature", 6, 2, 3, ((), (CUT,), (CUT,))),
+    ("Undertemperature", 6, 4, 3, ((REGEN_OFF,), (CUT,), (CUT,))),
+    ("InternalFault", 6, 7, 1, ((CUT,),)),
+)
+_PROTECTION = ((TURBO_OFF,), (STOP,), (STOP,))
+_VOLTAGE: dict[int, tuple[str, ...]] = {
+    0: (POWER_LIMIT, REGEN_OFF),
+    1: (POWER_LIMIT,),
+    5: (REGEN_OFF,),
+    6: (POWER_LIMIT, REGEN_OFF),
+    7: (POWER_LIMIT, REGEN_OFF),
+}
+_UNCONFIRMED_TICKS = 3
+
+
+class Seen(NamedTuple):
+    """Cause with one of its effects, seen in a tick.
+
+    Attributes:
+        since_ns: when its frame arrived, or when silence passed its deadline.
+        for_ever: the effect stays until the next start.
+    """
+
+    effect: str
+    cause: str
+    since_ns: int
+    for_ever: bool = False
+
+
+def seen(arrivals: Arrivals, limits: VerdictLimits, now_ns: int) -> Iterator[Seen]:
+    """Every cause that frames and their absence show at this tick."""
+    yield from _battery(arrivals)
+    yield from _silence(arrivals, limits, now_ns)
+    for controller in CONTROLLERS:
+        yield from _controller(arrivals, controller)
+        yield from _echoes(arrivals, controller, now_ns)
+    if arrivals.foreign_ns is not None:
+        yield Seen(STOP, "another sender of our commands", arrivals.foreign_ns)
+
+
+def _battery(arrivals: Arrivals) -> Iterator[Seen]:
+    for frame in arrivals.judged("BMS_Status"):
+        for signal, byte, shift, mask, effects in _BATTERY:
+            code = frame.data[byte] >> shift & mask
+            for effect in effects[code - 1] if code else ():
+                for_ever = signal == "CellOvervoltage" and code == 3
+                yield Seen(effect, f"BMS_Status.{signal} {code}", frame.at_ns, for_ever)
+    repeats, at_ns = arrivals.life.worst
+    if repeats:
+        cause = "BMS_Status.LifeSignal unchanged"
+        yield Seen(REGEN_LIMIT, cause, at_ns)
+        yield Seen(POWER_LIMIT, cause, at_ns)
+        if repeats > 1:
+            yield Seen(STOP, cause, at_ns)
+
+
+def _silence(arrivals: Arrivals, limits: VerdictLimits, now_ns: int) -> Iterator[Seen]:
+    age_ns = arrivals.age_ns("BMS_Status", now_ns)
+    if age_ns is not None and age_ns > limits.battery_late_ns:
+        since_ns = now_ns - age_ns + limits.battery_late_ns
+        for effect in (REGEN_LIMIT, POWER_LIMIT):
+            yield Seen(effect, "BMS_Status late", since_ns)
+    for name in (*limits.required_messages, "PCU1_Status1", "PCU2_Status1"):
+        if not arrivals.stale(name, now_ns):
+            continue
+        last = arrivals.latest.get(name)
+        since_ns = now_ns if last is None else last.at_ns + limits.stale_ns(name)
+        if name in limits.required_messages:
+            yield Seen(STOP, f"{name} stale", since_ns)
+        if name.endswith("Status1"):
+            yield Seen(TURBO_OFF, f"{name} stale", since_ns)
+            yield Seen(POWER_LIMIT, f"{name} stale", since_ns)
+
+
+def _controller(arrivals: Arrivals, controller: str) -> Iterator[Seen]:
+    name = f"{controller}_Status1"
+    for frame in arrivals.judged(name):
+        voltage, heat = frame.data[3] & 7, frame.data[3] >> 5 & 3
+        for effect in _VOLTAGE.get(voltage, ()):
+            yield Seen(effect, f"{name}.VoltageLevel {voltage}", frame.at_ns)
+        for effect in _PROTECTION[heat - 1] if heat else ():
+            yield Seen(effect, f"{name}.TemperatureProtectLevel {heat}", frame.at_ns)
+
+
+def _echoes(arrivals: Arrivals, controller: str, now_ns: int) -> Iterator[Seen]:
+    name = f"{controller}_Status1"
+    if arrivals.stale(name, now_ns):
+        return
+    above, below = arrivals.above[controller], arrivals.below[controller]
+    if above.worst[0]:
+        yield Seen(STOP, f"{name} echoes more throttle than commanded", above.worst[1])
+    other = CONTROLLERS[1 - CONTROLLERS.index(controller)]
+    both = arrivals.below[other].run and not arrivals.stale(f"{other}_Status1", now_ns)
+    if below.worst[0] > 1 and not both:
+        yield Seen(STOP, f"{name} echoes less throttle than commanded", below.worst[1])
+    turned = arrivals.turned[controller]
+    if turned.worst[0] > 1:
+        yield Seen(STOP, f"{name} echoes another direction", turned.worst[1])
+
+
+class Unconfirmed:
+    """Ticks in a row after which a controller's command did not come back."""
+
+    def __init__(self) -> None:
+        self._missed = dict.fromkeys(CONTROLLERS, 0)
+        self._emitted = False
+
+    def tick(self, echoed: dict[str, int]) -> bool:
+        """Whether three have passed at this tick."""
+        for controller in CONTROLLERS:
+            if controller in echoed:
+                self._missed[controller] = 0
+            elif self._emitted:
+                self._missed[controller] += 1
+        return max(self._missed.values()) >= _UNCONFIRMED_TICKS
+
+    def note_emitted(self, emitted: bool) -> None:
+        """Whether this tick gave frames at all."""
+        self._emitted = emitted
+
+
+class HeldEffects:
+    """Effects that count: seen now, or gone for less than the holding time."""
+
+    def __init__(self) -> None:
+        self._absent_since_ns: dict[tuple[str, str], int | None] = {}
+        self._for_ever: set[tuple[str, str]] = set()
+
+    def update(self, found: list[Seen], hold_ms: float, now_ns: int) -> list[Seen]:
+        """Take in what a tick sees; what of it is new."""
+        keys = {(one.effect, one.cause) for one in found}
+        new = [one for one in found if (one.effect, one.cause) not in self._absent_since_ns]
+        for key, absent_since_ns in tuple(self._absent_since_ns.items()):
+            if key in keys or key in self._for_ever:
+                continue
+            since_ns = now_ns if absent_since_ns is None else absent_since_ns
+            self._absent_since_ns[key] = since_ns
+            if now_ns - since_ns >= hold_ms * MS:
+                del self._absent_since_ns[key]
+        self._absent_since_ns.update(dict.fromkeys(keys))
+        self._for_ever |= {(one.effect, one.cause) for one in found if one.for_ever}
+        return new
+
+    @property
+    def effects(self) -> set[str]:
+        """Every effect that counts."""
+        return {effect for effect, _ in self._absent_since_ns}
+
+    @property
+    def blocking(self) -> bool:
+        """True while a cause stops or cuts, or did a moment ago."""
+        return any(effect in (STOP, CUT) for effect, _ in self._absent_since_ns)

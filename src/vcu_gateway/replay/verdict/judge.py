@@ -1,0 +1,276 @@
+"""Judge: a recorded drive against docs/safety.md, from its bytes and its modes.
+
+Nothing of the gateway's decisions is used here: frames are decoded from their bytes, causes and
+effects are those of the specification, and of the recording only what came in, what was sent and
+which mode was told is believed.
+
+    judge = Judge(limits, complete=True)
+    judge.frame(can_id, data, arrival_ns)        # as often as frames came
+    judge.demand(demand, now_ns)                 # granted demands, requests, the link
+    judge.tick(now_ns, "active", {"PCU1": command, "PCU2": command})
+    judge.verdict()
+"""
+
+from vcu_gateway.replay.verdict import command_rules, expected_effects, wire
+from vcu_gateway.replay.verdict.arrivals import Arrivals
+from vcu_gateway.replay.verdict.bus_state import BusState
+from vcu_gateway.replay.verdict.command_rules import Judged, SentBefore, TickFacts
+from vcu_gateway.replay.verdict.demands import GrantedDemand, GrantedDemands
+from vcu_gateway.replay.verdict.expected_effects import (
+    CUT,
+    STOP,
+    HeldEffects,
+    Seen,
+    Unconfirmed,
+)
+from vcu_gateway.replay.verdict.frame_pairs import FramePairs, SentFrame, SentFrames
+from vcu_gateway.replay.verdict.limits import VerdictLimits
+from vcu_gateway.replay.verdict.mode_rules import ModeRules, TickCauses
+from vcu_gateway.replay.verdict.ramps import LimitRamps
+from vcu_gateway.replay.verdict.reactions import Reactions
+from vcu_gateway.replay.verdict.result import Findings
+from vcu_gateway.replay.verdict.wire import MS
+
+_REGEN_RETURN_RPM = 50
+_SPEED_HIGHEST_RPM = 6_000
+_LATE_PERIODS = 4
+
+
+class Judge:
+    """Judge of one uninterrupted stretch of a recording.
+
+    `complete`: it begins with the start of the gateway. Otherwise what was before is unknown, and
+    nothing is held against it.
+
+    Attributes:
+        limits: configuration in effect.
+        requests: granted requests and modes.
+    """
+
+    def __init__(
+        self, limits: VerdictLimits, findings: Findings, *, complete: bool, tick: int = 0
+    ) -> None:
+        self.limits = limits
+        self.requests = ModeRules(findings, complete=complete)
+        self._findings = findings
+        self._arrivals = Arrivals(limits)
+        self._bus = BusState()
+        self._demands = GrantedDemands(limits.bench_demand, known=complete)
+        self._unconfirmed = Unconfirmed()
+        self._held = HeldEffects()
+        self._ramps = LimitRamps(limits)
+        self._reactions = Reactions(findings)
+        self._before: dict[str, SentBefore] = {}
+        self._told: dict[str, bytes] = {}
+        self._last_ns: int | None = None
+        self._pairs = FramePairs(complete=complete)
+        self._regenerates = not complete
+        self._complete = complete
+        self._emergency = False
+        self._tick = tick
+
+    # What comes in.
+
+    def frame(
+        self,
+        can_id: int,
+        data: bytes,
+        at_ns: int,
+        *,
+        own_echo: bool = False,
+        error: bool = False,
+    ) -> None:
+        """Take in an extended data frame, or an error frame; others change nothing."""
+        if error:
+            self._bus.error_frame(can_id, data, at_ns)
+        else:
+            self._arrivals.receive(can_id, data, at_ns, own_echo=own_echo)
+            if own_echo:
+                self._reactions.left(at_ns)
+
+    def link_lost(self, at_ns: int) -> None:
+        """The interface is gone."""
+        self._bus.lost(at_ns)
+
+    def link_opened(self, at_ns: int, *, up: bool) -> None:
+        """The interface was opened; not `up`: without a working bus."""
+        self._bus.opened()
+        if not up:
+            self._bus.carrier(False, at_ns)
+        self._pairs.listen(self.limits, at_ns)
+
+    def carrier(self, present: bool, at_ns: int) -> None:
+        """The carrier came or went."""
+        self._bus.carrier(present, at_ns)
+
+    def offered(self, now_ns: int) -> None:
+        """A demand is offered, whatever the answer."""
+        if self._demands.known and not self._demands.fresh(now_ns):
+            self.requests.left_active()
+        self._demands.offered(now_ns)
+
+    def demand(self, demand: GrantedDemand, now_ns: int) -> None:
+        """A demand was granted."""
+        self._demands.granted(demand, now_ns, driving=self.requests.may_be_active)
+
+    def end_demand(self) -> None:
+        """The owner ended its demand."""
+        self._demands.ended()
+        self.requests.left_active()
+
+    def armed(self, now_ns: int) -> None:
+        """`arm` was granted."""
+        demands, reason = self._demands, ""
+        released_ns = demands.released_for_ns(now_ns)
+        if self._held.blocking:
+            reason = "a violation stands"
+        elif demands.known and not demands.fresh(now_ns):
+            reason = "there is no fresh demand"
+        elif self._complete and (released_ns is None or released_ns < 200 * MS):
+            reason = "the throttle was not 0 for 200 ms"
+        self.requests.armed(self._tick, now_ns, reason)
+
+    def reset(self, now_ns: int, *, service: bool) -> None:
+        """`reset` was granted."""
+        self.requests.reset(self._tick, now_ns, service=service, blocking=self._held.blocking)
+
+    def emergency_stop(self) -> None:
+        """An emergency stop was requested."""
+        self._emergency = True
+
+    def disarmed(self) -> None:
+        """`disarm` was done."""
+        self.requests.left_active()
+
+    def reload(self, limits: VerdictLimits) -> None:
+        """New settings were taken."""
+        self.limits = self._arrivals.limits = limits
+
+    def end(self) -> None:
+        """The stretch is over."""
+        self._reactions.settle()
+
+    # The tick.
+
+    def tick(self, now_ns: int, mode: str, sent: SentFrames) -> None:
+        """Judge a tick: the mode it told and the command of each controller."""
+        elapsed_ns = self.limits.period_ns if self._last_ns is None else now_ns - self._last_ns
+        late_ns = max(0, elapsed_ns - self.limits.period_ns)
+        found = list(self._found(now_ns, late_ns))
+        new = self._held.update(found, self.limits.clear_hold_ms, now_ns)
+        causes = TickCauses(
+            stop=_first(found, STOP),
+            cut=_first(found, CUT),
+            foreign=self._arrivals.foreign_ns is not None,
+            late=self._last_ns is not None and late_ns > _LATE_PERIODS * self.limits.period_ns,
+            demand_fresh=not self._demands.known or self._demands.fresh(now_ns),
+        )
+        was_active = self.requests.mode == "active"
+        self.requests.tick(self._tick, now_ns, mode, causes)
+        facts = self._facts(now_ns, mode, elapsed_ns)
+        disturbed = self._bus.is_lost or causes.foreign
+        for rule, seen in self._pairs.broken(sent, self.limits, now_ns, disturbed=disturbed):
+            self._broken(rule, now_ns, seen)
+        for controller, frame in sent.items():
+            self._judge_frame(controller, frame, facts)
+        self._reactions.tick(
+            self._tick, now_ns, late_ns, sent, [*new] if was_active else _cuts(new)
+        )
+        self._end_tick(now_ns, sent)
+
+    def _found(self, now_ns: int, late_ns: int) -> list[Seen]:
+        arrivals = self._arrivals
+        # What never came may have come before this recording began.
+        found = [
+            one
+            for one in expected_effects.seen(arrivals, self.limits, now_ns)
+            if self._complete or not one.cause.endswith(" stale") or self._known(one.cause)
+        ]
+        if self._unconfirmed.tick(arrivals.echoed_ns):
+            found.append(Seen(STOP, "own frames not confirmed", now_ns))
+        if self._bus.down_ns is not None:
+            found.append(Seen(STOP, "bus off, or interface down", self._bus.down_ns))
+        passive_ns = self._bus.passive_since_ns(now_ns)
+        if passive_ns is not None and now_ns - passive_ns > self.limits.period_ns + late_ns:
+            found.append(Seen(STOP, "error passive", passive_ns))
+        if self._emergency:
+            found.append(Seen(CUT, "emergency stop", self._last_ns or now_ns))
+        return found
+
+    def _known(self, cause: str) -> bool:
+        return cause.removesuffix(" stale") in self._arrivals.latest
+
+    def _facts(self, now_ns: int, mode: str, elapsed_ns: int) -> TickFacts:
+        limits, active = self.limits, mode == "active"
+        counted_ns = min(max(elapsed_ns, 0), limits.period_ns)
+        speeds = self._arrivals.speeds_rpm(now_ns)
+        self._note_regeneration(speeds)
+        if mode in ("standby", "active"):
+            self._ramps.move(self._held.effects, limits, self._told, counted_ns / 1e9)
+        slow = speeds is not None and all(rpm < limits.direction_change_rpm for rpm in speeds)
+        return TickFacts(
+            limits=limits,
+            active=active,
+            effects=self._held.effects,
+            slow=slow,
+            regenerates=self._regenerates,
+            cut=self.requests.cut_latched,
+            holds=self._holds(now_ns) if self._demands.known else set(),
+            ramps=self._ramps,
+            elapsed_ns=counted_ns,
+            now_ns=now_ns,
+        )
+
+    def _holds(self, now_ns: int) -> set[str]:
+        holds = self._demands.holds(now_ns)
+        for controller, reverse in self._demands.directions:
+            before = self._before.get(controller)
+            if before is not None and before.command.reverse is not reverse:
+                holds.add("a change of direction is pending")
+        return holds
+
+    def _note_regeneration(self, speeds: list[int] | None) -> None:
+        least_rpm = self.limits.regen_min_rpm
+        needed_rpm = least_rpm if self._regenerates else least_rpm + _REGEN_RETURN_RPM
+        fast = speeds is not None and all(needed_rpm <= rpm <= _SPEED_HIGHEST_RPM for rpm in speeds)
+        self._regenerates = fast or least_rpm == 0
+
+    def _judge_frame(self, controller: str, frame: SentFrame, facts: TickFacts) -> None:
+        own_id = wire.command_id(controller, self.limits.transmit_priority)
+        if frame.can_id != own_id or len(frame.data) != 8:
+            seen = f"{frame.can_id:08X} with {len(frame.data)} bytes, not {own_id:08X} with 8"
+            self._broken("gate identifier and length", facts.now_ns, seen)
+            return
+        command, before = wire.command_bytes(frame.data), self._before.get(controller)
+        if before is not None and 2 * (facts.now_ns - before.at_ns) < self.limits.period_ns:
+            gap_ms = (facts.now_ns - before.at_ns) / MS
+            self._broken("I4 half a period apart", facts.now_ns, f"{gap_ms:.1f} ms after the last")
+        demanded = self._demands.of(controller) if self._demands.known else None
+        judged = Judged(controller, command, before, demanded)
+        for rule, seen in command_rules.broken(judged, facts):
+            self._broken(rule, facts.now_ns, f"{controller}: {seen}")
+
+    def _broken(self, rule: str, now_ns: int, sentence: str) -> None:
+        self._findings.broken(rule, self._tick, now_ns, sentence)
+
+    def _end_tick(self, now_ns: int, sent: SentFrames) -> None:
+        for controller, frame in sent.items():
+            if frame.left and len(frame.data) == 8:
+                self._before[controller] = SentBefore(wire.command_bytes(frame.data), now_ns)
+                self._told[controller] = frame.data
+                self._arrivals.note_sent(controller, frame.data, now_ns)
+        self._unconfirmed.note_emitted(bool(sent))
+        self._arrivals.end_tick()
+        self._bus.end_tick()
+        self._demands.end_tick()
+        self._emergency = False
+        self._last_ns = now_ns
+        self._tick += 1
+
+
+def _first(found: list[Seen], effect: str) -> str:
+    return next((one.cause for one in found if one.effect == effect), "")
+
+
+def _cuts(new: list[Seen]) -> list[Seen]:
+    return [one for one in new if one.effect == CUT]

@@ -1,0 +1,101 @@
+"""Verdict: violations, reaction times and what was judged, for people and machines."""
+
+from collections import Counter
+from typing import NamedTuple
+
+from vcu_gateway.replay.verdict.wire import MS
+
+_KEPT_EACH = 5
+
+
+class Violation(NamedTuple):
+    """Rule of docs/safety.md that a tick breaks.
+
+    Attributes:
+        rule: short and stable, such as "I3 throttle slew".
+        tick: number of the tick; at_ns: its time on the gateway's clock.
+        sentence: what was seen, with figures.
+    """
+
+    rule: str
+    tick: int
+    at_ns: int
+    sentence: str
+
+
+class ReactionTime(NamedTuple):
+    """Times from a cause to the command that obeys it.
+
+    Attributes:
+        cause, effect: as in docs/safety.md.
+        times: how often it was seen.
+        longest_ms: the longest; bound_ms: what that one was allowed, its tick's lateness included.
+        tick: of the longest.
+    """
+
+    cause: str
+    effect: str
+    times: int
+    longest_ms: float
+    bound_ms: float
+    tick: int
+
+
+class Verdict(NamedTuple):
+    """Judgement of a whole recording.
+
+    Attributes:
+        ticks, commands, frames: how many were judged.
+        with_torque: commands with throttle or brake.
+        latest_tick_ms: longest time between two ticks.
+        counts: violations by rule; violations: the first of each rule.
+        reactions: by cause and effect.
+        not_judged: what the recording does not show, as sentences.
+    """
+
+    ticks: int
+    commands: int
+    frames: int
+    with_torque: int
+    latest_tick_ms: float
+    counts: dict[str, int]
+    violations: tuple[Violation, ...]
+    reactions: tuple[ReactionTime, ...]
+    not_judged: tuple[str, ...]
+
+    @property
+    def holds(self) -> bool:
+        """True where nothing was broken."""
+        return not self.counts
+
+
+class Findings:
+    """Violations so far, the first of each rule kept, and reaction times."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.kept: list[Violation] = []
+        self._reactions: dict[tuple[str, str], ReactionTime] = {}
+
+    def broken(self, rule: str, tick: int, at_ns: int, sentence: str) -> None:
+        """Count a violation."""
+        self.counts[rule] += 1
+        if self.counts[rule] <= _KEPT_EACH:
+            self.kept.append(Violation(rule, tick, at_ns, sentence))
+
+    def reacted(self, cause: str, effect: str, took_ns: int, bound_ns: int, tick: int) -> None:
+        """Count a reaction; the worst against its bound is kept."""
+        before = self._reactions.get((cause, effect))
+        took_ms, bound_ms = took_ns / MS, bound_ns / MS
+        if before is None:
+            one = ReactionTime(cause, effect, 1, took_ms, bound_ms, tick)
+        elif took_ms - bound_ms > before.longest_ms - before.bound_ms:
+            one = ReactionTime(cause, effect, before.times + 1, took_ms, bound_ms, tick)
+        else:
+            one = before._replace(times=before.times + 1)
+        self._reactions[cause, effect] = one
+
+    @property
+    def reactions(self) -> tuple[ReactionTime, ...]:
+        """Every cause that was seen, in the order of its first sight."""
+        return tuple(self._reactions.values())

@@ -1,0 +1,114 @@
+"""Frames of the bus in the verdict's own arithmetic, from docs/protocol.md by hand."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+MS = 1_000_000
+CONTROLLERS = ("PCU1", "PCU2")
+PERCENT_PER_BIT = 0.39
+SAFETY_MODE = 3
+
+COMMAND_IDS: Mapping[str, int] = {"PCU1": 0x0008A7D0, "PCU2": 0x0008A8D0}
+_RECEIVED_IDS: Mapping[int, str] = {
+    0x040AD092: "ARD2_SteeringWheel",
+    0x1808D0F4: "BMS_Status",
+    0x1809D0F4: "BMS_Temperatures",
+    0x040AD079: "IMU_Acceleration",
+    0x040BD079: "IMU_AngularRate",
+    0x040CD079: "IMU_Attitude",
+    0x0808D0A7: "PCU1_Status1",
+    0x0809D0A7: "PCU1_Status2",
+    0x0808D0A8: "PCU2_Status1",
+    0x0809D0A8: "PCU2_Status2",
+}
+STALE_AFTER_MS: Mapping[str, int] = {
+    "ARD2_SteeringWheel": 300,
+    "BMS_Status": 1600,
+    "BMS_Temperatures": 1600,
+    "IMU_Acceleration": 100,
+    "IMU_AngularRate": 100,
+    "IMU_Attitude": 100,
+    "PCU1_Status1": 1600,
+    "PCU1_Status2": 200,
+    "PCU2_Status1": 1600,
+    "PCU2_Status2": 200,
+}
+"""Ages of docs/safety.md, Causes; a configuration may say otherwise."""
+
+BATTERY_LATE_AFTER_MS = 1100
+
+# A frame is told by PF, PS and SA, whatever its priority (E1).
+_MATCH = 0x03FF_FFFF
+_PRIORITY = 0x1C00_0000
+_MESSAGE_BY_KEY = {can_id & _MATCH: name for can_id, name in _RECEIVED_IDS.items()}
+_COMMAND_BY_KEY = {can_id & _MATCH: name for name, can_id in COMMAND_IDS.items()}
+# PF 8 on page 0 and the receiver; the last byte is the sender.
+_COMMANDED = {0x0008A7, 0x0008A8, 0x0008FF}
+_REVERSE, _REGEN, _CUT, _UNUSED = 0x10, 0x20, 0x80, 0x43
+
+
+class CommandBytes(NamedTuple):
+    """Command frame taken apart; throttle and brake are codes of 0.39 %."""
+
+    power_mode: int
+    reverse: bool
+    regenerates: bool
+    cut: bool
+    throttle_raw: int
+    brake_raw: int
+    speed_limit_rpm: int
+    power_limit_w: int
+    unused: int
+
+    @property
+    def safe(self) -> bool:
+        """ZERO_TORQUE or POWER_CUT, in either direction."""
+        torque = self.throttle_raw or self.brake_raw or self.power_limit_w or self.regenerates
+        return not torque and self.power_mode == SAFETY_MODE
+
+
+def command_bytes(data: bytes) -> CommandBytes:
+    """Take apart a command of eight bytes."""
+    first = data[0]
+    return CommandBytes(
+        first >> 2 & 3,
+        bool(first & _REVERSE),
+        bool(first & _REGEN),
+        bool(first & _CUT),
+        data[1],
+        data[2],
+        data[4] | data[5] << 8,
+        data[6] | data[7] << 8,
+        first & _UNUSED | data[3] << 8,
+    )
+
+
+def command_id(controller: str, priority: int) -> int:
+    """Identifier of a controller's command at this priority."""
+    return COMMAND_IDS[controller] & ~_PRIORITY | priority << 26
+
+
+def message_of(can_id: int, aliases: Mapping[int, str]) -> str | None:
+    """The message that an extended identifier stands for; None where it is none of the vehicle."""
+    key = can_id & _MATCH
+    return _MESSAGE_BY_KEY.get(key) or aliases.get(key)
+
+
+def alias_keys(aliases: Mapping[int, str]) -> dict[int, str]:
+    """The configured aliases, by what tells a frame."""
+    return {can_id & _MATCH: name for can_id, name in aliases.items()}
+
+
+def controller_commanded(can_id: int) -> str | None:
+    """The controller that our own command with this identifier is for."""
+    return _COMMAND_BY_KEY.get(can_id & _MATCH)
+
+
+def commands_somebody(can_id: int) -> bool:
+    """True for a command to a controller or to all, whoever sends it."""
+    return (can_id & _MATCH) >> 8 in _COMMANDED
+
+
+def speed_rpm(status2: bytes) -> int:
+    """MotorSpeed of a Status2."""
+    return status2[6] | status2[7] << 8
