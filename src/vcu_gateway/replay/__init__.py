@@ -1,0 +1,1 @@
+"""Replay of recorded drives: equality, what-if, verdict."""

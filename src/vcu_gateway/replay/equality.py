@@ -1,0 +1,263 @@
+"""Equality: a drive's inputs replayed with its own configuration must give its results again.
+
+    check = EqualityCheck(codec, fields)
+    for record in drive.records():
+        check.note(record)
+    check.result()
+
+A segment's checkpoint begins the replay; each later one is compared with the state that the replay
+has come to, and taken over where they differ, so that one difference does not hide the next.
+"""
+
+import json
+from collections import Counter
+from typing import Any, NamedTuple
+
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.demand import RequestResult
+from vcu_gateway.core.events import Event
+from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.inputs import FrameInput
+from vcu_gateway.drive import checkpoint
+from vcu_gateway.drive.records import (
+    Checkpoint,
+    CoreRecord,
+    Gap,
+    InputRecord,
+    TickRecord,
+    WhyRecord,
+)
+from vcu_gateway.replay.command_fields import CommandFields
+
+_NOTHING = "nothing"
+
+
+class Difference(NamedTuple):
+    """A place where the replay is not the recording.
+
+    Attributes:
+        tick: number of the tick since the gateway's start; now_ns: its time on that clock.
+        field: such as "PCU1 Throttle", "mode", "why", "answer to arm".
+    """
+
+    tick: int
+    now_ns: int
+    field: str
+    recorded: str
+    replayed: str
+
+
+class NotReplayed(NamedTuple):
+    """A stretch that is missing in the recording, from the last tick before it.
+
+    Attributes:
+        ticks, frames: how many; None where that is not known.
+    """
+
+    after_tick: int
+    now_ns: int
+    ticks: int | None
+    frames: int | None
+    why: str
+
+
+class Equality(NamedTuple):
+    """Result of a check.
+
+    Attributes:
+        ticks, equal_ticks, frames, answers, sentences, checkpoints: how many were compared.
+        began_ns, ended_ns: first and last tick.
+        first: the first difference; None where there is none.
+        counts: differences by field.
+        gaps: what was not replayed.
+    """
+
+    ticks: int
+    equal_ticks: int
+    frames: int
+    answers: int
+    sentences: int
+    checkpoints: int
+    began_ns: int
+    ended_ns: int
+    first: Difference | None
+    counts: dict[str, int]
+    gaps: tuple[NotReplayed, ...]
+
+    @property
+    def equal(self) -> bool:
+        """True where everything that was compared is the same."""
+        return self.first is None
+
+
+class EqualityCheck:
+    """Replay of records in their order, each result compared with the recorded one."""
+
+    def __init__(self, codec: Codec) -> None:
+        self._codec = codec
+        self._fields = CommandFields(codec)
+        self._gateway: Gateway | None = None
+        self._first: Difference | None = None
+        self._counts: Counter[str] = Counter()
+        self._compared: Counter[str] = Counter()
+        self._gaps: list[NotReplayed] = []
+        self._tick = 0
+        self._equal_ticks = 0
+        self._tick_open = self._tick_differs = False
+        self._began_ns: int | None = None
+        self._now_ns = 0
+        self._why: tuple[object, ...] | None = None
+        self._unsaid: str | None = None
+
+    def note(self, record: CoreRecord) -> None:
+        """Replay one record and compare its result."""
+        kind, gateway = type(record), self._gateway
+        if kind is InputRecord:
+            if gateway is not None:
+                self._input(gateway, record)  # type: ignore[arg-type]
+        elif kind is Checkpoint:
+            self._checkpoint(record)  # type: ignore[arg-type]
+        elif kind is Gap:
+            self._gap(record)  # type: ignore[arg-type]
+        elif gateway is not None and kind is TickRecord:
+            self._replay_tick(gateway, record)  # type: ignore[arg-type]
+        elif gateway is not None and kind is WhyRecord:
+            self._explain(gateway, record)  # type: ignore[arg-type]
+
+    def _input(self, gateway: Gateway, record: InputRecord) -> None:
+        one = record.input
+        if type(one) is FrameInput:
+            gateway.receive(one.frame)
+            self._compared["frames"] += 1
+            return
+        answer = one.apply(gateway)
+        if record.answer is not None and isinstance(answer, RequestResult):
+            self._compared["answers"] += 1
+            if answer != record.answer:
+                what = type(one).__name__.removesuffix("Input").lower()
+                self._differs(f"answer to {what}", _told(record.answer), _told(answer))
+
+    def _replay_tick(self, gateway: Gateway, record: TickRecord) -> None:
+        self._end_tick()
+        self._now_ns = record.now_ns
+        if self._began_ns is None:
+            self._began_ns = record.now_ns
+        result = gateway.tick(record.now_ns)
+        self._tick_open = True
+        self._tick += 1
+        self._compared["ticks"] += 1
+        if result.frames != record.frames:
+            for change in self._fields.changes(record.frames, result.frames):
+                field = f"{change.controller} {change.field}"
+                self._differs(field, change.before, change.after)
+        if result.mode is not record.mode:
+            self._differs("mode", record.mode.value, result.mode.value)
+        if result.events or record.events:
+            self._compare_events(record, result)
+        signature = gateway.reasons(record.now_ns).signature()
+        if signature != self._why:
+            self._unsaid = None if self._why is None else gateway.why(record.now_ns).sentence()
+            self._why = signature
+
+    def _end_tick(self) -> None:
+        """The tick before and all that belongs to it was compared."""
+        if self._unsaid is not None:
+            self._differs("why", _NOTHING, self._unsaid)
+            self._unsaid = None
+        self._equal_ticks += self._tick_open and not self._tick_differs
+        self._tick_open = self._tick_differs = False
+
+    def _compare_events(self, record: TickRecord, result: TickResult) -> None:
+        recorded, replayed = _events(record.events), _events(result.events)
+        if recorded == replayed:
+            return
+        missing = [one for one in recorded if one not in replayed]
+        added = [one for one in replayed if one not in recorded]
+        told = "; ".join(missing) or _NOTHING, "; ".join(added) or _NOTHING
+        self._differs(
+            "events", *(told if missing or added else ("; ".join(recorded), "; ".join(replayed)))
+        )
+
+    def _explain(self, gateway: Gateway, record: WhyRecord) -> None:
+        self._compared["sentences"] += 1
+        self._unsaid = None
+        sentence = gateway.why(record.now_ns).sentence()
+        if sentence != record.sentence:
+            self._differs("why", record.sentence, sentence)
+
+    def _checkpoint(self, record: Checkpoint) -> None:
+        if self._gateway is not None:
+            self._end_tick()
+            self._compared["checkpoints"] += 1
+            state = json.loads(json.dumps(checkpoint.state_of(self._gateway)))
+            path = first_difference(record.state, state)
+            if path is None and record.ticks == self._tick:
+                return
+            field, recorded, replayed = path or ("ticks", str(record.ticks), str(self._tick))
+            self._differs(f"checkpoint {field}", recorded, replayed)
+        self._gateway = checkpoint.restore(record.state, self._codec, record.settings)
+        self._tick, self._now_ns, self._why = record.ticks, record.now_ns, None
+
+    def _gap(self, record: Gap) -> None:
+        self._unsaid = None
+        self._end_tick()
+        gap = NotReplayed(self._tick, self._now_ns, record.ticks, record.frames, record.why)
+        self._gaps.append(gap)
+        self._gateway = None
+
+    def _differs(self, field: str, recorded: str, replayed: str) -> None:
+        self._tick_differs = True
+        self._counts[field] += 1
+        if self._first is None:
+            self._first = Difference(self._tick, self._now_ns, field, recorded, replayed)
+
+    def result(self) -> Equality:
+        """What was found; the end of the records."""
+        self._end_tick()
+        compared = self._compared
+        return Equality(
+            ticks=compared["ticks"],
+            equal_ticks=self._equal_ticks,
+            frames=compared["frames"],
+            answers=compared["answers"],
+            sentences=compared["sentences"],
+            checkpoints=compared["checkpoints"],
+            began_ns=self._began_ns or 0,
+            ended_ns=self._now_ns,
+            first=self._first,
+            counts=dict(self._counts),
+            gaps=tuple(self._gaps),
+        )
+
+
+def _told(answer: RequestResult) -> str:
+    return "granted" if answer.granted else f"refused: {answer.sentence}"
+
+
+def _events(events: tuple[Event, ...]) -> list[str]:
+    """Events as they stand in a core line, so that both sides have JSON's types."""
+    return [
+        f"{one.name} {json.dumps(dict(one.fields), sort_keys=True, default=str)}" for one in events
+    ]
+
+
+def first_difference(recorded: Any, replayed: Any, path: str = "") -> tuple[str, str, str] | None:
+    """Path and both values of the first place where two JSON values differ."""
+    if isinstance(recorded, dict) and isinstance(replayed, dict):
+        keys = [*recorded, *(key for key in replayed if key not in recorded)]
+        pairs = [(key, recorded.get(key), replayed.get(key)) for key in keys]
+    elif (
+        isinstance(recorded, list) and isinstance(replayed, list) and len(recorded) == len(replayed)
+    ):
+        pairs = [(str(i), *both) for i, both in enumerate(zip(recorded, replayed, strict=True))]
+    else:
+        return None if recorded == replayed else (path, _short(recorded), _short(replayed))
+    for key, one, other in pairs:
+        if one != other:
+            return first_difference(one, other, f"{path}.{key}" if path else key)
+    return None
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 120 else text[:119] + "…"

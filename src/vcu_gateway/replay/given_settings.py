@@ -1,0 +1,97 @@
+"""Given settings: a drive's configuration, another file, or single keys of one set otherwise."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from vcu_gateway import config as configuration
+from vcu_gateway.core.settings import KEYS, Settings
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.strict_yaml import parser
+
+SET = "--set"
+_EXAMPLE = "write section.key=value, such as limits.throttle_slew_pct_per_s=50"
+_USED_SECTIONS = {key.section for key in KEYS.values()} | {"bench"}
+_USED_OF_PROTOCOL = ("aliases", "transmit_priority")
+
+
+class GivenConfiguration(NamedTuple):
+    """Configuration of a replay.
+
+    Attributes:
+        aliases: further identifiers of messages.
+        without_effect: what of it a replay does not use, as sentences.
+    """
+
+    settings: Settings
+    aliases: Mapping[int, str]
+    without_effect: tuple[str, ...]
+
+
+def given(
+    text: str, where: str, assignments: Sequence[str], protocol: ProtocolSpec
+) -> GivenConfiguration:
+    """The configuration of a text with these keys of it set, for a protocol.
+
+    Its DBC is left out: a recording is decoded with its own. ConfigError names everything wrong.
+    """
+    if not assignments:
+        configuration.parse(_without_dbc(text), where)  # for problems with their lines
+    values = _values(text, where)
+    without_effect = _drop_dbc(values)
+    for assignment in assignments:
+        path, value = _assignment(assignment)
+        _put(values, path, value)
+        if path[0] not in _USED_SECTIONS or path[:2] == ("protocol", "status_code_names"):
+            without_effect.append(f"{'.'.join(path)} has no effect on what is decided")
+    config = configuration.of_values(values, SET if assignments else where)
+    if problems := configuration.check_against(config, protocol):
+        raise ConfigError(*problems)
+    settings = configuration.core_settings(config)
+    return GivenConfiguration(settings, config.protocol.aliases, tuple(without_effect))
+
+
+def _values(text: str, where: str) -> dict[str, Any]:
+    read = parser.read(text)
+    if not read.is_yaml or not isinstance(read.value, dict | None):
+        configuration.parse(text, where)  # which says what is wrong
+    return dict(read.value or {})
+
+
+def _without_dbc(text: str) -> str:
+    """The text, where only the file that it names for a DBC is not asked for."""
+    return "\n".join("" if line.lstrip().startswith("dbc:") else line for line in text.splitlines())
+
+
+def _drop_dbc(values: dict[str, Any]) -> list[str]:
+    section = values.get("protocol")
+    if not isinstance(section, dict) or section.get("dbc") is None:
+        return []
+    values["protocol"] = {key: value for key, value in section.items() if key != "dbc"}
+    return ["protocol.dbc is not used: a recording is decoded with the DBC recorded beside it"]
+
+
+def _assignment(assignment: str) -> tuple[tuple[str, ...], Any]:
+    name, equals, text = assignment.partition("=")
+    path = tuple(part.strip() for part in name.split("."))
+    if not equals or len(path) < 2 or not all(path):
+        key = KEYS.get(path[0])
+        remedy = _EXAMPLE if key is None else f'did you mean "{key.section}.{assignment}"?'
+        raise ConfigError(Problem(f"{assignment!r} sets nothing", SET, remedy))
+    read = parser.read(f"value: {text}")
+    if read.findings:
+        finding = read.findings[0]
+        what = f"{name}: the value {text!r} {finding.what}"
+        raise ConfigError(Problem(what, SET, finding.remedy))
+    return path, read.value["value"]
+
+
+def _put(values: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
+    """Set a key of a section, or of a mapping in it; the values given are not changed below."""
+    *parents, key = path
+    place = values
+    for name in parents:
+        below = place.get(name)
+        place[name] = dict(below) if isinstance(below, dict) else {}
+        place = place[name]
+    place[key] = value

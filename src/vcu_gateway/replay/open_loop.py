@@ -1,0 +1,133 @@
+"""Open loop: the recorded inputs given to a core with another configuration.
+
+The recorded vehicle does not react: from the first differing command on, what it answered is what
+it answered to the recorded one. Its echoes of throttle and direction are held against the recorded
+commands.
+"""
+
+from vcu_gateway.core import inputs
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.demand import RequestResult
+from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.transmit import OutFrame
+from vcu_gateway.drive import checkpoint
+from vcu_gateway.drive.records import (
+    Checkpoint,
+    CoreRecord,
+    Gap,
+    InputRecord,
+    TickRecord,
+    WhyRecord,
+)
+from vcu_gateway.replay.series import CommandSeries
+from vcu_gateway.replay.told_commands import ToldCommands
+from vcu_gateway.replay.what_if import WhatIf
+
+REQUESTS: dict[type, str] = {
+    inputs.OfferInput: "demand",
+    inputs.EndDemandInput: "end demand",
+    inputs.ArmInput: "arm",
+    inputs.DisarmInput: "disarm",
+    inputs.ResetInput: "reset",
+    inputs.EmergencyStopInput: "estop",
+}
+
+
+class OpenLoop:
+    """Recorded inputs, replayed with one configuration for the whole drive.
+
+    Attributes:
+        what_if: the recorded results beside the replayed ones.
+        reloads: times of recorded reloads, which were left out.
+        gaps: places where the replay began anew with the recorded state.
+    """
+
+    def __init__(
+        self, codec: Codec, settings: Settings, series: CommandSeries | None = None
+    ) -> None:
+        self.what_if = WhatIf(codec)
+        self.reloads: list[int] = []
+        self.gaps: list[tuple[int, Gap]] = []
+        self._codec = codec
+        self._settings = settings
+        self._series = series
+        self._told = ToldCommands(codec)
+        self._gateway: Gateway | None = None
+        self._frames: dict[str, OutFrame] = {}
+        self._stopped_before = False
+        self._now_ns = 0
+
+    def note(self, record: CoreRecord) -> None:
+        """Replay one record."""
+        kind, gateway = type(record), self._gateway
+        if gateway is None:
+            if kind is Checkpoint:
+                self._begin(record)  # type: ignore[arg-type]
+        elif kind is InputRecord:
+            one = record.input  # type: ignore[union-attr]
+            if type(one) is inputs.FrameInput:
+                gateway.receive(one.frame)
+            else:
+                self._input(gateway, one, record.answer)  # type: ignore[union-attr]
+        elif kind is TickRecord:
+            self._tick(gateway, record)  # type: ignore[arg-type]
+        elif kind is WhyRecord:
+            self._explain(record)  # type: ignore[arg-type]
+        elif kind is Gap:
+            self._gap(record)  # type: ignore[arg-type]
+
+    def _begin(self, record: Checkpoint) -> None:
+        gateway = checkpoint.restore(record.state, self._codec, self._settings)
+        self._gateway = gateway
+        held = gateway.causes.held
+        self.what_if.begin(held, held, record.mode, record.now_ns)
+
+    def _input(
+        self, gateway: Gateway, one: inputs.CoreInput, recorded: RequestResult | None
+    ) -> None:
+        if isinstance(one, inputs.SentInput):
+            frame = self._frames.get(one.frame.controller)
+            if frame is not None:
+                gateway.sent(frame, one.ok, one.now_ns)
+                if one.ok and frame.data != one.frame.data:
+                    self._told.put(gateway, frame.controller, one.frame.data, one.now_ns)
+            return
+        if isinstance(one, inputs.ReloadInput):
+            self.reloads.append(self._now_ns)
+            return
+        answer = one.apply(gateway)
+        if recorded is not None and isinstance(answer, RequestResult):
+            now_ns = getattr(one, "now_ns", self._now_ns)
+            self.what_if.answer(now_ns, REQUESTS[type(one)], recorded, answer)
+
+    def _tick(self, gateway: Gateway, record: TickRecord) -> None:
+        now_ns = self._now_ns = record.now_ns
+        result = gateway.tick(now_ns)
+        self._frames = {frame.controller: frame for frame in result.frames}
+        if len(record.frames) != len(result.frames):
+            self._send_what_was_not(gateway, record)
+        was_left, is_left = self.what_if.tick(now_ns, record, result)
+        self._stopped_before = self._stopped_before or was_left
+        if is_left:
+            self.what_if.after.explain_stop(gateway.why(now_ns).sentence())
+        if self._series is not None:
+            self._series.add(now_ns, result.frames)
+
+    def _send_what_was_not(self, gateway: Gateway, record: TickRecord) -> None:
+        """Frames that the recording does not have: the bus took them, and they came back."""
+        recorded = {frame.controller for frame in record.frames}
+        for frame in [one for name, one in self._frames.items() if name not in recorded]:
+            gateway.sent(frame, True, record.now_ns)
+            gateway.receive(Frame(frame.can_id, frame.data, record.now_ns, own_echo=True))
+
+    def _explain(self, record: WhyRecord) -> None:
+        if self._stopped_before:
+            self._stopped_before = False
+            self.what_if.before.explain_stop(record.sentence)
+
+    def _gap(self, record: Gap) -> None:
+        self.gaps.append((self._now_ns, record))
+        self.what_if.gap(self._now_ns)
+        self._gateway = None

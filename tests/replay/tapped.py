@@ -1,0 +1,28 @@
+"""Records of a tapped gateway, as a drive's reader would give them, without files."""
+
+from collections.abc import Iterator
+
+from vcu_gateway.core import inputs
+from vcu_gateway.drive.records import CoreRecord, InputRecord, TickRecord
+from vcu_gateway.drive.tap import Tap
+
+
+def records(tap: Tap) -> Iterator[CoreRecord]:
+    """Everything that was noted since the last call, in its order."""
+    noted = tap.take()
+    done = 0
+    for call in noted.calls:
+        for frame in noted.frames[done : call[0]]:
+            yield InputRecord(inputs.FrameInput(frame), None)
+        done = max(done, call[0])
+        yield record(call[1], call[2])
+    for frame in noted.frames[done:]:
+        yield InputRecord(inputs.FrameInput(frame), None)
+
+
+def record(what, answer) -> CoreRecord:
+    if isinstance(what, inputs.TickInput):
+        return TickRecord(what.now_ns, answer.frames, answer.mode, answer.events)
+    if isinstance(what, inputs.CoreInput):
+        return InputRecord(what, answer)
+    return what
