@@ -34,6 +34,7 @@ _VERBS = {
     "demo": "gateway and simulated vehicle together, live",
     "decode": "decode a recording to JSON lines or CSV",
     "export": "a recorded drive or a log as HTML, CSV, MF4, Parquet or MCAP",
+    "replay": "decide a recorded drive again: equal to the byte, and what if",
     "check-config": "check a configuration file",
     "doctor": "check this machine, and say how to fix what fails",
     "schema": "JSON Schema of the configuration, OpenRPC document of the API",

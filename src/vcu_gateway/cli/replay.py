@@ -1,0 +1,86 @@
+"""`vcu-gateway replay`: a recording decided again, with its own configuration or another."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from vcu_gateway.cli import replay_drive, replay_log
+from vcu_gateway.cli.replay_options import ReplayOptions, recorded_path
+
+_HELP = """Decide a recorded drive again: is it the same to the byte, and what if?
+
+RECORDING is a drive's or an incident's folder, its name below
+/var/lib/vcu-gateway-recorder, one segment's file in it, or any log that `decode` reads.
+
+\b
+vcu-gateway replay DRIVE
+    with its own configuration: the same frames, modes, events, answers and sentences
+    of `why`, else the first difference; and a verdict on reaction times, the gate's
+    rules and the invariants, by code that shares nothing with the gateway.
+vcu-gateway replay DRIVE --set limits.throttle_slew_pct_per_s=50
+vcu-gateway replay DRIVE -c other.yaml
+    what if: commands, causes, stops and requests that differ. Open loop: the recorded
+    vehicle does not react. The configuration holds for the whole drive.
+vcu-gateway replay DRIVE --set ... --closed-loop
+    the recorded demands drive a simulated vehicle, once with each configuration.
+vcu-gateway replay drive.log [--demand PCT]
+    a log of the bus has no demands and no ticks: decisions on its frames, every 50 ms.
+
+--from and --to name a part: seconds since the beginning, a time of day or a date with it. It begins
+with the segment in which that time lies.
+
+Times are UTC. The exit code is 0 where nothing differs and the verdict holds, else 1.
+"""
+
+
+@click.command("replay", help=_HELP)
+@click.argument("recording", metavar="RECORDING")
+@click.option(
+    "-c",
+    "--config",
+    "config_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="What if: another configuration, for the whole drive.",
+)
+@click.option(
+    "--set",
+    "assignments",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="What if: one key, such as limits.derated_power_w=8000; repeatable.",
+)
+@click.option("--closed-loop", is_flag=True, help="Let a simulated vehicle react.")
+@click.option("--from", "begin", metavar="TIME", help="Begin of the part: 90, 12:03:14.150.")
+@click.option("--to", "end", metavar="TIME", help="End of the part.")
+@click.option(
+    "--demand",
+    "demand_pct",
+    metavar="PCT",
+    type=click.FloatRange(0, 100),
+    help="For a log: hold this throttle, armed as soon as nothing speaks against it.",
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@click.option(
+    "--html",
+    "html_path",
+    metavar="FILE",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Also write an offline report with plots; an old FILE is replaced.",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing; the exit code tells.")
+def command(**options: Any) -> None:
+    """Replay, print, and exit with 1 where something differs."""
+    asked = ReplayOptions(**options)
+    found = recorded_path(asked.recording)
+    report = replay_log.report(asked) if found is None else replay_drive.report(asked, found)
+    if asked.as_json and not asked.quiet:
+        click.echo(json.dumps(report.values, ensure_ascii=False))
+    elif not asked.quiet:
+        for line in report.lines:
+            click.echo(line)
+    if not report.same:
+        sys.exit(1)
