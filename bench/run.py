@@ -29,6 +29,7 @@ _NAMES = (
     "lateness",
     "priority",
     "startup",
+    "recorder",
 )
 _LONG = ("priority",)
 _PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"

@@ -57,6 +57,12 @@ def on_wire(can_id: int, data: bytes) -> Wire:
     return _FRAME.pack(can_id | _EFF_FLAG, len(data), data)
 
 
+def wire_parts(frame: Wire) -> tuple[int, bytes]:
+    """Identifier without flags, and data, of an extended data frame."""
+    can_id, length, data = _FRAME.unpack(frame)
+    return can_id & ~_EFF_FLAG, data[:length]
+
+
 def random_mix(seed: int = 1) -> list[tuple[int, bytes]]:
     """One second of the traffic in random order, every signal anywhere in its range."""
     rng = random.Random(seed)

@@ -22,7 +22,9 @@ UNITS = (
     "vcu-gateway-exporter.service",
     "vcu-gateway-recorder.service",
 )
-PROGRAMS = {f"{HOME}/bin/vcu-gateway", f"{HOME}/is-active"}
+PROGRAMS = {f"{HOME}/bin/{name}" for name in ("vcu-gateway", "vcu-gateway-recorder")} | {
+    f"{HOME}/is-active"
+}
 FROM_THE_TREE = {
     "etc/vcu-gateway/gateway.yaml": "config/gateway.yaml",
     "{units}/vcu-gateway.service": "systemd/vcu-gateway.service",
@@ -98,6 +100,7 @@ def test_the_links_are_those_of_a_virtual_environment_of_the_systems_python(deb)
     links = {name: member.linkname for name, member in deb.members.items() if member.issym()}
     assert links == {
         "usr/bin/vcu-gateway": "../lib/vcu-gateway/bin/vcu-gateway",
+        "usr/bin/vcu-gateway-recorder": "../lib/vcu-gateway/bin/vcu-gateway-recorder",
         f"{HOME}/bin/python3": "../../../bin/python3",
         f"{HOME}/safe_stop.py": deb.place("{site}/vcu_gateway/daemon/safe_stop.py").removeprefix(
             f"{HOME}/"

@@ -1,8 +1,11 @@
 """A recorded drive: what a healthy recorder on a healthy disk leaves."""
 
+import ast
 import gzip
 import signal
 import socket
+import subprocess
+import sys
 import time
 
 import pytest
@@ -217,3 +220,25 @@ def test_what_gateways_still_send_after_sigterm_is_recorded(recorder, gateway, t
     vehicle.close()
     assert process.process.wait(5) == 0
     assert account(drives(tmp_path)[0]) == (vehicle.frames, 0)
+
+
+def test_the_program_has_a_name_of_its_own_too():
+    program = (
+        "import sys; from vcu_gateway.cli import recorder;"
+        "sys.argv = ['vcu-gateway-recorder', '--help']; recorder()"
+    )
+    named = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    verb = [sys.executable, "-m", "vcu_gateway", "recorder", "--help"]
+    assert named.stdout == subprocess.run(verb, capture_output=True, text=True).stdout
+    assert "--keep-free-bytes SIZE" in named.stdout
+
+
+def test_it_imports_nothing_of_the_gateway():
+    program = (
+        "import sys; from vcu_gateway import recorder;"
+        "print([name for name in sys.modules if name.split('.')[0] in"
+        " ('can', 'pydantic', 'structlog', 'cantools', 'yaml') or name.startswith('vcu_gateway.')])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    imported = {name.split(".")[1] for name in ast.literal_eval(done.stdout)}
+    assert imported == {"recorder", "drive_format", "errors", "units"}

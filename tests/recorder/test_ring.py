@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import time
 
 from tests.recorder.gateway import account, core_lines, drives
 from vcu_gateway.drive_format import layout
@@ -31,7 +32,8 @@ def test_the_oldest_segments_go_above_the_budget(recorder, gateway, tmp_path):
     largest = 0
     for _ in range(20):
         long_drive(vehicle, 2)
-        vehicle.tick(mode="standby")  # writes, syncs and makes room at once
+        vehicle.tick(mode="standby")  # written at once
+        time.sleep(0.1)
         largest = max(largest, size_of(recordings))
     vehicle.close()
     assert process.stop() == 0
@@ -40,7 +42,7 @@ def test_the_oldest_segments_go_above_the_budget(recorder, gateway, tmp_path):
     segment = max(sum(path.stat().st_size for path in one.paths) for one in layout.segments(drive))
     assert left[-1] == 40
     assert left[0] > 20
-    assert largest <= budget + 3 * segment
+    assert largest <= budget + segment
     assert process.status["totals"]["removed_segments"] == left[0] - 1
 
 

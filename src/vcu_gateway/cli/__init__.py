@@ -132,6 +132,12 @@ def main() -> None:
         streams.flush()
 
 
+def recorder() -> None:
+    """Entry point of vcu-gateway-recorder: the verb `recorder` under a name of its own."""
+    sys.argv.insert(1, "recorder")
+    main()
+
+
 def _fill_standard_descriptors() -> None:
     """Open /dev/null for each closed one: else the bus's socket would get its number."""
     for number in range(3):

@@ -20,6 +20,9 @@ from vcu_gateway.recorder.status import StatusFile
 from vcu_gateway.recorder.writer import Writer
 
 _STATUS_S = 1.0
+_GATHER_S = 0.08
+"""Between two wake-ups, while nothing is urgent: two ticks cost little more than one."""
+_CALM_S = 3.0
 _LAST_DATAGRAMS_S = 1.0
 _LAST_WRITES_S = 3.5
 
@@ -60,6 +63,7 @@ class Recorder:
                 self._listener.close()
                 receiver.close()
                 in_order = self._writer.stop(_LAST_WRITES_S)
+        self._status.write(())
         if not in_order:
             self._say("the disk does not take the last seconds: they are lost")
 
@@ -74,6 +78,8 @@ class Recorder:
                 if not self._writer.is_alive:
                     raise GatewayError(Problem("the writer's thread has ended by a bug"))
             receiver.receive(max(0.0, status_s - now_s))
+            if now_s - receiver.urgent_s > _CALM_S:
+                time.sleep(_GATHER_S)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del frame

@@ -3,7 +3,7 @@
 import selectors
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from vcu_gateway.drive_format.datagram import DatagramError
 from vcu_gateway.recorder import triggers
@@ -12,6 +12,7 @@ from vcu_gateway.recorder.connection import Connection, begins_segment, new_buff
 from vcu_gateway.recorder.listener import TapListener
 
 _MOST_CONNECTIONS = 16
+_MOST_AT_ONCE = 200
 _WAKE_UP_BYTES = 4096
 
 
@@ -20,6 +21,7 @@ class Receiver:
 
     Attributes:
         connections: those that are open.
+        urgent_s: when the latest came that was not to wait, on the monotonic clock.
     """
 
     def __init__(
@@ -32,6 +34,7 @@ class Receiver:
     ) -> None:
         """`wake_up` ends a wait when it can be read; `urgent` is called for what is not to wait."""
         self.connections: list[Connection] = []
+        self.urgent_s = 0.0
         self._listener = listener
         self._wake_up = wake_up
         self._backlog = backlog
@@ -43,8 +46,16 @@ class Receiver:
         self._selector.register(wake_up, selectors.EVENT_READ)
 
     def receive(self, timeout_s: float) -> None:
-        """Take what comes, for at most this time or until there was something."""
-        for key, _ in self._selector.select(timeout_s):
+        """Wait for something, for at most this time, and take all that has come."""
+        for _ in range(_MOST_AT_ONCE):
+            ready = self._selector.select(timeout_s)
+            if not ready:
+                return
+            self._take(ready)
+            timeout_s = 0.0
+
+    def _take(self, ready: Sequence[tuple[selectors.SelectorKey, int]]) -> None:
+        for key, _ in ready:
             if key.fileobj is self._listener.sock:
                 self._accept()
             elif key.fileobj is self._wake_up:
@@ -76,7 +87,7 @@ class Receiver:
         self._selector.register(connection, selectors.EVENT_READ, connection)
 
     def _read(self, connection: Connection) -> None:
-        """Take one datagram; what else waits makes the next `receive` return at once."""
+        """Take one datagram; the selector tells of the next."""
         try:
             received = connection.receive(self._buffer)
         except BlockingIOError:
@@ -91,6 +102,7 @@ class Receiver:
         elif received:
             self._backlog.put(Received(connection, received, begins_segment(received)))
             if triggers.may_be_urgent(received):
+                self.urgent_s = time.monotonic()
                 self._urgent()
 
     def _end(self, connection: Connection) -> None:

@@ -22,7 +22,7 @@ from vcu_gateway.recorder.triggers import Trigger
 
 _MEMBER_S = 1.0
 _SYNC_S = 5.0
-_SYNC_AFTER_LATCH_S = 0.15
+_SYNC_AFTER_LATCH_S = 0.1
 _AFTER_LATCH_S = 2.0
 _MOST_WAITING = 1 << 20
 _MOST_SEGMENT_BYTES = 16 << 20
@@ -218,12 +218,13 @@ class Writer:
             for drive in self.drives.values():
                 self._flush(drive)
             self._member_s = now_s + _MEMBER_S
+            self.ring.make_room(self.drives_bytes - self._options.max_bytes)
         if urgent or now_s >= self._sync_s:
             for drive in self.drives.values():
                 with self._abandoning(drive):
                     drive.sync()
             self._sync_s = now_s + _SYNC_S
-            self._make_room()
+            self._free_room()
         if now_s < self._latched_until_s:
             self._member_s = self._sync_s = now_s + _SYNC_AFTER_LATCH_S
         self._urgent = False
@@ -239,10 +240,10 @@ class Writer:
         segments = [drive.segment for drive in tuple(self.drives.values())]
         return self.ring.size + sum(one.size for one in segments if one is not None)
 
-    def _make_room(self) -> None:
+    def _free_room(self) -> None:
+        """Leave others their room on the disk."""
         if self.drives:
             options = self._options
-            self.ring.make_room(self.drives_bytes - options.max_bytes)
             missing = options.keep_free_bytes - free_bytes(options.folder)
             self.ring.make_room(missing, keep=KEPT_WITHOUT_ROOM)
 
