@@ -9,10 +9,19 @@ from tests.app.conftest import PATIENT
 from tests.daemon.tap_listener import TapListener, replayed
 from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
+from vcu_gateway.app import Application
 from vcu_gateway.client import RefusedError
+from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.core.gateway import TickResult
+from vcu_gateway.core.inputs import TickInput
+from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.drive.core_line_parser import LineParser, Placed
 from vcu_gateway.drive.settings_json import settings_of
+from vcu_gateway.drive.tap import TappedGateway
+from vcu_gateway.drive_format import datagram
 
 CHECKPOINT = b'{"checkpoint":'
 
@@ -161,3 +170,50 @@ def test_without_a_tap_the_gateway_is_a_plain_one(tmp_path):
         with one.client() as client:
             assert client.health()["recorder"] is None
     assert type(one.loop.gateway).__name__ == "Gateway"
+
+
+def test_a_bug_of_the_recording_is_an_event_and_the_gateway_goes_on(tmp_path, path):
+    with driven(tmp_path, always=with_tap(path)) as one:
+        one.until_ready()
+        vars(one.loop.gateway.supervisor)["news"] = object()  # nothing that a checkpoint can hold
+        listener = TapListener(path)
+        one.until(lambda: events(one, "recording_failed") != [], "the event")
+        done = one.loop.schedule.ticks
+        one.until(lambda: one.loop.schedule.ticks > done + 25, "ticks after it")
+    assert events(one, "recording_failed") == ["recording_failed"]
+    assert listener.ticks == 0
+    gateway = one.loop.gateway
+    assert isinstance(gateway, TappedGateway)
+    assert gateway.tap.calls == [], "nothing is gathered any more"
+    listener.close()
+
+
+def test_a_tick_that_ends_the_process_by_a_bug_is_recorded_as_the_last(tmp_path, path, listener):
+    file = tmp_path / "gateway.yaml"
+    file.write_text(
+        f"bus: {{interface: virtual, channel: {tmp_path.name}}}\napi: {{enabled: false}}\n"
+        f"recorder: {{socket_path: {path}}}\n"
+    )
+    loaded = configuration.load(file)
+    application = Application(loaded, load_protocol(loaded))
+    breaks_after(application.loop, ticks=3)
+    with pytest.raises(ValueError, match="not in tuple"):
+        application.run()
+    wait_until(lambda: listener.ticks == 4, "the last datagram")
+    last = datagram.unpack(listener.connections[0][-1])
+    (record,) = [one.record for line in last.lines.splitlines() for one in parsed(line)]
+    assert isinstance(record.input, TickInput)
+
+
+def breaks_after(loop: TickLoop, ticks: int) -> None:
+    """The next tick after so many fails in the core."""
+
+    def observe(tick: Tick, result: TickResult) -> None:
+        if tick.index >= ticks - 1:
+            loop.gateway.supervisor.mode = None
+
+    loop.add_observer(observe)
+
+
+def parsed(line: bytes) -> list[Placed]:
+    return LineParser().records(line)

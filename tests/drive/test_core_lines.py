@@ -105,6 +105,11 @@ def test_a_frame_between_two_sends_keeps_its_place():
     assert isinstance(placed[-3].record, TickRecord)
 
 
+def test_a_tick_that_ended_the_process_is_a_call_without_answer():
+    text = LineWriter().lines([Call(2, inputs.TickInput(NOW))], 2)
+    assert parsed(text) == [Placed(2, InputRecord(inputs.TickInput(NOW), None))]
+
+
 def test_the_mode_stands_on_the_line_of_its_change_alone():
     drive, writer, parser = TappedDrive(), LineWriter(), LineParser()
     drive.until(Mode.STANDBY)

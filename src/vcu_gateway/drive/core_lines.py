@@ -18,7 +18,7 @@ from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.inputs import CoreInput, SentInput, TickInput
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.drive.records import Checkpoint, ShellEvent, WhyRecord
-from vcu_gateway.drive.settings_json import demand_json, finite, settings_json
+from vcu_gateway.drive.settings_json import demand_text, settings_json
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=str)
 
@@ -116,11 +116,8 @@ _TRUTH = {True: "true", False: "false"}
 
 
 def encoded(values: Any) -> str:
-    """JSON text; numbers that JSON does not have become words."""
-    try:
-        return _ENCODER.encode(values)
-    except ValueError:
-        return _ENCODER.encode(finite(values))
+    """JSON text."""
+    return _ENCODER.encode(values)
 
 
 def _out_frame(frame: Any) -> str:
@@ -158,7 +155,7 @@ _TEXTS: Mapping[type, _Writer] = {
     inputs.BeginInput: lambda one: (
         f'"begin_from":{encoded(one.cut_reason)},"reverse":{encoded(dict(one.reverse))}'
     ),
-    inputs.OfferInput: lambda one: f'"offer":{encoded(demand_json(one.demand))},"now":{one.now_ns}',
+    inputs.OfferInput: lambda one: f'"offer":{demand_text(one.demand)},"now":{one.now_ns}',
     inputs.EndDemandInput: lambda one: f'"end_demand":{encoded(one.source)},"now":{one.now_ns}',
     inputs.ArmInput: lambda one: f'"arm":{one.now_ns}',
     inputs.DisarmInput: lambda one: f'"disarm":{one.now_ns}',

@@ -1,8 +1,10 @@
 """Settings of the core and demands as JSON, and back."""
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields
+from math import isfinite
 from typing import Any
 
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
@@ -60,23 +62,49 @@ def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
     return ControllerDemand(**numbers, power_mode=PowerMode[values["power_mode"].upper()])
 
 
-def demand_json(demand: Demand) -> dict[str, Any]:
-    """Demand of a source; `both` where its controllers share one."""
-    values = {
-        "source": demand.source,
-        "sequence": demand.sequence,
-        "ttl_ms": demand.ttl_ms,
-        "made_ns": demand.made_ns,
-    }
-    first = next(iter(demand.controllers.values()), None)
-    if first is not None and all(one is first for one in demand.controllers.values()):
-        return values | {"both": list(demand.controllers), "demand": controller_json(first)}
-    each = {name: controller_json(one) for name, one in demand.controllers.items()}
-    return values | {"each": each}
+def demand_text(demand: Demand) -> str:
+    """JSON text of a source's demand; `both` where its controllers share one.
+
+    Written out: the general encoder takes four times as long, and there is a demand a tick.
+    """
+    head = (
+        f'{{"source":{_quoted(demand.source)},"sequence":{demand.sequence},'
+        f'"ttl_ms":{number_text(demand.ttl_ms)},"made_ns":{number_text(demand.made_ns)}'
+    )
+    controllers = demand.controllers
+    first = next(iter(controllers.values()), None)
+    if first is not None and all(one is first for one in controllers.values()):
+        names = ",".join(map(_quoted, controllers))
+        return f'{head},"both":[{names}],"demand":{_controller_text(first)}}}'
+    each = [f"{_quoted(name)}:{_controller_text(one)}" for name, one in controllers.items()]
+    return f'{head},"each":{{{",".join(each)}}}}}'
+
+
+def _controller_text(one: ControllerDemand) -> str:
+    number = number_text
+    return (
+        f'{{"throttle_pct":{number(one.throttle_pct)},"brake_pct":{number(one.brake_pct)}'
+        f',"power_mode":"{one.power_mode.name.lower()}"'
+        f',"motor_reverse":{number(one.motor_reverse)},"regen_brake":{number(one.regen_brake)}'
+        f',"speed_limit_rpm":{number(one.speed_limit_rpm)}'
+        f',"power_limit_w":{number(one.power_limit_w)}'
+        f',"throttle_track2_pct":{number(one.throttle_track2_pct)}}}'
+    )
+
+
+def number_text(value: float | None) -> str:
+    """JSON text of a number, truth value or None; what JSON does not have becomes a word."""
+    if value is None or isinstance(value, bool):
+        return _WORDS[value]
+    return repr(value) if isinstance(value, int) or isfinite(value) else f'"{value!r}"'
+
+
+_WORDS = {None: "null", True: "true", False: "false"}
+_quoted = json.encoder.encode_basestring_ascii
 
 
 def demand_of(values: Mapping[str, Any]) -> Demand:
-    """Demand of what `demand_json` gave; ValueError, KeyError or TypeError for others."""
+    """Demand of what `demand_text` gave; ValueError, KeyError or TypeError for others."""
     if "both" in values:
         controllers = dict.fromkeys(values["both"], controller_of(values["demand"]))
     else:
@@ -90,17 +118,8 @@ def demand_of(values: Mapping[str, Any]) -> Demand:
     )
 
 
-def finite(value: Any) -> Any:
-    """JSON value in which numbers that JSON does not have are words: nan, inf, -inf."""
-    if isinstance(value, dict):
-        return {name: finite(one) for name, one in value.items()}
-    if isinstance(value, float) and not math.isfinite(value):
-        return repr(value)
-    return value
-
-
 def number_of(value: Any) -> Any:
-    """Value of a JSON number, truth value or null, or of the words of `finite`."""
+    """Value of what `number_text` gave."""
     if isinstance(value, str):
         return _NOT_FINITE[value]
     if value is None or isinstance(value, (int, float)):

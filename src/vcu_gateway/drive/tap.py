@@ -34,12 +34,14 @@ class Tap:
 
     Attributes:
         frames, calls: since the last take.
+        ticks: so far.
         events: of the last tick's result.
     """
 
     def __init__(self) -> None:
         self.frames: list[Frame] = []
         self.calls: list[Call] = []
+        self.ticks = 0
         self.events: tuple[Event, ...] = ()
 
     def note(
@@ -118,8 +120,10 @@ class TappedGateway(Gateway):
         except Exception:
             self.tap.note(inputs.TickInput(now_ns))
             raise
-        self.tap.note(inputs.TickInput(now_ns), result)
-        self.tap.events = result.events
+        tap = self.tap
+        tap.note(inputs.TickInput(now_ns), result)
+        tap.ticks += 1
+        tap.events = result.events
         return result
 
 

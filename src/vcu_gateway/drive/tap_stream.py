@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.inputs import TickInput
 from vcu_gateway.drive import checkpoint
-from vcu_gateway.drive.core_lines import Call, LineWriter
+from vcu_gateway.drive.core_lines import LineWriter
 from vcu_gateway.drive.records import Checkpoint, WhyRecord
 from vcu_gateway.drive.tap import TappedGateway
 
@@ -24,7 +23,7 @@ class TapStream:
     batch is taken after each tick.
 
     Attributes:
-        frames, ticks: since the start of the gateway.
+        frames: since the start of the gateway, up to the last batch.
         segment_frames: since the last checkpoint.
     """
 
@@ -33,7 +32,7 @@ class TapStream:
         self._writer = LineWriter()
         self._head = ""
         self._why: object = None
-        self.frames = self.ticks = 0
+        self.frames = 0
 
     @property
     def segment_frames(self) -> int:
@@ -52,7 +51,7 @@ class TapStream:
                 why=why.sentence(),
                 now_ns=now_ns,
                 wall_ns=wall_ns,
-                ticks=self.ticks,
+                ticks=gateway.tap.ticks,
                 frames=self.frames,
             )
         )
@@ -66,17 +65,13 @@ class TapStream:
 
     def batch(self) -> Batch:
         """Everything since the last batch."""
-        noted = self._gateway.tap.take()
-        self._count(len(noted.frames), noted.calls)
+        frames, calls = self._gateway.tap.take()
+        self.frames += len(frames)
         head, self._head = self._head, ""
-        return Batch(noted.frames, head + self._writer.lines(noted.calls, len(noted.frames)))
+        return Batch(frames, head + self._writer.lines(calls, len(frames)))
 
     def skip(self) -> int:
         """Leave out everything since the last batch; how many frames that were."""
-        frames, calls = self._gateway.tap.take()
-        self._count(len(frames), calls)
-        return len(frames)
-
-    def _count(self, frames: int, calls: list[Call]) -> None:
+        frames = len(self._gateway.tap.take().frames)
         self.frames += frames
-        self.ticks += sum(isinstance(call.what, TickInput) for call in calls)
+        return frames
