@@ -60,10 +60,31 @@ def test_what_is_left_of_a_drive_begins_with_a_checkpoint(recorder, gateway, tmp
     assert "checkpoint" in core_lines(first)[0]
 
 
-def test_an_old_drive_goes_with_its_folder_by_its_number_not_its_clock(recorder, gateway, tmp_path):
-    process = recorder("--max-bytes", "300k")
+def test_the_oldest_drive_is_known_by_its_number_and_not_by_its_clock(recorder, gateway, tmp_path):
+    process = recorder()
     first = gateway()
     first.clock["wall_ns"] += 10**18  # a clock that was far ahead
+    long_drive(first, 4)
+    first.close()
+    second = gateway()
+    long_drive(second, 1)
+    second.close()
+    assert process.stop() == 0
+    later, earlier = drives(tmp_path)  # by their names
+    assert layout.read_description(earlier / "drive.json")["run"] == first.run
+    budget = size_of(tmp_path) - size_of(earlier) // 2
+    process = recorder("--max-bytes", str(budget))
+    second.connect()
+    second.drive(1.5)
+    second.close()
+    assert process.stop() == 0
+    assert segment_numbers(earlier)[0] > 1
+    assert segment_numbers(later)[0] == 1
+
+
+def test_a_drive_without_segments_goes_with_its_folder(recorder, gateway, tmp_path):
+    process = recorder("--max-bytes", "300k")
+    first = gateway()
     long_drive(first, 4)
     first.close()
     second = gateway()
