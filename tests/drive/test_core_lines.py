@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.core.simulated_drive import ZERO_TORQUE
+from tests.core.simulated_drive import MS, ZERO_TORQUE
 from tests.core.test_invariants import ASKED, SETTINGS
 from tests.drive.tapped import TappedDrive, lines_of, parsed
 from vcu_gateway.core import inputs
@@ -103,6 +103,18 @@ def test_a_frame_between_two_sends_keeps_its_place():
     places = [one.frames_before for one in placed]
     assert places[-2:] == [places[-3], places[-3] + 1]
     assert isinstance(placed[-3].record, TickRecord)
+
+
+def test_a_frame_that_is_sent_at_another_time_has_a_line_of_its_own():
+    drive = TappedDrive().until(Mode.STANDBY)
+    drive.tap.take()
+    result = drive.gateway.tick(drive.now_ns + 50 * MS)
+    for frame in result.frames:
+        drive.gateway.sent(frame, True, drive.now_ns + 51 * MS)
+    tick, *sent = [one.record for one in parsed(lines_of(drive.tap))]
+    assert isinstance(tick, TickRecord)
+    times = [one.input.now_ns for one in sent if isinstance(one.input, inputs.SentInput)]
+    assert times == [drive.now_ns + 51 * MS] * 2
 
 
 def test_a_tick_that_ended_the_process_is_a_call_without_answer():
