@@ -2,6 +2,9 @@
 
 import copy
 import json
+import os
+import subprocess
+import sys
 import time
 from dataclasses import fields, replace
 from typing import Any
@@ -302,3 +305,20 @@ def test_a_checkpoint_takes_a_tenth_of_a_period_at_the_most():
         json.dumps(state_of(drive.gateway))
         took_s.append(time.perf_counter() - began_s)
     assert min(took_s) < 0.005
+
+
+def test_the_text_is_the_same_whatever_order_python_gives_its_sets():
+    program = (
+        "import json; from tests.drive.test_checkpoint import busy_drive, state_of;"
+        "print(json.dumps(state_of(busy_drive().gateway)))"
+    )
+    texts = [
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    ]
+    assert texts[0] == texts[1] != b""
