@@ -10,6 +10,7 @@ from tests.export.drives import record
 from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.export.decisions import MODES
 from vcu_gateway.export.formats import tables_of
+from vcu_gateway.export.report_builder import build
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import ReadOptions, Source, read, title
 from vcu_gateway.time_window import Window, moment
@@ -165,3 +166,23 @@ def test_a_gap_is_told_in_the_tables(folder):
     [(stamp, text)] = source(folder).decisions.gaps
     assert text == "12 frames, 3 ticks missing; the recorder was slow"
     assert stamp > WALL_NS
+
+
+@pytest.mark.parametrize(
+    ("config", "frames"), [("protocol: {aliases: {}}\n", 0), ("damaged: [", 1)]
+)
+def test_the_aliases_are_those_of_the_drives_configuration(folder, config, frames):
+    (folder / "config.yaml").write_text(config)
+    for path in folder.glob("000[2-9]*"):
+        path.unlink()
+    line = b"(1763920000.500000000) can0 08F02DE2#0011223344556677 R\n"
+    (folder / "0001.frames.log.gz").write_bytes(gzip.compress(line))
+    assert source(folder).store.rows["IMU_Attitude"].count == frames
+
+
+@pytest.mark.parametrize("contents", ['{"format": 1, "reason": "undervoltage"}', "[]", "damaged"])
+def test_an_incident_says_why_it_is_kept(folder, contents):
+    (folder / "incident.json").write_text(contents)
+    facts = dict(build(source(folder), Selection()).facts)
+    reason = "undervoltage" if "reason" in contents else None
+    assert facts.get("kept because of") == reason

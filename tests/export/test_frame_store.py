@@ -2,6 +2,7 @@
 
 import gzip
 import random
+import tempfile
 
 import can
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from tests.export.logs import PROTOCOL, START_NS, line, random_frames
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.frame import Frame
+from vcu_gateway.errors import UnavailableError
 from vcu_gateway.export import message_rows
 from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.export.source import ReadOptions, Source, read
@@ -146,6 +148,15 @@ def test_many_frames_wait_on_the_disk_and_come_back_in_order(monkeypatch):
     assert next(first).times_ns[0] == again[64]
     assert (rows.first_ns, rows.last_ns) == (again[0], again[-1])
     store.close()
+
+
+def test_a_disk_without_room_for_waiting_frames_is_told(monkeypatch, tmp_path):
+    monkeypatch.setattr(message_rows, "CHUNK_ROWS", 1)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    store = FrameStore(CODEC, Window())
+    one = FRAMES[0]
+    with pytest.raises(UnavailableError, match=r"frames cannot wait here.*set TMPDIR"):
+        store.add(RecordedFrame(Frame(one.can_id, one.data, one.stamp_ns), "can0", 1))
 
 
 def test_a_flood_of_identifiers_is_counted_in_bounded_memory():

@@ -163,6 +163,18 @@ def test_keys_zoom_move_and_go_from_event_to_event(page, pages):
     assert page.value("document.querySelectorAll('[aria-current]').length") == 1
 
 
+def test_the_chosen_event_is_in_view(page, pages):
+    seen(page, pages["drive"], height=480)
+    page.value("scrollTo(0, 400)")
+    for _ in range(20):
+        page.press("n")
+        top, bottom, height = page.value(
+            "(box => [box.top, box.bottom, innerHeight])"
+            "(document.querySelector('[aria-current]').getBoundingClientRect())"
+        )
+        assert 0 <= top < bottom <= height
+
+
 def test_dragging_zooms_every_plot(page, pages):
     seen(page, pages["drive"])
     page.until("document.querySelectorAll('.u-over').length > 1")

@@ -46,6 +46,8 @@ What was not decoded is counted by reason on stderr: error and remote frames, 11
 unknown identifiers, known messages from a foreign source, frames shorter or longer than eight
 bytes, CAN FD. Frames are matched at any priority.
 
+`vcu-gateway export` writes whole drives and logs for other programs, and as a page with plots.
+
 \b
 vcu-gateway decode drive.log | jq -c 'select(.message == "BMS_Status") | .signals.SOC.value'
 candump -L can0 | vcu-gateway decode -

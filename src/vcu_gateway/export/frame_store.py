@@ -37,8 +37,8 @@ class FrameStore:
         channel: the first frame's.
     """
 
-    def __init__(self, codec: Codec, window: Window, folder: str | None = None) -> None:
-        self.rows = {name: MessageRows(one, folder) for name, one in codec.by_name.items()}
+    def __init__(self, codec: Codec, window: Window) -> None:
+        self.rows = {name: MessageRows(one) for name, one in codec.by_name.items()}
         self.summary = Summary()
         self.first_ns: int | None = None
         self.last_ns: int | None = None

@@ -8,6 +8,7 @@ from typing import IO, NamedTuple
 
 from vcu_gateway.core.codec import MessageCodec
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES
+from vcu_gateway.errors import Problem, UnavailableError
 
 _STAMP_BYTES = 8
 CHUNK_ROWS = 1 << 16
@@ -34,12 +35,11 @@ class MessageRows:
         first_ns, last_ns: stamps of the first and the last of them; None without.
     """
 
-    def __init__(self, message: MessageCodec, folder: str | None = None) -> None:
+    def __init__(self, message: MessageCodec) -> None:
         self.message = message
         self.count = 0
         self.first_ns: int | None = None
         self.last_ns: int | None = None
-        self._folder = folder
         self._times_ns = array("q")
         self._payloads = bytearray()
         self._spilled: IO[bytes] | None = None
@@ -57,10 +57,16 @@ class MessageRows:
             self._spill()
 
     def _spill(self) -> None:
-        if self._spilled is None:
-            self._spilled = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115 - close() does
-        self._spilled.write(self._times_ns.tobytes())
-        self._spilled.write(self._payloads)
+        try:
+            if self._spilled is None:
+                self._spilled = tempfile.TemporaryFile()  # noqa: SIM115 - close() does
+            self._spilled.write(self._times_ns.tobytes())
+            self._spilled.write(self._payloads)
+            self._spilled.flush()
+        except OSError as error:
+            what = f"frames cannot wait here: {error.strerror or error}"
+            remedy = "set TMPDIR to a folder with room, 16 bytes for each frame"
+            raise UnavailableError(Problem(what, tempfile.gettempdir(), remedy)) from error
         self._chunks.append(len(self._times_ns))
         self._times_ns = array("q")
         self._payloads.clear()
@@ -68,7 +74,6 @@ class MessageRows:
     def chunks(self) -> Iterator[RowChunk]:
         """Every frame again, from the first on."""
         if self._spilled is not None:
-            self._spilled.flush()
             handle, place = self._spilled.fileno(), 0
             for rows in self._chunks:  # several readers may be at different places
                 times_ns = array("q", os.pread(handle, rows * _STAMP_BYTES, place))

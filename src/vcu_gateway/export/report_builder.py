@@ -1,5 +1,7 @@
 """Report built from a recording: headline, facts, bands, plots and events."""
 
+import contextlib
+import json
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from itertools import groupby
@@ -109,7 +111,16 @@ def _facts(source: Source, grid: Grid) -> Iterator[tuple[str, str]]:
         yield "unreadable", f"{source.unreadable} lines"
     if source.store.channel:
         yield "channel", source.store.channel
+    yield from _reasons(source.attachments)
     yield from _versions(source.description)
+
+
+def _reasons(attachments: Mapping[str, bytes]) -> Iterator[tuple[str, str]]:
+    """Why an incident is kept."""
+    for name, contents in attachments.items():
+        if name.startswith("incident"):
+            with contextlib.suppress(ValueError, TypeError, KeyError):
+                yield "kept because of", str(json.loads(contents)["reason"])
 
 
 def _versions(description: Mapping[str, object]) -> Iterator[tuple[str, str]]:

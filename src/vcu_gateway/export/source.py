@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from vcu_gateway.config import load
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.members import MemberDamage, read_members
-from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
 from vcu_gateway.export.core_lines import CoreLines
 from vcu_gateway.export.decisions import Decisions
 from vcu_gateway.export.frame_store import FrameStore
@@ -103,16 +104,24 @@ def read(name: str, options: ReadOptions) -> Source:
     return source
 
 
-def _codec(path: Path, aliased: bool) -> Codec:
+def _codec(path: Path, known: Mapping[int, str]) -> Codec:
     protocol = dbc.load(path)
     names = {message.name for message in protocol.messages}
-    aliases = {can_id: name for can_id, name in DEFAULT_ALIASES.items() if name in names}
-    return Codec(dataclasses.replace(protocol, aliases=aliases if aliased else {}))
+    aliases = {can_id: name for can_id, name in known.items() if name in names}
+    return Codec(dataclasses.replace(protocol, aliases=aliases))
+
+
+def _aliases_of(folder: Path) -> Mapping[int, str]:
+    """Further identifiers of the drive's configuration; the usual ones where it cannot be used."""
+    try:
+        return load(folder / layout.CONFIG_FILE).protocol.aliases
+    except GatewayError:
+        return DEFAULT_ALIASES
 
 
 def _read_log(name: str, options: ReadOptions) -> Source:
     path = options.dbc_path or packaged("vcu.dbc")
-    codec = _codec(path, options.aliased)
+    codec = _codec(path, DEFAULT_ALIASES if options.aliased else {})
     store = FrameStore(codec, options.window)
     with open_recording(name, options.report) as recording:
         blocks = recording.blocks(_BLOCK_BYTES)
@@ -134,7 +143,8 @@ def _read_log(name: str, options: ReadOptions) -> Source:
 def _read_drive(path: Path, options: ReadOptions) -> Source:
     folder = path if path.is_dir() else path.parent
     description = layout.read_description(folder / layout.DRIVE_FILE)
-    codec = _codec(options.dbc_path or folder / layout.DBC_FILE, options.aliased)
+    aliases = _aliases_of(folder) if options.aliased else {}
+    codec = _codec(options.dbc_path or folder / layout.DBC_FILE, aliases)
     store, decisions = FrameStore(codec, options.window), Decisions(options.window)
     segments = layout.segments(folder)
     if not path.is_dir():

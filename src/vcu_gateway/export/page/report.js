@@ -92,6 +92,13 @@
   };
   const pan = (part) => zoom(range[0] + part * (range[1] - range[0]), range[1] + part * (range[1] - range[0]));
 
+  // Scrolls the list alone: the plots stay where they are.
+  function bringIntoView(row) {
+    const list = row.parentElement, box = list.getBoundingClientRect(), place = row.getBoundingClientRect();
+    const seen = Math.min(box.bottom, innerHeight) - box.top;
+    const height = seen > 80 ? seen : list.clientHeight;
+    if (place.top < box.top || place.bottom > box.top + height) list.scrollTop += place.top - box.top - height / 3;
+  }
   function goTo(index) {
     if (!shown.length) return;
     chosen = Math.max(0, Math.min(index, shown.length - 1));
@@ -100,9 +107,7 @@
     zoom(at - half, at + half);
     for (const one of shown) one.row.firstChild.removeAttribute("aria-current");
     shown[chosen].row.firstChild.setAttribute("aria-current", "true");
-    const list = shown[chosen].row.parentElement;
-    const offset = shown[chosen].row.offsetTop - list.offsetTop;
-    if (offset < list.scrollTop || offset > list.scrollTop + list.clientHeight - 40) list.scrollTop = offset - list.clientHeight / 3;
+    bringIntoView(shown[chosen].row);
     explain(at + 1e-6);
     for (const plot of plots) plot.redraw(false);
   }
