@@ -161,6 +161,7 @@ class Writer:
             connection.begin_again = True
             return
         if drive.segment is not before:
+            self._keep_cap()
             self._pending.append(_Pending(drive, None))
         elif before is not None and before.size > _MOST_SEGMENT_BYTES:
             connection.begin_again = True
@@ -218,7 +219,7 @@ class Writer:
             for drive in self.drives.values():
                 self._flush(drive)
             self._member_s = now_s + _MEMBER_S
-            self.ring.make_room(self.drives_bytes - self._options.max_bytes)
+            self._keep_cap()
         if urgent or now_s >= self._sync_s:
             for drive in self.drives.values():
                 with self._abandoning(drive):
@@ -239,6 +240,10 @@ class Writer:
         """Bytes of all drives, those being written too."""
         segments = [drive.segment for drive in tuple(self.drives.values())]
         return self.ring.size + sum(one.size for one in segments if one is not None)
+
+    def _keep_cap(self) -> None:
+        """Remove the oldest above the cap, so that only what is being written is beyond it."""
+        self.ring.make_room(self.drives_bytes - self._options.max_bytes)
 
     def _free_room(self) -> None:
         """Leave others their room on the disk."""
