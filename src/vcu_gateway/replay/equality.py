@@ -91,10 +91,15 @@ class Equality(NamedTuple):
 
 
 class EqualityCheck:
-    """Replay of records in their order, each result compared with the recorded one."""
+    """Replay of records in their order, each result compared with the recorded one.
 
-    def __init__(self, codec: Codec) -> None:
+    It begins with `gateway`, where the drive begins as a gateway does; else, and after every gap,
+    with the recorded state.
+    """
+
+    def __init__(self, codec: Codec, gateway: Gateway | None = None) -> None:
         self._codec = codec
+        self._new_gateway = gateway
         self._fields = CommandFields(codec)
         self._gateway: Gateway | None = None
         self._first: Difference | None = None
@@ -195,7 +200,8 @@ class EqualityCheck:
                 return
             field, recorded, replayed = path or ("ticks", str(record.ticks), str(self._tick))
             self._differs(f"checkpoint {field}", recorded, replayed)
-        self._gateway = checkpoint.restore(record.state, self._codec, record.settings)
+        new, self._new_gateway = self._new_gateway, None
+        self._gateway = new or checkpoint.restore(record.state, self._codec, record.settings)
         self._tick, self._now_ns, self._why = record.ticks, record.now_ns, None
 
     def _gap(self, record: Gap) -> None:
