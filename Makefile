@@ -28,8 +28,8 @@ ORDINARY := -m 'not slow'
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
 .PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others \
-	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
-	test-faults-slcan test-faults-netem test-systems lint nightly soak faults mutants oracle-mutants bench lock clean
+	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
+	test-faults-slcan test-faults-netem test-systems lint nightly soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -97,7 +97,7 @@ test-shell: setup
 
 test-others: setup
 	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=,$(SERVING)) \
-		$(addprefix --ignore=tests/,core faults packaging) $(addprefix --ignore=,$(SHELL_TESTS)) $(NO_BUS)
+		$(addprefix --ignore=tests/,core faults golden packaging) $(addprefix --ignore=,$(SHELL_TESTS)) $(NO_BUS)
 
 test-faults-pure: setup
 	$(BIN)/pytest -q -m 'not slow' tests/faults/pure
@@ -147,6 +147,16 @@ test-lab: setup test-guests
 test-power-cut: setup test-guests  ## what a power cut leaves of a recording, in the lab
 	$(BIN)/pytest -q tests/power_cut
 
+# Every scenario and fault that a recording can hold, replayed to the byte by the core as it is.
+test-golden: setup  ## recorded drives, replayed to the byte
+	$(BIN)/pytest -q -m 'not slow' tests/golden
+
+golden-accept: setup  ## take what the core does now as right: golden drives anew, and their report
+	scripts/golden accept
+
+golden-mutants: setup  ## change each safety rule on purpose: a golden drive must turn out otherwise
+	$(BIN)/python -m tests.golden.mutants
+
 test-vcan: setup lab
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
 
@@ -173,6 +183,7 @@ nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 	$(MAKE) test-controller test-lab-qemu test-realtime
 	$(BIN)/python -m tests.systems --whole bookworm trixie
 	$(MAKE) soak MINUTES=60
+	$(MAKE) golden-mutants
 
 SYSTEMS :=
 test-systems: setup  ## the README's commands in clean systems, or SYSTEMS="trixie"; with them, every Python

@@ -1,0 +1,254 @@
+"""Small mistakes in the core, each replayed: does a golden drive turn out otherwise?
+
+    python -m tests.golden.mutants [MODULE...] [--jobs N] [--one]
+
+A mutant is a fork that imports the gateway anew with one module changed, and replays golden drives
+until one differs. The table has a line for each safety rule: how many mutants of it, how many of
+them seen, and the drives that saw most. Status 1 where a rule has mutants and none was seen.
+`--one` is for every day: each rule until its first mutant is seen.
+"""
+
+import argparse
+import hashlib
+import os
+import re
+import signal
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import NamedTuple
+
+from tests.golden.broken_cores import BROKEN_CORES, BrokenCore
+from tests.mutation.operators import Mutant, mutants
+from tests.mutation.run import CORE, Changed
+
+MODULES = (
+    "rules", "coded_signals", "causes", "supervisor", "mode_manager", "operator_requests",
+    "commands", "pedals", "motor_speeds", "plausibility", "lifecycle", "link", "demand", "gate",
+)  # fmt: skip
+BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked")
+"""Rules that act on mistakes of the rest of the core alone."""
+TIMEOUT_S = 120.0
+DRIVES_SHOWN = 3
+BROKEN = "cannot be imported"
+
+
+class Rule(NamedTuple):
+    """A rule of safety, as far as the source tells one from another: a function or a table."""
+
+    module: str
+    name: str
+
+    @property
+    def is_of_the_gate(self) -> bool:
+        return not {self.module, f"{self.module}.{self.name}"}.isdisjoint(BESIDE_A_MISTAKE)
+
+
+class Job(NamedTuple):
+    rule: Rule
+    mutant: Mutant
+
+
+def jobs_of(module: str) -> list[Job]:
+    """Every mutant of a module of the core, with its rule."""
+    source = (CORE / f"{module}.py").read_text(encoding="utf-8")
+    return [Job(_rule(module, one), one) for one in mutants(source)]
+
+
+def _rule(module: str, mutant: Mutant) -> Rule:
+    scope, _, changed = mutant.key.partition(": ")
+    name = re.match(r"\w+", changed) if scope == "module" else None
+    return Rule(module, name[0] if name else scope)
+
+
+# In the child.
+
+
+def first_differing(order: list[str]) -> str:
+    """The first of these drives that is replayed otherwise; empty where none is."""
+    from tests.golden.every import DRIVES
+    from tests.golden.replayed import replay
+
+    return next((name for name in order or list(DRIVES) if not _is_equal(replay, DRIVES[name])), "")
+
+
+def digests(core: BrokenCore) -> str:
+    """Of the drives that show this mistake, driven anew: the vehicle reacts."""
+    from tests.golden.every import DRIVES
+    from tests.golden.simulate import core_text
+
+    texts = []
+    for name in core.drives:
+        try:
+            texts.append(core_text(DRIVES[name]))
+        except Exception as error:  # noqa: BLE001 - the mistake of a core, or a mutant's
+            texts.append(repr(error))
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
+
+
+def _is_equal(replay: Callable, golden: object) -> bool:
+    with suppress(Exception):  # a mutant may raise anything: that is seen
+        return replay(golden).is_equal
+    return False
+
+
+class Child(NamedTuple):
+    """A fork with one module of the core changed; its pipe gives what it found."""
+
+    pid: int
+    reading: int
+    begun_s: float
+
+    @classmethod
+    def of(cls, work: Callable[[], str], *changed: tuple[str, str]) -> "Child":
+        reading, writing = os.pipe()
+        if pid := os.fork():
+            os.close(writing)
+            return cls(pid, reading, time.monotonic())
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        try:
+            sys.meta_path[:0] = [Changed(*one) for one in changed]
+            os.write(writing, work().encode())
+        except BaseException:  # noqa: BLE001 - a mutant may end the program, too
+            os.write(writing, BROKEN.encode())
+        finally:
+            os._exit(0)
+
+    def found(self) -> str:
+        """What it found, at its end."""
+        with os.fdopen(self.reading) as pipe:
+            return pipe.read()
+
+
+# The run.
+
+
+class Seen(NamedTuple):
+    job: Job
+    drive: str
+    """The golden drive that turned out otherwise; empty where none did."""
+
+
+class Run:
+    """Mutants, some at a time; the drives that saw most of a module's go first."""
+
+    def __init__(self, jobs: list[Job], width: int, one: bool) -> None:
+        self._waiting = list(reversed(jobs))
+        self._width, self._one = width, one
+        self._running: dict[int, tuple[Job, Child]] = {}
+        self._by_module: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        self._done: set[Rule] = set()
+        of_the_gate = any(job.rule.is_of_the_gate for job in jobs)
+        self._expected = [
+            (core, Child.of(lambda: digests(core), (core.module, core.source())).found())  # noqa: B023
+            for core in (BROKEN_CORES if of_the_gate else ())
+        ]
+        self._names = Child.of(_names).found().split()
+
+    def verdicts(self) -> Iterator[Seen]:
+        """Each mutant's, as they come; endless loops count as seen."""
+        while self._waiting or self._running:
+            while self._waiting and len(self._running) < self._width:
+                self._begin(self._waiting.pop())
+            with suppress(ChildProcessError):
+                pid, _ = os.waitpid(-1, os.WNOHANG)
+                if pid in self._running:
+                    yield self._ended(*self._running.pop(pid))
+                    continue
+            self._end_endless()
+            time.sleep(0.003)
+
+    def _begin(self, job: Job) -> None:
+        if self._one and job.rule in self._done:
+            return
+        seen = self._by_module[job.rule.module]
+        order = sorted(self._names, key=lambda name: -seen[name])
+        changed = (job.rule.module, job.mutant.source)
+        if job.rule.is_of_the_gate:
+            child = Child.of(lambda: self._first_mistake(changed))
+        else:
+            child = Child.of(lambda: first_differing(order), changed)
+        self._running[child.pid] = job, child
+
+    def _first_mistake(self, changed: tuple[str, str]) -> str:
+        """In the child: the first mistake elsewhere beside which the mutant is seen."""
+        for core, expected in self._expected:
+            found = Child.of(lambda: digests(core), (core.module, core.source()), changed).found()  # noqa: B023
+            if found != expected:
+                return f"with {core.blocked} broken: {core.drives[0]}"
+        return ""
+
+    def _ended(self, job: Job, child: Child) -> Seen:
+        drive = child.found() or ""
+        if drive in self._names:
+            self._by_module[job.rule.module][drive] += 1
+        if drive:
+            self._done.add(job.rule)
+        return Seen(job, drive)
+
+    def _end_endless(self) -> None:
+        for job, child in self._running.values():
+            if time.monotonic() - child.begun_s > TIMEOUT_S:
+                os.kill(child.pid, signal.SIGKILL)
+                print(f"endless: {job.mutant.key}")
+
+
+def _names() -> str:
+    from tests.golden.every import DRIVES
+
+    return " ".join(DRIVES)
+
+
+def table(found: list[Seen]) -> list[str]:
+    """A line for each rule."""
+    rules: defaultdict[Rule, list[Seen]] = defaultdict(list)
+    for one in found:
+        rules[one.job.rule].append(one)
+    lines = ["| rule | mutants | seen | by |", "| --- | ---: | ---: | --- |"]
+    for rule, its in rules.items():
+        drives = Counter(one.drive for one in its if one.drive)
+        shown = ", ".join(name for name, _ in drives.most_common(DRIVES_SHOWN))
+        lines.append(f"| {rule.module}.{rule.name} | {len(its)} | {drives.total()} | {shown} |")
+    return lines
+
+
+def unseen_rules(found: list[Seen]) -> list[Rule]:
+    """Rules of which no mutant was seen."""
+    seen = {one.job.rule for one in found if one.drive}
+    return list(dict.fromkeys(one.job.rule for one in found if one.job.rule not in seen))
+
+
+def main() -> int:
+    layout = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
+    parser.add_argument("modules", nargs="*", default=MODULES, metavar="MODULE")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--one", action="store_true", help="each rule until its first is seen")
+    options = parser.parse_args()
+    if unchanged := Child.of(lambda: first_differing([])).found():
+        print(f"{unchanged} differs without a mutant; the figures mean nothing")
+        return 2
+    begun_s = time.monotonic()
+    jobs = [job for module in options.modules for job in jobs_of(module)]
+    found = []
+    for one in Run(jobs, options.jobs, options.one).verdicts():
+        found.append(one)
+        if not one.drive and not options.one:
+            print(
+                f"not seen: {one.job.rule.module}.py:{one.job.mutant.line}: {one.job.mutant.diff}"
+            )
+    print("\n".join(table(found)))
+    missing = unseen_rules(found)
+    seen = sum(one.drive != "" for one in found)
+    print(f"{seen} of {len(found)} mutants seen in {time.monotonic() - begun_s:.0f} s")
+    for rule in missing:
+        print(f"NO MUTANT SEEN of {rule.module}.{rule.name}")
+    return 1 if missing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
