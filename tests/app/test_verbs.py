@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -9,7 +10,8 @@ import sys
 
 import pytest
 
-from tests.driven import Driven, wait_until
+from tests.driven import Driven, driven, wait_until
+from tests.recorder.gateway import RecorderProcess
 from vcu_gateway.api import openrpc, results
 
 
@@ -29,9 +31,20 @@ def test_status_is_a_few_lines_for_a_person(ask):
     assert done.returncode == 0, done.stderr
     first_words = [line.split()[0] for line in done.stdout.splitlines()]
     assert first_words == (
-        ["mode", "why", "demand", "PCU1", "PCU2", "bus", "frames", "ticks", "program"]
+        ["mode", "why", "demand", "PCU1", "PCU2", "bus", "frames", "ticks", "recorder", "program"]
     )
     assert "standby" in done.stdout
+
+
+def test_status_says_whether_it_is_recorded(ask, tmp_path):
+    assert "recorder not connected: nothing is recorded" in ask("status").stdout
+    recorder = RecorderProcess(tmp_path)
+    recorder.wait_for(lambda status: status["pid"])
+    with driven(tmp_path, f"recorder: {{socket_path: {recorder.socket}}}\n") as one:
+        recorder.wait_for(lambda status: status["totals"]["ticks"])
+        said = vcu(one.socket_path, "status").stdout
+    recorder.close()
+    assert re.search(r"^recorder connected, \d+ ticks handed over, 0 lost", said, re.MULTILINE)
 
 
 def test_status_is_one_json_object_for_a_program(ask):

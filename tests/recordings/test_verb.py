@@ -5,7 +5,8 @@ import os
 import pty
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -221,26 +222,43 @@ def test_keep_now_without_a_recorder_says_what_to_do(drive):
     assert "systemctl start vcu-gateway-recorder.socket" in done.stderr
 
 
-def entered_by_all(folder: Path) -> None:
-    for path in [folder, *folder.parents]:
-        if not path.stat().st_mode & 0o001:
-            path.chmod(path.stat().st_mode | 0o111)
+@pytest.fixture
+def public() -> Iterator[WrittenDrive]:
+    """In a folder that everybody may enter: pytest's own are for one user."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        one = WrittenDrive(folder / "recordings")
+        one.segment()
+        yield one
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="another user's rights need root")
-def test_without_the_right_to_read_it_says_which_group_to_join(drive):
-    drive.folder.chmod(0o750)
-    entered_by_all(drive.folder.parent)
-    done = said(drive, "list", code=77, program=[sys.executable, "-c", AS_NOBODY])
+def test_without_the_right_to_read_it_says_which_group_to_join(public):
+    public.folder.chmod(0o750)
+    done = said(public, "list", code=77, program=[sys.executable, "-c", AS_NOBODY])
     assert "may not be read by this user" in done.stderr
     assert "usermod -aG vcu-gateway-recorder" in done.stderr
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives files away")
-def test_what_root_keeps_belongs_to_the_recorder_and_links_of_others_are_no_use(drive, tmp_path):
-    for path in [drive.folder, *drive.folder.rglob("*")]:
+def test_what_root_keeps_belongs_to_the_recorder(public):
+    for path in [public.folder, *public.folder.rglob("*")]:
         os.chown(path, 65534, 65534)
-    entered_by_all(tmp_path)
-    said(drive, "keep", drive.name)
-    kept = (drive.path / layout.KEEP_FILE).stat()
+    said(public, "keep", public.name)
+    kept = (public.path / layout.KEEP_FILE).stat()
     assert (kept.st_uid, kept.st_gid) == (65534, 65534)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives files away")
+def test_a_link_in_the_folder_leads_root_nowhere(public):
+    secret = public.folder.parent / "secret"
+    secret.write_text("root's own")
+    secret.chmod(0o600)
+    for path in [public.folder, *public.folder.rglob("*")]:
+        os.chown(path, 65534, 65534)
+    (public.path / layout.CONFIG_FILE).unlink()
+    (public.path / layout.CONFIG_FILE).symlink_to(secret)
+    done = said(public, "keep", public.name, "--reason", "mine", code=77)
+    assert "root's own" not in done.stdout + done.stderr
+    assert not (public.folder / layout.INCIDENTS).exists()

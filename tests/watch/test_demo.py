@@ -16,7 +16,9 @@ import pytest
 from tests.watch.terminals import ROOT, VCU_GATEWAY, window
 from vcu_gateway.client import Client
 from vcu_gateway.demo.process import DemoOptions, DemoProcess
+from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import GatewayError
+from vcu_gateway.recordings import RecordingFolder, check_recording
 
 WAIT_S = 60.0
 IN_PROCESS = DemoOptions("virtual", "in-process", 30.0, 20.0, None)
@@ -144,3 +146,31 @@ def test_a_child_that_stands_still_is_killed_and_reported_as_a_bug(folder, monke
         pass
     assert caught.value.exit_code == os.EX_SOFTWARE
     assert is_gone(pid)
+
+
+def test_a_recorded_demo_is_whole_and_says_what_to_do_next(folder):
+    process = demo("--duration", "4", "--record", str(folder / "kept"))
+    said, _ = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0
+    (drive,) = layout.recorded_folders(folder / "kept" / layout.DRIVES)
+    assert f"recorded in {drive}; next:" in said
+    assert f"  vcu-gateway replay {drive}\n" in said
+    recording = RecordingFolder(folder / "kept").named(drive.name)
+    found = check_recording(recording, lambda size: None)
+    assert found.is_whole, found
+    assert not found.is_cut_off
+    assert found.frames > 300
+    assert {path.name for path in folder.iterdir()} == {"kept"}
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_anything_is_shown(folder):
+    (folder / "file").touch()
+    process = demo("--duration", "4", "--record", str(folder / "file" / "inside"))
+    assert process.wait(WAIT_S) == 69
+    assert process.stdout is not None
+    assert process.stdout.read() == ""
+
+
+def test_a_demo_that_is_not_recorded_hands_nothing_to_a_recorder_of_the_machine(folder):
+    with DemoProcess(IN_PROCESS) as child, Client(child.socket_path) as client:
+        assert client.config()["values"]["recorder"]["socket_path"] is None

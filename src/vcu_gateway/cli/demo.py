@@ -1,7 +1,10 @@
 """`vcu-gateway demo`: gateway and simulated vehicle together, shown live."""
 
 import contextlib
+import shlex
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
 
 import click
 
@@ -9,9 +12,11 @@ from vcu_gateway.bus.interface import Interfaces, can_socket_error
 from vcu_gateway.cli.extras import tui_needed
 from vcu_gateway.cli.signals import stopped_by_signals
 from vcu_gateway.demo.process import DemoOptions, DemoProcess
+from vcu_gateway.demo.recorder import DemoRecorder
 
 _PLAIN_EVERY_S = 2.0
 _TITLE = "vcu-gateway demo"
+_WHAT_IF = "limits.throttle_slew_pct_per_s=10"
 
 
 @click.command("demo")
@@ -37,7 +42,16 @@ _TITLE = "vcu-gateway demo"
     show_default=True,
     help="Factor of the battery's charge and discharge, to see it drain.",
 )
-def command(duration_s: float | None, throttle_pct: float, battery_speedup: float) -> None:
+@click.option(
+    "--record",
+    "folder",
+    metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Record the drive into DIR; the last lines say what can be done with it.",
+)
+def command(
+    duration_s: float | None, throttle_pct: float, battery_speedup: float, folder: Path | None
+) -> None:
     """Show gateway and simulated vehicle together, live, as `watch` shows a real one.
 
     Uses vcan0 where there is one that is up, else python-can's virtual bus inside a process of
@@ -51,12 +65,32 @@ def command(duration_s: float | None, throttle_pct: float, battery_speedup: floa
     real = _vcan0_is_up()
     interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
     wanted = DemoOptions(interface, channel, throttle_pct, battery_speedup, duration_s)
-    with DemoProcess(wanted) as child, GatewaySource(child.socket_path) as source:
-        if terminal.is_full():
-            terminal.watch(source, _TITLE, child.has_ended)
-        else:
-            _print(lambda: plain(_TITLE, source.latest()), child)
+    with _recorder(folder) as recorder:
+        if recorder is not None:
+            wanted = wanted._replace(recorder_socket=str(recorder.socket_path))
+        with DemoProcess(wanted) as child, GatewaySource(child.socket_path) as source:
+            if terminal.is_full():
+                terminal.watch(source, _TITLE, child.has_ended)
+            else:
+                _print(lambda: plain(_TITLE, source.latest()), child)
     click.echo(child.summary)
+    if recorder is not None and recorder.drive is not None:
+        _echo_next(recorder.folder, recorder.drive)
+
+
+def _recorder(folder: Path | None) -> AbstractContextManager[DemoRecorder | None]:
+    return contextlib.nullcontext() if folder is None else DemoRecorder(folder)
+
+
+def _echo_next(folder: Path, drive: Path) -> None:
+    """What can be done with what was recorded, to be typed."""
+    click.echo(f"recorded in {drive}; next:")
+    for line in (
+        f"recordings check --folder {shlex.quote(str(folder))}",
+        f"replay {shlex.quote(str(drive))}",
+        f"replay {shlex.quote(str(drive))} --set {_WHAT_IF} --html what-if.html",
+    ):
+        click.echo(f"  vcu-gateway {line}")
 
 
 def _print(picture: Callable[[], str], child: DemoProcess) -> None:

@@ -32,9 +32,20 @@ def _lines(why: results.Why, health: results.Health, state: results.State) -> li
         "bus": _bus(health),
         "frames": _frames(health["frames"]),
         "ticks": _ticks(health["ticks"]),
+        "recorder": _recorder(health.get("recorder")),
         "program": _program(health),
     }
     return [f"{name:<8} {text}" for name, text in facts.items()]
+
+
+def _recorder(counts: results.RecorderCounts | None) -> str:
+    """Whether this is recorded; an older gateway does not say."""
+    if counts is None:
+        return "none"
+    if not counts["connected"]:
+        return "not connected: nothing is recorded"
+    lost = f"{counts['lost_datagrams']} lost with {counts['lost_frames']} frames"
+    return f"connected, {counts['datagrams']} ticks handed over, {lost}"
 
 
 def _demand(demand: results.DemandState | None) -> str:

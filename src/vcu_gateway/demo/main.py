@@ -73,6 +73,7 @@ def _config(wanted: DemoOptions, socket_path: Path) -> str:
             "bus": {"interface": wanted.interface, "channel": wanted.channel},
             "bench": {"demand": demand, "auto_arm": True},
             "api": {"socket_path": str(socket_path), "socket_mode": "0600"},
+            "recorder": {"socket_path": wanted.recorder_socket},
         }
     )
 

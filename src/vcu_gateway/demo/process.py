@@ -22,6 +22,7 @@ class DemoOptions(NamedTuple):
     Attributes:
         battery_speedup: factor of the battery's charge and discharge; 1 is real time.
         duration_s: None is until its stdin ends.
+        recorder_socket: of a recorder to hand over to; None: nothing is recorded.
     """
 
     interface: str
@@ -29,6 +30,7 @@ class DemoOptions(NamedTuple):
     throttle_pct: float
     battery_speedup: float
     duration_s: float | None
+    recorder_socket: str | None = None
 
 
 class DemoProcess:

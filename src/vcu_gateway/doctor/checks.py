@@ -103,7 +103,7 @@ def _machine_checks(shared: _SharedFacts) -> dict[str, _Check]:
 
 def _recorder(shared: _SharedFacts) -> Iterable[CheckResult]:
     """The recorder, which is there for every gateway of the machine."""
-    runs = shared.unit.is_active or shared.pid is not None
+    runs = shared.unit.is_active or isinstance(shared.gateway.answers, tuple)
     socket = service.read(recorder.SOCKET_UNIT)
     return recorder.judge(recorder.read(socket, gateway_runs=runs))
 

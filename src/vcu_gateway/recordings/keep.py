@@ -42,10 +42,9 @@ def keep_part(
     if not links:
         what = "has nothing of that time"
         raise DataError(Problem(what, drive.name, "vcu-gateway recordings list, all times in UTC"))
-    files = _incident_files(drive, begin_ns, end_ns, reason)
     path = _free_name(folder.path / layout.INCIDENTS, begin_ns)
     try:
-        layout.create_folder(path, files, links)
+        layout.create_folder(path, _incident_files(drive, begin_ns, end_ns, reason), links)
     except OSError as error:
         raise write_error(error, path) from error
     return RecordingPath("incident", path)
