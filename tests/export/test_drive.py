@@ -186,3 +186,32 @@ def test_an_incident_says_why_it_is_kept(folder, contents):
     facts = dict(build(source(folder), Selection()).facts)
     reason = "undervoltage" if "reason" in contents else None
     assert facts.get("kept because of") == reason
+
+
+def test_a_cause_ends_where_its_event_says(tmp_path):
+    drive = record(tmp_path / "drive", seconds=8)
+    found = source(drive.writer.folder).decisions
+    ended = {(one.subject, one.ended_ns) for one in found.causes if one.ended_ns is not None}
+    events = [one for one in found.events if one.name == "cause_ended"]
+    assert ended == {(one.fields["subject"], one.wall_ns) for one in events}
+    assert ended
+
+
+def test_behind_a_missing_segment_causes_are_known_again(folder):
+    for path in folder.glob("0002*"):
+        path.unlink()
+    found = source(folder).decisions
+    assert [text for _, text in found.gaps] == ["no segment before 0003"]
+    [fault] = [one for one in found.causes if one.subject == "BMS_Status.CellUndervoltage"]
+    assert fault.began_ns > found.gaps[0][0]
+
+
+def test_behind_a_gap_causes_are_known_again(folder):
+    for path in folder.glob("0001*"):
+        path.unlink()
+    path = folder / "0002.core.jsonl.gz"
+    lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
+    gap = b'{"f":0,"gap":{"frames":1,"ticks":1,"why":"full"}}\n'
+    path.write_bytes(gzip.compress(lines[0] + gap))
+    found = source(folder).decisions
+    assert "BMS_Status.CellUndervoltage" in [one.subject for one in found.causes]

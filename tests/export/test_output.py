@@ -22,6 +22,15 @@ def test_a_file_appears_when_it_is_whole(tmp_path):
     assert os.listdir(tmp_path) == ["drive.csv"]
 
 
+def test_who_reads_the_old_file_meanwhile_reads_it_to_its_end(tmp_path):
+    path = tmp_path / "drive.csv"
+    path.write_text("old")
+    with path.open() as reader:
+        with written_text(path) as out:
+            out.write("new")
+        assert reader.read() == "old"
+
+
 def test_its_rights_are_those_of_any_new_file(tmp_path):
     (tmp_path / "other").touch()
     with written_text(tmp_path / "drive.csv"):

@@ -60,6 +60,11 @@ class CoreLines:
             elif not _OF_THE_RECORDER.match(line):
                 self._read(number, line, damaged)
 
+    def gap(self, what: str) -> None:
+        """Something is missing here; what stands is known again from the next checkpoint on."""
+        self._unknown = True
+        self._decisions.gap(self._latest_ns, what)
+
     def _read(self, number: int, line: bytes, damaged: Damaged) -> None:
         try:
             records = [placed.record for placed in self._parser.records(line)]
@@ -83,8 +88,7 @@ class CoreLines:
         elif isinstance(record, Checkpoint):
             self._checkpoint(record)
         elif isinstance(record, Gap):
-            self._unknown = True
-            self._decisions.gap(self._latest_ns, _missing(record))
+            self.gap(_missing(record))
 
     def _checkpoint(self, record: Checkpoint) -> None:
         self._latest_ns = self._wall_ns(record.now_ns)

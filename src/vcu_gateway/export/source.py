@@ -178,6 +178,8 @@ class _DriveReader:
     def read(self, segments: list[layout.SegmentFiles]) -> None:
         sizes = [sum(path.stat().st_size for path in one.paths) for one in segments]
         for number, segment in enumerate(segments):
+            if number and segment.number != segments[number - 1].number + 1:
+                self._core.gap(f"no segment before {segment.number:04d}")
             if segment.core is not None:
                 for first_line, text in self._texts(segment.core):
                     self._core.add(text, self._damaged(segment.core, first_line))
