@@ -12,10 +12,11 @@ import pytest
 
 from tests.recorder.gateway import Gateway
 from tests.service.conftest import STRANGER, Booted
+from tests.service.driver import Driver
 from tests.service.test_running import as_user
 from tests.service.unit import PATIENCE_S, Unit, systemctl
 from tests.vcan.conftest import wait_until
-from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format import layout, lock
 from vcu_gateway.recordings import RecordingFolder, RecordingPath, check_recording
 
 SOCKET, SERVICE = "vcu-gateway-recorder.socket", "vcu-gateway-recorder.service"
@@ -139,8 +140,28 @@ def test_the_exporters_user_reads_its_state_and_a_stranger_does_not(
     assert as_user(STRANGER, "cat", str(status)).returncode != 0
 
 
-def test_the_gateway_sees_the_socket_in_its_own_root_folder(service: Unit):
-    assert (Path(f"/proc/{service.pid}/root") / TAP.relative_to("/")).is_socket()
+def connected_drives() -> dict[str, str]:
+    """Drive by channel, of the gateways that are connected."""
+    connections = json.loads((RUNTIME / "status.json").read_text())["connections"]
+    return {one["channel"]: one["drive"] for one in connections if one["drive"]}
+
+
+def test_the_service_is_recorded_out_of_its_root_folder_from_start_to_end(
+    service: Unit, driver: Driver
+):
+    driver.drive()
+    wait_until(lambda: "vcan0" in connected_drives(), "a drive of vcan0", PATIENCE_S)
+    drive = RecordingPath("drive", RECORDINGS / layout.DRIVES / connected_drives()["vcan0"])
+    counts = driver.client.health()["recorder"]
+    assert counts is not None
+    assert counts["connected"]
+    assert counts["lost_datagrams"] == 0
+    service.stop()
+    wait_until(lambda: not lock.is_held(drive.path), "the end of the drive", PATIENCE_S)
+    found = check_recording(drive, lambda size: None)
+    assert found.is_whole, found
+    assert not found.is_cut_off
+    assert found.frames > 0
 
 
 def test_it_has_no_network_no_rights_and_no_priority(recording: RecordingPath):
