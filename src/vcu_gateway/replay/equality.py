@@ -17,13 +17,14 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.inputs import FrameInput
+from vcu_gateway.core.inputs import FrameInput, SentInput
 from vcu_gateway.drive import checkpoint
 from vcu_gateway.drive.records import (
     Checkpoint,
     CoreRecord,
     Gap,
     InputRecord,
+    ShellEvent,
     TickRecord,
     WhyRecord,
 )
@@ -112,11 +113,14 @@ class EqualityCheck:
         self._began_ns: int | None = None
         self._now_ns = 0
         self._why: tuple[object, ...] | None = None
+        self._why_open = False
         self._unsaid: str | None = None
 
     def note(self, record: CoreRecord) -> None:
         """Replay one record and compare its result."""
         kind, gateway = type(record), self._gateway
+        if self._why_open and kind is not ShellEvent and not _is_sent(record):
+            self._look_at_why()
         if kind is InputRecord:
             if gateway is not None:
                 self._input(gateway, record)  # type: ignore[arg-type]
@@ -159,13 +163,22 @@ class EqualityCheck:
             self._differs("mode", record.mode.value, result.mode.value)
         if result.events or record.events:
             self._compare_events(record, result)
-        signature = gateway.reasons(record.now_ns).signature()
+        self._why_open = True
+
+    def _look_at_why(self) -> None:
+        """The loop explains a tick when its frames have left; a sentence follows what is new."""
+        self._why_open = False
+        if self._gateway is None:
+            return
+        signature = self._gateway.reasons(self._now_ns).signature()
         if signature != self._why:
-            self._unsaid = None if self._why is None else gateway.why(record.now_ns).sentence()
-            self._why = signature
+            known, self._why = self._why is not None, signature
+            self._unsaid = self._gateway.why(self._now_ns).sentence() if known else None
 
     def _end_tick(self) -> None:
         """The tick before and all that belongs to it was compared."""
+        if self._why_open:
+            self._look_at_why()
         if self._unsaid is not None:
             self._differs("why", _NOTHING, self._unsaid)
             self._unsaid = None
@@ -234,6 +247,10 @@ class EqualityCheck:
             counts=dict(self._counts),
             gaps=tuple(self._gaps),
         )
+
+
+def _is_sent(record: CoreRecord) -> bool:
+    return isinstance(record, InputRecord) and isinstance(record.input, SentInput)
 
 
 def _told(answer: RequestResult) -> str:
