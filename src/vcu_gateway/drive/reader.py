@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.core.arrival_time import ClockPair
+from vcu_gateway.core.inputs import FrameInput
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.drive.frame_lines import frame_of
-from vcu_gateway.drive.records import CoreRecord
+from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord
 from vcu_gateway.drive.segment_reader import SegmentReader
 from vcu_gateway.drive.settings_json import settings_of
 from vcu_gateway.drive_format import layout
@@ -106,7 +107,16 @@ class Drive:
         self.segments = segments
 
     def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
-        """Every call and result in order, from this segment on; frames as `FrameInput`.
+        """As `runs`, each frame as a `FrameInput`."""
+        for record in self.runs(first_segment):
+            if type(record) is FrameRun:
+                for frame in record.frames:
+                    yield InputRecord(FrameInput(frame), None)
+            else:
+                yield record  # type: ignore[misc]
+
+    def runs(self, first_segment: int | None = None) -> Iterator[FrameRun | CoreRecord]:
+        """Every run of frames, call and result in order, from this segment on.
 
         Raises DataError where a line is whole and wrong.
         """
@@ -114,7 +124,7 @@ class Drive:
         for files in self.segments:
             if first_segment is None or files.number >= first_segment:
                 segment = SegmentReader(files, self.info.clock.distance_ns, before)
-                yield from segment.records()
+                yield from segment.runs()
                 before = segment if segment.begun else None
 
     def frames(self) -> Iterator[RecordedFrame]:

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
+from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.inputs import CoreInput
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
@@ -37,6 +38,12 @@ class InputRecord(NamedTuple):
 
     input: CoreInput
     answer: RequestResult | None
+
+
+class FrameRun(NamedTuple):
+    """Frames that came one after the other, without another call between them."""
+
+    frames: list[Frame]
 
 
 class TickRecord(NamedTuple):

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.core.inputs import FrameInput
+from vcu_gateway.core.frame import Frame
 from vcu_gateway.drive.core_line_parser import LineParser, Placed
-from vcu_gateway.drive.frame_lines import frame_of
-from vcu_gateway.drive.records import Checkpoint, CoreRecord, Gap, InputRecord, TickRecord
+from vcu_gateway.drive.frame_lines import frame_of, frames_of
+from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, TickRecord
 from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.members import MemberDamage, read_members
+from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
 from vcu_gateway.errors import DataError, Problem
 
 _NO_CHECKPOINT = "does not begin with a checkpoint"
@@ -20,8 +20,8 @@ class _Line(NamedTuple):
     number: int
 
 
-class _Lines:
-    """Lines of one file up to the first damage.
+class _Members:
+    """Members of one file up to the first damage.
 
     Attributes:
         damage: why they ended before the end of the file; empty where they did not.
@@ -31,7 +31,7 @@ class _Lines:
         self._path = path
         self.damage = ""
 
-    def __iter__(self) -> Iterator[_Line]:
+    def __iter__(self) -> Iterator[Member]:
         if self._path is None:
             self.damage = "a file of the segment is not there"
             return
@@ -39,8 +39,49 @@ class _Lines:
             if isinstance(part, MemberDamage):
                 self.damage = f"{self._path.name}: {part.what}"
                 return
-            for number, text in enumerate(part.data.decode().splitlines(), part.first_line + 1):
-                yield _Line(text, number)
+            yield part
+
+
+def _lines(member: Member) -> Iterator[_Line]:
+    for number, text in enumerate(member.data.decode().splitlines(), member.first_line + 1):
+        yield _Line(text, number)
+
+
+class _FrameSource:
+    """Frames of a segment, taken in runs of any length."""
+
+    def __init__(self, members: _Members, path: Path | None, distance_ns: int) -> None:
+        self._members = iter(members)
+        self._path = path
+        self._distance_ns = distance_ns
+        self._waiting: list[Frame] = []
+
+    def take(self, count: int) -> list[Frame]:
+        """The next frames, fewer where there are no more."""
+        waiting = self._waiting
+        while len(waiting) < count and (member := next(self._members, None)) is not None:
+            waiting += self._frames(member)
+        taken, self._waiting = waiting[:count], waiting[count:]
+        return taken
+
+    def rest(self) -> Iterator[list[Frame]]:
+        """Every further frame."""
+        if self._waiting:
+            yield self.take(len(self._waiting))
+        for member in self._members:
+            yield self._frames(member)
+
+    def _frames(self, member: Member) -> list[Frame]:
+        frames = frames_of(member.data.decode(), self._distance_ns)
+        if frames is not None:
+            return frames
+        return [self._frame(line) for line in _lines(member)]
+
+    def _frame(self, line: _Line) -> Frame:
+        try:
+            return frame_of(line.text, self._distance_ns)
+        except ValueError as error:
+            raise _problem(error, self._path, line) from error
 
 
 class SegmentReader:
@@ -64,15 +105,15 @@ class SegmentReader:
         self._files = files
         self._distance_ns = distance_ns
         self._before = before
-        self._core_lines = _Lines(files.core)
-        self._frame_lines = _Lines(files.frames)
+        self._core_members = _Members(files.core)
+        self._frame_members = _Members(files.frames)
 
-    def records(self) -> Iterator[CoreRecord]:
-        """Gap, checkpoint, and then every call and result in order."""
+    def runs(self) -> Iterator[FrameRun | CoreRecord]:
+        """Gap, checkpoint, and then every run of frames, call and result in order."""
         placed = self._placed()
         first, second = next(placed, None), next(placed, None)
         if first is None or not isinstance(first.record, Checkpoint):
-            self.damage = self._core_lines.damage or f"{self._files.core}: {_NO_CHECKPOINT}"
+            self.damage = self._core_members.damage or f"{self._files.core}: {_NO_CHECKPOINT}"
             yield Gap(None, None, None, self.damage)
             return
         told = second.record if second and isinstance(second.record, Gap) else None
@@ -97,45 +138,41 @@ class SegmentReader:
             why = f"segments {before.number + 1} to {self.number - 1} are not there"
         yield Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
 
-    def _in_order(self, second: Placed | None, placed: Iterator[Placed]) -> Iterator[CoreRecord]:
-        frames, taken = self._frame_records(), 0
+    def _in_order(
+        self, second: Placed | None, placed: Iterator[Placed]
+    ) -> Iterator[FrameRun | CoreRecord]:
+        source, taken = _FrameSource(self._frame_members, self._files.frames, self._distance_ns), 0
         while second is not None:
-            while taken < second.frames_before:
-                frame = next(frames, None)
-                if frame is None:
-                    self.damage = self._frame_lines.damage or "frames are missing"
+            if taken < second.frames_before:
+                frames = source.take(second.frames_before - taken)
+                yield self._run(frames)
+                taken += len(frames)
+                if taken < second.frames_before:
+                    self.damage = self._frame_members.damage or "frames are missing"
                     yield Gap(None, None, None, self.damage)
                     return
-                yield frame
-                taken += 1
-                self.frames += 1
             if not isinstance(second.record, Gap):
                 self.ticks += isinstance(second.record, TickRecord)
                 yield second.record
             second = next(placed, None)
-        for frame in frames:
-            self.frames += 1
-            yield frame
-        if damage := self._core_lines.damage or self._frame_lines.damage:
+        for frames in source.rest():
+            yield self._run(frames)
+        if damage := self._core_members.damage or self._frame_members.damage:
             self.damage = damage
             yield Gap(None, None, None, damage)
 
+    def _run(self, frames: list[Frame]) -> FrameRun:
+        self.frames += len(frames)
+        return FrameRun(frames)
+
     def _placed(self) -> Iterator[Placed]:
         parser = LineParser()
-        for line in self._core_lines:
-            try:
-                yield from parser.records(line.text)
-            except ValueError as error:
-                raise _problem(error, self._files.core, line) from error
-
-    def _frame_records(self) -> Iterator[InputRecord]:
-        distance_ns = self._distance_ns
-        for line in self._frame_lines:
-            try:
-                frame = frame_of(line.text, distance_ns)
-            except ValueError as error:
-                raise _problem(error, self._files.frames, line) from error
-            yield InputRecord(FrameInput(frame), None)
+        for member in self._core_members:
+            for line in _lines(member):
+                try:
+                    yield from parser.records(line.text)
+                except ValueError as error:
+                    raise _problem(error, self._files.core, line) from error
 
 
 def _problem(error: ValueError, path: Path | None, line: _Line) -> DataError:
