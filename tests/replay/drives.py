@@ -180,3 +180,37 @@ def every_input(folder: Path) -> Path:
     requests.terminate()
     drive.run(0.5)
     return drive.end()
+
+
+def _with_bits(data: bytes, byte: int, bits: int) -> bytes:
+    return data[:byte] + bytes([data[byte] | bits]) + data[byte + 1 :]
+
+
+def limits(folder: Path) -> Path:
+    """A drive on which most limits are met: slews, codes of the battery, directions, sources."""
+    drive = SimulatedDrive(folder, segment_s=20.0).begin()
+    drive.throttle(60.0)
+    drive.run(4.0)
+    drive.change = lambda name, data: _with_bits(data, 5, 0b0100) if name == "BMS_Status" else data
+    drive.run(2.0)  # undervoltage 1: power limit
+    drive.change = lambda name, data: _with_bits(data, 5, 0b0001) if name == "BMS_Status" else data
+    drive.throttle(0.0, 60.0, regen_brake=True)
+    drive.run(2.0)  # overvoltage 1: regeneration limit
+    drive.change = lambda name, data: data
+    drive.throttle(0.0, 20.0, regen_brake=True)
+    drive.run(6.0)
+    drive.throttle(30.0, speed_limit_rpm=3000.0)
+    drive.run(2.0)
+    drive.offer(ControllerDemand(), "remote")  # refused: the driver has the demand
+    drive.silent = {"BMS_Status"}
+    drive.run(1.3)  # late
+    drive.silent = {"IMU_Attitude"}
+    drive.run(1.0)  # not required
+    drive.silent = set()
+    drive.throttle(0.0, 60.0)
+    drive.run(8.0)
+    drive.throttle(0.0, 0.0, motor_reverse=True)
+    drive.run(1.0)
+    drive.throttle(20.0, 0.0, motor_reverse=True)
+    drive.run(2.0)
+    return drive.end()

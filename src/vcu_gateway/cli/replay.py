@@ -1,5 +1,6 @@
 """`vcu-gateway replay`: a recording decided again, with its own configuration or another."""
 
+import gc
 import json
 import sys
 from pathlib import Path
@@ -75,6 +76,7 @@ Times are UTC. The exit code is 0 where nothing differs and the verdict holds, e
 def command(**options: Any) -> None:
     """Replay, print, and exit with 1 where something differs."""
     asked = ReplayOptions(**options)
+    gc.disable()  # next to no garbage in a replay has cycles, and looking for it takes a tenth
     found = recorded_path(asked.recording)
     report = replay_log.report(asked) if found is None else replay_drive.report(asked, found)
     if asked.as_json and not asked.quiet:

@@ -8,11 +8,10 @@ import click
 
 from vcu_gateway import __version__
 from vcu_gateway.cli.replay_html import write_html
-from vcu_gateway.cli.replay_options import ReplayOptions, ReplayReport, watched
+from vcu_gateway.cli.replay_options import Record, ReplayOptions, ReplayReport, watched
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.drive.checkpoint import StateError
 from vcu_gateway.drive.reader import Drive, open_drive
-from vcu_gateway.drive.records import CoreRecord
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.replay import drive_records, equality_text, what_if_text
 from vcu_gateway.replay.closed_loop import ClosedLoop
@@ -61,7 +60,7 @@ class _DriveReplay:
         self._clock = TimeOfDay(drive.info.clock.distance_ns)
         self._protocol = drive_records.protocol_of(drive)
 
-    def _replay(self, *notes: Callable[[CoreRecord], None]) -> None:
+    def _replay(self, *notes: Callable[[Record], None]) -> None:
         records = drive_records.records(self._drive, self._asked.window, self._clock)
         shown = watched(records, len(self._drive.segments), self._asked.quiet)
         if len(notes) == 1:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from vcu_gateway.drive.records import Checkpoint, CoreRecord
+from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun
 from vcu_gateway.drive_format import layout
 from vcu_gateway.recording import Recording
 from vcu_gateway.time_window import Moment, Window, moment
@@ -16,6 +16,9 @@ from vcu_gateway.time_window import Moment, Window, moment
 DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
 _PROGRESS_PERIOD_S = 0.5
 _LOOK_EVERY = 4096
+
+Record = FrameRun | CoreRecord
+"""What a drive is read as."""
 
 
 class ReplayOptions(NamedTuple):
@@ -80,7 +83,7 @@ def recorded_path(name: str) -> Path | None:
     return None
 
 
-def watched(records: Iterable[CoreRecord], segments: int, quiet: bool) -> Iterator[CoreRecord]:
+def watched(records: Iterable[Record], segments: int, quiet: bool) -> Iterator[Record]:
     """The records, with a line of progress where a person waits."""
     if quiet or not sys.stderr.isatty():
         yield from records

@@ -11,14 +11,12 @@ from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.drive import checkpoint
-from vcu_gateway.drive.records import Checkpoint, CoreRecord, Gap, InputRecord, TickRecord
-from vcu_gateway.replay.open_loop import REQUESTS
+from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
+from vcu_gateway.replay.open_loop import REQUESTS, begun
 from vcu_gateway.replay.series import CommandSeries
 from vcu_gateway.replay.what_if import WhatIf
 
 _LEFT_OUT = (
-    inputs.FrameInput,
     inputs.SentInput,
     inputs.ReloadInput,
     inputs.LinkLostInput,
@@ -31,7 +29,7 @@ class _Loop:
     """A core and a simulated vehicle that obeys it."""
 
     def __init__(self, codec: Codec, record: Checkpoint, settings: Settings) -> None:
-        self.gateway: Gateway = checkpoint.restore(record.state, codec, settings)
+        self.gateway: Gateway = begun(record, codec, settings)
         self._nodes = simulator.build(codec, record.now_ns)
 
     def tick(self, now_ns: int) -> TickResult:
@@ -80,17 +78,16 @@ class ClosedLoop:
         self._loops: list[_Loop] = []
         self._now_ns = 0
 
-    def note(self, record: CoreRecord) -> None:
+    def note(self, record: FrameRun | CoreRecord) -> None:
         """Take one record."""
-        kind = type(record)
         if not self._loops:
-            if kind is Checkpoint:
-                self._begin(record)  # type: ignore[arg-type]
-        elif kind is InputRecord:
-            self._input(record.input)  # type: ignore[union-attr]
-        elif kind is TickRecord:
-            self._tick(record.now_ns)  # type: ignore[union-attr]
-        elif kind is Gap:
+            if isinstance(record, Checkpoint):
+                self._begin(record)
+        elif isinstance(record, InputRecord):
+            self._input(record.input)
+        elif isinstance(record, TickRecord):
+            self._tick(record.now_ns)
+        elif isinstance(record, Gap):
             self.what_if.gap(self._now_ns)
             self._loops = []
 

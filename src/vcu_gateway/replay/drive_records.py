@@ -6,7 +6,7 @@ from typing import Any
 
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.drive.reader import Drive
-from vcu_gateway.drive.records import Checkpoint, CoreRecord, TickRecord
+from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, TickRecord
 from vcu_gateway.drive_format import layout
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc
 from vcu_gateway.replay.time_of_day import TimeOfDay
@@ -35,15 +35,15 @@ def recorded_aliases(config: str) -> Mapping[int, str]:
     return {int(str(key), 0): str(name) for key, name in aliases.items()}
 
 
-def records(drive: Drive, window: Window, clock: TimeOfDay) -> Iterator[CoreRecord]:
+def records(drive: Drive, window: Window, clock: TimeOfDay) -> Iterator[FrameRun | CoreRecord]:
     """Records of a part, from the last checkpoint before its begin to the last tick in it."""
     if window.open:
-        yield from drive.records()
+        yield from drive.runs()
         return
     begins = dict(_checkpoints(drive))
     from_ns, to_ns = window.bounds_ns(min(begins.values(), default=0))
     before = [number for number, wall_ns in begins.items() if wall_ns <= from_ns]
-    for record in drive.records(max(before, default=None)):
+    for record in drive.runs(max(before, default=None)):
         if type(record) is TickRecord and clock.wall_ns(record.now_ns) > to_ns:
             return
         yield record
@@ -52,7 +52,7 @@ def records(drive: Drive, window: Window, clock: TimeOfDay) -> Iterator[CoreReco
 def _checkpoints(drive: Drive) -> Iterator[tuple[int, int]]:
     """Number and wall time of each segment that begins with a checkpoint."""
     for files in drive.segments:
-        for record in Drive(drive.folder, drive.info, (files,)).records():
+        for record in Drive(drive.folder, drive.info, (files,)).runs():
             if type(record) is Checkpoint:
                 yield files.number, record.wall_ns
                 break

@@ -1,7 +1,7 @@
 """Equality: a drive's inputs replayed with its own configuration must give its results again.
 
     check = EqualityCheck(codec, fields)
-    for record in drive.records():
+    for record in drive.runs():
         check.note(record)
     check.result()
 
@@ -16,12 +16,14 @@ from typing import Any, NamedTuple
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
+from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.inputs import FrameInput, SentInput
+from vcu_gateway.core.inputs import SentInput
 from vcu_gateway.drive import checkpoint
 from vcu_gateway.drive.records import (
     Checkpoint,
     CoreRecord,
+    FrameRun,
     Gap,
     InputRecord,
     ShellEvent,
@@ -116,28 +118,40 @@ class EqualityCheck:
         self._why_open = False
         self._unsaid: str | None = None
 
-    def note(self, record: CoreRecord) -> None:
+    def note(self, record: FrameRun | CoreRecord) -> None:
         """Replay one record and compare its result."""
-        kind, gateway = type(record), self._gateway
-        if self._why_open and kind is not ShellEvent and not _is_sent(record):
+        gateway = self._gateway
+        if self._why_open and not isinstance(record, ShellEvent) and not _is_sent(record):
             self._look_at_why()
-        if kind is InputRecord:
-            if gateway is not None:
-                self._input(gateway, record)  # type: ignore[arg-type]
-        elif kind is Checkpoint:
-            self._checkpoint(record)  # type: ignore[arg-type]
-        elif kind is Gap:
-            self._gap(record)  # type: ignore[arg-type]
-        elif gateway is not None and kind is TickRecord:
-            self._replay_tick(gateway, record)  # type: ignore[arg-type]
-        elif gateway is not None and kind is WhyRecord:
-            self._explain(gateway, record)  # type: ignore[arg-type]
+        if isinstance(record, Checkpoint):
+            self._checkpoint(record)
+        elif isinstance(record, Gap):
+            self._gap(record)
+        elif gateway is None:
+            return
+        elif isinstance(record, FrameRun):
+            self._receive(gateway, record.frames)
+        else:
+            self._replay(gateway, record)
+
+    def _replay(self, gateway: Gateway, record: CoreRecord) -> None:
+        if isinstance(record, InputRecord):
+            self._input(gateway, record)
+        elif isinstance(record, TickRecord):
+            self._replay_tick(gateway, record)
+        elif isinstance(record, WhyRecord):
+            self._explain(gateway, record)
+
+    def _receive(self, gateway: Gateway, frames: list[Frame]) -> None:
+        receive = gateway.receive
+        for frame in frames:
+            receive(frame)
+        self._compared["frames"] += len(frames)
 
     def _input(self, gateway: Gateway, record: InputRecord) -> None:
         one = record.input
-        if type(one) is FrameInput:
-            gateway.receive(one.frame)
-            self._compared["frames"] += 1
+        if type(one) is SentInput:
+            gateway.sent(*one)
             return
         answer = one.apply(gateway)
         if record.answer is not None and isinstance(answer, RequestResult):
@@ -249,7 +263,7 @@ class EqualityCheck:
         )
 
 
-def _is_sent(record: CoreRecord) -> bool:
+def _is_sent(record: FrameRun | CoreRecord) -> bool:
     return isinstance(record, InputRecord) and isinstance(record.input, SentInput)
 
 

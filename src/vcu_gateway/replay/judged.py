@@ -14,7 +14,7 @@ from vcu_gateway.core.inputs import CoreInput
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.drive.records import Checkpoint, CoreRecord, Gap, InputRecord, TickRecord
+from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
 from vcu_gateway.replay.verdict import (
     Findings,
     GrantedDemand,
@@ -85,22 +85,19 @@ class JudgedRecords:
         self._judge, self._last_ns = judge, None
         return judge
 
-    def frame(self, frame: Frame) -> None:
-        """Take in a frame."""
+    def frames(self, frames: list[Frame]) -> None:
+        """Take in frames in their order."""
         if self._unknown:
-            self._between.append(frame)  # it came between the sending of both frames
+            self._between += frames  # they came between the sending of both frames
             return
-        self._counts["frames"] += 1
-        judge = self._ready()
-        if frame.error:
-            judge.frame(frame.can_id, bytes(frame.data), frame.arrival_ns, error=True)
-        elif frame.extended:
-            data = b"" if frame.remote else bytes(frame.data)
-            judge.frame(frame.can_id, data, frame.arrival_ns, own_echo=frame.own_echo)
+        self._counts["frames"] += len(frames)
+        self._ready().frames(frames)
 
-    def note(self, record: CoreRecord) -> None:
-        """Take in any other record."""
-        if isinstance(record, TickRecord):
+    def note(self, record: FrameRun | CoreRecord) -> None:
+        """Take in a record."""
+        if isinstance(record, FrameRun):
+            self.frames(record.frames)
+        elif isinstance(record, TickRecord):
             self._begin_tick(record)
         elif isinstance(record, InputRecord):
             self._input(record)
@@ -137,13 +134,13 @@ class JudgedRecords:
         judge.tick(now_ns, mode, self._sent)
         between, self._between = self._between, []
         self._unknown.clear()
-        for frame in between:
-            self.frame(frame)
+        if between:
+            self.frames(between)
 
     def _input(self, record: InputRecord) -> None:
         one = record.input
         if isinstance(one, inputs.FrameInput):
-            self.frame(one.frame)
+            self.frames([one.frame])
         elif isinstance(one, inputs.SentInput):
             name = one.frame.controller
             self._sent[name] = self._sent[name]._replace(left=one.ok)

@@ -5,6 +5,8 @@ it answered to the recorded one. Its echoes of throttle and direction are held a
 commands.
 """
 
+import json
+
 from vcu_gateway.core import inputs
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
@@ -16,6 +18,7 @@ from vcu_gateway.drive import checkpoint
 from vcu_gateway.drive.records import (
     Checkpoint,
     CoreRecord,
+    FrameRun,
     Gap,
     InputRecord,
     TickRecord,
@@ -59,28 +62,31 @@ class OpenLoop:
         self._stopped_before = False
         self._now_ns = 0
 
-    def note(self, record: CoreRecord) -> None:
+    def note(self, record: FrameRun | CoreRecord) -> None:
         """Replay one record."""
-        kind, gateway = type(record), self._gateway
+        gateway = self._gateway
         if gateway is None:
-            if kind is Checkpoint:
-                self._begin(record)  # type: ignore[arg-type]
-        elif kind is InputRecord:
-            one = record.input  # type: ignore[union-attr]
-            if type(one) is inputs.FrameInput:
-                gateway.receive(one.frame)
-            else:
-                self._input(gateway, one, record.answer)  # type: ignore[union-attr]
-        elif kind is TickRecord:
-            self._tick(gateway, record)  # type: ignore[arg-type]
-        elif kind is WhyRecord:
-            self._explain(record)  # type: ignore[arg-type]
-        elif kind is Gap:
-            self._gap(record)  # type: ignore[arg-type]
+            if isinstance(record, Checkpoint):
+                self._begin(record)
+        elif isinstance(record, FrameRun):
+            receive = gateway.receive
+            for frame in record.frames:
+                receive(frame)
+        elif isinstance(record, Gap):
+            self._gap(record)
+        else:
+            self._replay(gateway, record)
+
+    def _replay(self, gateway: Gateway, record: CoreRecord) -> None:
+        if isinstance(record, InputRecord):
+            self._input(gateway, record.input, record.answer)
+        elif isinstance(record, TickRecord):
+            self._tick(gateway, record)
+        elif isinstance(record, WhyRecord):
+            self._explain(record)
 
     def _begin(self, record: Checkpoint) -> None:
-        gateway = checkpoint.restore(record.state, self._codec, self._settings)
-        self._gateway = gateway
+        gateway = self._gateway = begun(record, self._codec, self._settings)
         held = gateway.causes.held
         self.what_if.begin(held, held, record.mode, record.now_ns)
 
@@ -131,3 +137,18 @@ class OpenLoop:
         self.gaps.append((self._now_ns, record))
         self.what_if.gap(self._now_ns)
         self._gateway = None
+
+
+def begun(record: Checkpoint, codec: Codec, settings: Settings) -> Gateway:
+    """A core in the recorded state with these settings; a new one where nothing had happened yet.
+
+    What the settings give at the start, such as a bench demand, is part of a recorded state.
+    """
+    gateway = checkpoint.restore(record.state, codec, settings)
+    if record.ticks:
+        return gateway
+    start_ns = gateway.supervisor.since_ns
+    untouched = checkpoint.state_of(Gateway(codec, record.settings, start_ns))
+    if json.loads(json.dumps(untouched)) != record.state:
+        return gateway
+    return Gateway(codec, settings, start_ns)

@@ -1,7 +1,8 @@
 """Arrivals: what every frame since the last tick said, and what its order says."""
 
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple, Protocol
 
 from vcu_gateway.replay.verdict import wire
 from vcu_gateway.replay.verdict.limits import VerdictLimits
@@ -16,6 +17,23 @@ _PLAUSIBLE_FRAMES = 3
 _LENGTH = 8
 _LIFE = 0x80
 _REVERSE = 0x10
+_NEVER = -(1 << 63)
+_PRIORITY_BIT = 26
+_STATUS1 = tuple(f"{name}_Status1" for name in CONTROLLERS)
+_STATUS2 = tuple(f"{name}_Status2" for name in CONTROLLERS)
+_JUDGED = frozenset({"BMS_Status", *_STATUS1, *_STATUS2})
+
+
+class BusFrame(Protocol):
+    """Frame as a recording has it."""
+
+    can_id: int
+    data: bytes | bytearray
+    arrival_ns: int
+    extended: bool
+    remote: bool
+    error: bool
+    own_echo: bool
 
 
 class Arrived(NamedTuple):
@@ -68,11 +86,16 @@ class Deviations:
         self._seen = None
 
 
+def _is_whole(frame: BusFrame) -> bool:
+    return len(frame.data) == _LENGTH and not frame.remote
+
+
 class Arrivals:
     """Memory of the bus: latest frames, frames since the last tick, and deviations.
 
     Attributes:
-        latest: newest frame of each message.
+        latest: newest frame of each message whose signals are judged.
+        latest_ns: stamp of the newest frame of every message.
         since_tick: every frame of each message since the last tick.
         sent: commands that left lately, by controller, oldest first.
         echoed_ns: stamps of our own commands that came back since the last tick.
@@ -84,8 +107,10 @@ class Arrivals:
             believed at some time since the last tick.
     """
 
-    def __init__(self, limits: VerdictLimits) -> None:
+    def __init__(self, limits: VerdictLimits, *, complete: bool) -> None:
         self.limits = limits
+        self._complete = complete
+        self._first_sent_ns: int | None = None
         self.latest: dict[str, Arrived] = {}
         self.since_tick: dict[str, list[Arrived]] = {}
         self.sent: dict[str, deque[LeftCommand]] = {
@@ -99,40 +124,72 @@ class Arrivals:
         self.above = {name: Deviations() for name in CONTROLLERS}
         self.doubted = dict.fromkeys(CONTROLLERS, 0)
         self.speed_unknown: set[str] = set()
-        self._aliases = wire.alias_keys(limits.aliases)
+        names = wire.messages(limits.aliases)
+        self._names = {key: name for key, name in names.items() if name in _JUDGED}
+        # Of the others only the time counts; by each identifier, whatever its priority.
+        self._plain = {
+            key | priority << _PRIORITY_BIT: name
+            for key, name in names.items()
+            if name not in _JUDGED
+            for priority in range(8)
+        }
+        self.latest_ns: dict[str, int] = dict.fromkeys(self._plain.values(), _NEVER)
 
-    def receive(self, can_id: int, data: bytes, at_ns: int, *, own_echo: bool) -> None:
-        """Take in an extended data frame."""
-        name = wire.message_of(can_id, self._aliases)
+    def receive(self, frames: Iterable[BusFrame]) -> list[BusFrame]:
+        """Take in frames; error frames and our own that came back are handed back."""
+        handed_back, plain, latest_ns = [], self._plain, self.latest_ns
+        for frame in frames:
+            name = plain.get(frame.can_id)
+            if name is None or frame.error or not frame.extended:
+                if frame.error or self._take(frame):
+                    handed_back.append(frame)
+            elif frame.arrival_ns > latest_ns[name] and _is_whole(frame):
+                latest_ns[name] = frame.arrival_ns
+        return handed_back
+
+    def _take(self, frame: BusFrame) -> bool:
+        """Take in a frame whose signals are judged, or a command; True for our own."""
+        if not frame.extended:
+            return False
+        name = self._names.get(frame.can_id & wire.MATCH)
         if name is not None:
-            if len(data) == _LENGTH:
-                self._keep(name, Arrived(data, at_ns))
-            return
-        controller = wire.controller_commanded(can_id)
-        if own_echo:
-            if controller is not None and len(data) == _LENGTH:
-                self.echoed_ns[controller] = at_ns
-        elif wire.commands_somebody(can_id) and self.foreign_ns is None:
-            self.foreign_ns = at_ns
+            if _is_whole(frame):
+                self._keep(name, Arrived(bytes(frame.data), frame.arrival_ns))
+            return False
+        controller = wire.controller_commanded(frame.can_id)
+        if frame.own_echo:
+            if controller is not None and len(frame.data) == _LENGTH:
+                self.echoed_ns[controller] = frame.arrival_ns
+            return True
+        if wire.commands_somebody(frame.can_id) and self.foreign_ns is None:
+            self.foreign_ns = frame.arrival_ns
+        return False
 
     def _keep(self, name: str, frame: Arrived) -> None:
         before = self.latest.get(name)
-        self.since_tick.setdefault(name, []).append(frame)
+        since_tick = self.since_tick.get(name)
+        if since_tick is None:
+            self.since_tick[name] = [frame]
+        else:
+            since_tick.append(frame)
         in_order = before is None or frame.at_ns >= before.at_ns
-        if name.endswith("Status1"):
+        if name in _STATUS1:
             self._hold_echo_against_commands(name[:4], frame, in_order)
         if not in_order:
             return
         self.latest[name] = frame
+        self.latest_ns[name] = frame.at_ns
         if before is None:
             return
         if name == "BMS_Status":
             self.life.note(not (before.data[7] ^ frame.data[7]) & _LIFE, frame.at_ns)
-        elif name.endswith("Status2"):
+        elif name in _STATUS2:
             self._hold_speed_against_the_last(name[:4], before, frame)
 
     def _hold_echo_against_commands(self, name: str, frame: Arrived, latest: bool) -> None:
         at_ns, echoed = frame.at_ns, frame.data[1]
+        if not self._knows_what_was_sent(at_ns):
+            return
         sent = [one for one in self.sent[name] if one.at_ns <= at_ns]
         second = [one for one in sent if at_ns - one.at_ns <= _THROTTLE_WINDOW_NS]
         raws = [one.throttle_raw for one in second]
@@ -145,6 +202,11 @@ class Arrivals:
         self.turned[name].note(odd, at_ns, latest=latest)
         excess_pct = (echoed - max(raws, default=0)) * PERCENT_PER_BIT - _ABOVE_MAX_PCT
         self.above[name].note(excess_pct > 1e-6, at_ns, latest=latest)
+
+    def _knows_what_was_sent(self, at_ns: int) -> bool:
+        """False for a while where the recording begins in the middle."""
+        first_ns = self._first_sent_ns
+        return self._complete or (first_ns is not None and at_ns - first_ns > _DIRECTION_WINDOW_NS)
 
     def _hold_speed_against_the_last(self, name: str, before: Arrived, frame: Arrived) -> None:
         step_rpm = abs(wire.speed_rpm(frame.data) - wire.speed_rpm(before.data))
@@ -163,8 +225,8 @@ class Arrivals:
 
     def age_ns(self, name: str, now_ns: int) -> int | None:
         """Age of the newest frame; None where none came."""
-        last = self.latest.get(name)
-        return None if last is None else now_ns - last.at_ns
+        at_ns = self.latest_ns.get(name)
+        return None if at_ns is None or at_ns == _NEVER else now_ns - at_ns
 
     def stale(self, name: str, now_ns: int) -> bool:
         """True where a message is too old, or never came."""
@@ -173,15 +235,16 @@ class Arrivals:
 
     def speeds_rpm(self, now_ns: int) -> list[int] | None:
         """Every speed of both motors that this tick knows; None where one is not known."""
-        names = [f"{name}_Status2" for name in CONTROLLERS]
-        if self.speed_unknown or any(self.stale(name, now_ns) for name in names):
+        if self.speed_unknown or any(self.stale(name, now_ns) for name in _STATUS2):
             return None
-        if any(self.doubted[name[:4]] and name not in self.since_tick for name in names):
+        if any(self.doubted[name[:4]] and name not in self.since_tick for name in _STATUS2):
             return None
-        return [wire.speed_rpm(frame.data) for name in names for frame in self.judged(name)]
+        return [wire.speed_rpm(frame.data) for name in _STATUS2 for frame in self.judged(name)]
 
     def note_sent(self, controller: str, data: bytes, at_ns: int) -> None:
         """A command that left."""
+        if self._first_sent_ns is None:
+            self._first_sent_ns = at_ns
         self.sent[controller].append(LeftCommand(at_ns, data[1], bool(data[0] & _REVERSE)))
 
     def end_tick(self) -> None:

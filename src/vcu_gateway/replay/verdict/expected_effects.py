@@ -80,8 +80,8 @@ def _silence(arrivals: Arrivals, limits: VerdictLimits, now_ns: int) -> Iterator
     for name in (*limits.required_messages, "PCU1_Status1", "PCU2_Status1"):
         if not arrivals.stale(name, now_ns):
             continue
-        last = arrivals.latest.get(name)
-        since_ns = now_ns if last is None else last.at_ns + limits.stale_ns(name)
+        silent_ns = arrivals.age_ns(name, now_ns)
+        since_ns = now_ns if silent_ns is None else now_ns - silent_ns + limits.stale_ns(name)
         if name in limits.required_messages:
             yield Seen(STOP, f"{name} stale", since_ns)
         if name.endswith("Status1"):

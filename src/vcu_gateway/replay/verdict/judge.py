@@ -5,14 +5,16 @@ effects are those of the specification, and of the recording only what came in, 
 which mode was told is believed.
 
     judge = Judge(limits, complete=True)
-    judge.frame(can_id, data, arrival_ns)        # as often as frames came
+    judge.frames(frames)                         # as often as frames came
     judge.demand(demand, now_ns)                 # granted demands, requests, the link
     judge.tick(now_ns, "active", {"PCU1": command, "PCU2": command})
     judge.verdict()
 """
 
+from collections.abc import Iterable
+
 from vcu_gateway.replay.verdict import command_rules, expected_effects, wire
-from vcu_gateway.replay.verdict.arrivals import Arrivals
+from vcu_gateway.replay.verdict.arrivals import Arrivals, BusFrame
 from vcu_gateway.replay.verdict.bus_state import BusState
 from vcu_gateway.replay.verdict.command_rules import Judged, SentBefore, TickFacts
 from vcu_gateway.replay.verdict.demands import GrantedDemand, GrantedDemands
@@ -53,7 +55,7 @@ class Judge:
         self.limits = limits
         self.requests = ModeRules(findings, complete=complete)
         self._findings = findings
-        self._arrivals = Arrivals(limits)
+        self._arrivals = Arrivals(limits, complete=complete)
         self._bus = BusState()
         self._demands = GrantedDemands(limits.bench_demand, known=complete)
         self._unconfirmed = Unconfirmed()
@@ -71,22 +73,13 @@ class Judge:
 
     # What comes in.
 
-    def frame(
-        self,
-        can_id: int,
-        data: bytes,
-        at_ns: int,
-        *,
-        own_echo: bool = False,
-        error: bool = False,
-    ) -> None:
-        """Take in an extended data frame, or an error frame; others change nothing."""
-        if error:
-            self._bus.error_frame(can_id, data, at_ns)
-        else:
-            self._arrivals.receive(can_id, data, at_ns, own_echo=own_echo)
-            if own_echo:
-                self._reactions.left(at_ns)
+    def frames(self, frames: Iterable[BusFrame]) -> None:
+        """Take in frames in the order in which they came."""
+        for frame in self._arrivals.receive(frames):
+            if frame.error:
+                self._bus.error_frame(frame.can_id, bytes(frame.data), frame.arrival_ns)
+            else:
+                self._reactions.left(frame.arrival_ns)
 
     def link_lost(self, at_ns: int) -> None:
         """The interface is gone."""
@@ -198,7 +191,7 @@ class Judge:
         return found
 
     def _known(self, cause: str) -> bool:
-        return cause.removesuffix(" stale") in self._arrivals.latest
+        return self._arrivals.age_ns(cause.removesuffix(" stale"), 0) is not None
 
     def _facts(self, now_ns: int, mode: str, elapsed_ns: int) -> TickFacts:
         limits, active = self.limits, mode == "active"

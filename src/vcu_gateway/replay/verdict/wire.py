@@ -37,11 +37,12 @@ STALE_AFTER_MS: Mapping[str, int] = {
 
 BATTERY_LATE_AFTER_MS = 1100
 
-# A frame is told by PF, PS and SA, whatever its priority (E1).
-_MATCH = 0x03FF_FFFF
+MATCH = 0x03FF_FFFF
+"""What tells a frame: PF, PS and SA, whatever its priority (E1)."""
+
 _PRIORITY = 0x1C00_0000
-_MESSAGE_BY_KEY = {can_id & _MATCH: name for can_id, name in _RECEIVED_IDS.items()}
-_COMMAND_BY_KEY = {can_id & _MATCH: name for name, can_id in COMMAND_IDS.items()}
+_MESSAGE_BY_KEY = {can_id & MATCH: name for can_id, name in _RECEIVED_IDS.items()}
+_COMMAND_BY_KEY = {can_id & MATCH: name for name, can_id in COMMAND_IDS.items()}
 # PF 8 on page 0 and the receiver; the last byte is the sender.
 _COMMANDED = {0x0008A7, 0x0008A8, 0x0008FF}
 _REVERSE, _REGEN, _CUT, _UNUSED = 0x10, 0x20, 0x80, 0x43
@@ -88,25 +89,19 @@ def command_id(controller: str, priority: int) -> int:
     return COMMAND_IDS[controller] & ~_PRIORITY | priority << 26
 
 
-def message_of(can_id: int, aliases: Mapping[int, str]) -> str | None:
-    """The message that an extended identifier stands for; None where it is none of the vehicle."""
-    key = can_id & _MATCH
-    return _MESSAGE_BY_KEY.get(key) or aliases.get(key)
-
-
-def alias_keys(aliases: Mapping[int, str]) -> dict[int, str]:
-    """The configured aliases, by what tells a frame."""
-    return {can_id & _MATCH: name for can_id, name in aliases.items()}
+def messages(aliases: Mapping[int, str]) -> dict[int, str]:
+    """Names of the vehicle's messages by what tells a frame, with the configured aliases."""
+    return {can_id & MATCH: name for can_id, name in aliases.items()} | _MESSAGE_BY_KEY
 
 
 def controller_commanded(can_id: int) -> str | None:
     """The controller that our own command with this identifier is for."""
-    return _COMMAND_BY_KEY.get(can_id & _MATCH)
+    return _COMMAND_BY_KEY.get(can_id & MATCH)
 
 
 def commands_somebody(can_id: int) -> bool:
     """True for a command to a controller or to all, whoever sends it."""
-    return (can_id & _MATCH) >> 8 in _COMMANDED
+    return (can_id & MATCH) >> 8 in _COMMANDED
 
 
 def speed_rpm(status2: bytes) -> int:

@@ -1,0 +1,303 @@
+"""The verdict finds every rule that a recording breaks: one drive, one thing broken in it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.replay.drives import MS, SimulatedDrive
+from tests.replay.ran import replay
+from vcu_gateway.core.inputs import ArmInput, EmergencyStopInput, OfferInput, ResetInput, SentInput
+from vcu_gateway.core.supervisor import FaultClass, Mode
+from vcu_gateway.core.transmit import OutFrame
+from vcu_gateway.drive.reader import open_drive
+from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord, TickRecord
+from vcu_gateway.protocol import DEFAULT_ALIASES
+from vcu_gateway.replay.judged import JudgedRecords
+from vcu_gateway.replay.verdict import Verdict, VerdictLimits
+
+Records = list[FrameRun | CoreRecord]
+ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
+
+
+def stops(folder: Path) -> Path:
+    """A drive that a STOP ends, a reset and an arm begin again, and an emergency stop ends."""
+    drive = SimulatedDrive(folder).begin()
+    drive.throttle(40.0)
+    drive.run(3.0)
+    drive.change = lambda name, data: (
+        data[:5] + bytes([data[5] | 0b1000]) + data[6:] if name == "BMS_Status" else data
+    )
+    drive.run(1.0)  # undervoltage 2
+    drive.change = lambda name, data: data
+    drive.throttle(0.0)
+    drive.run(2.0)
+    assert drive.gateway.requests.reset(FaultClass.DRIVER, drive.now_ns).granted
+    drive.run(1.0)
+    assert drive.arm()
+    drive.throttle(20.0)
+    drive.run(2.0)
+    drive.gateway.requests.emergency_stop()
+    drive.run(1.0)
+    return drive.end()
+
+
+@pytest.fixture(scope="session")
+def records(recorded, tmp_path_factory) -> dict[str, Records]:
+    folders = recorded | {"stops": stops(tmp_path_factory.mktemp("stops") / "drive")}
+    return {name: list(open_drive(folder).runs()) for name, folder in folders.items()}
+
+
+def judged(records: Records) -> Verdict:
+    judge = JudgedRecords(next(iter(records)).settings, DEFAULT_ALIASES)
+    for record in records:
+        judge.note(record)
+    return judge.verdict()
+
+
+def ticks(records: Records, mode: Mode = Mode.ACTIVE) -> list[int]:
+    return [
+        place
+        for place, record in enumerate(records)
+        if isinstance(record, TickRecord) and record.mode is mode
+    ]
+
+
+def tick(records: Records, place: int) -> TickRecord:
+    record = records[place]
+    assert isinstance(record, TickRecord)
+    return record
+
+
+def with_data(
+    change: Callable[[bytes], bytes], which: int = 60, mode: Mode = Mode.ACTIVE
+) -> Callable[[Records], None]:
+    """Both commands of one tick changed, as they were decided and as they were sent."""
+
+    def mutate(records: Records) -> None:
+        place = ticks(records, mode)[which]
+        one = tick(records, place)
+        frames = tuple(frame._replace(data=change(frame.data)) for frame in one.frames)
+        records[place] = one._replace(frames=frames)
+
+    return mutate
+
+
+def put(**bytes_at: int) -> Callable[[bytes], bytes]:
+    """Bytes of a command replaced: b0=..., b1=..."""
+
+    def change(data: bytes) -> bytes:
+        made = bytearray(data)
+        for name, value in bytes_at.items():
+            made[int(name[1:])] = value
+        return bytes(made)
+
+    return change
+
+
+def with_mode(which: int, mode: Mode, begin: Mode = Mode.ACTIVE) -> Callable[[Records], None]:
+    def mutate(records: Records) -> None:
+        place = ticks(records, begin)[which]
+        records[place] = tick(records, place)._replace(mode=mode)
+
+    return mutate
+
+
+def without(kind: type, which: int = 0) -> Callable[[Records], None]:
+    def mutate(records: Records) -> None:
+        inputs = [
+            place
+            for place, record in enumerate(records)
+            if isinstance(record, InputRecord) and isinstance(record.input, kind)
+        ]
+        del records[inputs[which]]
+
+    return mutate
+
+
+def one_frame(records: Records) -> None:
+    place = ticks(records)[50]
+    one = tick(records, place)
+    records[place] = one._replace(frames=one.frames[:1])
+    del records[place + 2]
+
+
+def other_identifier(records: Records) -> None:
+    place = ticks(records)[50]
+    one = tick(records, place)
+    first, second = one.frames
+    records[place] = one._replace(frames=(OutFrame("PCU1", 0x0408A7D0, first.data), second))
+
+
+def opposite_directions(records: Records) -> None:
+    place = ticks(records)[50]
+    one = tick(records, place)
+    first, second = one.frames
+    turned = second._replace(data=put(b0=second.data[0] ^ 0x10)(second.data))
+    records[place] = one._replace(frames=(first, turned))
+
+
+def too_early(records: Records) -> None:
+    place = ticks(records)[50]
+    records[place] = tick(records, place)._replace(now_ns=tick(records, place).now_ns - 30 * MS)
+
+
+def still_driving(records: Records) -> None:
+    """After the STOP the commands before it are sent again, in ACTIVE."""
+    last = tick(records, [one for one in ticks(records) if one < ticks(records, Mode.FAULT)[0]][-1])
+    for place in ticks(records, Mode.FAULT)[:3]:
+        records[place] = tick(records, place)._replace(frames=last.frames, mode=Mode.ACTIVE)
+
+
+def late_reaction(records: Records) -> None:
+    """The frame with the cause is older than it was."""
+    first = ticks(records, Mode.FAULT)[0]
+    for place in range(first, 0, -1):
+        record = records[place]
+        if isinstance(record, FrameRun):
+            for frame in record.frames:
+                if frame.can_id == 0x1808D0F4 and frame.data[5] & 0b1000:
+                    frame.arrival_ns -= 40 * MS
+                    return
+
+
+def no_cut(records: Records) -> None:
+    """The emergency stop is latched, and one frame of it has no PowerCut."""
+    place = ticks(records, Mode.FAULT)[-5]
+    one = tick(records, place)
+    frames = tuple(frame._replace(data=put(b0=0x0C)(frame.data)) for frame in one.frames)
+    records[place] = one._replace(frames=frames)
+
+
+SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
+    "unused bits": ("ordinary", "gate unused bits", with_data(put(b3=1))),
+    "POWER_CUT with torque": ("ordinary", "gate POWER_CUT without torque", with_data(put(b0=0x84))),
+    "throttle and brake": ("ordinary", "I11 throttle and brake", with_data(put(b1=90, b2=40))),
+    "SpeedLimit too high": ("ordinary", "gate SpeedLimit", with_data(put(b5=0x30))),
+    "SpeedLimit too low": ("ordinary", "gate SpeedLimit", with_data(put(b4=0, b5=1))),
+    "SpeedLimit falls": ("ordinary", "gate SpeedLimit slew", with_data(put(b5=0x20))),
+    "direction at speed": ("ordinary", "I12 direction", with_data(put(b0=0x14))),
+    "torque in standby": (
+        "ordinary",
+        "I2 zero torque outside ACTIVE",
+        with_data(put(b0=4, b1=5), 10, Mode.STANDBY),
+    ),
+    "throttle rises": ("ordinary", "I3 throttle slew", with_data(put(b1=200), 3)),
+    "more than demanded": ("ordinary", "I1 throttle as demanded", with_data(put(b1=110), 60)),
+    "brake not demanded": ("ordinary", "I1 brake as demanded", with_data(put(b2=10), 60)),
+    "safety mode": ("ordinary", "gate throttle in PowerMode safety", with_data(put(b0=0x0C), 60)),
+    "nobody regenerates": ("ordinary", "I10 regeneration", with_data(put(b0=0x24), 60)),
+    "power above the limit": ("limits", "I1 PowerLimit", with_data(put(b6=0x60, b7=0xEA), 110)),
+    "not eco": ("limits", "POWER_LIMIT", with_data(put(b0=0x04), 110)),
+    "brake above the limit": ("limits", "I1 Brake", with_data(put(b2=140), 150)),
+    "another identifier": ("ordinary", "gate identifier and length", other_identifier),
+    "two directions": ("ordinary", "gate directions", opposite_directions),
+    "one frame": ("ordinary", "I13 both frames in every tick", one_frame),
+    "too early": ("ordinary", "I4 half a period apart", too_early),
+    "no arm": ("ordinary", "I2 ACTIVE by arm alone", without(ArmInput)),
+    "no reset": ("stops", "I6 modes", without(ResetInput)),
+    "a fault that ends by itself": ("stops", "I6 modes", with_mode(10, Mode.STANDBY, Mode.FAULT)),
+    "drives on": ("stops", "a STOP or CUT leaves no torque", still_driving),
+    "stays active": ("stops", "a STOP or CUT ends ACTIVE", still_driving),
+    "does not latch": ("stops", "a STOP in ACTIVE latches FAULT", still_driving),
+    "cut without fault": (
+        "every",
+        "a CUT latches FAULT",
+        with_mode(0, Mode.STANDBY, Mode.FAULT),
+    ),
+    "no PowerCut": ("stops", "I6 POWER_CUT while a CUT stands", no_cut),
+    "late": ("stops", "reaction time", late_reaction),
+}
+
+
+@pytest.mark.parametrize("name", ["ordinary", "every", "limits", "stops"])
+def test_the_verdict_has_nothing_against_what_the_gateway_did(records, name):
+    verdict = judged(records[name])
+    assert verdict.holds, verdict.violations
+    assert verdict.ticks > 200
+    assert verdict.with_torque > 100
+
+
+@pytest.mark.parametrize("what", SEEDED)
+def test_the_verdict_sees_what_is_broken(recorded, records, tmp_path, what):
+    name, rule, mutate = SEEDED[what]
+    mutated = list(open_drive(recorded[name]).runs()) if name != "stops" else [*records[name]]
+    if what == "late":
+        mutated = list(open_drive(stops(tmp_path / "drive")).runs())
+    mutate(mutated)
+    verdict = judged(mutated)
+    assert rule in verdict.counts, verdict.counts
+    kept = next(one for one in verdict.violations if one.rule == rule)
+    assert kept.sentence
+    assert kept.tick > 0
+
+
+def test_an_expired_demand_ends_the_drive(records):
+    mutated = [
+        record
+        for number, record in enumerate(records["ordinary"])
+        if not (isinstance(record, InputRecord) and isinstance(record.input, OfferInput))
+        or number < ticks(records["ordinary"])[60]
+    ]
+    assert "an expired demand ends ACTIVE" in judged(mutated).counts
+
+
+def test_an_arm_without_a_released_throttle_is_told(records):
+    mutated = [
+        record._replace(
+            input=record.input._replace(
+                demand=record.input.demand.__class__(
+                    "driver",
+                    record.input.demand.sequence,
+                    200,
+                    {
+                        name: one.__class__(throttle_pct=5.0)
+                        for name, one in record.input.demand.controllers.items()
+                    },
+                )
+            )
+        )
+        if isinstance(record, InputRecord) and isinstance(record.input, OfferInput)
+        else record
+        for record in records["ordinary"]
+    ]
+    assert "arming" in judged(mutated).counts
+
+
+def test_reaction_times_are_told_with_their_bound(records):
+    verdict = judged(records["stops"])
+    by_cause = {one.cause: one for one in verdict.reactions}
+    stop = by_cause["BMS_Status.CellUndervoltage 2"]
+    assert (stop.effect, stop.times) == ("STOP", 1)
+    assert 0 < stop.longest_ms <= stop.bound_ms == 52.0
+    assert by_cause["emergency stop"].effect == "CUT"
+
+
+def test_frames_that_the_bus_did_not_take_are_not_what_the_next_ones_follow(records):
+    """Slews count from what was sent: with every second frame lost the same rise is too steep."""
+    mutated: Records = []
+    for number, record in enumerate(records["ordinary"]):
+        sent = isinstance(record, InputRecord) and isinstance(record.input, SentInput)
+        lost = sent and number % 2 == 0
+        mutated.append(record._replace(input=record.input._replace(ok=False)) if lost else record)
+    assert "I3 throttle slew" in judged(mutated).counts
+
+
+def test_a_drive_that_breaks_a_rule_is_exit_1_with_the_rule(recorded, monkeypatch):
+    """The replay is equal, and what it is equal to is wrong."""
+
+    def stricter(settings, aliases):
+        return VerdictLimits(throttle_slew_pct_per_s=50.0, aliases=aliases)
+
+    monkeypatch.setattr("vcu_gateway.replay.judged.limits_of", stricter)
+    ran = replay(recorded["ordinary"])
+    assert ran.code == 1
+    assert "equal: 461 of 461 ticks to the byte" in ran.out
+    assert "verdict: BROKEN;" in ran.out
+    assert "I3 throttle slew" in ran.out
+
+
+def test_the_emergency_stop_is_an_input_that_the_verdict_needs(records):
+    mutated = [*records["stops"]]
+    without(EmergencyStopInput)(mutated)
+    assert judged(mutated).reactions != judged(records["stops"]).reactions
