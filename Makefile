@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
 # What needs a bus runs in the lab, the faults in a lab for each kind of bus.
-BUS_ROOMS := vcan oracle controller lab power_cut service faults/vcan faults/slcan faults/netem
+BUS_ROOMS := vcan oracle controller lab power_cut recorded service faults/vcan faults/slcan faults/netem
 NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS))
 IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
 WITH_SLCAN := --modules slcan
@@ -28,8 +28,8 @@ ORDINARY := -m 'not slow'
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
 .PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others \
-	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
-	test-faults-slcan test-faults-netem test-systems lint nightly soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
+	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-recorded test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
+	test-faults-slcan test-faults-netem test-systems lint nightly soak recorded-soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -157,6 +157,12 @@ golden-accept: setup  ## take what the core does now as right: golden drives ane
 golden-mutants: setup  ## change each safety rule on purpose: a golden drive must turn out otherwise
 	$(BIN)/python -m tests.golden.mutants
 
+# Real gateway and real recorder, on file systems that are made and mounted: in a guest everywhere.
+IN_GUEST_LAB := LAB_WAY=$(or $(LAB_WAY),uml) $(LAB)
+test-recorded: setup  ## recorded on vcan0: complete, replayed, killed, disk full and stalled
+	$(IN_GUEST_LAB) install
+	$(IN_GUEST_LAB) run --env VCU_REQUIRE_CAN=1 --modules loop --timeout 1200 -- $(BIN)/pytest -q tests/recorded
+
 test-vcan: setup lab
 	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
 
@@ -183,7 +189,7 @@ nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 	$(MAKE) test-controller test-lab-qemu test-realtime
 	$(BIN)/python -m tests.systems --whole bookworm trixie
 	$(MAKE) soak MINUTES=60
-	$(MAKE) golden-mutants
+	$(MAKE) recorded-soak golden-mutants
 
 SYSTEMS :=
 test-systems: setup  ## the README's commands in clean systems, or SYSTEMS="trixie"; with them, every Python
@@ -193,6 +199,11 @@ test-systems: setup  ## the README's commands in clean systems, or SYSTEMS="trix
 MINUTES := 10
 soak: setup lab  ## nominal traffic with random faults for MINUTES=10, in the lab
 	$(LAB) run --timeout $$(( $(MINUTES) * 60 + 180 )) -- $(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
+
+recorded-soak: setup  ## recorded for MINUTES=10 with random faults: complete, and replayed
+	$(IN_GUEST_LAB) install
+	$(IN_GUEST_LAB) run --modules loop --timeout $$(( $(MINUTES) * 180 + 1200 )) --env VCU_RECORDED_SOAK_S=$$(( $(MINUTES) * 60 )) \
+		-- $(BIN)/pytest -q tests/recorded -k random_faults
 
 FAULTS := build/faults
 faults: setup lab  ## every fault that the gateway survives; writes docs/faults.md
