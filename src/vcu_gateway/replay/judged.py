@@ -33,7 +33,8 @@ _NOT_JUDGED = (
 
 def limits_of(settings: Settings, aliases: Mapping[int, str]) -> VerdictLimits:
     """The configured values that the verdict uses."""
-    names = set(VerdictLimits._fields) & {one.name for one in dataclasses.fields(settings)}
+    names = {one.name for one in dataclasses.fields(VerdictLimits)}
+    names &= {one.name for one in dataclasses.fields(settings)}
     values: dict[str, Any] = {name: getattr(settings, name) for name in names}
     bench = settings.bench_demand
     values["bench_demand"] = (

@@ -231,7 +231,7 @@ class Arrivals:
     def stale(self, name: str, now_ns: int) -> bool:
         """True where a message is too old, or never came."""
         age_ns = self.age_ns(name, now_ns)
-        return age_ns is None or age_ns > self.limits.stale_ns(name)
+        return age_ns is None or age_ns > self.limits.stale_ns[name]
 
     def speeds_rpm(self, now_ns: int) -> list[int] | None:
         """Every speed of both motors that this tick knows; None where one is not known."""

@@ -34,6 +34,7 @@ class GrantedDemands:
     def __init__(self, bench: JudgedDemands | None, *, known: bool) -> None:
         self.known = known or bench is not None
         self.current: GrantedDemand | None = None
+        self._judged: GrantedDemand | None = None
         if bench is not None:
             self.current = GrantedDemand("bench", bench, 0, None)
         self.directions: set[tuple[str, bool]] = set()
@@ -52,7 +53,8 @@ class GrantedDemands:
         before = self.current
         if driving and before is not None and before.source != demand.source:
             self._hold("another source took over")
-        self.current, self.known = demand, True
+        self.current = self._judged = demand
+        self.known = True
         self._judge(demand.controllers, demand.made_ns, now_ns)
 
     def ended(self) -> None:
@@ -78,7 +80,7 @@ class GrantedDemands:
         self._this_interval.add(reason)
 
     def _judge(self, demanded: JudgedDemands, made_ns: int, now_ns: int) -> None:
-        self.directions |= {(name, one.motor_reverse) for name, one in demanded.items()}
+        self._note_directions(demanded)
         pedals = demanded.values()
         if any(one.throttle_pct > 0 for one in pedals):
             self._released_since_ns = None
@@ -89,6 +91,9 @@ class GrantedDemands:
             self._hold("brake over throttle")
         elif all(one.throttle_pct < _RELEASED_PCT for one in pedals):
             self._held -= {"brake over throttle", "another source took over"}
+
+    def _note_directions(self, demanded: JudgedDemands) -> None:
+        self.directions.update([(name, one.motor_reverse) for name, one in demanded.items()])
 
     def _judge_tracks(self, demanded: JudgedDemands, made_ns: int, now_ns: int) -> None:
         since_ns = self._apart_since_ns
@@ -107,6 +112,8 @@ class GrantedDemands:
         """Why the throttle has to be 0 in this tick; the next interval begins."""
         if self.current is None or not self.fresh(now_ns):
             self._apart_since_ns = self._released_since_ns = None
+        elif self.current is self._judged and self._apart_since_ns is None:
+            self._note_directions(self.current.controllers)
         else:
             self._judge(self.current.controllers, now_ns, now_ns)
         found = self._held | self._this_interval

@@ -81,7 +81,7 @@ def _silence(arrivals: Arrivals, limits: VerdictLimits, now_ns: int) -> Iterator
         if not arrivals.stale(name, now_ns):
             continue
         silent_ns = arrivals.age_ns(name, now_ns)
-        since_ns = now_ns if silent_ns is None else now_ns - silent_ns + limits.stale_ns(name)
+        since_ns = now_ns if silent_ns is None else now_ns - silent_ns + limits.stale_ns[name]
         if name in limits.required_messages:
             yield Seen(STOP, f"{name} stale", since_ns)
         if name.endswith("Status1"):

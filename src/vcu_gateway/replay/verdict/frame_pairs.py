@@ -3,9 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.replay.verdict import wire
 from vcu_gateway.replay.verdict.limits import VerdictLimits
-from vcu_gateway.replay.verdict.wire import CONTROLLERS, MS
+from vcu_gateway.replay.verdict.wire import CONTROLLERS, MS, REVERSE
 
 _LENGTH = 8
 
@@ -52,5 +51,5 @@ class FramePairs:
 
 def _two_directions(sent: SentFrames) -> bool:
     """True where one turns forwards and one in reverse, with throttle."""
-    whole = [wire.command_bytes(one.data) for one in sent.values() if len(one.data) == _LENGTH]
-    return len({one.reverse for one in whole}) > 1 and any(one.throttle_raw for one in whole)
+    whole = [one.data for one in sent.values() if len(one.data) == _LENGTH]
+    return len({data[0] & REVERSE for data in whole}) > 1 and any(data[1] for data in whole)

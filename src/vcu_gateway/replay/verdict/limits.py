@@ -1,9 +1,11 @@
 """Configured values that a drive is held against, with the defaults of docs/safety.md."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
-from vcu_gateway.replay.verdict.wire import BATTERY_LATE_AFTER_MS, STALE_AFTER_MS
+from vcu_gateway.replay.verdict.wire import BATTERY_LATE_AFTER_MS, MS, STALE_AFTER_MS
 
 
 class JudgedDemand(NamedTuple):
@@ -23,7 +25,8 @@ JudgedDemands = Mapping[str, JudgedDemand]
 """Demand of each controller, by name."""
 
 
-class VerdictLimits(NamedTuple):
+@dataclass(frozen=True)
+class VerdictLimits:
     """Configuration as far as docs/safety.md has it.
 
     Attributes:
@@ -50,21 +53,23 @@ class VerdictLimits(NamedTuple):
     echo_below_max_pct: float = 15.0
     motor_speed_step_max_rpm: float = 2_000.0
     independent_directions: bool = False
-    stale_after_ms: Mapping[str, int] = {}
-    late_after_ms: Mapping[str, int] = {}
-    aliases: Mapping[int, str] = {}
+    stale_after_ms: Mapping[str, int] = field(default_factory=dict)
+    late_after_ms: Mapping[str, int] = field(default_factory=dict)
+    aliases: Mapping[int, str] = field(default_factory=dict)
     bench_demand: JudgedDemands | None = None
 
-    def stale_ns(self, message: str) -> int:
-        """Age from which a message counts as missing."""
-        return 1_000_000 * self.stale_after_ms.get(message, STALE_AFTER_MS[message])
+    @cached_property
+    def stale_ns(self) -> Mapping[str, int]:
+        """Age from which each message counts as missing."""
+        ages_ms = {**STALE_AFTER_MS, **self.stale_after_ms}
+        return {name: MS * age_ms for name, age_ms in ages_ms.items()}
 
-    @property
+    @cached_property
     def battery_late_ns(self) -> int:
         """Age from which the battery's status is late."""
-        return 1_000_000 * self.late_after_ms.get("BMS_Status", BATTERY_LATE_AFTER_MS)
+        return MS * self.late_after_ms.get("BMS_Status", BATTERY_LATE_AFTER_MS)
 
-    @property
+    @cached_property
     def period_ns(self) -> int:
         """Period of the command frames."""
-        return round(self.period_ms * 1_000_000)
+        return round(self.period_ms * MS)

@@ -45,7 +45,7 @@ _MESSAGE_BY_KEY = {can_id & MATCH: name for can_id, name in _RECEIVED_IDS.items(
 _COMMAND_BY_KEY = {can_id & MATCH: name for name, can_id in COMMAND_IDS.items()}
 # PF 8 on page 0 and the receiver; the last byte is the sender.
 _COMMANDED = {0x0008A7, 0x0008A8, 0x0008FF}
-_REVERSE, _REGEN, _CUT, _UNUSED = 0x10, 0x20, 0x80, 0x43
+REVERSE, _REGEN, _CUT, _UNUSED = 0x10, 0x20, 0x80, 0x43
 
 
 class CommandBytes(NamedTuple):
@@ -73,7 +73,7 @@ def command_bytes(data: bytes) -> CommandBytes:
     first = data[0]
     return CommandBytes(
         first >> 2 & 3,
-        bool(first & _REVERSE),
+        bool(first & REVERSE),
         bool(first & _REGEN),
         bool(first & _CUT),
         data[1],
