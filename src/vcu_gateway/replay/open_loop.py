@@ -94,11 +94,7 @@ class OpenLoop:
         self, gateway: Gateway, one: inputs.CoreInput, recorded: RequestResult | None
     ) -> None:
         if isinstance(one, inputs.SentInput):
-            frame = self._frames.get(one.frame.controller)
-            if frame is not None:
-                gateway.sent(frame, one.ok, one.now_ns)
-                if one.ok and frame.data != one.frame.data:
-                    self._told.put(gateway, frame.controller, one.frame.data, one.now_ns)
+            self._sent(gateway, one)
             return
         if isinstance(one, inputs.ReloadInput):
             self.reloads.append(self._now_ns)
@@ -107,6 +103,15 @@ class OpenLoop:
         if recorded is not None and isinstance(answer, RequestResult):
             now_ns = getattr(one, "now_ns", self._now_ns)
             self.what_if.answer(now_ns, REQUESTS[type(one)], recorded, answer)
+
+    def _sent(self, gateway: Gateway, one: inputs.SentInput) -> None:
+        """Ours went as the recorded one did; the controller was told the recorded one."""
+        frame, recorded = self._frames.get(one.frame.controller), one.frame
+        if frame is not None:
+            gateway.sent(frame, one.ok, one.now_ns)
+        if one.ok and (frame is None or frame.data != recorded.data):
+            keep = self._told.add if frame is None else self._told.put
+            keep(gateway, recorded.controller, recorded.data, one.now_ns)
 
     def _tick(self, gateway: Gateway, record: TickRecord) -> None:
         now_ns = self._now_ns = record.now_ns

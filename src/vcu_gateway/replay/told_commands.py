@@ -35,8 +35,9 @@ class ToldCommands:
 
     def add(self, gateway: Gateway, controller: str, data: bytes | bytearray, at_ns: int) -> None:
         """Beside what the core sent itself."""
-        told = self.of(controller, data, at_ns)
-        gateway.transmitter.history.frames[controller].append(told)
+        if len(data) == FRAME_LENGTH_BYTES:
+            told = self.of(controller, data, at_ns)
+            gateway.transmitter.history.frames[controller].append(told)
 
     def put(self, gateway: Gateway, controller: str, data: bytes, at_ns: int) -> None:
         """Instead of what the core sent last."""
