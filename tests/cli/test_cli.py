@@ -144,7 +144,11 @@ def readme_commands() -> list[str]:
     blocks = re.findall(r"```sh\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     lines = [line for block in blocks if "vcan0" not in block for line in block.splitlines()]
     commands = [line for line in lines if line.startswith(".venv/bin/vcu-gateway")]
-    return [line.removeprefix(".venv/bin/") for line in commands]
+    return [line.removeprefix(".venv/bin/") for line in commands if RECORDED not in line]
+
+
+RECORDED = "black-box"
+"""The folder of the commands that need one another."""
 
 
 @pytest.mark.parametrize("line", readme_commands())
@@ -153,6 +157,27 @@ def test_the_commands_of_the_readme_work_in_its_words(line, tmp_path):
     arguments = [str(tmp_path / "out") if word == "decoded.jsonl" else word for word in arguments]
     done = vcu(*arguments)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_commands_of_the_readme_go_from_the_demo_to_a_what_if(tmp_path):
+    text = (ROOT / "README.md").read_text()
+    lines = [line for line in text.splitlines() if line.startswith(".venv/") and RECORDED in line]
+    assert len(lines) == 3
+    done = []
+    for line in lines:
+        command = line.replace(".venv/bin/vcu-gateway", f"{sys.executable} -m vcu_gateway")
+        environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+        done.append(
+            subprocess.run(
+                command, shell=True, capture_output=True, text=True, cwd=tmp_path, env=environment
+            )
+        )
+    recorded, replayed, what_if = done
+    assert recorded.returncode == 0, recorded.stderr
+    assert replayed.returncode == 0, replayed.stdout
+    assert what_if.returncode == 1, "something differs"
+    assert "Throttle" in what_if.stdout
+    assert (tmp_path / "what-if.html").stat().st_size > 50_000
 
 
 def test_the_readme_has_commands_and_its_links_lead_somewhere():
