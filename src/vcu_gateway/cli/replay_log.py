@@ -59,24 +59,18 @@ def report(asked: ReplayOptions) -> ReplayReport:
         "notes": notes,
         "decisions": timeline_values(result.after, clock),
     }
-    if after is not None:
-        lines += [f"what if: {', '.join(asked.assignments)}"]
-        lines += what_if_text.what_if_lines(result, clock)
-        values["what_if"] = what_if_values(result, clock)
+    if after is None:
+        lines += what_if_text.decision_lines(result.after, clock)
+        lines.append(f"at the end: {replay.sentence}")
+        values["why"] = replay.sentence
     else:
         lines += [
-            *what_if_text.decision_lines(result.after, clock),
-            f"at the end: {replay.sentence}",
+            f"what if: {', '.join(asked.assignments)}",
+            *what_if_text.what_if_lines(result, clock),
         ]
-        values["why"] = replay.sentence
-    if asked.html_path is not None:
-        write_html(
-            asked,
-            asked.recording,
-            notes,
-            what_if_text.headline(result, clock),
-            (result, clock, series),
-        )
+        values["what_if"] = what_if_values(result, clock)
+    headline = what_if_text.headline(result, clock)
+    write_html(asked, asked.recording, notes, headline, (result, clock, series))
     return ReplayReport(lines, values, result.same)
 
 
