@@ -20,7 +20,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.core_line_parser import LineError, LineParser, Placed
-from vcu_gateway.drive.core_lines import Call, LineWriter
+from vcu_gateway.drive.core_lines import CoreCall, LineWriter
 from vcu_gateway.drive.records import Gap, InputRecord, ShellEvent, TickRecord, WhyRecord
 from vcu_gateway.drive.settings_json import settings_json, settings_of
 
@@ -54,7 +54,7 @@ CALLS = [
 
 @pytest.mark.parametrize("call", CALLS, ids=lambda call: type(call).__name__)
 def test_every_call_is_read_as_it_was_written(call):
-    text = LineWriter().lines([Call(3, call)], 5)
+    text = LineWriter().lines([CoreCall(3, call)], 5)
     assert text.startswith('{"f":3,"')
     assert parsed(text) == [Placed(3, InputRecord(call, None))]
 
@@ -118,7 +118,7 @@ def test_a_frame_that_is_sent_at_another_time_has_a_line_of_its_own():
 
 
 def test_a_tick_that_ended_the_process_is_a_call_without_answer():
-    text = LineWriter().lines([Call(2, inputs.TickInput(NOW))], 2)
+    text = LineWriter().lines([CoreCall(2, inputs.TickInput(NOW))], 2)
     assert parsed(text) == [Placed(2, InputRecord(inputs.TickInput(NOW), None))]
 
 
@@ -138,14 +138,14 @@ def test_the_mode_stands_on_the_line_of_its_change_alone():
 def test_frames_of_a_segment_are_counted_on():
     writer = LineWriter()
     writer.lines([], 4)
-    assert writer.lines([Call(1, inputs.ArmInput(NOW))], 1).startswith('{"f":5,')
+    assert writer.lines([CoreCall(1, inputs.ArmInput(NOW))], 1).startswith('{"f":5,')
     assert writer.frames == 5
 
 
 def test_numbers_that_json_does_not_have_are_words():
     odd = ControllerDemand(throttle_pct=math.inf, brake_pct=-math.inf, power_limit_w=math.nan)
     demand = replace(DEMAND, controllers=dict.fromkeys(CONTROLLERS, odd))
-    text = LineWriter().lines([Call(0, inputs.OfferInput(demand, NOW))], 0)
+    text = LineWriter().lines([CoreCall(0, inputs.OfferInput(demand, NOW))], 0)
     json.loads(text, parse_constant=pytest.fail)
     read = parsed(text)[0].record.input.demand.controllers["PCU2"]
     assert (read.throttle_pct, read.brake_pct) == (math.inf, -math.inf)

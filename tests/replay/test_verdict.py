@@ -14,7 +14,7 @@ from vcu_gateway.drive.reader import open_drive
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord, TickRecord
 from vcu_gateway.protocol import DEFAULT_ALIASES
 from vcu_gateway.replay.judged import JudgedRecords
-from vcu_gateway.replay.verdict import Verdict, VerdictLimits
+from vcu_gateway.replay.verdict import DriveVerdict, VerdictLimits
 
 Records = list[FrameRun | CoreRecord]
 ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
@@ -48,7 +48,7 @@ def records(recorded, tmp_path_factory) -> dict[str, Records]:
     return {name: list(open_drive(folder).runs()) for name, folder in folders.items()}
 
 
-def judged(records: Records) -> Verdict:
+def judged(records: Records) -> DriveVerdict:
     judge = JudgedRecords(next(iter(records)).settings, DEFAULT_ALIASES)
     for record in records:
         judge.note(record)

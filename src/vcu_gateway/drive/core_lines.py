@@ -23,7 +23,7 @@ from vcu_gateway.drive.settings_json import demand_text, settings_json
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=str)
 
 
-class Call(NamedTuple):
+class CoreCall(NamedTuple):
     """One call of the core in the order of the calls, or what was noted beside them.
 
     Attributes:
@@ -63,7 +63,7 @@ class LineWriter:
         }
         return f'{{"checkpoint":{encoded(values)},"f":0}}\n'
 
-    def lines(self, calls: Sequence[Call], frames: int) -> str:
+    def lines(self, calls: Sequence[CoreCall], frames: int) -> str:
         """The lines of these calls, `frames` frames with them."""
         lines: list[str] = []
         index, before = 0, self.frames
@@ -80,7 +80,7 @@ class LineWriter:
         return "".join(lines)
 
     @staticmethod
-    def _sent(calls: Sequence[Call], index: int, now_ns: int) -> list[SentInput]:
+    def _sent(calls: Sequence[CoreCall], index: int, now_ns: int) -> list[SentInput]:
         """Calls of `sent` that follow a tick as the loop makes them; none where they differ."""
         tick = calls[index - 1]
         decided = tick.answer.frames if isinstance(tick.answer, TickResult) else ()
@@ -95,7 +95,7 @@ class LineWriter:
         ]
         return sent if len(sent) == len(decided) else []
 
-    def _tick(self, call: Call, now_ns: int, before: int, sent: Sequence[SentInput]) -> str:
+    def _tick(self, call: CoreCall, now_ns: int, before: int, sent: Sequence[SentInput]) -> str:
         result = call.answer
         parts = [f'{{"f":{before + call.frames_before},"tick":{now_ns}']
         if not isinstance(result, TickResult):  # the tick did not come to its end
@@ -128,7 +128,7 @@ def _event(event: Event) -> list[Any]:
     return [event.name, event.severity.name.lower(), event.fields]
 
 
-def _line(call: Call, before: int) -> str:
+def _line(call: CoreCall, before: int) -> str:
     text = _TEXTS[type(call.what)](call.what)
     answer = "" if call.answer is None else _answer(call.answer)
     return f'{{"f":{before + call.frames_before},{text}{answer}}}\n'

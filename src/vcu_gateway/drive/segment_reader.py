@@ -20,7 +20,7 @@ class _Line(NamedTuple):
     number: int
 
 
-class _Members:
+class _SegmentMembers:
     """Members of one file up to the first damage.
 
     Attributes:
@@ -50,7 +50,7 @@ def _lines(member: Member) -> Iterator[_Line]:
 class _FrameSource:
     """Frames of a segment, taken in runs of any length."""
 
-    def __init__(self, members: _Members, path: Path | None, distance_ns: int) -> None:
+    def __init__(self, members: _SegmentMembers, path: Path | None, distance_ns: int) -> None:
         self._members = iter(members)
         self._path = path
         self._distance_ns = distance_ns
@@ -105,8 +105,8 @@ class SegmentReader:
         self._files = files
         self._distance_ns = distance_ns
         self._before = before
-        self._core_members = _Members(files.core)
-        self._frame_members = _Members(files.frames)
+        self._core_members = _SegmentMembers(files.core)
+        self._frame_members = _SegmentMembers(files.frames)
 
     def runs(self) -> Iterator[FrameRun | CoreRecord]:
         """Gap, checkpoint, and then every run of frames, call and result in order."""

@@ -17,7 +17,7 @@ from vcu_gateway.core.operator_requests import OperatorRequests
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.drive.core_lines import Call
+from vcu_gateway.drive.core_lines import CoreCall
 from vcu_gateway.drive.records import ShellEvent, WhyRecord
 from vcu_gateway.drive_format import datagram
 
@@ -26,7 +26,7 @@ class Noted(NamedTuple):
     """Frames and calls since the last take, each in its order."""
 
     frames: list[Frame]
-    calls: list[Call]
+    calls: list[CoreCall]
 
 
 class Tap:
@@ -40,7 +40,7 @@ class Tap:
 
     def __init__(self) -> None:
         self.frames: list[Frame] = []
-        self.calls: list[Call] = []
+        self.calls: list[CoreCall] = []
         self.ticks = 0
         self.events: tuple[Event, ...] = ()
 
@@ -50,7 +50,7 @@ class Tap:
         answer: RequestResult | TickResult | None = None,
     ) -> None:
         """A call that was made, or what is to stand at this place beside the calls."""
-        self.calls.append(Call(len(self.frames), what, answer))
+        self.calls.append(CoreCall(len(self.frames), what, answer))
 
     def take(self) -> Noted:
         """Everything since the last time."""

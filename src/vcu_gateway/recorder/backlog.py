@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from typing import NamedTuple
 
-from vcu_gateway.recorder.connection import Connection
+from vcu_gateway.recorder.connection import GatewayConnection
 
 _ITEM_BYTES = 200
 """Of an entry's own, roughly, besides its datagram."""
@@ -13,7 +13,7 @@ _ITEM_BYTES = 200
 class Received(NamedTuple):
     """A tick's datagram of a connection; None: the connection has ended."""
 
-    connection: Connection
+    connection: GatewayConnection
     datagram: bytes | None
     begins_segment: bool = False
 

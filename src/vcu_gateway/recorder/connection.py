@@ -15,7 +15,7 @@ _HELLO_KEYS = {"run": str, "channel": str, "clock": dict, "config": str, "dbc": 
 _CLOCK_KEYS = ("monotonic_ns", "wall_ns")
 
 
-class Connection:
+class GatewayConnection:
     """Connected gateway, as the receiver's thread has it.
 
     Attributes:

@@ -15,7 +15,7 @@ from vcu_gateway.recorder.backlog import Backlog
 from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.options import RecorderOptions
-from vcu_gateway.recorder.receiver import Receiver
+from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.status import StatusFile
 from vcu_gateway.recorder.writer import Writer
 
@@ -51,7 +51,7 @@ class Recorder:
     def run(self) -> None:
         """Record until a signal; GatewayError after a bug of the writer."""
         with _woken_by_signals(self._on_signal) as wake_up:
-            receiver = Receiver(
+            receiver = DatagramReceiver(
                 self._listener, wake_up, self._backlog, self._writer.wake, self._say
             )
             self._writer.start()
@@ -67,7 +67,7 @@ class Recorder:
         if not in_order:
             self._say("the disk does not take the last seconds: they are lost")
 
-    def _receive(self, receiver: Receiver) -> None:
+    def _receive(self, receiver: DatagramReceiver) -> None:
         status_s = 0.0
         while not self._stop:
             now_s = time.monotonic()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from vcu_gateway.drive_format.datagram import DatagramError
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
-from vcu_gateway.recorder.connection import Connection, begins_segment, new_buffer
+from vcu_gateway.recorder.connection import GatewayConnection, begins_segment, new_buffer
 from vcu_gateway.recorder.listener import TapListener
 
 _MOST_CONNECTIONS = 16
@@ -16,7 +16,7 @@ _MOST_AT_ONCE = 200
 _WAKE_UP_BYTES = 4096
 
 
-class Receiver:
+class DatagramReceiver:
     """Connections and what they send.
 
     Attributes:
@@ -33,7 +33,7 @@ class Receiver:
         say: Callable[[str], None],
     ) -> None:
         """`wake_up` ends a wait when it can be read; `urgent` is called for what is not to wait."""
-        self.connections: list[Connection] = []
+        self.connections: list[GatewayConnection] = []
         self.urgent_s = 0.0
         self._listener = listener
         self._wake_up = wake_up
@@ -82,11 +82,11 @@ class Receiver:
             sock.close()
             return
         sock.setblocking(False)
-        connection = Connection(sock)
+        connection = GatewayConnection(sock)
         self.connections.append(connection)
         self._selector.register(connection, selectors.EVENT_READ, connection)
 
-    def _read(self, connection: Connection) -> None:
+    def _read(self, connection: GatewayConnection) -> None:
         """Take one datagram; the selector tells of the next."""
         try:
             received = connection.receive(self._buffer)
@@ -105,7 +105,7 @@ class Receiver:
                 self.urgent_s = time.monotonic()
                 self._urgent()
 
-    def _end(self, connection: Connection) -> None:
+    def _end(self, connection: GatewayConnection) -> None:
         if connection in self.connections:
             self.connections.remove(connection)
             self._selector.unregister(connection)

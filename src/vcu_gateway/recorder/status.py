@@ -11,7 +11,7 @@ from typing import Any
 
 from vcu_gateway import __version__
 from vcu_gateway.recorder.backlog import Backlog
-from vcu_gateway.recorder.connection import Connection
+from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import free_bytes, total_bytes
@@ -40,7 +40,7 @@ class StatusFile:
         self._written: deque[tuple[float, int]] = deque([(time.monotonic(), 0)], _RATE_S + 1)
         self._space: Mapping[str, int] = {}
 
-    def write(self, connections: Iterable[Connection]) -> None:
+    def write(self, connections: Iterable[GatewayConnection]) -> None:
         """Write it anew; where that cannot be, the old one stays and tells its age."""
         if self.path is None:
             return
@@ -48,7 +48,7 @@ class StatusFile:
         with contextlib.suppress(OSError):
             _replace(self.path, text)
 
-    def _status(self, connections: Iterable[Connection]) -> dict[str, Any]:
+    def _status(self, connections: Iterable[GatewayConnection]) -> dict[str, Any]:
         options, writer, disk = self._options, self._writer, self._disk
         totals = writer.totals
         return {
@@ -109,7 +109,7 @@ class StatusFile:
         return round((size - before) / max(1e-3, now_s - then_s), 1)
 
 
-def _connection(connection: Connection, writer: Writer) -> dict[str, Any]:
+def _connection(connection: GatewayConnection, writer: Writer) -> dict[str, Any]:
     hello = connection.hello or {}
     drive = writer.drives.get(connection)
     return {

@@ -11,7 +11,7 @@ from vcu_gateway.drive_format import datagram, layout
 from vcu_gateway.drive_format.datagram import DatagramError, TickParts
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
-from vcu_gateway.recorder.connection import Connection
+from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.disk import Disk, is_full
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
@@ -53,7 +53,7 @@ class Writer:
         self.totals = Totals()
         self.ring = Ring(options.folder / layout.DRIVES)
         self.incidents = Incidents(options, self.ring)
-        self.drives: dict[Connection, DriveRecorder] = {}
+        self.drives: dict[GatewayConnection, DriveRecorder] = {}
         self._options = options
         self._backlog = backlog
         self._disk = disk
@@ -152,7 +152,7 @@ class Writer:
             return
         self._take_tick(item.connection, tick)
 
-    def _take_tick(self, connection: Connection, tick: TickParts) -> None:
+    def _take_tick(self, connection: GatewayConnection, tick: TickParts) -> None:
         drive = self._drive_of(connection)
         before = drive.segment
         with self._abandoning(drive):
@@ -175,7 +175,7 @@ class Writer:
             if len(self._pending) < _MOST_PENDING:
                 self._pending.append(_Pending(drive, trigger))
 
-    def _drive_of(self, connection: Connection) -> DriveRecorder:
+    def _drive_of(self, connection: GatewayConnection) -> DriveRecorder:
         """The connection's drive; that of an earlier one of the same run goes on."""
         drive = self.drives.get(connection)
         if drive is None:
@@ -195,7 +195,7 @@ class Writer:
                 del self._runs[old]
         return self._runs[run]
 
-    def _close(self, connection: Connection) -> None:
+    def _close(self, connection: GatewayConnection) -> None:
         drive = self.drives.get(connection)
         if drive is not None:
             with self._abandoning(drive):

@@ -6,7 +6,7 @@ from typing import Any
 from vcu_gateway.replay.equality import Difference, Equality, NotReplayed
 from vcu_gateway.replay.tables import counted, duration, number, table
 from vcu_gateway.replay.time_of_day import TimeOfDay
-from vcu_gateway.replay.verdict import Verdict
+from vcu_gateway.replay.verdict import DriveVerdict
 from vcu_gateway.units import NS_PER_S
 
 _MOST_FIELDS = 12
@@ -51,7 +51,7 @@ def gap_lines(gaps: tuple[NotReplayed, ...], clock: TimeOfDay) -> Iterator[str]:
         yield f"not replayed: {ticks}{frames} {place}: {gap.why}"
 
 
-def verdict_lines(verdict: Verdict, clock: TimeOfDay) -> Iterator[str]:
+def verdict_lines(verdict: DriveVerdict, clock: TimeOfDay) -> Iterator[str]:
     """Violations with their figures, reaction times."""
     word = "holds" if verdict.holds else "BROKEN"
     broken = sum(verdict.counts.values())
@@ -116,7 +116,7 @@ def equality_values(equality: Equality, clock: TimeOfDay) -> dict[str, Any]:
     }
 
 
-def verdict_values(verdict: Verdict, clock: TimeOfDay) -> dict[str, Any]:
+def verdict_values(verdict: DriveVerdict, clock: TimeOfDay) -> dict[str, Any]:
     """The same for --json."""
     return {
         "holds": verdict.holds,

@@ -16,12 +16,12 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
 from vcu_gateway.replay.verdict import (
+    DriveVerdict,
     Findings,
     GrantedDemand,
     Judge,
     JudgedDemand,
     SentFrame,
-    Verdict,
     VerdictLimits,
 )
 
@@ -160,11 +160,11 @@ class JudgedRecords:
             self._ready().end()
         self._judge = None
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> DriveVerdict:
         """What was found so far."""
         self.end()
         counts = self._counts
-        return Verdict(
+        return DriveVerdict(
             ticks=counts["ticks"],
             commands=counts["commands"],
             frames=counts["frames"],

@@ -28,7 +28,7 @@ class CauseKey(NamedTuple):
 
 
 @dataclass
-class CauseSpan:
+class ReplayedCause:
     """Time for which a cause counted.
 
     Attributes:
@@ -66,14 +66,14 @@ class Timeline:
         stops: every end of ACTIVE.
     """
 
-    spans: list[CauseSpan] = field(default_factory=list)
+    spans: list[ReplayedCause] = field(default_factory=list)
     modes: list[tuple[int, str]] = field(default_factory=list)
     mode_s: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     effect_s: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
     limited_s: float = 0.0
     blocked_s: float = 0.0
     stops: list[Stop] = field(default_factory=list)
-    _open: dict[CauseKey, CauseSpan] = field(default_factory=dict)
+    _open: dict[CauseKey, ReplayedCause] = field(default_factory=dict)
     _effects: frozenset[str] = frozenset()
     _mode: str | None = None
     _last_ns: int | None = None
@@ -84,7 +84,7 @@ class Timeline:
         for one in held:
             finding = one.finding
             key = CauseKey(finding.cause, finding.subject, finding.effect.value)
-            self._start(CauseSpan(key, finding.detail, now_ns))
+            self._start(ReplayedCause(key, finding.detail, now_ns))
         self._effects = frozenset(key.effect for key in self._open)
         self._last_ns = now_ns
         self._change_mode(mode.value, now_ns)
@@ -131,13 +131,13 @@ class Timeline:
 
     def _take(self, event: Event, now_ns: int) -> None:
         if event.name == "cause_began":
-            self._start(CauseSpan(_key(event), str(event.fields["detail"]), now_ns))
+            self._start(ReplayedCause(_key(event), str(event.fields["detail"]), now_ns))
         elif event.name == "cause_ended":
             span = self._open.pop(_key(event), None)
             if span is not None:
                 span.ended_ns = now_ns
 
-    def _start(self, span: CauseSpan) -> None:
+    def _start(self, span: ReplayedCause) -> None:
         self._open[span.key] = span
         if len(self.spans) < _MOST_SPANS:
             self.spans.append(span)

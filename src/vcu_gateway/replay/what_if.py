@@ -18,7 +18,7 @@ from vcu_gateway.core.events import Event
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.replay.command_fields import CommandFields, FieldChange
-from vcu_gateway.replay.timelines import CauseKey, CauseSpan, Stop, Timeline
+from vcu_gateway.replay.timelines import CauseKey, ReplayedCause, Stop, Timeline
 
 _MOST_ANSWERS = 200
 
@@ -63,8 +63,8 @@ class CauseChange(NamedTuple):
     """A cause that appears, vanishes or counts at another time; None on the side without it."""
 
     kind: str
-    before: CauseSpan | None
-    after: CauseSpan | None
+    before: ReplayedCause | None
+    after: ReplayedCause | None
 
 
 class AnswerChange(NamedTuple):
@@ -215,9 +215,9 @@ def _alone(stops: list[Stop], others: list[Stop]) -> tuple[Stop, ...]:
     return tuple(one for one in stops if (one.now_ns, one.mode) not in known)
 
 
-def cause_changes(before: list[CauseSpan], after: list[CauseSpan]) -> list[CauseChange]:
+def cause_changes(before: list[ReplayedCause], after: list[ReplayedCause]) -> list[CauseChange]:
     """Spans that differ; those of one cause that overlap are the same cause at another time."""
-    others: dict[CauseKey, deque[CauseSpan]] = {}
+    others: dict[CauseKey, deque[ReplayedCause]] = {}
     for span in after:
         others.setdefault(span.key, deque()).append(span)
     changes = []
@@ -236,9 +236,9 @@ def cause_changes(before: list[CauseSpan], after: list[CauseSpan]) -> list[Cause
     return sorted(changes, key=_began_ns)
 
 
-def _ends_before(one: CauseSpan, other: CauseSpan) -> bool:
+def _ends_before(one: ReplayedCause, other: ReplayedCause) -> bool:
     return one.ended_ns is not None and one.ended_ns <= other.began_ns
 
 
 def _began_ns(change: CauseChange) -> int:
-    return min(span.began_ns for span in change[1:] if isinstance(span, CauseSpan))
+    return min(span.began_ns for span in change[1:] if isinstance(span, ReplayedCause))

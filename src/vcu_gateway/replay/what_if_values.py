@@ -3,7 +3,7 @@
 from typing import Any
 
 from vcu_gateway.replay.time_of_day import TimeOfDay
-from vcu_gateway.replay.timelines import CauseSpan, Stop, Timeline
+from vcu_gateway.replay.timelines import ReplayedCause, Stop, Timeline
 from vcu_gateway.replay.what_if import FieldDifference, WhatIfResult
 
 
@@ -73,7 +73,7 @@ def _stop(one: Stop, clock: TimeOfDay) -> dict[str, Any]:
     }
 
 
-def _span(span: CauseSpan, clock: TimeOfDay) -> dict[str, Any]:
+def _span(span: ReplayedCause, clock: TimeOfDay) -> dict[str, Any]:
     return {
         **span.key._asdict(),
         "detail": span.detail,

@@ -8,16 +8,16 @@ from vcu_gateway.replay.verdict.demands import GrantedDemand
 from vcu_gateway.replay.verdict.frame_pairs import SentFrame
 from vcu_gateway.replay.verdict.judge import Judge
 from vcu_gateway.replay.verdict.limits import JudgedDemand, VerdictLimits
-from vcu_gateway.replay.verdict.result import Findings, ReactionTime, Verdict, Violation
+from vcu_gateway.replay.verdict.result import DriveVerdict, Findings, ReactionTime, Violation
 
 __all__ = [
+    "DriveVerdict",
     "Findings",
     "GrantedDemand",
     "Judge",
     "JudgedDemand",
     "ReactionTime",
     "SentFrame",
-    "Verdict",
     "VerdictLimits",
     "Violation",
 ]

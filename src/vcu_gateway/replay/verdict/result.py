@@ -41,7 +41,7 @@ class ReactionTime(NamedTuple):
     tick: int
 
 
-class Verdict(NamedTuple):
+class DriveVerdict(NamedTuple):
     """Judgement of a whole recording.
 
     Attributes:
