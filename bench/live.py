@@ -115,7 +115,7 @@ def started(
     wire: Wire, program: Program, *options: str, notify: str | None = None
 ) -> Iterator[Running]:
     """A program at the other end of the wire; what it said is shown if all fails."""
-    with tempfile.TemporaryFile("w+") as said, under_test.run_folder() as folder:
+    with tempfile.TemporaryFile("w+") as said, under_test.run_folder(program.config) as folder:
         environment = program.environment(folder)
         if notify is not None:
             environment["NOTIFY_SOCKET"] = notify

@@ -62,7 +62,12 @@ def figures(options: Options) -> Iterator[Figure]:
 
 
 def _run(per_s: int, seconds: float) -> Recorded:
-    with tempfile.TemporaryDirectory() as folder, _recorder(Path(folder)) as (pid, sock):
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        recorder(Path(folder)) as pid,
+        socket(AF_UNIX, SOCK_SEQPACKET) as sock,
+    ):
+        _connect(sock, tap_path(Path(folder)))
         traffic = _Traffic(sock, per_s)
         traffic.drive(2.0)
         cpu, size, begin_s = cpu_ns(pid), _written(Path(folder)), time.monotonic()
@@ -73,18 +78,29 @@ def _run(per_s: int, seconds: float) -> Recorded:
         return Recorded(share_pct, resident_mb(pid), written / 1e6 / took_s * _S_PER_HOUR)
 
 
+def tap_path(folder: Path) -> Path:
+    """The socket of the recorder that writes there."""
+    return folder / "tap.sock"
+
+
 @contextlib.contextmanager
-def _recorder(folder: Path) -> Iterator[tuple[int, socket]]:
-    """A recorder's process, and a connection to it."""
-    command = [sys.executable, "-m", "vcu_gateway", "recorder", "--folder", str(folder / "kept")]
-    command += ["--socket", str(folder / "tap.sock"), "--keep-free-bytes", "0"]
-    with (
-        subprocess.Popen(command, stderr=subprocess.DEVNULL) as process,
-        socket(AF_UNIX, SOCK_SEQPACKET) as sock,
-    ):
+def recorder(folder: Path) -> Iterator[int]:
+    """A recorder as nice as its unit has it, by its process."""
+    command = [
+        "nice",
+        "-n",
+        "10",
+        sys.executable,
+        "-m",
+        "vcu_gateway",
+        "recorder",
+        "--folder",
+        str(folder / "kept"),
+    ]
+    command += ["--socket", str(tap_path(folder)), "--keep-free-bytes", "0"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         try:
-            _connect(sock, folder / "tap.sock")
-            yield process.pid, sock
+            yield process.pid
         finally:
             process.terminate()
 

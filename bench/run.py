@@ -30,6 +30,7 @@ _NAMES = (
     "priority",
     "startup",
     "recorder",
+    "recorded",
     "replay",
 )
 _LONG = ("priority",)
@@ -170,6 +171,8 @@ them: processor time from the snapshot until both frames are with the kernel.
 - **frames lost** came while the program's receive buffer was full, in the worst turn.
 - **under fifo on a busy machine** is with one busy process for each processor, with the policy \
 that systemd/vcu-gateway.service gives and without.
+- **while recorded** is with `vcu-gateway-recorder` beside the gateway, on other processors; the \
+peer is the same gateway that hands nothing on.
 - **drift** is how far the 50 ms grid moved between the first and the last second of a run, in the \
 worst turn; the kernel's stamps at the receiving end are compared.
 - **replay** is the processor time of one core for an hour of nominal driving, reading included; \

@@ -40,11 +40,13 @@ class Program:
     Attributes:
         tree: source tree of a gateway; None: it is not one.
         words: its command line, without what names the bus.
+        config: what its configuration has besides, in whole lines.
     """
 
     name: str
     words: tuple[str, ...]
     tree: Path | None = None
+    config: str = ""
 
     def command(self, stand_in: int | None, folder: Path) -> list[str]:
         """Command line on the bus, or on a socket in place of it."""
@@ -95,13 +97,13 @@ def floors() -> list[Program]:
 
 
 @contextlib.contextmanager
-def run_folder() -> Iterator[Path]:
-    """Configuration, socket and state of one run."""
+def run_folder(more: str = "") -> Iterator[Path]:
+    """Configuration, with these lines more, socket and state of one run."""
     with tempfile.TemporaryDirectory(dir=_folder()) as name:
         # Where no real bus holds them apart, two gateways must not meet by the name of their bus.
         channel = CHANNEL if wire.has_vcan() else f"bench{os.getpid()}"
         config = _CONFIG.format(channel=channel, folder=name)
-        Path(name, "gateway.yaml").write_text(config, encoding="utf-8")
+        Path(name, "gateway.yaml").write_text(f"{config}{more}", encoding="utf-8")
         yield Path(name)
 
 

@@ -12,7 +12,7 @@ import argparse
 import hashlib
 import os
 import re
-import signal
+import resource
 import sys
 import time
 from collections import Counter, defaultdict
@@ -30,9 +30,11 @@ MODULES = (
 )  # fmt: skip
 BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked")
 """Rules that act on mistakes of the rest of the core alone."""
-TIMEOUT_S = 120.0
+CPU_AT_MOST_S = 60
 DRIVES_SHOWN = 3
+TOLD_EVERY = 25
 BROKEN = "cannot be imported"
+ENDLESS = "takes no end"
 
 
 class Rule(NamedTuple):
@@ -99,14 +101,14 @@ class Child(NamedTuple):
 
     pid: int
     reading: int
-    begun_s: float
 
     @classmethod
     def of(cls, work: Callable[[], str], *changed: tuple[str, str]) -> "Child":
         reading, writing = os.pipe()
         if pid := os.fork():
             os.close(writing)
-            return cls(pid, reading, time.monotonic())
+            return cls(pid, reading)
+        resource.setrlimit(resource.RLIMIT_CPU, (CPU_AT_MOST_S, CPU_AT_MOST_S))
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.dup2(null, 2)
@@ -155,11 +157,10 @@ class Run:
             while self._waiting and len(self._running) < self._width:
                 self._begin(self._waiting.pop())
             with suppress(ChildProcessError):
-                pid, _ = os.waitpid(-1, os.WNOHANG)
+                pid, status = os.waitpid(-1, os.WNOHANG)
                 if pid in self._running:
-                    yield self._ended(*self._running.pop(pid))
+                    yield self._ended(*self._running.pop(pid), status)
                     continue
-            self._end_endless()
             time.sleep(0.003)
 
     def _begin(self, job: Job) -> None:
@@ -182,19 +183,13 @@ class Run:
                 return f"with {core.blocked} broken: {core.drives[0]}"
         return ""
 
-    def _ended(self, job: Job, child: Child) -> Seen:
-        drive = child.found() or ""
+    def _ended(self, job: Job, child: Child, status: int) -> Seen:
+        drive = ENDLESS if os.WIFSIGNALED(status) else child.found()
         if drive in self._names:
             self._by_module[job.rule.module][drive] += 1
         if drive:
             self._done.add(job.rule)
         return Seen(job, drive)
-
-    def _end_endless(self) -> None:
-        for job, child in self._running.values():
-            if time.monotonic() - child.begun_s > TIMEOUT_S:
-                os.kill(child.pid, signal.SIGKILL)
-                print(f"endless: {job.mutant.key}")
 
 
 def _names() -> str:
@@ -222,6 +217,15 @@ def unseen_rules(found: list[Seen]) -> list[Rule]:
     return list(dict.fromkeys(one.job.rule for one in found if one.job.rule not in seen))
 
 
+def _tell(one: Seen, number: int, of: int) -> None:
+    """Where it is: all the time on a terminal, else now and then."""
+    rule, by = one.job.rule, one.drive or "not seen"
+    if sys.stderr.isatty() or number % TOLD_EVERY == 0:
+        end = "" if sys.stderr.isatty() else "\n"
+        text = f"{number} of at most {of}: {rule.module}.{rule.name}: {by}"
+        print(f"\r\033[K{text}" if not end else text, end=end, file=sys.stderr, flush=True)
+
+
 def main() -> int:
     layout = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout)
@@ -237,6 +241,7 @@ def main() -> int:
     found = []
     for one in Run(jobs, options.jobs, options.one).verdicts():
         found.append(one)
+        _tell(one, len(found), len(jobs))
         if not one.drive and not options.one:
             print(
                 f"not seen: {one.job.rule.module}.py:{one.job.mutant.line}: {one.job.mutant.diff}"
