@@ -3,46 +3,20 @@
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import click
 
+from vcu_gateway.cli.listen_address import ListenAddress, listen_option
 from vcu_gateway.cli.options import socket_option
 from vcu_gateway.cli.signals import stopped_by_signals
 from vcu_gateway.client import Client
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.exporter import GatewayReader
 
-_MAX_PORT = 65_535
-
-
-class ListenAddress(NamedTuple):
-    """Address and TCP port to listen on; port 0 is any that is free."""
-
-    address: str
-    port: int
-
-
-def _listen_address(context: click.Context, parameter: click.Parameter, text: str) -> ListenAddress:
-    """ADDRESS:PORT; an IPv6 address stands in brackets."""
-    del context, parameter
-    address, colon, port = text.rpartition(":")
-    address = address.removeprefix("[").removesuffix("]")
-    if not (address and colon and port.isascii() and port.isdecimal() and int(port) <= _MAX_PORT):
-        raise click.BadParameter(f"{text!r} is not ADDRESS:PORT, such as 127.0.0.1:9464")
-    return ListenAddress(address, int(port))
-
 
 @click.command("exporter")
 @socket_option
-@click.option(
-    "--listen",
-    metavar="ADDRESS:PORT",
-    default="127.0.0.1:9464",
-    show_default=True,
-    callback=_listen_address,
-    help="Where Prometheus reads; an IPv6 address stands in brackets.",
-)
+@listen_option("127.0.0.1:9464", "Where Prometheus reads; an IPv6 address stands in brackets.")
 def command(socket_path: Path | None, listen: ListenAddress) -> None:
     """Serve the metrics of the running gateway to Prometheus, over HTTP.
 
