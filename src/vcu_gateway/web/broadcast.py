@@ -1,0 +1,47 @@
+"""Latest values for all browsers: sections, each encoded once, and whoever is slow skips some."""
+
+import asyncio
+import json
+from typing import NamedTuple
+
+
+class _Section(NamedTuple):
+    version: int
+    data: bytes
+
+
+class Seen(dict[str, int]):
+    """Versions of the sections that one browser has."""
+
+
+class Broadcast:
+    """Sections by name, each the latest of its kind, as server-sent events.
+
+    Nothing is queued: a browser that reads slowly gets the latest of each section when it has room.
+    """
+
+    def __init__(self) -> None:
+        self._sections: dict[str, _Section] = {}
+        self._version = 0
+        self._changed = asyncio.Event()
+
+    def publish(self, name: str, value: object) -> None:
+        """Replace a section, and wake whoever waits."""
+        text = json.dumps(value, ensure_ascii=False, separators=(",", ":"))
+        self._version += 1
+        data = f"event: {name}\ndata: {text}\n\n".encode()
+        self._sections[name] = _Section(self._version, data)
+        changed, self._changed = self._changed, asyncio.Event()
+        changed.set()
+
+    def unseen(self, seen: Seen) -> bytes:
+        """Sections that have changed since this browser's last ones; it has them from now on."""
+        changed = [
+            (name, one) for name, one in self._sections.items() if seen.get(name) != one.version
+        ]
+        seen.update((name, one.version) for name, one in changed)
+        return b"".join(one.data for _, one in changed)
+
+    async def wait(self) -> None:
+        """Until something is published."""
+        await self._changed.wait()

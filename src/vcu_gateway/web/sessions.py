@@ -1,0 +1,93 @@
+"""Sessions of browsers: random tokens, kept as hashes, over a restart in a file."""
+
+import contextlib
+import hashlib
+import json
+import os
+import secrets
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+_TOKEN_BYTES = 32
+_SESSIONS = 256
+_STOPS_FOR_S = 24 * 3600
+
+
+class Session(NamedTuple):
+    """One browser that has signed in; the times are seconds since 1970."""
+
+    user: str
+    began_s: float
+    expires_s: float
+
+    def is_open(self, now_s: float) -> bool:
+        """Whether it may look and act."""
+        return self.began_s - 1 <= now_s < self.expires_s
+
+    def may_stop(self, now_s: float) -> bool:
+        """Whether it may stop the vehicle: for a day longer than it may look."""
+        return self.is_open(now_s) or now_s < self.expires_s + _STOPS_FOR_S
+
+
+class Sessions:
+    """Sessions by the hash of their token; the oldest gives way where there are 256.
+
+    Args:
+        lifetime_s: how long one lasts.
+        file: where they are kept over a restart of this program; None keeps them in memory.
+    """
+
+    def __init__(self, lifetime_s: float, file: Path | None = None) -> None:
+        self._lifetime_s = lifetime_s
+        self._file = file
+        self._sessions = _load(file) if file is not None else {}
+
+    def open(self, user: str, now_s: float) -> str:
+        """A new session; the token is for the browser's cookie and kept nowhere."""
+        token = secrets.token_urlsafe(_TOKEN_BYTES)
+        while len(self._sessions) >= _SESSIONS:
+            del self._sessions[next(iter(self._sessions))]
+        self._sessions[_key(token)] = Session(user, now_s, now_s + self._lifetime_s)
+        self._forget_ended(now_s)
+        self._save()
+        return token
+
+    def find(self, token: str) -> Session | None:
+        """The session of this token, ended or not; None for a token that is none."""
+        return self._sessions.get(_key(token))
+
+    def close(self, token: str) -> None:
+        """End a session at once, its right to stop too."""
+        if self._sessions.pop(_key(token), None) is not None:
+            self._save()
+
+    def _forget_ended(self, now_s: float) -> None:
+        kept = {key: one for key, one in self._sessions.items() if one.may_stop(now_s)}
+        self._sessions = kept
+
+    def _save(self) -> None:
+        """Write a new file and rename it: a session is whole or not there."""
+        if self._file is None:
+            return
+        with contextlib.suppress(OSError):  # a full disk keeps nobody from signing in
+            number, name = tempfile.mkstemp(dir=self._file.parent)
+            with os.fdopen(number, "w") as file:
+                json.dump({key: list(one) for key, one in self._sessions.items()}, file)
+            Path(name).replace(self._file)
+
+
+def _key(token: str) -> str:
+    return hashlib.sha256(token.encode(errors="replace")).hexdigest()
+
+
+def _load(file: Path) -> dict[str, Session]:
+    """Sessions of the run before; none where the file is missing or damaged."""
+    try:
+        written = json.loads(file.read_text())
+        return {
+            str(key): Session(str(user), float(began_s), float(expires_s))
+            for key, (user, began_s, expires_s) in written.items()
+        }
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
