@@ -30,6 +30,8 @@ _VERBS = {
     "recorder": "keep every drive on disk, bounded",
     "recordings": "list, check, keep and remove what the recorder has written",
     "exporter": "serve the gateway's metrics to Prometheus",
+    "web": "serve a page that shows what the vehicle does, and stops it",
+    "web-user": "print a line for the page's users file",
     "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
     "demo": "gateway and simulated vehicle together, live",
     "decode": "decode a recording to JSON lines or CSV",

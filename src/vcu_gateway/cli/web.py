@@ -1,0 +1,115 @@
+"""`vcu-gateway web`: the page that shows what the vehicle does, and stops it."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from vcu_gateway.cli.listen_address import ListenAddress, listen_option
+from vcu_gateway.cli.options import socket_option
+from vcu_gateway.client import default_socket_path
+from vcu_gateway.errors import Problem, UnavailableError
+
+_LIBRARIES = ("starlette", "uvicorn", "h11", "anyio")
+ROLES = ("viewer", "operator", "service")
+_path = click.Path(path_type=Path)
+
+
+@click.command("web")
+@socket_option
+@listen_option("127.0.0.1:9465", "Where browsers reach it; from a network only with TLS and users.")
+@click.option("--users", "users_file", metavar="FILE", type=_path, help="Users of the page.")
+@click.option(
+    "--local-role",
+    type=click.Choice(ROLES),
+    default="viewer",
+    show_default=True,
+    help="Role of whoever reaches 127.0.0.1, where there are no users.",
+)
+@click.option("--certificate", metavar="FILE", type=_path, help="TLS certificate chain, PEM.")
+@click.option("--key", metavar="FILE", type=_path, help="Its key, PEM.")
+@click.option(
+    "--host-name",
+    "host_names",
+    metavar="NAME",
+    multiple=True,
+    help="Further name that browsers know this machine by; may be given again.",
+)
+@click.option("--recordings", metavar="FOLDER", type=_path, help="Folder of the recorder.")
+@click.option(
+    "--session-hours",
+    metavar="HOURS",
+    type=click.FloatRange(min=0, min_open=True, max=24 * 30),
+    default=12.0,
+    show_default=True,
+    help="Time until one has to sign in again.",
+)
+@click.option(
+    "--sessions",
+    "state_file",
+    metavar="FILE",
+    type=_path,
+    help="Where sessions are kept over a restart of this program.",
+)
+def command(
+    socket_path: Path | None,
+    listen: ListenAddress,
+    users_file: Path | None,
+    local_role: str,
+    certificate: Path | None,
+    key: Path | None,
+    host_names: tuple[str, ...],
+    recordings: Path | None,
+    session_hours: float,
+    state_file: Path | None,
+) -> None:
+    """Serve a page that shows what the vehicle does, and stops it.
+
+    A program beside the gateway, with one subscription to it however many browsers look. It is
+    never a source of demand. Without options nobody but this machine reaches it:
+    ssh -L 9465:127.0.0.1:9465 VEHICLE brings it to another one. Ctrl-C or SIGTERM ends it.
+    """
+    if (certificate is None) != (key is None):
+        raise click.UsageError("--certificate and --key belong together")
+    with web_libraries_needed():
+        from vcu_gateway.web import application, serve, users
+        from vcu_gateway.web.events import WebEvents
+        from vcu_gateway.web.roles import Role
+        from vcu_gateway.web.settings import TlsFiles, WebSettings
+    settings = WebSettings(
+        address=listen.address,
+        port=listen.port,
+        socket_path=socket_path or default_socket_path(),
+        users=users.read(users_file) if users_file else {},
+        local_role=Role(local_role),
+        tls=TlsFiles(certificate, key) if certificate and key else None,
+        host_names=host_names,
+        recordings=recordings,
+        session_lifetime_s=session_hours * 3600,
+        state_file=state_file,
+    )
+    settings.check()
+    events = WebEvents()
+    serve.run(
+        settings,
+        application.build(settings, events),
+        lambda url: _say(f"page of {settings.socket_path} at {url}"),
+    )
+
+
+def _say(sentence: str) -> None:
+    with contextlib.suppress(OSError):  # nobody reads stderr any more
+        click.echo(sentence, err=True)
+
+
+@contextlib.contextmanager
+def web_libraries_needed() -> Iterator[None]:
+    """Import of the page's server; UnavailableError where its libraries are not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in _LIBRARIES:
+            raise
+        remedy = "install the extra: pip install 'vcu-gateway[web]'"
+        raise UnavailableError(Problem(f"the page needs {error.name}", "", remedy)) from error

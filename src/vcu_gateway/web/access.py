@@ -1,0 +1,134 @@
+"""Who asks: the session's user and role, signing in and signing out."""
+
+import asyncio
+import time
+from typing import NamedTuple
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from vcu_gateway.api.rights import Right
+from vcu_gateway.web.events import WebEvents
+from vcu_gateway.web.login_limit import LoginLimit
+from vcu_gateway.web.roles import Role
+from vcu_gateway.web.sessions import Session, Sessions
+from vcu_gateway.web.settings import WebSettings
+from vcu_gateway.web.users import MOST_PASSWORD_CHARACTERS, NOBODY, is_name
+
+_WAITING = 4
+
+
+class Visitor(NamedTuple):
+    """Who asks.
+
+    Attributes:
+        user: empty where there are no users.
+        expires_s: when the session ends, seconds since 1970; None where there are none.
+        looks: False for a session that has ended and may only stop the vehicle.
+    """
+
+    user: str
+    role: Role
+    address: str
+    expires_s: float | None
+    looks: bool
+
+    def may(self, right: Right) -> bool:
+        """Whether the role has this right."""
+        return right in self.role.rights
+
+
+class SignInError(Exception):
+    """Signing in was refused; `status` is that of HTTP, `wait_s` the time until the next try."""
+
+    def __init__(self, status: int, sentence: str, wait_s: int = 0) -> None:
+        super().__init__(sentence)
+        self.status, self.sentence, self.wait_s = status, sentence, wait_s
+
+
+class Access:
+    """Users, their sessions, and the limit on attempts."""
+
+    def __init__(self, settings: WebSettings, events: WebEvents) -> None:
+        self._settings = settings
+        self._events = events
+        self._sessions = Sessions(settings.session_lifetime_s, settings.state_file)
+        self._limit = LoginLimit()
+        self._one_at_a_time = asyncio.Semaphore(1)
+        self._waiting = 0
+        # Browsers take the first name from this host alone, and over TLS alone.
+        self.cookie = "__Host-vcu-session" if settings.tls else "vcu-session"
+
+    @property
+    def has_users(self) -> bool:
+        """Whether one has to sign in."""
+        return bool(self._settings.users)
+
+    def visitor(self, request: Request) -> Visitor | None:
+        """Who asks; None for whoever has never signed in, or whose user is gone."""
+        address = request.client.host if request.client else ""
+        if not self.has_users:
+            return Visitor("", self._settings.local_role, address, None, looks=True)
+        session = self._sessions.find(request.cookies.get(self.cookie, ""))
+        user = self._settings.users.get(session.user) if session else None
+        if session is None or user is None or not session.may_stop(time.time()):
+            return None
+        looks = session.is_open(time.time())
+        return Visitor(user.name, user.role, address, session.expires_s, looks)
+
+    async def sign_in(self, name: str, password: str, address: str) -> tuple[str, Role]:
+        """Token and role of a new session; SignInError where it is refused."""
+        wait_s = self._limit.wait_s(address, name, time.monotonic_ns())
+        if wait_s > 0 or self._waiting >= _WAITING:
+            self._events.tell("sign_in_limited", "warning", user=_told(name), address=address)
+            wait_s = max(1, wait_s)
+            raise SignInError(429, f"too many attempts: try again in {wait_s} s", wait_s)
+        if not await self._is_right(name, password):
+            self._limit.failed(address, name, time.monotonic_ns())
+            self._events.tell("sign_in_failed", "warning", user=_told(name), address=address)
+            raise SignInError(401, "name or password is wrong")
+        self._limit.succeeded(address)
+        role = self._settings.users[name].role
+        self._events.tell("signed_in", "info", user=name, role=role.value, address=address)
+        return self._sessions.open(name, time.time()), role
+
+    async def _is_right(self, name: str, password: str) -> bool:
+        if len(password) > MOST_PASSWORD_CHARACTERS:
+            return False
+        user = self._settings.users.get(name)
+        hashed = user.password if user else NOBODY
+        self._waiting += 1
+        try:
+            async with self._one_at_a_time:
+                matches = await asyncio.to_thread(hashed.matches, password)
+        finally:
+            self._waiting -= 1
+        return matches and user is not None
+
+    def sign_out(self, request: Request) -> None:
+        """End the session of this request."""
+        visitor = self.visitor(request)
+        self._sessions.close(request.cookies.get(self.cookie, ""))
+        if visitor is not None and visitor.user:
+            self._events.tell("signed_out", "info", user=visitor.user, address=visitor.address)
+
+    def set_cookie(self, response: Response, token: str) -> None:
+        """Give the browser its token: no script reads it, no other site sends it."""
+        response.set_cookie(
+            self.cookie,
+            token,
+            max_age=int(self._settings.session_lifetime_s) + 24 * 3600,
+            path="/",
+            secure=self._settings.tls is not None,
+            httponly=True,
+            samesite="strict",
+        )
+
+    def session(self, token: str) -> Session | None:
+        """The session of this token."""
+        return self._sessions.find(token)
+
+
+def _told(name: str) -> str:
+    """A name for the log: whatever else was typed, such as a password, stays out of it."""
+    return name if is_name(name) else "(no name)"

@@ -1,0 +1,83 @@
+"""The page as an ASGI application: settings -> link, access, routes, guard."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+from starlette.types import ASGIApp
+
+from vcu_gateway.web.access import Access
+from vcu_gateway.web.actions import Actions
+from vcu_gateway.web.broadcast import Broadcast
+from vcu_gateway.web.events import WebEvents
+from vcu_gateway.web.gateway_link import GatewayLink
+from vcu_gateway.web.guard import Guard
+from vcu_gateway.web.page_files import PageFile, page_files
+from vcu_gateway.web.recording_routes import RecordingRoutes
+from vcu_gateway.web.routes import Routes
+from vcu_gateway.web.settings import WebSettings
+from vcu_gateway.web.stream import Streams
+
+
+def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
+    """The whole application; its lifespan follows the gateway."""
+    broadcast = Broadcast()
+    link = GatewayLink(settings.socket_path, broadcast, events)
+    events.on_change = link.publish_events
+    actions = Actions(settings.socket_path, link)
+    access = Access(settings, events)
+    api = Routes(access, link, actions, Streams(broadcast), events)
+    recordings = RecordingRoutes(settings.recordings, events)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        following = asyncio.create_task(link.run())
+        try:
+            yield
+        finally:
+            following.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await following
+            await actions.close()
+            await link.close()
+
+    routes = [*_api_routes(api, recordings), *_file_routes(page_files())]
+    starlette = Starlette(routes=routes, lifespan=lifespan)
+    starlette.router.redirect_slashes = False  # a path is one of the routes, or none
+    return Guard(starlette, settings)
+
+
+def _api_routes(api: Routes, recordings: RecordingRoutes) -> list[Route]:
+    visitors = api.for_visitors
+    return [
+        Route("/api/session", api.session, methods=["GET"]),
+        Route("/api/session", api.sign_in, methods=["POST"]),
+        Route("/api/session", api.sign_out, methods=["DELETE"]),
+        Route("/api/clock", visitors(api.clock)),
+        Route("/api/stream", visitors(api.stream)),
+        Route("/api/history", visitors(api.history)),
+        Route("/api/actions/{name}", api.act, methods=["POST"]),
+        Route("/api/recordings", visitors(recordings.listed)),
+        Route("/api/recordings/{kind}/{name}/download", visitors(recordings.download)),
+        Route(
+            "/api/recordings/{kind}/{name}/replay", visitors(recordings.replay), methods=["POST"]
+        ),
+        Route(
+            "/api/recordings/{kind}/{name}/what-if", visitors(recordings.what_if), methods=["POST"]
+        ),
+    ]
+
+
+def _file_routes(files: dict[str, PageFile]) -> list[Route]:
+    return [Route(path, _file_handler(file)) for path, file in files.items()]
+
+
+def _file_handler(file: PageFile) -> Callable[[Request], Awaitable[Response]]:
+    async def handler(request: Request) -> Response:
+        return file.response(request)
+
+    return handler

@@ -1,0 +1,125 @@
+"""Guard before every route: Host, Origin, size of the body, and the headers of every answer.
+
+A page of another site can make a browser send requests here, with its cookies: it must not get
+anything done by that, nor read anything (docs/web.md).
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from vcu_gateway.web.settings import WebSettings
+
+MOST_BODY_BYTES = 256 * 1024
+
+_READING = frozenset({"GET", "HEAD"})
+_FOREIGN_SITES = frozenset({"cross-site", "same-site"})
+_NUMBER = re.compile(r"[0-9]{1,9}")
+_KNOWN_METHODS = _READING | {"POST", "DELETE"}
+_CONTENT_POLICY = (
+    "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none';"
+    " object-src 'none'; img-src 'self' data:"
+)
+_HEADERS: Mapping[str, str] = {
+    "content-security-policy": _CONTENT_POLICY,
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "camera=(), microphone=(), geolocation=(), payment=(), usb=()",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+}
+_TLS_HEADERS = {"strict-transport-security": "max-age=31536000"}
+
+
+class Refusal(NamedTuple):
+    """Status of HTTP, and a sentence for the person."""
+
+    status: int
+    sentence: str
+
+
+class Guard:
+    """ASGI middleware that lets through what a browser of this page sends, and nothing else."""
+
+    def __init__(self, app: ASGIApp, settings: WebSettings) -> None:
+        self._app = app
+        self._hosts = settings.known_hosts
+        self._scheme = "https" if settings.tls else "http"
+        headers = {**_HEADERS, **(_TLS_HEADERS if settings.tls else {})}
+        self._headers = [(name.encode(), value.encode()) for name, value in headers.items()]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        guarded = self._with_headers(send)
+        refusal = self._refusal(scope)
+        if refusal is not None:
+            await _refuse(guarded, refusal)
+            return
+        await self._app(scope, receive, guarded)
+
+    def _with_headers(self, send: Send) -> Send:
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message = {**message, "headers": [*message.get("headers", ()), *self._headers]}
+            await send(message)
+
+        return guarded
+
+    def _refusal(self, scope: Scope) -> Refusal | None:
+        """Why this request is not let through; None where it is."""
+        headers = _single(scope)
+        if headers is None:
+            return Refusal(400, "a header is there twice")
+        if scope["method"] not in _KNOWN_METHODS:
+            return Refusal(405, "no such method here")
+        if _without_port(headers.get("host", "").lower()) not in self._hosts:
+            return Refusal(421, "this host is not known by that name (--host-name)")
+        reads = scope["method"] in _READING
+        if not (reads and scope["path"] == "/") and headers.get("sec-fetch-site") in _FOREIGN_SITES:
+            return Refusal(403, "another site may not ask for this")
+        return None if reads else self._change_refusal(headers)
+
+    def _change_refusal(self, headers: Mapping[str, str]) -> Refusal | None:
+        """The same for a request that may change something."""
+        if headers.get("origin", "").lower() != f"{self._scheme}://{headers['host'].lower()}":
+            return Refusal(403, "the request comes from no page of this host (Origin)")
+        length = headers.get("content-length", "0")
+        if not _NUMBER.fullmatch(length):
+            return Refusal(400, "Content-Length is no number")
+        if int(length) > MOST_BODY_BYTES:
+            return Refusal(413, f"larger than {MOST_BODY_BYTES} bytes")
+        return None
+
+
+def _single(scope: Scope) -> Mapping[str, str] | None:
+    """Headers that decide; None where one of them is there twice."""
+    headers: dict[str, str] = {}
+    for name, value in scope["headers"]:
+        word = name.decode("latin-1")
+        if word in ("host", "origin", "content-length", "sec-fetch-site"):
+            if word in headers:
+                return None
+            headers[word] = value.decode("latin-1")
+    return headers
+
+
+def _without_port(host: str) -> str:
+    name, colon, port = host.rpartition(":")
+    return name if colon and port.isascii() and port.isdecimal() else host
+
+
+async def _refuse(send: Send, refusal: Refusal) -> None:
+    body = json.dumps({"sentence": refusal.sentence}).encode()
+    headers: list[tuple[bytes, bytes]] = [
+        (b"content-type", b"application/json"),
+        (b"content-length", str(len(body)).encode()),
+    ]
+    await send({"type": "http.response.start", "status": refusal.status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

@@ -1,0 +1,62 @@
+"""Files of the page, read and compressed once at the start; nothing else of the disk is served."""
+
+import gzip
+import hashlib
+from importlib import resources
+from importlib.resources.abc import Traversable
+from typing import NamedTuple
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+_TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".webmanifest": "application/manifest+json",
+}
+_CACHE = "no-cache"
+
+
+class PageFile(NamedTuple):
+    """One file, as it is and compressed."""
+
+    content_type: str
+    plain: bytes
+    gzipped: bytes
+    tag: str
+
+    def response(self, request: Request) -> Response:
+        """The file, or 304 where the browser has it."""
+        headers = {"etag": self.tag, "cache-control": _CACHE, "vary": "accept-encoding"}
+        if request.headers.get("if-none-match") == self.tag:
+            return Response(status_code=304, headers=headers)
+        if "gzip" in request.headers.get("accept-encoding", ""):
+            headers["content-encoding"] = "gzip"
+            return Response(self.gzipped, headers=headers, media_type=self.content_type)
+        return Response(self.plain, headers=headers, media_type=self.content_type)
+
+
+def page_files() -> dict[str, PageFile]:
+    """Every file by its path on the server; / is the page."""
+    package = resources.files("vcu_gateway")
+    files = {f"/{name}": read for name, read in _read(package / "web" / "page")}
+    # The one copy of uPlot; the package that it lies in is not imported.
+    files |= {f"/uplot/{name}": read for name, read in _read(package / "export" / "uplot")}
+    files["/"] = files.pop("/index.html")
+    return files
+
+
+def _read(folder: Traversable) -> list[tuple[str, PageFile]]:
+    return [
+        (one.name, _page_file(one.read_bytes(), content_type))
+        for one in folder.iterdir()
+        for ending, content_type in _TYPES.items()
+        if one.name.endswith(ending)
+    ]
+
+
+def _page_file(plain: bytes, content_type: str) -> PageFile:
+    tag = hashlib.sha256(plain).hexdigest()[:16]
+    return PageFile(content_type, plain, gzip.compress(plain, mtime=0), f'"{tag}"')

@@ -1,0 +1,195 @@
+"""Routes of the page: who may ask for what, and how it is answered."""
+
+import asyncio
+import json
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+
+from vcu_gateway.api.rights import Right
+from vcu_gateway.web.access import Access, SignInError, Visitor
+from vcu_gateway.web.actions import Actions
+from vcu_gateway.web.events import WebEvents
+from vcu_gateway.web.gateway_link import GatewayLink, now_ms
+from vcu_gateway.web.history import MOST_SIGNALS
+from vcu_gateway.web.roles import ACTION_RIGHTS
+from vcu_gateway.web.stream import Streams
+
+_BODY_WITHIN_S = 10.0
+_MOST_JSON_BYTES = 4096
+_POINTS = range(2, 4001)
+_NO_STORE = {"cache-control": "no-store"}
+
+Handler = Callable[[Request, Visitor], Awaitable[Response]]
+
+
+class Routes:
+    """Handlers of the API under /api; the page's files are apart."""
+
+    def __init__(
+        self,
+        access: Access,
+        link: GatewayLink,
+        actions: Actions,
+        streams: Streams,
+        events: WebEvents,
+    ) -> None:
+        self._access = access
+        self._link = link
+        self._actions = actions
+        self._streams = streams
+        self._events = events
+
+    def for_visitors(self, handler: Handler) -> Callable[[Request], Awaitable[Response]]:
+        """The handler for whoever may look; 401 for everybody else."""
+
+        async def guarded(request: Request) -> Response:
+            visitor = self._access.visitor(request)
+            if visitor is None or not visitor.looks:
+                return problem(401, "sign in: there is no session, or it has ended")
+            return await handler(request, visitor)
+
+        return guarded
+
+    async def session(self, request: Request) -> Response:
+        """Who the browser is, and by which clock the stream's times are."""
+        visitor = self._access.visitor(request)
+        looks = visitor is not None and visitor.looks
+        rights = [right.value for right in Right if visitor and looks and visitor.may(right)]
+        return answer(
+            {
+                "signed_in": looks,
+                "has_users": self._access.has_users,
+                "user": visitor.user if visitor else "",
+                "role": visitor.role.value if visitor else "",
+                "rights": rights,
+                "expires_s": visitor.expires_s if visitor else None,
+                "clock": clock(),
+            }
+        )
+
+    async def clock(self, request: Request, visitor: Visitor) -> Response:
+        """The time here, by both clocks."""
+        del request, visitor
+        return answer(clock())
+
+    async def sign_in(self, request: Request) -> Response:
+        """A session for a name and a password."""
+        given = await json_body(request)
+        if isinstance(given, Response):
+            return given
+        name, password = given.get("name"), given.get("password")
+        if not (isinstance(name, str) and isinstance(password, str) and self._access.has_users):
+            return problem(400, "name and password are needed")
+        address = request.client.host if request.client else ""
+        try:
+            token, role = await self._access.sign_in(name, password, address)
+        except SignInError as error:
+            headers = {"retry-after": str(error.wait_s)} if error.wait_s else {}
+            return problem(error.status, error.sentence, headers)
+        response = answer({"user": name, "role": role.value})
+        self._access.set_cookie(response, token)
+        return response
+
+    async def sign_out(self, request: Request) -> Response:
+        """End the session."""
+        self._access.sign_out(request)
+        response = answer({})
+        response.delete_cookie(self._access.cookie, path="/")
+        return response
+
+    async def stream(self, request: Request, visitor: Visitor) -> Response:
+        """Everything that the page shows live."""
+        del request
+        room = self._streams.response(visitor)
+        return room or problem(503, "too many browsers look already")
+
+    async def act(self, request: Request) -> Response:
+        """Stop, disarm, arm or reset; a session that has ended may still stop."""
+        name = request.path_params["name"].replace("-", " ")
+        right = ACTION_RIGHTS.get(name)
+        if right is None:
+            return problem(404, "there is no such action")
+        visitor = self._access.visitor(request)
+        if visitor is None or not (visitor.looks or name == "estop"):
+            return problem(401, "sign in: there is no session, or it has ended")
+        if not visitor.may(right):
+            self._tell(name, visitor, granted=False, sentence="the role may not")
+            return problem(403, f"a {visitor.role.value} may not ask for {name}")
+        done = await self._actions.act(name)
+        self._tell(name, visitor, granted=done["granted"], sentence=done["sentence"])
+        status = 200 if done["granted"] else 409 if done["answered"] else 503
+        return answer(dict(done), status)
+
+    def _tell(self, action: str, visitor: Visitor, *, granted: bool, sentence: str) -> None:
+        self._events.tell(
+            "action_asked",
+            "info" if granted else "warning",
+            action=action,
+            user=visitor.user or "(no users)",
+            role=visitor.role.value,
+            address=visitor.address,
+            granted=granted,
+            answer=sentence,
+        )
+
+    async def history(self, request: Request, visitor: Visitor) -> Response:
+        """Samples of signals over the last ten minutes, for the plots."""
+        del visitor
+        known = set(self._link.history.names)
+        names = [name for name in request.query_params.get("signals", "").split(",") if name]
+        unknown = [name for name in names if name not in known]
+        if unknown or not 0 < len(names) <= MOST_SIGNALS:
+            return problem(400, f"signals: 1 to {MOST_SIGNALS} names that there are samples of")
+        points = _number(request.query_params.get("points", "1200"))
+        if points not in _POINTS:
+            return problem(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
+        return answer(self._link.history.read(names, points))
+
+
+def clock() -> dict[str, float]:
+    """CLOCK_MONOTONIC and the wall clock, in ms."""
+    return {"monotonic_ms": now_ms(), "wall_ms": time.time() * 1000}
+
+
+def answer(value: object, status: int = 200) -> JSONResponse:
+    """An answer that nobody keeps."""
+    return JSONResponse(value, status, _NO_STORE)
+
+
+def problem(status: int, sentence: str, headers: dict[str, str] | None = None) -> Response:
+    """An error for the person."""
+    return JSONResponse({"sentence": sentence}, status, {**_NO_STORE, **(headers or {})})
+
+
+async def body(request: Request, most_bytes: int) -> bytes | Response:
+    """The request's body, or why there is none."""
+    received = bytearray()
+    try:
+        async with asyncio.timeout(_BODY_WITHIN_S):
+            async for chunk in request.stream():
+                received += chunk
+                if len(received) > most_bytes:
+                    return problem(413, f"larger than {most_bytes} bytes")
+    except (TimeoutError, ClientDisconnect):
+        return problem(408, "the request did not come in time")
+    return bytes(received)
+
+
+async def json_body(request: Request) -> dict[str, Any] | Response:
+    """The body as a JSON object, or what is wrong with it."""
+    received = await body(request, _MOST_JSON_BYTES)
+    if isinstance(received, Response):
+        return received
+    try:
+        value = json.loads(received)
+    except (ValueError, RecursionError):
+        return problem(400, "no JSON")
+    return value if isinstance(value, dict) else problem(400, "no JSON object")
+
+
+def _number(text: str) -> int:
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else -1
