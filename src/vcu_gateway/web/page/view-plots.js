@@ -1,0 +1,211 @@
+// Plots of any signals over the last ten minutes, which the server keeps.
+
+import { h, setText } from "/dom.js";
+import { clockTime, fixed, unitText } from "/format.js";
+import { model, reading, signalKeys, signalOf, wallOf } from "/model.js";
+import { request, sentence } from "/requests.js";
+
+const MOST = 8;
+const STEP_MS = 100;
+const COLOURS = ["#5aa9ff", "#ff9f57", "#45d69a", "#e57bd8", "#d9c24a", "#8f8cff", "#ff7a74", "#4fd4d8"];
+const COMMANDED = { throttle_pct: "%", brake_pct: "%", speed_limit_rpm: "rpm", power_limit_w: "W" };
+const FIRST = ["PCU1.commanded.throttle_pct", "PCU1_Status1.Throttle", "PCU1_Status2.MotorSpeed", "PCU2_Status2.MotorSpeed", "BMS_Status.PackVoltage"];
+
+let chosen = read();
+let minutes = 1;
+let times = []; // monotonic, ms
+const columns = new Map();
+let loaded = "";
+let isLoading = false;
+let charts = [];
+let chips, input, list, area, status, ranges;
+let drawn = 0;
+
+function read() {
+  try {
+    const kept = JSON.parse(localStorage.getItem("plots"));
+    return Array.isArray(kept) && kept.length ? kept.slice(0, MOST) : FIRST;
+  } catch {
+    return FIRST;
+  }
+}
+
+export function build(root) {
+  list = h("datalist", { id: "plot-names" });
+  input = h("input", { type: "search", list: "plot-names", placeholder: "Add a signal", "aria-label": "Add a signal to the plots", onchange: choose });
+  ranges = h("div.ranges", { role: "group", "aria-label": "Time shown" }, ...[1, 3, 10].map((one) => h("button", { type: "button", "aria-pressed": String(one === minutes), onclick: () => setMinutes(one) }, `${one} min`)));
+  status = h("span.muted", { role: "status" });
+  chips = h("ul.chips", { "aria-label": "Signals shown" });
+  area = h("div.charts");
+  root.append(h("div.tools", {}, input, list, ranges, status), chips, area);
+  new ResizeObserver(() => charts.forEach((one) => one.plot.setSize(size(one.element)))).observe(area);
+}
+
+export function addPlot(key) {
+  if (!chosen.includes(key)) chosen = [...chosen.slice(-(MOST - 1)), key];
+  changed();
+  location.hash = "#plots";
+}
+
+export function show() {
+  loaded = "";
+  renderChips();
+  load();
+}
+
+export function recolour() {
+  if (charts.length) rebuild();
+}
+
+function choose() {
+  const key = input.value.trim();
+  if (!allKeys().includes(key)) return;
+  input.value = "";
+  if (chosen.length >= MOST) {
+    setText(status, `at most ${MOST} signals: remove one first`);
+    return;
+  }
+  if (!chosen.includes(key)) chosen = [...chosen, key];
+  changed();
+}
+
+function changed() {
+  localStorage.setItem("plots", JSON.stringify(chosen));
+  renderChips();
+  load();
+}
+
+function setMinutes(number) {
+  minutes = number;
+  [...ranges.children].forEach((button, index) => button.setAttribute("aria-pressed", String([1, 3, 10][index] === number)));
+  drawCharts();
+}
+
+function allKeys() {
+  const commanded = Object.keys(model.state?.commands ?? {}).flatMap((name) => Object.keys(COMMANDED).map((key) => `${name}.commanded.${key}`));
+  return [...signalKeys(), ...commanded];
+}
+
+function renderChips() {
+  chips.replaceChildren(...chosen.map((key, index) => {
+    const remove = () => {
+      chosen = chosen.filter((one) => one !== key);
+      changed();
+    };
+    return h("li", {}, h("button", { type: "button", "aria-label": `Remove ${key}`, onclick: remove }, h(`i.colour-${index}`), `${key} ×`));
+  }));
+  if (list.children.length < 8) list.replaceChildren(...allKeys().map((key) => h("option", { value: key })));
+}
+
+async function load() {
+  const wanted = chosen.join(",");
+  if (!wanted || wanted === loaded || isLoading || !model.definition) {
+    if (!wanted) rebuild();
+    return;
+  }
+  isLoading = true;
+  try {
+    const known = new Set(allKeys());
+    const names = chosen.filter((key) => known.has(key));
+    const history = await request("GET", `/api/history?points=2400&signals=${encodeURIComponent(names.join(","))}`);
+    times = history.times_ms;
+    columns.clear();
+    for (const name of names) columns.set(name, history.values[name]);
+    loaded = wanted;
+    setText(status, "");
+    rebuild();
+  } catch (error) {
+    setText(status, sentence(error));
+  } finally {
+    isLoading = false;
+  }
+  if (chosen.join(",") !== wanted) load();
+}
+
+/** A live value is added to what the server had; a gap stays a gap. */
+export function hear(section) {
+  const state = model.state;
+  if (section === "definition") loaded = "";
+  if (section !== "state" || !columns.size || !state) return;
+  const last = times.at(-1) ?? 0;
+  if (state.t - last < STEP_MS) return;
+  const isGap = state.t - last > 10 * STEP_MS && times.length;
+  if (isGap) push(last + STEP_MS, () => null);
+  push(state.t, live);
+  const begin = state.t - 600_000;
+  let drop = 0;
+  while (times[drop] < begin) drop += 1;
+  if (drop > 50) for (const column of [times, ...columns.values()]) column.splice(0, drop);
+}
+
+function push(time, value) {
+  times.push(time);
+  for (const [key, column] of columns) column.push(value(key));
+}
+
+function live(key) {
+  const [controller, kind, name] = key.split(".");
+  if (kind === "commanded") return model.state.commands[controller]?.[name] ?? null;
+  const now = reading(key);
+  return now.quality === "stale" || now.quality === "never" ? null : now.value;
+}
+
+const unitOf = (key) => (key.includes(".commanded.") ? COMMANDED[key.split(".")[2]] : signalOf(key)?.unit) || "code";
+
+function rebuild() {
+  for (const { plot } of charts) plot.destroy();
+  const units = [...new Set([...columns.keys()].map(unitOf))];
+  charts = units.map(chart);
+  area.replaceChildren(...charts.map((one) => one.element));
+  for (const one of charts) one.plot.setSize(size(one.element));
+  drawCharts();
+}
+
+const size = (element) => ({ width: Math.max(240, element.clientWidth - 12), height: matchMedia("(max-width: 36rem)").matches ? 190 : 240 });
+
+function chart(unit) {
+  const keys = [...columns.keys()].filter((key) => unitOf(key) === unit);
+  const style = getComputedStyle(document.documentElement);
+  const axis = { stroke: style.getPropertyValue("--muted"), grid: { stroke: style.getPropertyValue("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
+  const element = h("section.panel", { "aria-label": `Plot, ${unit}` }, h("h2", {}, unitText(unit)));
+  const holder = h("div", { role: "img", "aria-label": `Plot of ${keys.join(", ")}` });
+  element.append(holder);
+  const plot = new uPlot({
+    width: 400,
+    height: 240,
+    pxAlign: 0,
+    legend: { show: false },
+    cursor: { y: false, drag: { x: false, y: false } },
+    scales: { x: { time: false } },
+    axes: [
+      { ...axis, values: (_, splits) => splits.map((time) => clockTime(wallOf(time))), space: 90 },
+      { ...axis, size: 58, values: (_, splits) => splits.map((value) => fixed(value, Math.abs(splits[1] - splits[0]) < 1 ? 2 : 0)) },
+    ],
+    series: [{}, ...keys.map((key) => ({ label: key, stroke: COLOURS[chosen.indexOf(key)], width: 1.6, spanGaps: false, points: { show: false } }))],
+  }, [[], ...keys.map(() => [])], holder);
+  return { element, plot, keys };
+}
+
+export function draw() {
+  if (chosen.join(",") !== loaded) load();
+  if (performance.now() - drawn > STEP_MS) drawCharts();
+}
+
+function drawCharts() {
+  drawn = performance.now();
+  if (!times.length) return;
+  const end = times.at(-1);
+  const begin = end - minutes * 60_000;
+  let from = 0;
+  let to = times.length;
+  while (from < to) {
+    const middle = (from + to) >> 1;
+    if (times[middle] < begin) from = middle + 1;
+    else to = middle;
+  }
+  const shown = times.slice(Math.max(0, from - 1));
+  for (const { plot, keys } of charts) {
+    plot.setData([shown, ...keys.map((key) => columns.get(key).slice(Math.max(0, from - 1)))], false);
+    plot.setScale("x", { min: begin, max: end });
+  }
+}
