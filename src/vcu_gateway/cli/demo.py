@@ -1,7 +1,11 @@
 """`vcu-gateway demo`: gateway and simulated vehicle together, shown live."""
 
 import contextlib
+import os
 import shlex
+import signal
+import threading
+import webbrowser
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -11,10 +15,13 @@ import click
 from vcu_gateway.bus.interface import Interfaces, can_socket_error
 from vcu_gateway.cli.extras import tui_needed
 from vcu_gateway.cli.signals import stopped_by_signals
+from vcu_gateway.cli.web import web_libraries_needed
 from vcu_gateway.demo.process import DemoOptions, DemoProcess
 from vcu_gateway.demo.recorder import DemoRecorder
 
 _PLAIN_EVERY_S = 2.0
+_LOOK_EVERY_S = 0.2
+_PAGE = ("127.0.0.1", 9465)
 _TITLE = "vcu-gateway demo"
 _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
 
@@ -49,33 +56,78 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     type=click.Path(file_okay=False, path_type=Path),
     help="Record the drive into DIR; the last lines say what can be done with it.",
 )
+@click.option("--web", "in_browser", is_flag=True, help="Show it in a browser, not here.")
 def command(
-    duration_s: float | None, throttle_pct: float, battery_speedup: float, folder: Path | None
+    duration_s: float | None,
+    throttle_pct: float,
+    battery_speedup: float,
+    folder: Path | None,
+    in_browser: bool,
 ) -> None:
     """Show gateway and simulated vehicle together, live, as `watch` shows a real one.
 
     Uses vcan0 where there is one that is up, else python-can's virtual bus inside a process of
     its own; the first line says which. No hardware is touched. Without a terminal the same
-    is printed as text every 2 s.
+    is printed as text every 2 s. With --web it is shown as `vcu-gateway web` shows a real one.
     """
-    with tui_needed():
-        from vcu_gateway.watch import terminal
-        from vcu_gateway.watch.plain_text import plain
-        from vcu_gateway.watch.poller import GatewaySource
     real = _vcan0_is_up()
     interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
     wanted = DemoOptions(interface, channel, throttle_pct, battery_speedup, duration_s)
     with _recorder(folder) as recorder:
         if recorder is not None:
             wanted = wanted._replace(recorder_socket=str(recorder.socket_path))
-        with DemoProcess(wanted) as child, GatewaySource(child.socket_path) as source:
-            if terminal.is_full():
-                terminal.watch(source, _TITLE, child.has_ended)
-            else:
-                _print(lambda: plain(_TITLE, source.latest()), child)
-    click.echo(child.summary)
+        summary = _in_browser(wanted, folder) if in_browser else _in_terminal(wanted)
+    click.echo(summary)
     if recorder is not None and recorder.drive is not None:
         _echo_next(recorder.folder, recorder.drive)
+
+
+def _in_terminal(wanted: DemoOptions) -> str:
+    """Show it here; the summary."""
+    with tui_needed():
+        from vcu_gateway.watch import terminal
+        from vcu_gateway.watch.plain_text import plain
+        from vcu_gateway.watch.poller import GatewaySource
+    with DemoProcess(wanted) as child, GatewaySource(child.socket_path) as source:
+        if terminal.is_full():
+            terminal.watch(source, _TITLE, child.has_ended)
+        else:
+            _print(lambda: plain(_TITLE, source.latest()), child)
+    return child.summary
+
+
+def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
+    """Serve the page until Ctrl-C or the end; the summary."""
+    with web_libraries_needed():
+        from vcu_gateway.web import application, serve
+        from vcu_gateway.web.events import WebEvents
+        from vcu_gateway.web.roles import Role
+        from vcu_gateway.web.settings import WebSettings
+    with DemoProcess(wanted) as child:
+        settings = WebSettings(
+            *_PAGE, child.socket_path, local_role=Role.SERVICE, recordings=recordings
+        )
+        app = application.build(settings, WebEvents(lambda _: None))
+        stopped = threading.Event()
+        threading.Thread(target=_stop_with, args=(child, stopped), daemon=True).start()
+        serve.run(settings, app, lambda address: _show_page(wanted, address))
+        stopped.set()
+    return child.summary
+
+
+def _stop_with(child: DemoProcess, stopped: threading.Event) -> None:
+    """End the page's server as Ctrl-C does, if the child ends before it."""
+    while not stopped.wait(_LOOK_EVERY_S):
+        if child.has_ended():
+            signal.raise_signal(signal.SIGINT)
+            return
+
+
+def _show_page(wanted: DemoOptions, address: str) -> None:
+    """Say where it is, and open it in this desktop's browser, where there is one."""
+    click.echo(f"{_TITLE} on {wanted.channel}: {address} (Ctrl-C ends it)")
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        webbrowser.open(address)
 
 
 def _recorder(folder: Path | None) -> AbstractContextManager[DemoRecorder | None]:
