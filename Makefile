@@ -6,7 +6,7 @@ STAMP := $(VENV)/.set-up
 LAB := tests/lab/lab
 # What needs a bus runs in the lab, the faults in a lab for each kind of bus.
 BUS_ROOMS := vcan oracle controller lab power_cut recorded service faults/vcan faults/slcan faults/netem
-NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS))
+NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS) web)
 IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
 WITH_SLCAN := --modules slcan
 WITH_NETEM := --module-param vcan:echo=1 --modules "sch_netem sch_tbf"
@@ -27,7 +27,7 @@ ORDINARY := -m 'not slow'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
-.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others \
+.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-web \
 	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-recorded test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
 	test-faults-slcan test-faults-netem test-systems lint nightly soak recorded-soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
 
@@ -73,7 +73,7 @@ test-core: setup
 # but for what a signal kills and for safe_stop.py, which -I -S keep coverage out of. Without CAN
 # in the kernel bus/socketcan.py runs in the lab alone, where nothing is measured.
 COVERED_SHELL := $(wildcard $(addprefix tests/,api app bus cli client config daemon doctor exporter \
-	protocol recording server simulator strict_yaml watch))
+	protocol recording server simulator strict_yaml watch web))
 SHELL_COVERAGE := build/shell-coverage
 coverage-shell: export COVERAGE_FILE = $(SHELL_COVERAGE)/data
 coverage-shell: setup  ## branch coverage of everything outside the core (18 minutes)
@@ -98,6 +98,10 @@ test-shell: setup
 test-others: setup
 	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=,$(SERVING)) \
 		$(addprefix --ignore=tests/,core faults golden packaging) $(addprefix --ignore=,$(SHELL_TESTS)) $(NO_BUS)
+
+test-web: setup  ## the page, in a real Chromium beside a real gateway
+	scripts/test-tools
+	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q $(ORDINARY) tests/web
 
 test-faults-pure: setup
 	$(BIN)/pytest -q -m 'not slow' tests/faults/pure
@@ -181,6 +185,8 @@ test-faults-netem: setup lab
 
 nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
+	$(MAKE) test-web
+	$(BIN)/python -m tests.web.fuzz 100000
 	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
 	$(IN_LAB) --timeout 3000 -- $(BIN)/pytest -s tests/vcan tests/oracle tests/faults/vcan
 	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan

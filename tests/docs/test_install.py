@@ -322,7 +322,7 @@ def test_the_files_of_the_source_tree_that_the_page_installs_are_there():
     (block,) = (block for block in blocks(INSTALL, "sh") if "systemd/sysusers.conf" in block)
     named = re.findall(r"\b((?:systemd|config)/\S+|requirements\.lock)", block)
     named = [name for name in named if not name.endswith("/")]
-    assert len(named) == 9
+    assert len(named) == 10
     for name in named:
         assert (ROOT / name).is_file(), name
 
@@ -346,6 +346,7 @@ def test_every_path_that_a_unit_needs_is_in_the_table_of_places():
         "vcu-gateway-exporter.service",
         "vcu-gateway-recorder.service",
         "vcu-gateway-recorder.socket",
+        "vcu-gateway-web.service",
     ):
         unit = (ROOT / "systemd" / name).read_text().replace("%i", "can1")
         for found in re.findall(r"(?<=[= :])/(?:etc|run|var/lib|usr/lib)/vcu-gateway[\w-]*", unit):

@@ -21,7 +21,7 @@ MOST_EXPOSED = {
     "vcu-gateway@.service": 1.0,
     "vcu-gateway-recorder.service": 0.1,
 }
-"""What `systemd-analyze security` may say, 0 to 10; the exporter has an internet socket."""
+"""What `systemd-analyze security` may say, 0 to 10; exporter and page have an internet socket."""
 
 
 def settings(path: Path) -> list[tuple[int, str]]:
@@ -97,8 +97,18 @@ def test_the_exporter_listens_on_the_one_port_that_its_unit_lets_it_have():
     assert f'"127.0.0.1:{listen}"' in example
 
 
-def test_the_exporter_needs_the_gateway_only_for_the_order():
-    text = (SYSTEMD / "vcu-gateway-exporter.service").read_text()
+def test_the_page_listens_on_the_one_port_that_its_unit_lets_it_have_and_on_no_network():
+    text = (SYSTEMD / "vcu-gateway-web.service").read_text()
+    (listen,) = re.findall(r"^ExecStart=.* --listen 127\.0\.0\.1:(\d+) ", text, re.MULTILINE)
+    assert "\nSocketBindDeny=any\n" in text
+    assert re.findall(r"^SocketBindAllow=(.*)$", text, re.MULTILINE) == [f"tcp:{listen}"]
+    assert re.findall(r"^IPAddressAllow=(.*)$", text, re.MULTILINE) == ["localhost"]
+    assert f"<http://127.0.0.1:{listen}/>" in (SYSTEMD.parent / "docs/web.md").read_text()
+
+
+@pytest.mark.parametrize("name", ["vcu-gateway-exporter.service", "vcu-gateway-web.service"])
+def test_a_program_beside_the_gateway_needs_it_only_for_the_order(name):
+    text = (SYSTEMD / name).read_text()
     assert "\nAfter=vcu-gateway.service\n" in text
     assert not re.search(r"^(Requires|BindsTo|PartOf|Requisite|Wants)=", text, re.MULTILINE)
 

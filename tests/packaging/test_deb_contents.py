@@ -21,6 +21,7 @@ UNITS = (
     "vcu-gateway@.service",
     "vcu-gateway-exporter.service",
     "vcu-gateway-recorder.service",
+    "vcu-gateway-web.service",
 )
 PROGRAMS = {f"{HOME}/bin/{name}" for name in ("vcu-gateway", "vcu-gateway-recorder")} | {
     f"{HOME}/is-active"
@@ -31,6 +32,7 @@ FROM_THE_TREE = {
     "{units}/vcu-gateway@.service": "systemd/vcu-gateway@.service",
     "{units}/vcu-gateway-exporter.service": "systemd/vcu-gateway-exporter.service",
     "{units}/vcu-gateway-recorder.service": "systemd/vcu-gateway-recorder.service",
+    "{units}/vcu-gateway-web.service": "systemd/vcu-gateway-web.service",
     "{units}/vcu-gateway-recorder.socket": "systemd/vcu-gateway-recorder.socket",
     "usr/lib/sysusers.d/vcu-gateway.conf": "systemd/sysusers.conf",
     "usr/lib/tmpfiles.d/vcu-gateway.conf": "systemd/tmpfiles.conf",

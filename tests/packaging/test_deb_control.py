@@ -32,11 +32,12 @@ def test_the_script_is_one_for_every_shell(control, script):
     assert "#DEBHELPER#" not in path.read_text()
 
 
-def test_installing_enables_the_gateway_and_not_the_exporter(control):
+@pytest.mark.parametrize("name", ["vcu-gateway-exporter.service", "vcu-gateway-web.service"])
+def test_installing_enables_the_gateway_and_neither_exporter_nor_page(control, name):
     script = (control / "postinst").read_text()
     assert "deb-systemd-helper enable 'vcu-gateway.service'" in script
-    was_enabled = "if deb-systemd-helper --quiet was-enabled 'vcu-gateway-exporter.service'"
-    before, _, after = script.partition("deb-systemd-helper enable 'vcu-gateway-exporter.service'")
+    was_enabled = f"if deb-systemd-helper --quiet was-enabled '{name}'"
+    before, _, after = script.partition(f"deb-systemd-helper enable '{name}'")
     assert was_enabled in before or not after
 
 

@@ -339,6 +339,7 @@ NOTES_OF_SYSTEMD = {
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-exporter.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-recorder.service.dsh-also",
+    "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-web.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-recorder.socket.dsh-also",
     *(
         f"{folder}/{wanting}.wants/vcu-gateway-recorder.socket"

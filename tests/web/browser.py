@@ -17,7 +17,7 @@ from playwright.sync_api import (
     sync_playwright,
 )
 
-PROGRAMS = ("chromium", "chromium-headless-shell")
+PROGRAMS = ("chromium", "chromium-headless-shell", "google-chrome")
 PICTURES = Path(__file__).parents[2] / "build" / "web"
 WIDTHS = {360: 740, 1024: 768, 1920: 1080}
 

@@ -18,6 +18,7 @@ import can
 
 from tests.driven import Driven
 from vcu_gateway.client import Client, RefusedError
+from vcu_gateway.core.schedule import Tick
 from vcu_gateway.simulator.nodes import NodeFrame
 
 COMMANDS = {0x0008A7D0: "PCU1", 0x0008A8D0: "PCU2"}
@@ -43,6 +44,8 @@ class Program:
     def __init__(self, folder: Path, config: str) -> None:
         self.driven = Driven(folder, config)
         self.silenced: set[str] = set()
+        self._lateness_us: list[float] = []
+        self.driven.loop.add_observer(self._note_lateness)
         self.driven.nodes._transforms += (self._unless_silenced,)
         self.bus = Bus()
         self.notifier = can.Notifier([self.driven.other_node], [self.bus])
@@ -89,6 +92,14 @@ class Program:
             with contextlib.suppress(RefusedError):
                 client.reset("service")
         return self.driven.mode == "standby" and not self.driven.latest_why.blocks
+
+    def _note_lateness(self, tick: Tick, result: object) -> None:
+        self._lateness_us.append(tick.lateness_ns / 1000)
+
+    def lateness_us(self) -> list[float]:
+        """Of each tick since the last time that this was asked."""
+        noted, self._lateness_us = self._lateness_us, []
+        return noted
 
     def ticks(self) -> dict[str, Any]:
         with self.driven.client() as client:
