@@ -34,23 +34,22 @@ def program() -> str:
 
 
 @contextlib.contextmanager
-def chromium() -> Iterator[Browser]:
+def chromium(patience_ms: float = 60_000) -> Iterator[Browser]:
     """The browser, ended with everything that it started."""
     path = program()
     sandbox = [] if os.geteuid() else ["--no-sandbox"]
     with sync_playwright() as playwright:
-        browser = launched(playwright, path, sandbox)
+        browser = launched(playwright, path, sandbox, patience_ms)
         try:
             yield browser
         finally:
             browser.close()
 
 
-def launched(playwright: Playwright, path: str, options: list[str]) -> Browser:
+def launched(playwright: Playwright, path: str, options: list[str], patience_ms: float) -> Browser:
     """Without a shared memory folder too, as in a container."""
-    return playwright.chromium.launch(
-        executable_path=path, args=[*options, "--disable-dev-shm-usage"]
-    )
+    args = [*options, "--disable-dev-shm-usage", "--disable-gpu"]
+    return playwright.chromium.launch(executable_path=path, args=args, timeout=patience_ms)
 
 
 class Seen:

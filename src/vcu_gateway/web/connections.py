@@ -5,11 +5,24 @@ from collections import Counter
 from typing import ClassVar
 
 import h11
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 MOST_CONNECTIONS = 256
 MOST_PER_ADDRESS = 128
 REQUEST_WITHIN_S = 10.0
+
+
+TRANSPORT = "vcu_gateway.transport"
+"""Extension of the scope: the connection itself, for a stream that writes without a task."""
+
+
+def _with_transport(app: ASGIApp, transport: asyncio.Transport) -> ASGIApp:
+    async def wrapped(scope: Scope, receive: Receive, send: Send) -> None:
+        scope["extensions"] = {**(scope.get("extensions") or {}), TRANSPORT: transport}
+        await app(scope, receive, send)
+
+    return wrapped
 
 
 class LimitedProtocol(H11Protocol):
@@ -32,6 +45,7 @@ class LimitedProtocol(H11Protocol):
         if too_many or self.by_address[self._address] > MOST_PER_ADDRESS:
             transport.abort()
             return
+        self.app = _with_transport(self.app, transport)
         self._seen_cycle = self.cycle
         self._watch(transport)
 

@@ -21,6 +21,7 @@ _ANSWER_TIMEOUT_S = 1.0
 _AGAIN_S = 0.25
 _WHY_EVERY_S, _HEALTH_EVERY_S = 0.25, 1.0
 _EVENTS = 100
+_COMES_MS = 150.0
 
 
 class GatewayLink:
@@ -125,10 +126,10 @@ class GatewayLink:
         known, now_s = _without_times(why), time.monotonic()
         if known != self._known_why or now_s - self._why_told_s >= 1.0:
             self._known_why, self._why_told_s = known, now_s
-            self._broadcast.publish("why", {**why, "t": now_ms()})
+            self._publish("why", {**why, "t": now_ms()})
 
     async def _ask_health(self) -> None:
-        self._broadcast.publish("health", {**await self._client.health(), "t": now_ms()})
+        self._publish("health", {**await self._client.health(), "t": now_ms()})
 
     async def _ask_events(self) -> None:
         events = await self._client.events(_EVENTS)
@@ -145,7 +146,7 @@ class GatewayLink:
         shown = {"gateway": self._dated, "page": self._events.latest()}
         if shown != self._shown_events:
             self._shown_events = shown
-            self._broadcast.publish("events", shown)
+            self._publish("events", shown)
 
     async def _beat(self) -> None:
         """Four times a second: this program lives, and whether the gateway does."""
@@ -154,7 +155,13 @@ class GatewayLink:
             await asyncio.sleep(BEAT_S)
 
     def _publish_link(self) -> None:
-        self._broadcast.publish("link", {"t": now_ms(), "problem": self.problem})
+        self._publish("link", {"t": now_ms(), "problem": self.problem})
+
+    def _publish(self, name: str, value: object) -> None:
+        """With the next state where they come, which is at most 50 ms: a write less for each."""
+        latest = self.latest
+        comes = latest is not None and now_ms() - latest["monotonic_ns"] / NS_PER_MS < _COMES_MS
+        self._broadcast.publish(name, value, wake=not comes)
 
     async def close(self) -> None:
         """Close the connection of the questions."""

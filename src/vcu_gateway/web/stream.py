@@ -1,6 +1,7 @@
 """Server-sent events: what has changed, to each browser as fast as it reads."""
 
 import asyncio
+import contextlib
 import time
 from collections import Counter
 
@@ -9,6 +10,7 @@ from starlette.types import Receive, Scope, Send
 
 from vcu_gateway.web.access import Visitor
 from vcu_gateway.web.broadcast import Broadcast, Seen
+from vcu_gateway.web.connections import TRANSPORT
 
 MOST_STREAMS = 128
 MOST_STREAMS_PER_ADDRESS = 64
@@ -52,32 +54,45 @@ class StreamResponse(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send what changes, until it ends."""
-        del scope
         address = self._visitor.address
         self._counts[address] += 1
-        gone = asyncio.create_task(_until_gone(receive))
+        reader = _Reader(self._broadcast, scope["extensions"][TRANSPORT])
         try:
             await send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
-            await self._send_sections(send, gone)
+            body = _RETRY + self._broadcast.unseen(reader.seen)
+            await send({"type": "http.response.body", "body": body, "more_body": True})
+            self._broadcast.readers.add(reader.write)
+            await self._until_over(receive)
         finally:
-            gone.cancel()
+            self._broadcast.readers.discard(reader.write)
             self._counts[address] -= 1
             if not self._counts[address]:
                 del self._counts[address]
-
-    async def _send_sections(self, send: Send, gone: "asyncio.Task[None]") -> None:
-        seen, begin = Seen(), _RETRY
-        while not gone.done() and not self._has_ended():
-            body = begin + self._broadcast.unseen(seen)
-            # Where the browser does not read, this waits, and what comes meanwhile is left out.
-            await send({"type": "http.response.body", "body": body, "more_body": True})
-            begin = b""
-            await self._broadcast.wait()
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
-    def _has_ended(self) -> bool:
+    async def _until_over(self, receive: Receive) -> None:
+        """Until the browser has gone or its session has ended."""
         expires_s = self._visitor.expires_s
-        return expires_s is not None and time.time() >= expires_s
+        left_s = None if expires_s is None else max(0.0, expires_s - time.time())
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(_until_gone(receive), left_s)
+
+
+class _Reader:
+    """One browser's end of the broadcast: chunks of HTTP/1.1, straight to its connection."""
+
+    def __init__(self, broadcast: Broadcast, transport: asyncio.Transport) -> None:
+        self.seen = Seen()
+        self._broadcast = broadcast
+        self._transport = transport
+
+    def write(self) -> None:
+        """What is new, if the browser has read what was there; else it misses this one."""
+        if self._transport.is_closing() or self._transport.get_write_buffer_size():
+            return
+        body = self._broadcast.unseen(self.seen)
+        if body:
+            self._transport.write(b"%x\r\n%b\r\n" % (len(body), body))
 
 
 async def _until_gone(receive: Receive) -> None:

@@ -108,6 +108,7 @@ for (const [name, view] of Object.entries(views)) view.build(byId(`view-${name}`
 startActions();
 startSession(() => {
   restart();
+  views[current].show?.();
   want();
 });
 onSection((section) => {
@@ -119,6 +120,6 @@ new Worker("/ticker.js").onmessage = check;
 addEventListener("hashchange", show);
 addEventListener("themechange", () => plots.recolour());
 document.addEventListener("visibilitychange", () => !document.hidden && want());
-show();
 await checkAgain();
+show();
 start(checkAgain);

@@ -30,7 +30,7 @@ export async function checkSession() {
 function ask(dialog) {
   // Not modal: the emergency stop stays in reach.
   dialog.show();
-  byId("sign-in-name").focus();
+  byId("sign-in-name").focus({ preventScroll: true });
 }
 
 export function startSession(onChange) {

@@ -1,0 +1,159 @@
+"""Recordings in the page: listed, given away whole, computed again, within limits."""
+
+import io
+import shutil
+import tarfile
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import FilePayload
+
+from tests.replay.drives import ordinary
+from tests.web.browser import PICTURES, chromium, context_of, opened
+from tests.web.conftest import PASSWORD
+from tests.web.stand import WebProcess, serving
+
+SLOWER = b"bus: {channel: can0}\nlimits: {throttle_slew_pct_per_s: 20.0}\n"
+NAME = "20261123T180412Z-1f3a9c2e"
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """A recorder's folder with one drive that is none: its parts are there, and cannot be read."""
+    drive = tmp_path / "recordings" / "drives" / NAME
+    drive.mkdir(parents=True)
+    (tmp_path / "recordings" / "incidents").mkdir()
+    (drive / "drive.json").write_text("{}")
+    (drive / "0001.frames.log.gz").write_bytes(bytes(range(256)) * 300)
+    (drive / "secret").symlink_to("/etc/passwd")
+    return tmp_path / "recordings"
+
+
+@pytest.fixture
+def web(tmp_path, gateway, folder):
+    options = ("--local-role", "operator", "--recordings", str(folder))
+    with serving(tmp_path, gateway.socket_path, *options) as one:
+        yield one
+
+
+def path(what: str, name: str = NAME, kind: str = "drives") -> str:
+    return f"/api/recordings/{kind}/{name}/{what}"
+
+
+def test_what_the_recorder_wrote_is_listed(web):
+    (one,) = web.request("GET", "/api/recordings").json["recordings"]
+    assert (one["kind"], one["name"]) == ("drive", NAME)
+    assert one["size_bytes"] > 70_000
+
+
+def test_a_download_has_every_file_and_no_link(web, folder):
+    answer = web.request("GET", path("download"))
+    assert answer.headers["content-disposition"] == f'attachment; filename="{NAME}.tar"'
+    with tarfile.open(fileobj=io.BytesIO(answer.body)) as tar:
+        assert tar.getnames() == [f"{NAME}/0001.frames.log.gz", f"{NAME}/drive.json"]
+        frames = tar.extractfile(f"{NAME}/0001.frames.log.gz")
+        assert frames is not None
+        assert frames.read() == (folder / "drives" / NAME / "0001.frames.log.gz").read_bytes()
+    assert web.events("recording_downloaded")[0]["recording"] == NAME
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("..", "drives"),
+        ("%2e%2e", "drives"),
+        (NAME, "other"),
+        (NAME, "..%2fdrives"),
+        ("x", "drives"),
+    ],
+)
+def test_nothing_but_a_recordings_folder_is_given_away(web, name, kind):
+    assert web.request("GET", path("download", name, kind)).status == 404
+
+
+def test_a_link_to_another_folder_is_no_recording(web, folder, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    (folder / "drives" / "20261123T180412Z-00000000").symlink_to(other)
+    assert web.request("GET", path("download", "20261123T180412Z-00000000")).status == 404
+
+
+def test_a_recording_that_cannot_be_replayed_is_a_sentence(web):
+    answer = web.request("POST", path("replay"))
+    assert answer.status == 422
+    assert "drive.json" in answer.json["sentence"]
+
+
+def test_a_wrong_configuration_is_named_without_the_name_of_a_temporary_file(web):
+    answer = web.request("POST", path("what-if"), b"limits: {speed: 1}")
+    assert answer.status == 422
+    assert "vcu-web." not in answer.json["sentence"]
+
+
+def test_a_configuration_that_is_too_large_is_refused(web):
+    assert web.request("POST", path("what-if"), bytes(70_000)).status == 413
+
+
+def test_recordings_are_for_operators(tmp_path, gateway, folder, users_file):
+    options = ("--users", str(users_file), "--recordings", str(folder))
+    with serving(tmp_path, gateway.socket_path, *options) as web:
+        web.sign_in("anna", PASSWORD)
+        assert web.request("GET", "/api/recordings").status == 403
+        assert web.request("GET", path("download")).status == 403
+        assert web.request("POST", path("replay")).status == 403
+
+
+def test_without_a_recorder_the_list_says_why_it_is_empty(tmp_path, gateway):
+    with serving(tmp_path, gateway.socket_path, "--local-role", "operator") as web:
+        listed = web.request("GET", "/api/recordings").json
+    assert listed["recordings"] == []
+    assert "--recordings" in listed["sentence"]
+
+
+def test_a_folder_that_went_away_is_a_sentence(web: WebProcess, folder):
+    shutil.rmtree(folder)
+    listed = web.request("GET", "/api/recordings").json
+    assert listed["recordings"] == []
+    assert "cannot be read" in listed["sentence"]
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory) -> Path:
+    """A recorder's folder with a real drive in it."""
+    folder = tmp_path_factory.mktemp("driven")
+    (folder / "incidents").mkdir()
+    (folder / "drives").mkdir()
+    recorded = ordinary(folder / "made")
+    shutil.move(recorded, folder / "drives" / NAME)
+    return folder
+
+
+def test_a_drive_comes_out_the_same_and_with_another_configuration_not(tmp_path, gateway, driven):
+    options = ("--local-role", "operator", "--recordings", str(driven))
+    with serving(tmp_path, gateway.socket_path, *options) as web:
+        same = web.request("POST", path("replay")).json
+        other = web.request("POST", path("what-if"), SLOWER).json
+    assert same["same"] is True, same["lines"]
+    assert any(line.startswith("equal: ") for line in same["lines"])
+    assert other["same"] is False
+
+
+def test_a_browser_replays_and_asks_what_if(tmp_path, gateway, driven):
+    options = ("--local-role", "operator", "--recordings", str(driven))
+    with (
+        serving(tmp_path, gateway.socket_path, *options) as web,
+        chromium() as browser,
+        context_of(browser) as context,
+    ):
+        page, seen = opened(context, web.url, "recordings")
+        page.get_by_role("button", name="Replay").click()
+        page.wait_for_selector("pre:text('The same.')", timeout=60_000)
+        upload: FilePayload = {"name": "gateway.yaml", "mimeType": "text/yaml", "buffer": SLOWER}
+        page.set_input_files("input[type=file]", upload)
+        page.wait_for_selector("pre:text('It differs.')", timeout=60_000)
+        PICTURES.mkdir(parents=True, exist_ok=True)
+        page.screenshot(path=PICTURES / "replayed-1024.png")
+        assert seen.errors == []
+        with page.expect_download() as started:
+            page.get_by_role("link", name="Download").click()
+        assert started.value.suggested_filename == f"{NAME}.tar"
