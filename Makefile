@@ -27,7 +27,7 @@ ORDINARY := -m 'not slow'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
-.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-web \
+.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-web test-web-vcan \
 	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-recorded test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
 	test-faults-slcan test-faults-netem test-systems lint nightly soak recorded-soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
 
@@ -101,7 +101,12 @@ test-others: setup
 
 test-web: setup  ## the page, in a real Chromium beside a real gateway
 	scripts/test-tools
-	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q $(ORDINARY) tests/web
+	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q $(ORDINARY) tests/web --ignore=tests/web/vcan
+
+# Chromium takes minutes in the lab.
+test-web-vcan: setup lab
+	scripts/test-tools
+	$(IN_LAB) --mem 1500M --timeout 1500 --env VCU_REQUIRE_BROWSER=1 -- $(BIN)/pytest -q tests/web/vcan
 
 test-faults-pure: setup
 	$(BIN)/pytest -q -m 'not slow' tests/faults/pure

@@ -14,6 +14,9 @@ export async function request(method, path, { json, body, timeout = 10_000 } = {
     body: json === undefined ? body : JSON.stringify(json),
     signal: AbortSignal.timeout(timeout),
     cache: "no-store",
+  }).catch((error) => {
+    const late = error.name === "TimeoutError";
+    throw new Refusal(0, { sentence: late ? "no answer in time" : "the page's server cannot be reached" });
   });
   const value = await response.json().catch(() => null);
   if (!response.ok) throw new Refusal(response.status, value);
@@ -21,8 +24,4 @@ export async function request(method, path, { json, body, timeout = 10_000 } = {
 }
 
 /** A sentence for whatever went wrong. */
-export function sentence(error) {
-  if (error instanceof Refusal) return error.message;
-  if (error.name === "TimeoutError") return "no answer in time";
-  return "the page's server cannot be reached";
-}
+export const sentence = (error) => (error instanceof Refusal ? error.message : `a mistake in this page: ${error}`);
