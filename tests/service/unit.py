@@ -17,7 +17,6 @@ from tests.vcan.conftest import wait_until
 NAME = "vcu-gateway.service"
 RUNTIME = Path("/run/vcu-gateway")
 CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
-DROP_IN = Path(f"/run/systemd/system/{NAME}.d/test.conf")
 PATIENCE_S = 60.0
 _NS_PER_US = 1_000
 
@@ -165,13 +164,14 @@ def exec_start() -> str:
 
 
 @contextmanager
-def drop_in(text: str) -> Iterator[None]:
-    """The unit with these lines besides."""
-    DROP_IN.parent.mkdir(parents=True, exist_ok=True)
-    DROP_IN.write_text(text)
+def drop_in(text: str, name: str = NAME) -> Iterator[None]:
+    """The unit of this name with these lines besides."""
+    path = Path(f"/run/systemd/system/{name}.d/test.conf")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
     systemctl("daemon-reload")
     try:
         yield
     finally:
-        shutil.rmtree(DROP_IN.parent)
+        shutil.rmtree(path.parent)
         systemctl("daemon-reload")

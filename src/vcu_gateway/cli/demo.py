@@ -110,8 +110,10 @@ def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
         app = application.build(settings, WebEvents(lambda _: None))
         stopped = threading.Event()
         threading.Thread(target=_stop_with, args=(child, stopped), daemon=True).start()
-        serve.run(settings, app, lambda address: _show_page(wanted, address))
-        stopped.set()
+        try:
+            serve.run(settings, app, lambda address: _show_page(wanted, address))
+        finally:
+            stopped.set()
     return child.summary
 
 

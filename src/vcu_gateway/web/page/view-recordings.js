@@ -28,7 +28,7 @@ export async function show() {
     const { recordings, sentence: why } = await request("GET", "/api/recordings", { timeout: REPLAY_TIMEOUT_MS });
     const all = recordings.toSorted((a, b) => b.name.localeCompare(a.name));
     list.replaceChildren(...all.map(recording));
-    setText(status, why || (all.length ? `${all.length} recordings` : "no recordings yet"));
+    setText(status, why || (all.length ? `${all.length} ${all.length === 1 ? "recording" : "recordings"}` : "no recordings yet"));
   } catch (error) {
     list.replaceChildren();
     setText(status, sentence(error));
