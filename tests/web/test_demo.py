@@ -6,15 +6,29 @@ import signal
 import subprocess
 import sys
 import urllib.request
+from collections.abc import Callable, Iterator
 
 import pytest
 
 WAIT_S = 60
 
 
-def demo(*options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "vcu_gateway", "demo", "--web", *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@pytest.fixture
+def demo() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts it; whatever goes on after the test is ended."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*options: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "vcu_gateway", "demo", "--web", *options]
+        pipe = subprocess.PIPE
+        started.append(subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True))
+        return started[-1]
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+            process.communicate(timeout=WAIT_S)
 
 
 def address(process: subprocess.Popen[str]) -> str:
@@ -25,7 +39,7 @@ def address(process: subprocess.Popen[str]) -> str:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_says_where_the_page_is_and_a_signal_ends_it_with_a_summary(number):
+def test_it_says_where_the_page_is_and_a_signal_ends_it_with_a_summary(demo, number):
     process = demo()
     with urllib.request.urlopen(address(process), timeout=WAIT_S) as answer:
         assert b"vcu-gateway" in answer.read()
@@ -35,19 +49,17 @@ def test_it_says_where_the_page_is_and_a_signal_ends_it_with_a_summary(number):
     assert re.search(r"\d+ ticks, \d+ skipped, \d+ command frames sent", output)
 
 
-def test_its_duration_ends_it_and_what_was_recorded_is_named(tmp_path):
+def test_its_duration_ends_it_and_what_was_recorded_is_named(demo, tmp_path):
     done = demo("--duration", "3", "--record", str(tmp_path / "recordings"))
     output, _ = done.communicate(timeout=WAIT_S)
     assert done.returncode == os.EX_OK
     assert "vcu-gateway replay" in output
 
 
-def test_a_second_one_says_that_the_port_is_taken():
+def test_a_second_one_says_that_the_port_is_taken(demo):
     first = demo()
     address(first)
     second = demo()
     _, errors = second.communicate(timeout=WAIT_S)
     assert second.returncode == os.EX_UNAVAILABLE
     assert "ss -ltnp" in errors
-    first.terminate()
-    first.communicate(timeout=WAIT_S)
