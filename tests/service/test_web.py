@@ -98,7 +98,7 @@ def test_its_rights_are_none_until_the_configuration_gives_some(service: Unit, p
         wait_until(answers, "the page", PATIENCE_S)
         status, body = ask("/api/actions/arm", "POST")
     assert status == 409
-    assert "operator" in json.loads(body)["sentence"]
+    assert "arm needs the right 'operate'" in json.loads(body)["sentence"]
 
 
 def test_killed_it_is_back_at_once_and_the_gateway_goes_on(service: Unit, page: None):

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -11,9 +12,27 @@ from vcu_gateway.cli.options import socket_option
 from vcu_gateway.client import default_socket_path
 from vcu_gateway.errors import Problem, UnavailableError
 
+if TYPE_CHECKING:
+    from vcu_gateway.web.settings import WebSettings
+
 _LIBRARIES = ("starlette", "uvicorn", "h11", "anyio")
 ROLES = ("viewer", "operator", "service")
 _path = click.Path(path_type=Path)
+
+
+class WebOptions(NamedTuple):
+    """Options of the verb, as they were given."""
+
+    socket_path: Path | None
+    listen: ListenAddress
+    users_file: Path | None
+    local_role: str
+    certificate: Path | None
+    key: Path | None
+    host_names: tuple[str, ...]
+    recordings: Path | None
+    session_hours: float
+    state_file: Path | None
 
 
 @click.command("web")
@@ -52,49 +71,43 @@ _path = click.Path(path_type=Path)
     type=_path,
     help="Where sessions are kept over a restart of this program.",
 )
-def command(
-    socket_path: Path | None,
-    listen: ListenAddress,
-    users_file: Path | None,
-    local_role: str,
-    certificate: Path | None,
-    key: Path | None,
-    host_names: tuple[str, ...],
-    recordings: Path | None,
-    session_hours: float,
-    state_file: Path | None,
-) -> None:
+def command(**options: Any) -> None:
     """Serve a page that shows what the vehicle does, and stops it.
 
     A program beside the gateway, with one subscription to it however many browsers look. It is
     never a source of demand. Without options nobody but this machine reaches it:
     ssh -L 9465:127.0.0.1:9465 VEHICLE brings it to another one. Ctrl-C or SIGTERM ends it.
     """
-    if (certificate is None) != (key is None):
-        raise click.UsageError("--certificate and --key belong together")
     with web_libraries_needed():
-        from vcu_gateway.web import application, serve, users
+        from vcu_gateway.web import application, serve
         from vcu_gateway.web.events import WebEvents
-        from vcu_gateway.web.roles import Role
-        from vcu_gateway.web.settings import TlsFiles, WebSettings
-    settings = WebSettings(
-        address=listen.address,
-        port=listen.port,
-        socket_path=socket_path or default_socket_path(),
-        users=users.read(users_file) if users_file else {},
-        local_role=Role(local_role),
-        tls=TlsFiles(certificate, key) if certificate and key else None,
-        host_names=host_names,
-        recordings=recordings,
-        session_lifetime_s=session_hours * 3600,
-        state_file=state_file,
-    )
+    settings = _settings(WebOptions(**options))
     settings.check()
-    events = WebEvents()
     serve.run(
         settings,
-        application.build(settings, events),
+        application.build(settings, WebEvents()),
         lambda url: _say(f"page of {settings.socket_path} at {url}"),
+    )
+
+
+def _settings(options: WebOptions) -> "WebSettings":
+    from vcu_gateway.web import users
+    from vcu_gateway.web.roles import Role
+    from vcu_gateway.web.settings import TlsFiles, WebSettings
+
+    certificate, key = options.certificate, options.key
+    if (certificate is None) != (key is None):
+        raise click.UsageError("--certificate and --key belong together")
+    return WebSettings(
+        *options.listen,
+        socket_path=options.socket_path or default_socket_path(),
+        users=users.read(options.users_file) if options.users_file else {},
+        local_role=Role(options.local_role),
+        tls=TlsFiles(certificate, key) if certificate and key else None,
+        host_names=options.host_names,
+        recordings=options.recordings,
+        session_lifetime_s=options.session_hours * 3600,
+        state_file=options.state_file,
     )
 
 
