@@ -61,7 +61,7 @@ class Program:
     def drive(self, throttle_pct: float = 20.0) -> str:
         """Arm and demand, until `park`."""
         client = Client(self.driven.socket_path)
-        self._pedals = client.demand("driver", hold_s=None).__enter__()
+        self._pedals = client.demand("driver", ttl_ms=1000, hold_s=None).__enter__()
         client.arm()
         self._pedals.set(throttle_pct=throttle_pct)
         self.driven.until_mode("active")
@@ -69,7 +69,7 @@ class Program:
 
     def demand_nothing(self) -> None:
         """A driver who has the pedals and asks for nothing, so that arming is possible."""
-        self._pedals = Client(self.driven.socket_path).demand("driver", hold_s=None).__enter__()
+        self._pedals = Client(self.driven.socket_path).demand("driver", ttl_ms=1000, hold_s=None).__enter__()
 
     def park(self) -> None:
         if self._pedals is not None:

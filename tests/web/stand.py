@@ -4,6 +4,7 @@ import contextlib
 import http.client
 import json
 import os
+import queue
 import re
 import select
 import signal
@@ -224,7 +225,11 @@ def gateway_running(folder: Path, config: str = "") -> Iterator[GatewayProcess]:
 
 
 class Proxy:
-    """A TCP connection in between that can stall, slow down or be cut, as a network does."""
+    """A TCP connection in between that can stall, delay or be cut, as a network does.
+
+    Attributes:
+        delay_s: everything that comes from now on arrives later by this.
+    """
 
     def __init__(self, port: int) -> None:
         self._to = port
@@ -233,7 +238,7 @@ class Proxy:
         self._flows = threading.Event()
         self._flows.set()
         self._sockets: list[socket.socket] = []
-        self.bytes = 0
+        self.delay_s = 0.0
         threading.Thread(target=self._accept, daemon=True).start()
 
     @property
@@ -250,11 +255,24 @@ class Proxy:
                     threading.Thread(target=self._pump, args=pair, daemon=True).start()
 
     def _pump(self, source: socket.socket, to: socket.socket) -> None:
+        waiting: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
+        threading.Thread(target=self._send, args=(waiting, source, to), daemon=True).start()
         with contextlib.suppress(OSError):
             while data := source.recv(4096):
+                waiting.put((time.monotonic() + self.delay_s, data))
+        waiting.put((0.0, b""))
+
+    def _send(
+        self,
+        waiting: "queue.SimpleQueue[tuple[float, bytes]]",
+        source: socket.socket,
+        to: socket.socket,
+    ) -> None:
+        with contextlib.suppress(OSError):
+            while (item := waiting.get())[1]:
+                time.sleep(max(0.0, item[0] - time.monotonic()))
                 self._flows.wait()
-                to.sendall(data)
-                self.bytes += len(data)
+                to.sendall(item[1])
         for one in (source, to):
             with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)
