@@ -191,6 +191,7 @@ test-faults-netem: setup lab
 nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
 	$(MAKE) test-web
+	$(BIN)/pytest -s tests/web/test_figures.py
 	$(BIN)/python -m tests.web.fuzz 100000
 	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
 	$(IN_LAB) --timeout 3000 -- $(BIN)/pytest -s tests/vcan tests/oracle tests/faults/vcan

@@ -69,7 +69,9 @@ class Program:
 
     def demand_nothing(self) -> None:
         """A driver who has the pedals and asks for nothing, so that arming is possible."""
-        self._pedals = Client(self.driven.socket_path).demand("driver", ttl_ms=1000, hold_s=None).__enter__()
+        self._pedals = (
+            Client(self.driven.socket_path).demand("driver", ttl_ms=1000, hold_s=None).__enter__()
+        )
 
     def park(self) -> None:
         if self._pedals is not None:

@@ -28,6 +28,8 @@ PAINTED = """() => {
   }).observe(cell, {subtree: true, characterData: true, childList: true});
 }"""
 
+pytestmark = pytest.mark.slow  # on a machine that does little else
+
 LOOKERS = 50
 WINDOW_S = 20.0
 
