@@ -11,7 +11,8 @@ import pytest
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "suite"
 QUICK = """
-lint test-core test-serving test-shell test-faults-pure test-others test-exhaustive test-golden:
+lint test-core test-serving test-shell test-faults-pure test-others test-exhaustive \
+test-golden test-web:
 \t@echo "1 passed in 0.01s"
 """
 
@@ -44,10 +45,10 @@ def runs(pid: str) -> bool:
 def test_each_step_is_told_with_its_tests_and_then_the_verdict(folder: Path) -> None:
     done = suite(folder)
     assert done.returncode == 0
-    assert len(re.findall(r"^ \d:\d\d  [a-z-]+ +\d+ s  1 passed", done.stdout, re.MULTILINE)) == 8
+    assert len(re.findall(r"^ \d:\d\d  [a-z-]+ +\d+ s  1 passed", done.stdout, re.MULTILINE)) == 9
     assert re.search(r"first verdict after \d+ s: style, types and core are right", done.stdout)
-    assert "\n8 passed, 0 failed, 0 skipped\n" in done.stdout
-    assert re.search(r"8 steps in 0 min \d+ s: all right", done.stdout)
+    assert "\n9 passed, 0 failed, 0 skipped\n" in done.stdout
+    assert re.search(r"9 steps in 0 min \d+ s: all right", done.stdout)
     assert "\033" not in done.stdout
 
 
@@ -59,7 +60,7 @@ def test_a_step_that_fails_is_shown_and_the_others_run_on(folder: Path) -> None:
     assert "the reason" in done.stdout
     assert "all of it: build/suite/test-core.log; again: make test-core" in done.stdout
     assert "first verdict" in done.stdout
-    assert "8 steps" in done.stdout
+    assert "9 steps" in done.stdout
     assert done.stdout.splitlines()[-1].endswith("failed: test-core")
 
 
@@ -98,13 +99,7 @@ def test_no_two_steps_that_judge_by_the_clock_run_at_once_and_the_others_give_wa
     folder: Path,
 ) -> None:
     """Of the suite on the bus every step judges by the clock."""
-    steps = [
-        "test-vcan",
-        "test-recorded",
-        "test-faults-vcan",
-        "test-faults-netem",
-        "test-faults-slcan",
-    ]
+    steps = ["test-vcan", "test-faults-vcan", "test-faults-netem", "test-faults-slcan"]
     tell = "nice >>niceness; [ ! -e timed ] || echo two; touch timed; sleep 0.2; rm timed"
     (folder / "Makefile").write_text(f"{' '.join(steps)}:\n\t@{tell}\n")
     done = subprocess.run(

@@ -11,11 +11,11 @@ import pytest
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
 from vcu_gateway.errors import ConfigError
 from vcu_gateway.units import NS_PER_S
-from vcu_gateway.web.broadcast import Broadcast, Seen
+from vcu_gateway.web.broadcast import Broadcast, SeenVersions
 from vcu_gateway.web.history import CAPACITY, History
 from vcu_gateway.web.login_limit import LoginLimit
 from vcu_gateway.web.power_cut import PowerCutBit, is_cut
-from vcu_gateway.web.roles import ACTION_RIGHTS, Role
+from vcu_gateway.web.roles import ACTION_RIGHTS, UserRole
 from vcu_gateway.web.sessions import Sessions
 from vcu_gateway.web.settings import TlsFiles, WebSettings
 from vcu_gateway.web.users import PasswordHash, User
@@ -34,7 +34,7 @@ def test_actions_need_the_rights_that_the_gateway_wants():
 
 
 def test_each_role_has_what_the_one_before_has_and_more():
-    viewer, operator, service = (role.rights for role in Role)
+    viewer, operator, service = (role.rights for role in UserRole)
     assert viewer < operator < service
 
 
@@ -119,7 +119,7 @@ def test_whoever_knew_the_password_begins_anew():
 
 # Settings.
 
-ANNA = {"anna": User("anna", Role.VIEWER, PasswordHash(16384, 8, 5, bytes(16), bytes(32)))}
+ANNA = {"anna": User("anna", UserRole.VIEWER, PasswordHash(16384, 8, 5, bytes(16), bytes(32)))}
 
 
 def settings(**changes) -> WebSettings:
@@ -257,7 +257,7 @@ def test_a_cut_is_fault_and_both_frames(mode, first, second, cut):
 
 def test_a_slow_reader_gets_the_latest_of_each_section_and_no_more():
     async def read() -> tuple[bytes, bytes]:
-        broadcast, seen = Broadcast(), Seen()
+        broadcast, seen = Broadcast(), SeenVersions()
         for number in range(1000):
             broadcast.publish("state", number)
         broadcast.publish("why", "because")
@@ -272,7 +272,7 @@ def test_no_text_ends_a_section_early():
     async def read() -> bytes:
         broadcast = Broadcast()
         broadcast.publish("why", {"sentence": "a\n\nevent: state\ndata: 1\r\n\u2028"})
-        return broadcast.unseen(Seen())
+        return broadcast.unseen(SeenVersions())
 
     lines = asyncio.run(read()).decode().split("\n")
     assert lines[2:] == ["", ""]

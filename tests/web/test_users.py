@@ -6,15 +6,15 @@ from click.testing import CliRunner
 from vcu_gateway.cli import web_user
 from vcu_gateway.errors import ConfigError, MissingInputError
 from vcu_gateway.web import users
-from vcu_gateway.web.roles import Role
+from vcu_gateway.web.roles import UserRole
 from vcu_gateway.web.users import PasswordHash, User
 
-LINE = User("anna", Role.OPERATOR, PasswordHash.of("a long password")).line()
+LINE = User("anna", UserRole.OPERATOR, PasswordHash.of("a long password")).line()
 
 
 def test_a_line_is_read_back_and_its_password_matches_and_no_other_does():
     anna = users.parse([LINE], "users")["anna"]
-    assert anna.role is Role.OPERATOR
+    assert anna.role is UserRole.OPERATOR
     assert anna.password.matches("a long password")
     for wrong in ("a long passwort", "", "A long password", "a long password ", "\ud800"):
         assert not anna.password.matches(wrong)

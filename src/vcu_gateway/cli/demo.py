@@ -101,11 +101,11 @@ def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
     with web_libraries_needed():
         from vcu_gateway.web import application, serve
         from vcu_gateway.web.events import WebEvents
-        from vcu_gateway.web.roles import Role
+        from vcu_gateway.web.roles import UserRole
         from vcu_gateway.web.settings import WebSettings
     with DemoProcess(wanted) as child:
         settings = WebSettings(
-            *_PAGE, child.socket_path, local_role=Role.SERVICE, recordings=recordings
+            *_PAGE, child.socket_path, local_role=UserRole.SERVICE, recordings=recordings
         )
         app = application.build(settings, WebEvents(lambda _: None))
         stopped = threading.Event()

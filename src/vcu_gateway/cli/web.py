@@ -44,7 +44,7 @@ class WebOptions(NamedTuple):
     type=click.Choice(ROLES),
     default="viewer",
     show_default=True,
-    help="Role of whoever reaches 127.0.0.1, where there are no users.",
+    help="UserRole of whoever reaches 127.0.0.1, where there are no users.",
 )
 @click.option("--certificate", metavar="FILE", type=_path, help="TLS certificate chain, PEM.")
 @click.option("--key", metavar="FILE", type=_path, help="Its key, PEM.")
@@ -92,7 +92,7 @@ def command(**options: Any) -> None:
 
 def _settings(options: WebOptions) -> "WebSettings":
     from vcu_gateway.web import users
-    from vcu_gateway.web.roles import Role
+    from vcu_gateway.web.roles import UserRole
     from vcu_gateway.web.settings import TlsFiles, WebSettings
 
     certificate, key = options.certificate, options.key
@@ -102,7 +102,7 @@ def _settings(options: WebOptions) -> "WebSettings":
         *options.listen,
         socket_path=options.socket_path or default_socket_path(),
         users=users.read(options.users_file) if options.users_file else {},
-        local_role=Role(options.local_role),
+        local_role=UserRole(options.local_role),
         tls=TlsFiles(certificate, key) if certificate and key else None,
         host_names=options.host_names,
         recordings=options.recordings,

@@ -4,7 +4,7 @@ import click
 
 from vcu_gateway.cli.web import ROLES
 from vcu_gateway.web import users
-from vcu_gateway.web.roles import Role
+from vcu_gateway.web.roles import UserRole
 
 
 @click.command("web-user")
@@ -25,4 +25,4 @@ def command(name: str, role: str) -> None:
     least, most = users.LEAST_PASSWORD_CHARACTERS, users.MOST_PASSWORD_CHARACTERS
     if not least <= len(password) <= most:
         raise click.UsageError(f"a password has {least} to {most} characters")
-    click.echo(users.User(name, Role(role), users.PasswordHash.of(password)).line())
+    click.echo(users.User(name, UserRole(role), users.PasswordHash.of(password)).line())

@@ -10,8 +10,8 @@ from starlette.responses import Response
 from vcu_gateway.api.rights import Right
 from vcu_gateway.web.events import WebEvents
 from vcu_gateway.web.login_limit import LoginLimit
-from vcu_gateway.web.roles import Role
-from vcu_gateway.web.sessions import Session, Sessions
+from vcu_gateway.web.roles import UserRole
+from vcu_gateway.web.sessions import Sessions
 from vcu_gateway.web.settings import WebSettings
 from vcu_gateway.web.users import MOST_PASSWORD_CHARACTERS, NOBODY, is_name
 
@@ -28,7 +28,7 @@ class Visitor(NamedTuple):
     """
 
     user: str
-    role: Role
+    role: UserRole
     address: str
     expires_s: float | None
     looks: bool
@@ -76,7 +76,7 @@ class Access:
         looks = session.is_open(time.time())
         return Visitor(user.name, user.role, address, session.expires_s, looks)
 
-    async def sign_in(self, name: str, password: str, address: str) -> tuple[str, Role]:
+    async def sign_in(self, name: str, password: str, address: str) -> tuple[str, UserRole]:
         """Token and role of a new session; SignInError where it is refused."""
         wait_s = self._limit.wait_s(address, name, time.monotonic_ns())
         if wait_s > 0 or self._waiting >= _WAITING:
@@ -123,10 +123,6 @@ class Access:
             httponly=True,
             samesite="strict",
         )
-
-    def session(self, token: str) -> Session | None:
-        """The session of this token."""
-        return self._sessions.find(token)
 
 
 def _told(name: str) -> str:

@@ -10,7 +10,7 @@ class _Section(NamedTuple):
     data: bytes
 
 
-class Seen(dict[str, int]):
+class SeenVersions(dict[str, int]):
     """Versions of the sections that one browser has."""
 
 
@@ -39,7 +39,7 @@ class Broadcast:
             for reader in tuple(self.readers):
                 reader()
 
-    def unseen(self, seen: Seen) -> bytes:
+    def unseen(self, seen: SeenVersions) -> bytes:
         """Sections that have changed since this browser's last ones; it has them from now on."""
         changed = [
             (name, one) for name, one in self._sections.items() if seen.get(name) != one.version

@@ -35,7 +35,7 @@ _HEADERS: Mapping[str, str] = {
 _TLS_HEADERS = {"strict-transport-security": "max-age=31536000"}
 
 
-class Refusal(NamedTuple):
+class HttpRefusal(NamedTuple):
     """Status of HTTP, and a sentence for the person."""
 
     status: int
@@ -72,29 +72,29 @@ class Guard:
 
         return guarded
 
-    def _refusal(self, scope: Scope) -> Refusal | None:
+    def _refusal(self, scope: Scope) -> HttpRefusal | None:
         """Why this request is not let through; None where it is."""
         headers = _single(scope)
         if headers is None:
-            return Refusal(400, "a header is there twice")
+            return HttpRefusal(400, "a header is there twice")
         if scope["method"] not in _KNOWN_METHODS:
-            return Refusal(405, "no such method here")
+            return HttpRefusal(405, "no such method here")
         if _without_port(headers.get("host", "").lower()) not in self._hosts:
-            return Refusal(421, "this host is not known by that name (--host-name)")
+            return HttpRefusal(421, "this host is not known by that name (--host-name)")
         reads = scope["method"] in _READING
         if not (reads and scope["path"] == "/") and headers.get("sec-fetch-site") in _FOREIGN_SITES:
-            return Refusal(403, "another site may not ask for this")
+            return HttpRefusal(403, "another site may not ask for this")
         return None if reads else self._change_refusal(headers)
 
-    def _change_refusal(self, headers: Mapping[str, str]) -> Refusal | None:
+    def _change_refusal(self, headers: Mapping[str, str]) -> HttpRefusal | None:
         """The same for a request that may change something."""
         if headers.get("origin", "").lower() != f"{self._scheme}://{headers['host'].lower()}":
-            return Refusal(403, "the request comes from no page of this host (Origin)")
+            return HttpRefusal(403, "the request comes from no page of this host (Origin)")
         length = headers.get("content-length", "0")
         if not _NUMBER.fullmatch(length):
-            return Refusal(400, "Content-Length is no number")
+            return HttpRefusal(400, "Content-Length is no number")
         if int(length) > MOST_BODY_BYTES:
-            return Refusal(413, f"larger than {MOST_BODY_BYTES} bytes")
+            return HttpRefusal(413, f"larger than {MOST_BODY_BYTES} bytes")
         return None
 
 
@@ -115,7 +115,7 @@ def _without_port(host: str) -> str:
     return name if colon and port.isascii() and port.isdecimal() else host
 
 
-async def _refuse(send: Send, refusal: Refusal) -> None:
+async def _refuse(send: Send, refusal: HttpRefusal) -> None:
     body = json.dumps({"sentence": refusal.sentence}).encode()
     headers: list[tuple[bytes, bytes]] = [
         (b"content-type", b"application/json"),

@@ -12,7 +12,7 @@ from starlette.responses import Response, StreamingResponse
 from vcu_gateway.api.rights import Right
 from vcu_gateway.web.access import Visitor
 from vcu_gateway.web.events import WebEvents
-from vcu_gateway.web.recordings import RecordingFolder, TooBusyError, VerbResult, archive
+from vcu_gateway.web.recordings import RecorderFolder, TooBusyError, VerbResult, archive
 from vcu_gateway.web.routes import answer, body, problem
 
 MOST_CONFIG_BYTES = 64 * 1024
@@ -25,7 +25,7 @@ class RecordingRoutes:
     """What a recording tells about a person is for operators (docs/recordings.md)."""
 
     def __init__(self, folder: Path | None, events: WebEvents) -> None:
-        self._folder = RecordingFolder(folder) if folder is not None else None
+        self._folder = RecorderFolder(folder) if folder is not None else None
         self._events = events
 
     async def listed(self, request: Request, visitor: Visitor) -> Response:
@@ -84,12 +84,12 @@ class RecordingRoutes:
             except TooBusyError:
                 return _busy()
 
-    def _for(self, visitor: Visitor) -> RecordingFolder | Response:
+    def _for(self, visitor: Visitor) -> RecorderFolder | Response:
         if not visitor.may(Right.OPERATE):
             return problem(403, "recordings tell about people: they are for operators")
         return self._folder or problem(404, _NO_FOLDER)
 
-    def _find(self, request: Request, visitor: Visitor) -> tuple[RecordingFolder, Path] | Response:
+    def _find(self, request: Request, visitor: Visitor) -> tuple[RecorderFolder, Path] | Response:
         folder = self._for(visitor)
         if isinstance(folder, Response):
             return folder

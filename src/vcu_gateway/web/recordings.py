@@ -43,7 +43,7 @@ class TooBusyError(Exception):
     """Another one is running."""
 
 
-class RecordingFolder:
+class RecorderFolder:
     """Folder of the recorder, read only."""
 
     def __init__(self, folder: Path) -> None:

@@ -6,8 +6,8 @@ from enum import Enum
 from vcu_gateway.api.rights import Right
 
 
-class Role(Enum):
-    """Role of a user; each has all that the ones before it have."""
+class UserRole(Enum):
+    """UserRole of a user; each has all that the ones before it have."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -19,10 +19,10 @@ class Role(Enum):
         return _RIGHTS[self]
 
 
-_RIGHTS: Mapping[Role, frozenset[Right]] = {
-    Role.VIEWER: frozenset({Right.READ}),
-    Role.OPERATOR: frozenset({Right.READ, Right.OPERATE}),
-    Role.SERVICE: frozenset(Right),
+_RIGHTS: Mapping[UserRole, frozenset[Right]] = {
+    UserRole.VIEWER: frozenset({Right.READ}),
+    UserRole.OPERATOR: frozenset({Right.READ, Right.OPERATE}),
+    UserRole.SERVICE: frozenset(Right),
 }
 
 ACTION_RIGHTS: Mapping[str, Right] = {

@@ -14,7 +14,7 @@ _SESSIONS = 256
 _STOPS_FOR_S = 24 * 3600
 
 
-class Session(NamedTuple):
+class BrowserSession(NamedTuple):
     """One browser that has signed in; the times are seconds since 1970."""
 
     user: str
@@ -48,12 +48,12 @@ class Sessions:
         token = secrets.token_urlsafe(_TOKEN_BYTES)
         while len(self._sessions) >= _SESSIONS:
             del self._sessions[next(iter(self._sessions))]
-        self._sessions[_key(token)] = Session(user, now_s, now_s + self._lifetime_s)
+        self._sessions[_key(token)] = BrowserSession(user, now_s, now_s + self._lifetime_s)
         self._forget_ended(now_s)
         self._save()
         return token
 
-    def find(self, token: str) -> Session | None:
+    def find(self, token: str) -> BrowserSession | None:
         """The session of this token, ended or not; None for a token that is none."""
         return self._sessions.get(_key(token))
 
@@ -81,12 +81,12 @@ def _key(token: str) -> str:
     return hashlib.sha256(token.encode(errors="replace")).hexdigest()
 
 
-def _load(file: Path) -> dict[str, Session]:
+def _load(file: Path) -> dict[str, BrowserSession]:
     """Sessions of the run before; none where the file is missing or damaged."""
     try:
         written = json.loads(file.read_text())
         return {
-            str(key): Session(str(user), float(began_s), float(expires_s))
+            str(key): BrowserSession(str(user), float(began_s), float(expires_s))
             for key, (user, began_s, expires_s) in written.items()
         }
     except (OSError, ValueError, TypeError, AttributeError):

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from vcu_gateway.errors import ConfigError, Problem
-from vcu_gateway.web.roles import Role
+from vcu_gateway.web.roles import UserRole
 from vcu_gateway.web.users import Users
 
 _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
@@ -34,7 +34,7 @@ class WebSettings(NamedTuple):
     port: int
     socket_path: Path
     users: Users = MappingProxyType({})
-    local_role: Role = Role.VIEWER
+    local_role: UserRole = UserRole.VIEWER
     tls: TlsFiles | None = None
     host_names: tuple[str, ...] = ()
     recordings: Path | None = None

@@ -9,7 +9,7 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from vcu_gateway.web.access import Visitor
-from vcu_gateway.web.broadcast import Broadcast, Seen
+from vcu_gateway.web.broadcast import Broadcast, SeenVersions
 from vcu_gateway.web.connections import TRANSPORT
 
 MOST_STREAMS = 128
@@ -56,7 +56,7 @@ class StreamResponse(Response):
         """Send what changes, until it ends."""
         address = self._visitor.address
         self._counts[address] += 1
-        reader = _Reader(self._broadcast, scope["extensions"][TRANSPORT])
+        reader = _StreamWriter(self._broadcast, scope["extensions"][TRANSPORT])
         try:
             await send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
             body = _RETRY + self._broadcast.unseen(reader.seen)
@@ -78,11 +78,11 @@ class StreamResponse(Response):
             await asyncio.wait_for(_until_gone(receive), left_s)
 
 
-class _Reader:
+class _StreamWriter:
     """One browser's end of the broadcast: chunks of HTTP/1.1, straight to its connection."""
 
     def __init__(self, broadcast: Broadcast, transport: asyncio.Transport) -> None:
-        self.seen = Seen()
+        self.seen = SeenVersions()
         self._broadcast = broadcast
         self._transport = transport
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from vcu_gateway.errors import ConfigError, MissingInputError, Problem, did_you_mean
-from vcu_gateway.web.roles import Role
+from vcu_gateway.web.roles import UserRole
 
 LEAST_PASSWORD_CHARACTERS = 10
 MOST_PASSWORD_CHARACTERS = 256
@@ -72,7 +72,7 @@ class User(NamedTuple):
     """One user of the page."""
 
     name: str
-    role: Role
+    role: UserRole
     password: PasswordHash
 
     def line(self) -> str:
@@ -126,7 +126,7 @@ def _user(line: str, where: str) -> User | Problem:
     if len(fields) != len(User._fields):
         return Problem("is not NAME ROLE HASH", where, _REMEDY)
     name, role, text = fields
-    roles = [one.value for one in Role]
+    roles = [one.value for one in UserRole]
     if not is_name(name):
         return Problem("the name has other characters than A-Z a-z 0-9 _ . -", where)
     if role not in roles:
@@ -134,7 +134,7 @@ def _user(line: str, where: str) -> User | Problem:
     password = _password_hash(text)
     if password is None:
         return Problem("the hash is none of scrypt's", where, _REMEDY)
-    return User(name, Role(role), password)
+    return User(name, UserRole(role), password)
 
 
 def is_name(text: str) -> bool:
