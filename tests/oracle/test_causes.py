@@ -112,9 +112,11 @@ LIMITS = [
 def as_limited(bench: Bench, told: float, effects: set[str], count: int) -> list[Frame]:
     """Each tick from the one that saw the cause follows the ramps."""
     before, *ticks = bench.ticks(told - 0.1, count + 2)
-    # A tick that began just before the cause's frame may not know it yet.
-    while ticks[0].t < told + GRACE_S and ticks[0].command == AT_FULL:
+    # Before the cause's frame its drive may have been on the way to full. A tick that began just
+    # before that frame may not know it yet.
+    while ticks[0].t < told or (ticks[0].t < told + GRACE_S and ticks[0].command == AT_FULL):
         before, *ticks = ticks
+    assert before.command == AT_FULL
     for frame in ticks:
         assert follows(before, frame, effects), (
             f"{(frame.t - told) * 1000:.0f} ms, {effects}: {before.command} {frame.command}"
