@@ -152,8 +152,9 @@ class Gateway:
         return self.tick(events=(began, latched), mode="fault")
 
     def drive(self, seconds, frames=18, period_s=TICK_S, reconnect=True):
-        """Ticks on a grid; connects again where the recorder closed."""
+        """Ticks on a grid; connects again where the recorder closed. How late the latest was, s."""
         due_s = time.monotonic()
+        late_s = 0.0
         for _ in range(round(seconds / period_s)):
             if self.sock is None and reconnect:
                 with contextlib.suppress(OSError):
@@ -161,6 +162,8 @@ class Gateway:
             self.tick(frames)
             due_s += period_s
             time.sleep(max(0.0, due_s - time.monotonic()))
+            late_s = max(late_s, time.monotonic() - due_s)
+        return late_s
 
     def close(self):
         if self.sock is not None:

@@ -10,6 +10,8 @@ from tests.recorder.faulty_disk import FaultyDisk
 from tests.recorder.gateway import account, core_lines, damage, drives, recorded_frames
 from vcu_gateway.drive_format import layout
 
+FRAMES_PER_S = 18 / 0.05
+
 
 @pytest.mark.timeout(300)
 def test_fifty_kills_at_any_moment_lose_a_second_each_and_tell_it(recorder, gateway, tmp_path):
@@ -17,12 +19,14 @@ def test_fifty_kills_at_any_moment_lose_a_second_each_and_tell_it(recorder, gate
     process = recorder()
     vehicle = gateway()
     for _ in range(50):
-        vehicle.drive(0.3 + chance.random(), reconnect=False)
+        slow_s = vehicle.drive(0.3 + chance.random(), reconnect=False)
         handed_on = vehicle.frames
         process.kill()
         segment = layout.segments(drives(tmp_path)[0])[-1]
         begin = core_lines(segment)[1]["begin"]["frames"]
-        assert handed_on - begin - recorded_frames(segment) <= 1.2 * 18 / 0.05
+        # Where the machine lets this program wait, it lets the recorder wait as long.
+        lost_s = (handed_on - begin - recorded_frames(segment)) / FRAMES_PER_S
+        assert lost_s <= 1.0 + slow_s
         process = recorder()
         vehicle.close()
         vehicle.connect()

@@ -20,7 +20,8 @@ from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, free_bytes
 from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.recorder.triggers import Trigger
 
-_MEMBER_S = 1.0
+_MEMBER_S = 0.85
+"""With what is still being gathered, a second at most is lost where the recorder is killed."""
 _SYNC_S = 5.0
 _SYNC_AFTER_LATCH_S = 0.1
 _AFTER_LATCH_S = 2.0
