@@ -9,6 +9,7 @@ from pathlib import Path
 
 import can
 
+from tests.unrecorded import unrecorded
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.app import Application
@@ -57,7 +58,7 @@ class Driven:
 
     def configure(self, config: str) -> None:
         """Write the configuration file."""
-        self.file.write_text(self._head + config)
+        self.file.write_text(unrecorded(self.file.parent, self._head + config))
 
     def start(self) -> None:
         self.api.open()

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from tests.faults import invariants
+from tests.unrecorded import unrecorded
 from tests.vcan.conftest import (
     COMMANDS,
     Process,
@@ -51,7 +52,8 @@ class BusStand(Stand):
 
     def configure(self, config: str) -> None:
         api = f"api: {{socket_path: {self.socket_path}{self.api}}}"
-        self.config_path.write_text(f"bus: {{channel: {self.channel}{self.bus}}}\n{api}\n{config}")
+        text = f"bus: {{channel: {self.channel}{self.bus}}}\n{api}\n{config}"
+        self.config_path.write_text(unrecorded(self.folder, text))
 
 
 class Driving:

@@ -16,6 +16,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import pytest
 
+from tests.unrecorded import unrecorded
+
 # Imported for the processes that are forked from this one.
 from vcu_gateway import cli
 from vcu_gateway.cli import run, simulate  # noqa: F401
@@ -175,7 +177,8 @@ class Stand:
     def configure(self, config: str) -> None:
         """Write the gateway's configuration: the channel, the API's socket and this text."""
         api = f"api: {{socket_path: {self.socket_path}{self.api}}}"
-        self.config_path.write_text(f"bus: {{channel: {self.channel}}}\n{api}\n{config}")
+        text = f"bus: {{channel: {self.channel}}}\n{api}\n{config}"
+        self.config_path.write_text(unrecorded(self.folder, text))
 
     def run(self, work: Callable[[], None]) -> ForkProcess:
         """This function in a process of its own."""
