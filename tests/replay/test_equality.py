@@ -1,10 +1,13 @@
 """A drive replayed with its own configuration: equal to the byte, or the first difference."""
 
+import re
 from pathlib import Path
 
 import pytest
 
+from tests.replay.drives import SimulatedDrive
 from tests.replay.ran import changed, replay, rewrite
+from vcu_gateway.core.gateway import Gateway
 
 
 def core(drive: Path, number: int = 1) -> Path:
@@ -191,3 +194,60 @@ def test_quiet_says_nothing_and_the_exit_code_tells(every, recorded):
     assert replay(recorded["ordinary"], "--quiet") == (0, "", "")
     rewrite(core(every), changed("mode", lambda values: values.update(mode="fault"), 1))
     assert replay(every, "-q") == (1, "", "")
+
+
+def test_a_state_made_by_hand_is_refused_with_the_line_that_it_fails_at(every):
+    def alter(values: dict) -> None:
+        store = values["checkpoint"]["state"]["Gateway"]["_modes"]["ModeManager"]
+        store["_last_tick_ns"] = "yesterday"
+
+    rewrite(core(every, 3), changed("checkpoint", alter))
+    ran = replay(core(every, 3))
+    assert ran.code == 65
+    assert re.search(r"0003\.core\.jsonl\.gz:\d+: cannot be decided again \(TypeError", ran.err)
+    what_if = ("--set", "limits.derated_power_w=5000")
+    assert replay(core(every, 3), *what_if).code == 65
+    assert replay(core(every, 3), *what_if, "--closed-loop").code == 65
+
+
+@pytest.fixture
+def ended_by_bug(tmp_path) -> Path:
+    """A drive whose core ended the gateway's process in its last tick."""
+    drive = SimulatedDrive(tmp_path / "ended").begin()
+    drive.run(2.0)
+    collector, drive.gateway._collector = drive.gateway._collector, None
+    with pytest.raises(AttributeError):
+        drive.tick()
+    drive.gateway._collector = collector
+    return drive.end()
+
+
+def test_a_bug_that_ended_the_gateway_and_does_not_come_again_is_a_difference(ended_by_bug):
+    ran = replay(ended_by_bug, "--json")
+    assert ran.code == 1
+    first = ran.values["replay"]["first_difference"]
+    assert (first["field"], first["replayed"]) == ("tick", "decided")
+    assert "the gateway's process ended by a bug in tick" in replay(ended_by_bug).out
+
+
+def test_a_bug_that_ended_the_gateway_and_comes_again_is_equal(ended_by_bug, monkeypatch):
+    tick, ticks = Gateway.tick, replay(ended_by_bug, "--json").values["replay"]["ticks"]
+    done = 0
+
+    def fails_at_last(gateway, now_ns):
+        nonlocal done
+        done += 1
+        if done == ticks:
+            raise ValueError("not in tuple")
+        return tick(gateway, now_ns)
+
+    monkeypatch.setattr(Gateway, "tick", fails_at_last)
+    ran = replay(ended_by_bug, "--json")
+    assert ran.code == 0, ran.out
+    assert ran.values["replay"]["ended_by_bug"]["error"] == "ValueError: not in tuple"
+
+
+@pytest.mark.parametrize("more", [(), ("--closed-loop",)])
+def test_what_another_configuration_had_done_until_a_bug_is_told(ended_by_bug, more):
+    ran = replay(ended_by_bug, "--set", "limits.derated_power_w=5000", "--json", *more)
+    assert ran.code in (0, 1), ran.err

@@ -1,6 +1,6 @@
 """Replay of a recorded drive for the command line."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from vcu_gateway.drive.reader import Drive, open_drive
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.replay import drive_records, equality_text, what_if_text
 from vcu_gateway.replay.closed_loop import ClosedLoop
-from vcu_gateway.replay.equality import EqualityCheck, NotReplayed
+from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
 from vcu_gateway.replay.given_settings import GivenConfiguration, given
 from vcu_gateway.replay.judged import JudgedRecords
 from vcu_gateway.replay.open_loop import OpenLoop
@@ -63,14 +63,17 @@ class _DriveReplay:
     def _replay(self, *notes: Callable[[Record], None]) -> None:
         records = drive_records.records(self._drive, self._asked.window, self._clock)
         shown = watched(records, len(self._drive.segments), self._asked.quiet)
-        if len(notes) == 1:
-            note = notes[0]
-            for record in shown:
-                note(record)
-            return
-        for record in shown:
-            for note in notes:
-                note(record)
+        try:
+            _give(shown, notes)
+        except StateError:
+            raise
+        except BUGS as error:
+            what = f"cannot be decided again ({type(error).__name__}: {error})"
+            remedy = (
+                "was it changed by hand? If not, this version of the gateway has a bug: keep the"
+                " recording"
+            )
+            raise DataError(Problem(what, self._drive.place, remedy)) from error
 
     def check(self) -> ReplayReport:
         """With the recorded configuration, and a verdict."""
@@ -193,6 +196,18 @@ class _DriveReplay:
             "recorded_by": info.versions,
             "replayed_by": __version__,
         }
+
+
+def _give(records: Iterator[Record], notes: Sequence[Callable[[Record], None]]) -> None:
+    """Have every record noted; the loop of one alone is quicker."""
+    if len(notes) == 1:
+        note = notes[0]
+        for record in records:
+            note(record)
+        return
+    for record in records:
+        for note in notes:
+            note(record)
 
 
 def _given_lines(asked: ReplayOptions) -> Iterator[str]:

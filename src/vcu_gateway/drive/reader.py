@@ -105,6 +105,7 @@ class Drive:
         self.folder = folder
         self.info = info
         self.segments = segments
+        self._read: SegmentReader | None = None
 
     def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
         """As `runs`, each frame as a `FrameInput`."""
@@ -124,8 +125,16 @@ class Drive:
         for files in self.segments:
             if first_segment is None or files.number >= first_segment:
                 segment = SegmentReader(files, self.info.clock.distance_ns, before)
+                self._read = segment
                 yield from segment.runs()
                 before = segment if segment.begun else None
+
+    @property
+    def place(self) -> str:
+        """Core line up to which records were given last, as file:line."""
+        if self._read is None:
+            return str(self.folder)
+        return f"{self.folder / layout.core_name(self._read.number)}:{self._read.line}"
 
     def frames(self) -> Iterator[RecordedFrame]:
         """Every frame with its wall time, without what belongs to it; damage is passed by."""

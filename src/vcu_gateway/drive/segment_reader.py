@@ -91,6 +91,7 @@ class SegmentReader:
         number: of the segment.
         begun: it, or one before it, has begun with a checkpoint.
         frames, ticks: since the start of the gateway, up to where its records end.
+        line: of the core lines' file, the latest that was read.
         damage: why they end before the segment does; empty where they do not.
     """
 
@@ -102,6 +103,7 @@ class SegmentReader:
         self.frames: int = before.frames if before else 0
         self.ticks: int = before.ticks if before else 0
         self.damage = ""
+        self.line = 0
         self._files = files
         self._distance_ns = distance_ns
         self._before = before
@@ -169,6 +171,7 @@ class SegmentReader:
         parser = LineParser()
         for member in self._core_members:
             for line in _lines(member):
+                self.line = line.number
                 try:
                     yield from parser.records(line.text)
                 except ValueError as error:

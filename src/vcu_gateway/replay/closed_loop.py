@@ -22,6 +22,7 @@ _LEFT_OUT = (
     inputs.LinkLostInput,
     inputs.LinkOpenedInput,
     inputs.CarrierInput,
+    inputs.TickInput,  # it ended the gateway's process by a bug
 )
 
 

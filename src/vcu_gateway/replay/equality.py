@@ -18,7 +18,7 @@ from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.inputs import SentInput
+from vcu_gateway.core.inputs import SentInput, TickInput
 from vcu_gateway.drive import checkpoint
 from vcu_gateway.drive.records import (
     Checkpoint,
@@ -32,6 +32,16 @@ from vcu_gateway.drive.records import (
 )
 from vcu_gateway.replay.command_fields import CommandFields
 
+BUGS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+"""What a core raises by a bug, or on a state that no gateway wrote."""
 _NOTHING = "nothing"
 
 
@@ -64,6 +74,18 @@ class NotReplayed(NamedTuple):
     why: str
 
 
+class EndedByBug(NamedTuple):
+    """Tick in which the gateway's process ended by a bug.
+
+    Attributes:
+        error: what the replay ended with; None where it decided.
+    """
+
+    tick: int
+    now_ns: int
+    error: str | None
+
+
 class Equality(NamedTuple):
     """Result of a check.
 
@@ -73,6 +95,7 @@ class Equality(NamedTuple):
         first: the first difference; None where there is none.
         counts: differences by field.
         gaps: what was not replayed.
+        ended_by_bug: the last tick, where it was the end of the gateway's process.
     """
 
     ticks: int
@@ -86,6 +109,7 @@ class Equality(NamedTuple):
     first: Difference | None
     counts: dict[str, int]
     gaps: tuple[NotReplayed, ...]
+    ended_by_bug: EndedByBug | None
 
     @property
     def equal(self) -> bool:
@@ -109,6 +133,7 @@ class EqualityCheck:
         self._counts: Counter[str] = Counter()
         self._compared: Counter[str] = Counter()
         self._gaps: list[NotReplayed] = []
+        self._ended_by_bug: EndedByBug | None = None
         self._tick = 0
         self._equal_ticks = 0
         self._tick_open = self._tick_differs = False
@@ -153,6 +178,9 @@ class EqualityCheck:
         if type(one) is SentInput:
             gateway.sent(*one)
             return
+        if type(one) is TickInput:
+            self._last_tick(gateway, one.now_ns)
+            return
         answer = one.apply(gateway)
         if record.answer is not None and isinstance(answer, RequestResult):
             self._compared["answers"] += 1
@@ -160,15 +188,18 @@ class EqualityCheck:
                 what = type(one).__name__.removesuffix("Input").lower()
                 self._differs(f"answer to {what}", _told(record.answer), _told(answer))
 
-    def _replay_tick(self, gateway: Gateway, record: TickRecord) -> None:
+    def _begin_tick(self, now_ns: int) -> None:
         self._end_tick()
-        self._now_ns = record.now_ns
+        self._now_ns = now_ns
         if self._began_ns is None:
-            self._began_ns = record.now_ns
-        result = gateway.tick(record.now_ns)
+            self._began_ns = now_ns
         self._tick_open = True
         self._tick += 1
         self._compared["ticks"] += 1
+
+    def _replay_tick(self, gateway: Gateway, record: TickRecord) -> None:
+        self._begin_tick(record.now_ns)
+        result = gateway.tick(record.now_ns)
         if result.frames != record.frames:
             for change in self._fields.changes(record.frames, result.frames):
                 field = f"{change.controller} {change.field}"
@@ -178,6 +209,19 @@ class EqualityCheck:
         if result.events or record.events:
             self._compare_events(record, result)
         self._why_open = True
+
+    def _last_tick(self, gateway: Gateway, now_ns: int) -> None:
+        """A tick that was the end of the gateway's process has no result; nor may it have now."""
+        self._begin_tick(now_ns)
+        error: str | None = None
+        try:
+            gateway.tick(now_ns)
+        except BUGS as bug:
+            error = f"{type(bug).__name__}: {bug}"
+        else:
+            self._differs("tick", "ended the gateway's process by a bug", "decided")
+        self._ended_by_bug = EndedByBug(self._tick, now_ns, error)
+        self._gateway = None
 
     def _look_at_why(self) -> None:
         """The loop explains a tick when its frames have left; a sentence follows what is new."""
@@ -260,6 +304,7 @@ class EqualityCheck:
             first=self._first,
             counts=dict(self._counts),
             gaps=tuple(self._gaps),
+            ended_by_bug=self._ended_by_bug,
         )
 
 

@@ -20,6 +20,12 @@ def equality_lines(equality: Equality, clock: TimeOfDay) -> Iterator[str]:
         began, ended = clock.iso(equality.began_ns), clock.clock(equality.ended_ns)
         yield f"from {began} to {ended} UTC, {duration(span_s)}"
     yield from gap_lines(equality.gaps, clock)
+    if (bug := equality.ended_by_bug) is not None:
+        replayed = "the replay decided" if bug.error is None else f"replayed: {bug.error}"
+        yield (
+            f"the gateway's process ended by a bug in tick {number(bug.tick)} at"
+            f" {clock.clock(bug.now_ns)}; {replayed}"
+        )
     word = "equal" if equality.equal else "DIFFERENT"
     yield (
         f"{word}: {number(equality.equal_ticks)} of {counted(equality.ticks, 'tick')} to the byte;"
@@ -103,6 +109,13 @@ def equality_values(equality: Equality, clock: TimeOfDay) -> dict[str, Any]:
             "replayed": first.replayed,
         },
         "differences": equality.counts,
+        "ended_by_bug": None
+        if equality.ended_by_bug is None
+        else {
+            "tick": equality.ended_by_bug.tick,
+            "time": clock.iso(equality.ended_by_bug.now_ns),
+            "error": equality.ended_by_bug.error,
+        },
         "not_replayed": [
             {
                 "after_tick": gap.after_tick,

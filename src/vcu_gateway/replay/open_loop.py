@@ -99,6 +99,9 @@ class OpenLoop:
         if isinstance(one, inputs.ReloadInput):
             self.reloads.append(self._now_ns)
             return
+        if isinstance(one, inputs.TickInput):  # it ended the gateway's process by a bug
+            self._gateway = None
+            return
         answer = one.apply(gateway)
         if recorded is not None and isinstance(answer, RequestResult):
             now_ns = getattr(one, "now_ns", self._now_ns)
