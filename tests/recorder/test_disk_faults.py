@@ -161,3 +161,22 @@ def full_disk(recorder, gateway, seen, holder_pid):
     assert process.stop() == 0
     (drive,) = layout.recorded_folders(seen / layout.DRIVES)
     assert account(drive) == (vehicle.frames, 0)
+
+
+@pytest.mark.parametrize("word", ["full", "failing"])
+def test_a_disk_that_is_well_again_is_told_though_nothing_is_recorded(
+    word, recorder, gateway, disk
+):
+    process = recorder(environment=disk.environment)
+    vehicle = gateway()
+    vehicle.drive(1.5)
+    disk.becomes(word)
+    vehicle.drive(1.5)
+    process.wait_for(lambda status: status["disk"] == word)
+    vehicle.close()
+    time.sleep(1.5)
+    assert process.status["disk"] == word
+    disk.becomes("ok")
+    process.wait_for(lambda status: status["disk"] == "ok")
+    assert process.errors.count("the disk works again") == 1
+    assert not (process.folder / ".probe").exists()

@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -171,3 +173,35 @@ def test_an_incident_that_somebody_keeps_is_not_removed(faults, tmp_path):
     assert process.stop() == 0
     assert kept in incidents(tmp_path)
     assert len(incidents(tmp_path)) < 6
+
+
+def keep_now(process, *options, code=0):
+    command = [sys.executable, "-m", "vcu_gateway", "recordings", "keep", "now", *options]
+    command += ["--folder", process.folder, "--status", process.status_path]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    assert done.returncode == code, done
+    return done
+
+
+def reasons(incident):
+    return [layout.read_description(path)["what"] for path in layout.incident_files(incident)]
+
+
+def test_what_somebody_asks_to_keep_has_his_reason(recorder, gateway, tmp_path):
+    process = recorder(*SHORT)
+    vehicle = gateway()
+    vehicle.drive(0.5)
+    process.wait_for(lambda status: status["connections"])
+    name = keep_now(process, "--reason", "it swerved\n\x1b[31m").stdout.strip()
+    (incident,) = incidents(tmp_path)
+    assert incident.name == name
+    assert reasons(incident) == ["it swerved  [31m"]
+    assert keep_now(process).stdout.strip() == name, "the incident that is open takes it in"
+    assert reasons(incident) == ["it swerved  [31m", "somebody asked to keep this"]
+
+
+def test_where_no_gateway_is_connected_there_is_nothing_to_keep(recorder, tmp_path):
+    process = recorder(*SHORT)
+    process.wait_for(lambda status: status["pid"])
+    assert "no gateway is connected" in keep_now(process, "--reason", "now", code=69).stderr
+    assert incidents(tmp_path) == []

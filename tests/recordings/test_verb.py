@@ -154,7 +154,7 @@ def test_a_time_of_which_there_is_nothing_is_refused(drive):
 
 
 def test_now_is_no_part(drive):
-    said(drive, "keep", "now", "--reason", "why not", code=2)
+    said(drive, "keep", "now", "--from", "3.5", code=2)
 
 
 def test_a_name_that_is_none_is_answered_with_the_nearest(drive):

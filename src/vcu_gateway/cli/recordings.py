@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway.cli import recordings_text as text
+from vcu_gateway.drive_format.layout import plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH, read_status
 from vcu_gateway.recordings import (
     CheckedRecording,
@@ -20,7 +21,7 @@ from vcu_gateway.recordings import (
     remove_recording,
     summarise,
 )
-from vcu_gateway.recordings.running_recorder import keep_now
+from vcu_gateway.recordings.running_recorder import keep_now, no_recorder
 from vcu_gateway.time_window import Moment, Window, moment
 
 _DEFAULT_FOLDER = "/var/lib/vcu-gateway-recorder"
@@ -119,7 +120,7 @@ def _progress(where: str) -> Callable[[int], None]:
 @folder_option
 @click.option("--from", "begin", metavar="TIME", help="Only from here on: 12:03, 90 (s), a date.")
 @click.option("--to", "end", metavar="TIME", help="Only up to here.")
-@click.option("--reason", metavar="TEXT", help="Why; shown by list. For a part of a drive.")
+@click.option("--reason", metavar="TEXT", help="Why; shown by list. For now, or a part.")
 @click.option(
     "--status",
     "status_path",
@@ -140,14 +141,18 @@ def keep_command(
     """Keep a recording: the recorder never removes it.
 
     now asks the running recorder for an incident of this moment: the minute before, and the
-    half minute that follows. NAME keeps a drive or an incident whole; with --from, --to or
-    --reason it makes an incident of that part, which takes no room while the drive is there.
+    half minute that follows; one that is open already takes it in. NAME keeps a drive or an
+    incident whole; with --from, --to or --reason it makes an incident of that part, which takes no
+    room while the drive is there.
     """
     folder = _opened(folder_path)
     if name == _NOW:
-        if begin or end or reason:
-            raise click.UsageError("now takes no --from, --to or --reason")
-        asked = keep_now(folder, read_status(status_path).pid)
+        if begin or end:
+            raise click.UsageError("now takes no --from or --to")
+        status = read_status(status_path)
+        if not status.connections:
+            raise no_recorder("no gateway is connected to it, so that there is nothing to keep")
+        asked = keep_now(folder, status.pid, plain_reason(reason or ""))
         click.echo(asked or "asked; the incident is there once the disk has taken it")
         return
     recording = folder.named(name)
@@ -157,7 +162,7 @@ def keep_command(
         return
     window = Window(_moment("--from", begin), _moment("--to", end))
     start_ns = summarise(recording).begun_wall_ns or 0
-    made = keep_part(folder, recording, *window.bounds_ns(start_ns), reason or "")
+    made = keep_part(folder, recording, *window.bounds_ns(start_ns), plain_reason(reason or ""))
     click.echo(made.name)
 
 

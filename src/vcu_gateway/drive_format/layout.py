@@ -33,6 +33,9 @@ CONFIG_FILE = "config.yaml"
 DBC_FILE = "vcu.dbc"
 INCIDENT_FILE = "incident.json"
 KEEP_FILE = "keep"
+REASON_FILE = ".reason"
+"""In the folder of incidents: why somebody asks the recorder for one of this moment."""
+REASON_MAX_LENGTH = 200
 FRAMES_SUFFIX = ".frames.log.gz"
 CORE_SUFFIX = ".core.jsonl.gz"
 
@@ -82,6 +85,11 @@ def _utc(wall_ns: int) -> str:
 def _plain(text: str) -> str:
     """Text without what has a meaning in a path or a shell."""
     return re.sub(r"[^0-9A-Za-z_-]", "_", text)
+
+
+def plain_reason(text: str) -> str:
+    """A reason as one line of printable text, not too long."""
+    return "".join(one if one.isprintable() else " " for one in text).strip()[:REASON_MAX_LENGTH]
 
 
 def segments(folder: Path) -> list[SegmentFiles]:

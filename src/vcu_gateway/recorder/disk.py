@@ -1,8 +1,10 @@
 """State of the disk: what went wrong, and when it is tried again."""
 
 import errno
+import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Literal
 
 DiskState = Literal["ok", "full", "failing", "stalled"]
@@ -11,11 +13,24 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 _FIRST_PAUSE_S = 0.5
 _LONGEST_PAUSE_S = 30.0
 _STALLED_S = 2.0
+_PROBE_BYTES = 64 << 10
+_PROBE_NAME = ".probe"
 
 
 def is_full(error: OSError) -> bool:
     """True where there is no room: what could not be written may fit later."""
     return error.errno in _NO_ROOM
+
+
+def probe(folder: Path) -> None:
+    """Have a small file on the disk, and remove it; OSError where the disk does not take it."""
+    path = folder / _PROBE_NAME
+    try:
+        with path.open("wb", buffering=0) as file:
+            file.write(bytes(_PROBE_BYTES))
+            os.fdatasync(file.fileno())
+    finally:
+        path.unlink(missing_ok=True)
 
 
 class Disk:
@@ -41,6 +56,11 @@ class Disk:
     def state(self) -> DiskState:
         """The state as a word."""
         return "stalled" if self._is_stalled() else self._trouble
+
+    @property
+    def is_in_trouble(self) -> bool:
+        """True from a failure until something was written again."""
+        return self._trouble != "ok"
 
     @property
     def pause_s(self) -> float:

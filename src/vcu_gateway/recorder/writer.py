@@ -12,7 +12,7 @@ from vcu_gateway.drive_format.datagram import DatagramError, TickParts
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
-from vcu_gateway.recorder.disk import Disk, is_full
+from vcu_gateway.recorder.disk import Disk, is_full, probe
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
 from vcu_gateway.recorder.options import RecorderOptions
@@ -119,8 +119,19 @@ class Writer:
         except OSError as error:
             self._failed(error)
         else:
-            if self.totals.bytes > before:
+            if self.totals.bytes > before or self._probed():
                 self._disk.worked()
+
+    def _probed(self) -> bool:
+        """True where the disk was in trouble, nothing waits to be written, and it works again."""
+        if not self._disk.is_in_trouble:
+            return False
+        try:
+            probe(self._options.folder)
+        except OSError as error:
+            self._failed(error)
+            return False
+        return True
 
     def _failed(self, error: OSError) -> None:
         if is_full(error) and self.ring.make_room(_ROOM_BYTES):
@@ -257,7 +268,8 @@ class Writer:
         """Make the incidents that were noticed; OSError leaves them to be made."""
         if self._requested:
             self._requested = False
-            self._pending += [_Pending(drive, _REQUESTED) for drive in self.drives.values()]
+            wanted = _REQUESTED._replace(what=self._given_reason() or _REQUESTED.what)
+            self._pending += [_Pending(drive, wanted) for drive in self.drives.values()]
         while self._pending:
             drive, trigger = self._pending[0]
             with contextlib.suppress(FileNotFoundError):  # somebody removed it meanwhile
@@ -267,6 +279,16 @@ class Writer:
                     self.incidents.begin(trigger, drive)
             self._pending.popleft()
         self.incidents.forget_ended()
+
+    def _given_reason(self) -> str:
+        """Why somebody asked; empty where he gave no reason."""
+        path = self._options.folder / layout.INCIDENTS / layout.REASON_FILE
+        try:
+            text = path.read_text(errors="replace")
+            path.unlink()
+        except OSError:
+            return ""
+        return layout.plain_reason(text)
 
     def _end_all(self) -> None:
         for drive in self.drives.values():
