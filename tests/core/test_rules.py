@@ -3,6 +3,7 @@
 The rows repeat docs/safety.md, Causes, to the number; they take nothing from the rules.
 """
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from tests.core.simulated_drive import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, rule_inputs
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.plausibility import Observed, ThrottleExcess
+from vcu_gateway.core.rule_inputs import RuleInputs
 from vcu_gateway.core.rules import RULES, findings
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import MessageSpec
@@ -210,6 +212,8 @@ def silence_rows(message: MessageSpec) -> list[Row]:
         row("stale", BEYOND, stops, f"{name} is required",
             ages_ns={name: deadline_ns + 1}, settings=required),
         row("stale", MISSING, stops, f"{name} is required", never=[name], settings=required),
+        row("stale", MISSING, finds, f"{name}, nothing required", never=[name],
+            settings=Settings(required_messages=())),
         row("stale", AT, "", f"{name} slightly ahead", ages_ns={name: -20 * MS}),
         row("stale", BEYOND, finds, f"{name} in the future", ages_ns={name: -20 * MS - 1}),
         row("stale", BEYOND, finds, f"{name}, a configured deadline",
@@ -411,6 +415,25 @@ FACTS = st.fixed_dictionaries(
 def test_no_rule_that_is_passed_by_would_have_found_anything(facts):
     inputs = rule_inputs(**facts)
     assert findings(inputs) == tuple(one for rule in RULES for one in rule(inputs))
+
+
+def asked(inputs: RuleInputs) -> set[str]:
+    """Names of the rules that are called for the findings."""
+    called = set()
+    before = sys.getprofile()
+    sys.setprofile(lambda frame, event, _: called.add(frame.f_code.co_name))
+    try:
+        findings(inputs)
+    finally:
+        sys.setprofile(before)
+    return called & BY_NAME.keys()
+
+
+def test_a_healthy_tick_asks_only_the_rules_about_messages():
+    assert asked(rule_inputs()) == {
+        "battery_codes", "controller_codes", "battery_late", "battery_life", "stale",
+        "out_of_range",
+    }  # fmt: skip
 
 
 def test_only_overcharge_of_level_3_is_held_until_restart():

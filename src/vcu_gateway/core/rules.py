@@ -14,9 +14,8 @@ from vcu_gateway.core.plausibility import NO_DEVIATION, WHEELS_MESSAGE
 from vcu_gateway.core.rule_inputs import RuleInputs
 from vcu_gateway.units import NS_PER_MS
 
-_ALARM, _STOP, _CUT = (Effect.ALARM,), (Effect.STOP,), (Effect.CUT,)
+_ALARM, _STOP = (Effect.ALARM,), (Effect.STOP,)
 _LIMITS = (Effect.REGEN_LIMIT, Effect.POWER_LIMIT)
-_NONE: tuple[Effect, ...] = ()
 
 _PASSIVE_MAX_NS = 1_000 * NS_PER_MS
 _ECHO_FRAMES = 2
