@@ -14,17 +14,19 @@ from vcu_gateway.core.demand import (
     ControllerDemand,
     Demand,
     DemandArbiter,
-    DemandTerms,
     PowerMode,
     Refusal,
     fault_of,
     refused,
 )
+from vcu_gateway.core.operator_requests import demand_terms
+from vcu_gateway.core.settings import Settings
 from vcu_gateway.demand_ranges import RANGES
 
 MS = 1_000_000
 TTL_MAX_MS = 1000
 PRIORITIES = {"remote": 5, "driver": 5, "supervisor": 10, "guest": 1, "last": -1}
+TERMS = dataclasses.replace(demand_terms(Settings()), priorities=PRIORITIES)
 IDLE = ControllerDemand()
 
 
@@ -39,7 +41,8 @@ def arbiter():
 
 
 def offer(arbiter, *args, now_ns=0, priorities=PRIORITIES, **kwargs):
-    return arbiter.offer(demand(*args, **kwargs), DemandTerms(TTL_MAX_MS, priorities), now_ns)
+    terms = dataclasses.replace(TERMS, priorities=priorities)
+    return arbiter.offer(demand(*args, **kwargs), terms, now_ns)
 
 
 # Values.
@@ -85,7 +88,7 @@ def test_the_range_ends_exactly_at_its_limits(arbiter, name, low, high):
     )
 )
 def test_only_finite_values_inside_their_ranges_are_taken(demanded):
-    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, demanded)), DemandTerms())
+    answer = fault_of(demand(controllers=dict.fromkeys(CONTROLLERS, demanded)), TERMS)
     inside = all(low <= getattr(demanded, name) <= high for name, (low, high) in RANGES.items())
     assert answer.granted is inside
     assert (answer.refusal is None) is inside
@@ -120,17 +123,17 @@ def test_any_other_time_to_live_is_refused(arbiter, ttl_ms):
 
 
 def test_unless_configured_otherwise_a_demand_counts_for_a_second_at_most():
-    assert fault_of(demand(ttl_ms=1000), DemandTerms()) == GRANTED
-    assert fault_of(demand(ttl_ms=1001), DemandTerms()).refusal is Refusal.TTL_OUT_OF_RANGE
+    assert fault_of(demand(ttl_ms=1000), TERMS) == GRANTED
+    assert fault_of(demand(ttl_ms=1001), TERMS).refusal is Refusal.TTL_OUT_OF_RANGE
 
 
 def test_a_demand_that_never_ends_is_taken_from_the_configuration_only(arbiter):
     for wrong in (demand(ttl_ms=None), demand(source=BENCH_SOURCE)):
-        answer = arbiter.offer(wrong, DemandTerms(TTL_MAX_MS, PRIORITIES), 0)
+        answer = arbiter.offer(wrong, TERMS, 0)
         sentence = "bench is the configured bench demand"
         assert answer == (False, Refusal.NAME_RESERVED, sentence)
     assert arbiter.current is None
-    assert fault_of(demand(ttl_ms=None), DemandTerms()) == GRANTED
+    assert fault_of(demand(ttl_ms=None), TERMS) == GRANTED
 
 
 def test_a_refusal_is_never_granted():
@@ -253,7 +256,7 @@ def test_a_new_demand_counts_from_its_own_arrival(arbiter):
 
 def made(arbiter, made_ns: int, now_ns: int, sequence: int = 1, ttl_ms: int = 200):
     demand = Demand("driver", sequence, ttl_ms, dict.fromkeys(CONTROLLERS, IDLE), made_ns)
-    return arbiter.offer(demand, DemandTerms(), now_ns)
+    return arbiter.offer(demand, TERMS, now_ns)
 
 
 def test_the_time_to_live_counts_from_when_the_demand_was_made(arbiter):
@@ -293,7 +296,7 @@ def two_ways(**first):
 
 def test_a_demand_without_a_second_track_is_taken_unless_it_is_required(arbiter):
     track = ControllerDemand(throttle_track2_pct=0.0)
-    terms = DemandTerms(second_track_required=True)
+    terms = dataclasses.replace(TERMS, second_track_required=True)
     for missing in CONTROLLERS:
         controllers = dict.fromkeys(CONTROLLERS, track) | {missing: IDLE}
         answer = arbiter.offer(demand(controllers=controllers), terms, 0)
@@ -308,7 +311,7 @@ def test_two_directions_are_refused_unless_they_are_configured(arbiter):
     answer = offer(arbiter, controllers=two_ways())
     sentence = "both controllers must have the same direction"
     assert answer == (False, Refusal.DIRECTIONS_DIFFER, sentence)
-    independent = DemandTerms(independent_directions=True)
+    independent = dataclasses.replace(TERMS, independent_directions=True)
     assert arbiter.offer(demand(controllers=two_ways()), independent, 0) == GRANTED
     assert offer(arbiter, sequence=2, controllers=two_ways(motor_reverse=True)) == GRANTED
 

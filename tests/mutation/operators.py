@@ -35,7 +35,7 @@ _ARITHMETIC = {
     ast.RShift: ast.LShift,
 }
 _CALLS = {"min": "max", "max": "min", "all": "any", "any": "all"}
-_TYPES = ("Rule", "Asked", "__slots__")
+_TYPES = ("Rule", "Asked", "ControllerDemands", "__slots__")
 _REMOVABLE = (ast.Expr, ast.AugAssign, ast.Raise, ast.Continue, ast.Delete)
 
 

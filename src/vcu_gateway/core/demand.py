@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
@@ -117,10 +117,10 @@ class DemandTerms:
         second_track_required: the pedal's second track must be there.
     """
 
-    ttl_max_ms: int = 1000
-    priorities: Mapping[str, int] = field(default_factory=dict)
-    independent_directions: bool = False
-    second_track_required: bool = False
+    ttl_max_ms: int
+    priorities: Mapping[str, int]
+    independent_directions: bool
+    second_track_required: bool
 
 
 def fault_of(demand: Demand, terms: DemandTerms) -> RequestResult:
