@@ -3,7 +3,7 @@
 from random import Random
 
 from tests.golden.drives_vehicle import code
-from tests.golden.scripted_drive import MS, ScriptedDrive
+from tests.golden.scripted_drive import END_TICKS_AT_MOST, MS, ScriptedDrive
 from tests.golden.scripts import golden
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.supervisor import FaultClass
@@ -13,23 +13,25 @@ DAYS_200_NS = 200 * 86_400_000 * MS
 
 @golden(52, 84)
 def ended_in_order(drive: ScriptedDrive) -> None:
-    """Terminated while driving, with the bus taking the first safe frames only later."""
+    """Terminated while driving; the bus takes no frames just before, and of two ticks after."""
     drive.start_driving()
-    drive.gateway.requests.terminate()
-    drive.ticks(1)
     drive.accepted = False
-    drive.ticks(2)
-    drive.accepted = True
-    drive.ticks(4)
+    drive.ticks(1)
+    drive.end(1, 3)
 
 
 @golden(52)
 def ended_without_a_bus(drive: ScriptedDrive) -> None:
-    """Terminated while driving, and no safe frame leaves."""
+    """Terminated while driving, and no safe frame leaves: it gives up."""
     drive.start_driving()
-    drive.accepted = False
-    drive.gateway.requests.terminate()
-    drive.ticks(14)
+    drive.end(*range(1, END_TICKS_AT_MOST))
+
+
+@golden(52)
+def ended_while_listening(drive: ScriptedDrive) -> None:
+    """Terminated before it sent anything: no frame is owed."""
+    drive.run(300)
+    drive.end()
 
 
 @golden(49, 51, 67, 84)

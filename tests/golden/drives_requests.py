@@ -59,6 +59,15 @@ def two_drivers(drive: ScriptedDrive) -> None:
     drive.run(500)
 
 
+@golden()
+def too_many_sources(drive: ScriptedDrive) -> None:
+    """One source after the other asks: the 65th is one too many, those before may ask again."""
+    drive.ttl_ms = 1
+    for number in (*range(65), 0, 63):
+        drive.source = f"source {number}"
+        drive.ticks(1)
+
+
 @golden(72, 82)
 def sequences(drive: ScriptedDrive) -> None:
     """Old and repeated sequence numbers, times to live and values out of range."""

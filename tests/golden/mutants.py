@@ -3,9 +3,9 @@
     python -m tests.golden.mutants [MODULE...] [--jobs N] [--one]
 
 A mutant is a fork that imports the gateway anew with one module changed, and replays golden drives
-until one differs. The table has a line for each safety rule: how many mutants of it, how many of
-them seen, and the drives that saw most. Status 1 where a rule has mutants and none was seen.
-`--one` is for every day: each rule until its first mutant is seen.
+until one differs; then it drives those anew that end. The table has a line for each safety rule:
+how many mutants of it, how many of them seen, and the drives that saw most. Status 1 where a rule
+has mutants and none was seen. `--one` is for every day: each rule until its first mutant is seen.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import NamedTuple
 
-from tests.golden.broken_cores import BROKEN_CORES, BrokenCore
+from tests.golden.broken_cores import BROKEN_CORES
 from tests.mutation.operators import Mutant, mutants
 from tests.mutation.run import CORE, Changed
 
@@ -30,6 +30,8 @@ MODULES = (
 )  # fmt: skip
 BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked")
 """Rules that act on mistakes of the rest of the core alone."""
+ENDED = ("ended-in-order", "ended-without-a-bus", "ended-while-listening")
+"""Drives that end when the core says so: a replay does not ask it, so they are driven anew."""
 CPU_AT_MOST_S = 60
 DRIVES_SHOWN = 3
 TOLD_EVERY = 25
@@ -68,26 +70,31 @@ def _rule(module: str, mutant: Mutant) -> Rule:
 # In the child.
 
 
-def first_differing(order: list[str]) -> str:
-    """The first of these drives that is replayed otherwise; empty where none is."""
+def first_differing(order: list[str], ends: str = "") -> str:
+    """The first of these drives that is replayed, or ends, otherwise; empty where none is."""
     from tests.golden.every import DRIVES
     from tests.golden.replayed import replay
 
-    return next((name for name in order or list(DRIVES) if not _is_equal(replay, DRIVES[name])), "")
+    for name in order or list(DRIVES):
+        if not _is_equal(replay, DRIVES[name]):
+            return name
+    pairs = zip(ENDED, ends.split(), digests(ENDED).split(), strict=True) if ends else ()
+    return next((name for name, end, found in pairs if found != end), "")
 
 
-def digests(core: BrokenCore) -> str:
-    """Of the drives that show this mistake, driven anew: the vehicle reacts."""
+def digests(names: tuple[str, ...]) -> str:
+    """Of these drives, driven anew: the vehicle reacts, and the core says when it has ended."""
     from tests.golden.every import DRIVES
     from tests.golden.simulate import core_text
 
-    texts = []
-    for name in core.drives:
+    found = []
+    for name in names:
         try:
-            texts.append(core_text(DRIVES[name]))
+            text = core_text(DRIVES[name])
         except Exception as error:  # noqa: BLE001 - the mistake of a core, or a mutant's
-            texts.append(repr(error))
-    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
+            text = repr(error)
+        found.append(hashlib.sha256(text.encode()).hexdigest())
+    return " ".join(found)
 
 
 def _is_equal(replay: Callable, golden: object) -> bool:
@@ -146,10 +153,11 @@ class Run:
         self._done: set[Rule] = set()
         of_the_gate = any(job.rule.is_of_the_gate for job in jobs)
         self._expected = [
-            (core, Child.of(lambda: digests(core), (core.module, core.source())).found())  # noqa: B023
+            (core, Child.of(lambda: digests(core.drives), (core.module, core.source())).found())  # noqa: B023
             for core in (BROKEN_CORES if of_the_gate else ())
         ]
         self._names = Child.of(_names).found().split()
+        self._ends = Child.of(lambda: digests(ENDED)).found()
 
     def verdicts(self) -> Iterator[Seen]:
         """Each mutant's, as they come; endless loops count as seen."""
@@ -172,13 +180,14 @@ class Run:
         if job.rule.is_of_the_gate:
             child = Child.of(lambda: self._first_mistake(changed))
         else:
-            child = Child.of(lambda: first_differing(order), changed)
+            child = Child.of(lambda: first_differing(order, self._ends), changed)
         self._running[child.pid] = job, child
 
     def _first_mistake(self, changed: tuple[str, str]) -> str:
         """In the child: the first mistake elsewhere beside which the mutant is seen."""
         for core, expected in self._expected:
-            found = Child.of(lambda: digests(core), (core.module, core.source()), changed).found()  # noqa: B023
+            mistake = core.module, core.source()
+            found = Child.of(lambda: digests(core.drives), mistake, changed).found()  # noqa: B023
             if found != expected:
                 return f"with {core.blocked} broken: {core.drives[0]}"
         return ""

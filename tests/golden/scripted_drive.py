@@ -24,6 +24,7 @@ from vcu_gateway.simulator.vehicle import Vehicle
 START_NS = 5_000 * MS
 TICK_PHASE_NS = 7 * MS  # on no grid of the vehicle's
 ECHO_DELAY_NS = MS // 2
+END_TICKS_AT_MOST = 20
 Step = dict[str, Any]
 """As a step of a scenario, without its time: {"fault": "silence", "of": "BMS"}."""
 
@@ -161,6 +162,19 @@ class ScriptedDrive:
         for _ in range(count):
             self.tick()
 
+    def end(self, *refused: int) -> None:
+        """Asked to end; tick until the gateway has, as the loop does.
+
+        The bus takes no frames of the ticks `refused`, of which the first is 1.
+        """
+        self.gateway.requests.terminate()
+        for number in range(1, END_TICKS_AT_MOST + 1):
+            self.accepted = number not in refused
+            self.tick()
+            if self.gateway.finished:
+                return
+        raise AssertionError("no end")
+
     def tick(self, late_ns: int = 0) -> None:
         """The next tick of the grid, or so much later; ticks that were missed are skipped."""
         at_ns = self.tick_ns + late_ns
@@ -183,6 +197,8 @@ class ScriptedDrive:
                 at_ns = self.now_ns + ECHO_DELAY_NS
                 self._echoes.append(Frame(frame.can_id, frame.data, at_ns, own_echo=True))
         self.after_tick(self.result)
+        if self.gateway.finished and not self.gateway.requests.terminating:
+            raise AssertionError("the loop would have ended here")
 
     def wait_until(self, at_ns: int) -> None:
         """Let time go by without a tick: the vehicle sends, our frames come back."""

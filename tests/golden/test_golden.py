@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from tests.golden import accept, replayed
+from tests.golden.broken_cores import BROKEN_CORES, BrokenCore
 from tests.golden.every import DRIVES
 from tests.golden.faults import CANNOT, holding
+from tests.golden.mutants import ENDED
 from tests.golden.recording import FOLDER, contents, record
 from tests.golden.replayed import replay
 from tests.golden.simulate import SCENARIOS
@@ -57,6 +59,17 @@ def test_each_fault_is_in_a_drive_or_has_a_reason(number: int) -> None:
 def test_no_drive_names_a_fault_that_is_none() -> None:
     named = {number for drive in DRIVES.values() for number in drive.faults}
     assert named | set(CANNOT) == set(numbers())
+
+
+@pytest.mark.parametrize("core", BROKEN_CORES, ids=lambda core: core.blocked)
+def test_the_mistake_that_shows_the_gate_can_still_be_made(core: BrokenCore) -> None:
+    compile(core.source(), core.module, "exec")
+    assert set(core.drives) <= set(DRIVES)
+
+
+@pytest.mark.parametrize("name", ENDED)
+def test_a_drive_that_ends_does_so_in_stopping(name: str) -> None:
+    assert '"mode":"stopping"' in contents(FOLDER / name)["0001.core.jsonl.gz"]
 
 
 def test_all_of_them_stay_small() -> None:
