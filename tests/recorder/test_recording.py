@@ -222,6 +222,14 @@ def test_what_gateways_still_send_after_sigterm_is_recorded(recorder, gateway, t
     assert account(drives(tmp_path)[0]) == (vehicle.frames, 0)
 
 
+def test_it_ends_in_order_from_the_moment_its_socket_is_there(recorder):
+    for _ in range(5):
+        process = recorder()
+        while not process.socket.exists():
+            assert process.process.poll() is None, process.errors
+        assert process.stop() == 0
+
+
 def test_the_program_has_a_name_of_its_own_too():
     program = (
         "import sys; from vcu_gateway.cli import recorder;"

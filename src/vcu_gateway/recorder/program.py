@@ -45,22 +45,23 @@ class Recorder:
             self._writer = Writer(options, self._backlog, self._disk, say)
         except OSError as error:
             raise _cannot_use(options, error) from error
-        self._listener = TapListener(options.socket_path, os.environ, os.getpid())
         self._status = StatusFile(options, self._writer, self._backlog, self._disk)
 
     def run(self) -> None:
-        """Record until a signal; GatewayError after a bug of the writer."""
+        """Record until a signal; UnavailableError, and GatewayError after a bug of the writer."""
         with _woken_by_signals(self._on_signal) as wake_up:
+            # After the signals: whoever finds the socket may stop the recorder, in order.
+            listener = TapListener(self._options.socket_path, os.environ, os.getpid())
             receiver = DatagramReceiver(
-                self._listener, wake_up, self._backlog, self._writer.wake, self._say
+                listener, wake_up, self._backlog, self._writer.wake, self._say
             )
             self._writer.start()
-            self._say(f"recording into {self._options.folder}, from {self._listener.name}")
+            self._say(f"recording into {self._options.folder}, from {listener.name}")
             try:
                 self._receive(receiver)
                 receiver.receive_rest(_LAST_DATAGRAMS_S)
             finally:
-                self._listener.close()
+                listener.close()
                 receiver.close()
                 in_order = self._writer.stop(_LAST_WRITES_S)
         self._status.write(())
