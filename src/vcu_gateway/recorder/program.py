@@ -21,7 +21,7 @@ from vcu_gateway.recorder.writer import Writer
 
 _STATUS_S = 1.0
 _GATHER_S = 0.08
-"""Between two wake-ups, while nothing is urgent: two ticks cost little more than one."""
+"""Between two looks, while nothing is urgent: two ticks cost little more than one."""
 _CALM_S = 3.0
 _LAST_DATAGRAMS_S = 1.0
 _LAST_WRITES_S = 3.5
@@ -78,8 +78,11 @@ class Recorder:
                 self._status.write(receiver.connections)
                 if not self._writer.is_alive:
                     raise GatewayError(Problem("the writer's thread has ended by a bug"))
-            receiver.receive(max(0.0, status_s - now_s))
-            if now_s - receiver.urgent_s > _CALM_S:
+            is_calm = now_s - receiver.urgent_s > _CALM_S
+            # A gateway that wakes nobody hands its datagrams over sooner.
+            is_looked_at = is_calm and receiver.connections
+            receiver.receive(0.0 if is_looked_at else max(0.0, status_s - now_s))
+            if is_calm:
                 time.sleep(_GATHER_S)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
