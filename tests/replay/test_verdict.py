@@ -270,7 +270,9 @@ def test_reaction_times_are_told_with_their_bound(records):
     stop = by_cause["BMS_Status.CellUndervoltage 2"]
     assert (stop.effect, stop.times) == ("STOP", 1)
     assert 0 < stop.longest_ms <= stop.bound_ms == 52.0
-    assert by_cause["emergency stop"].effect == "CUT"
+    stop = by_cause["emergency stop"]
+    assert stop.effect == "CUT"
+    assert stop.bound_ms == 102.0, "a recording says in which period it came, and no more"
 
 
 def test_frames_that_the_bus_did_not_take_are_not_what_the_next_ones_follow(records):

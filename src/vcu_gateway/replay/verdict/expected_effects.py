@@ -36,12 +36,14 @@ class Seen(NamedTuple):
     Attributes:
         since_ns: when its frame arrived, or when silence passed its deadline.
         for_ever: the effect stays until the next start.
+        span_ns: how much later it may have been, where a recording has no better time.
     """
 
     effect: str
     cause: str
     since_ns: int
     for_ever: bool = False
+    span_ns: int = 0
 
 
 def seen(arrivals: Arrivals, limits: VerdictLimits, now_ns: int) -> Iterator[Seen]:

@@ -187,7 +187,9 @@ class Judge:
         if passive_ns is not None and now_ns - passive_ns > self.limits.period_ns + late_ns:
             found.append(Seen(STOP, "error passive", passive_ns))
         if self._emergency:
-            found.append(Seen(CUT, "emergency stop", self._last_ns or now_ns))
+            asked_ns = now_ns if self._last_ns is None else self._last_ns  # at the earliest
+            span_ns = now_ns - asked_ns
+            found.append(Seen(CUT, "emergency stop", asked_ns, span_ns=span_ns))
         return found
 
     def _known(self, cause: str) -> bool:
