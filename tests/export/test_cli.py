@@ -10,7 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from tests.export.logs import random_frames, write_log
+from tests.replay.drives import ordinary
 from vcu_gateway import cli
+from vcu_gateway.cli import recording_names
 from vcu_gateway.errors import GatewayError
 
 
@@ -141,3 +143,19 @@ def test_a_dbc_of_ones_own_decodes(log):
     own.write_text(text.replace("MotorSpeed", "Revolutions"))
     assert export(log, "--to", "csv", "--dbc", own, "--signals", "Revolutions").code == 0
     assert "PCU1_Status2.Revolutions [rpm]" in Path("drive.csv").read_text().splitlines()[0]
+
+
+def test_a_time_of_which_there_is_nothing_is_refused_and_nothing_is_written(log):
+    done = export(log, "--to", "csv", "--from", "3600")
+    assert done.code == 65
+    assert "has nothing of that time" in done.err
+    assert not Path("drive.csv").exists()
+
+
+def test_a_recording_is_found_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(recording_names, "DEFAULT_FOLDER", tmp_path / "kept")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "kept" / "drives").mkdir(parents=True)
+    made = ordinary(tmp_path / "kept" / "drives" / "20261123T180412Z-1f3a9c2e", seconds=1.0)
+    done = export(made.name, "--to", "csv")
+    assert (done.code, done.out) == (0, f"{made.name}.csv\n")

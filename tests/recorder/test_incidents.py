@@ -5,11 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import pytest
 
-from tests.recorder.gateway import core_lines, drives, incidents
+from tests.recorder.gateway import account, core_lines, drives, incidents
 from vcu_gateway.drive_format import layout
 
 SHORT = ("--incident-before-s", "60", "--incident-after-s", "1.5")
@@ -205,3 +206,25 @@ def test_where_no_gateway_is_connected_there_is_nothing_to_keep(recorder, tmp_pa
     process.wait_for(lambda status: status["pid"])
     assert "no gateway is connected" in keep_now(process, "--reason", "now", code=69).stderr
     assert incidents(tmp_path) == []
+
+
+def test_incidents_on_another_file_system_are_told_and_cost_nothing_else(
+    recorder, gateway, tmp_path
+):
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as elsewhere:
+        if os.stat(elsewhere).st_dev == tmp_path.stat().st_dev:
+            pytest.skip("one file system")
+        (tmp_path / "recordings").mkdir()
+        (tmp_path / "recordings" / "incidents").symlink_to(elsewhere)
+        process = recorder(*SHORT)
+        vehicle = gateway()
+        vehicle.drive(0.3)
+        vehicle.latch()
+        vehicle.drive(1.5)
+        vehicle.latch()
+        vehicle.drive(1.5)
+        assert process.status["disk"] == "ok"
+        vehicle.close()
+        assert process.stop() == 0
+    assert process.errors.count("no incident can be kept") == 1
+    assert account(drives(tmp_path)[0]) == (vehicle.frames, 0)

@@ -82,6 +82,13 @@ def test_a_torn_end_is_told_and_the_rest_is_read(drive):
     assert "the last member is cut off" in fault.what
 
 
+def test_a_torn_file_of_a_segment_that_was_ended_is_missing(drive):
+    torn(drive.path / layout.frames_name(3))
+    found = checked(drive)
+    assert not found.is_whole
+    assert found.missing_frames == 3 * FRAMES - found.frames > 0
+
+
 def test_a_torn_end_that_was_no_end_is_missing(drive):
     torn(drive.path / layout.frames_name(2))
     found = checked(drive)

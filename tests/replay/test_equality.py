@@ -1,12 +1,17 @@
 """A drive replayed with its own configuration: equal to the byte, or the first difference."""
 
+import os
 import re
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 from tests.replay.drives import SimulatedDrive
 from tests.replay.ran import changed, replay, rewrite
+from vcu_gateway.cli import recording_names
 from vcu_gateway.core.gateway import Gateway
 
 
@@ -251,3 +256,47 @@ def test_a_bug_that_ended_the_gateway_and_comes_again_is_equal(ended_by_bug, mon
 def test_what_another_configuration_had_done_until_a_bug_is_told(ended_by_bug, more):
     ran = replay(ended_by_bug, "--set", "limits.derated_power_w=5000", "--json", *more)
     assert ran.code in (0, 1), ran.err
+
+
+def test_a_drive_of_which_nothing_can_be_replayed_is_no_success(every):
+    for number in (1, 2, 3, 4, 5):
+        if core(every, number).exists():
+            core(every, number).write_bytes(b"")
+    what_if = ("--set", "limits.derated_power_w=5000")
+    for more in ((), what_if, (*what_if, "--closed-loop")):
+        ran = replay(every, *more)
+        assert ran.code == 65
+        assert "has no tick that can be replayed" in ran.err
+
+
+def test_a_time_of_which_there_is_nothing_is_refused(every):
+    ran = replay(every, "--from", "3600")
+    assert ran.code == 65
+    assert "has nothing of that time" in ran.err
+    assert replay(every, "--from", "2020-01-01T00:00", "--to", "2020-01-02T00:00").code == 65
+
+
+def test_a_recording_is_found_by_its_name(every, monkeypatch, tmp_path):
+    monkeypatch.setattr(recording_names, "DEFAULT_FOLDER", tmp_path)
+    monkeypatch.chdir("/")
+    assert replay("every", "-q").code == 66
+    (tmp_path / "drives").mkdir()
+    every.rename(tmp_path / "drives" / "every")
+    assert replay("every", "-q").code == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="another user's rights need root")
+def test_who_may_not_look_is_told_which_group_to_join():
+    with tempfile.TemporaryDirectory() as name:
+        code = (
+            "import os; from pathlib import Path; from vcu_gateway.cli import recording_names;"
+            "os.setgroups([]); os.setresgid(65534, 65534, 65534);"
+            "os.setresuid(65534, 65534, 65534);"
+            f" recording_names.DEFAULT_FOLDER = Path({name!r});"
+            f" recording_names.recording_path('20261123T180412Z-1f3a9c2e')"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd="/", capture_output=True, text=True, check=False
+        )
+    assert "NotPermittedError" in done.stderr
+    assert "usermod -aG vcu-gateway-recorder" in done.stderr

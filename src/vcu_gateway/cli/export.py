@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from vcu_gateway.cli.recording_names import recording_path
 from vcu_gateway.errors import did_you_mean
 from vcu_gateway.export import formats
 from vcu_gateway.export.selection import Selection
@@ -15,8 +16,8 @@ from vcu_gateway.time_window import Moment, Window, moment
 
 _HELP = """Write the recording NAME in a format that other programs read.
 
-NAME is the folder of a drive or an incident, one of its files, or a log of the bus as `decode`
-takes it: candump, .asc, .blf, .mf4 and others.
+NAME is the folder of a drive or an incident, its name below /var/lib/vcu-gateway-recorder, one of
+its files, or a log of the bus as `decode` takes it: candump, .asc, .blf, .mf4 and others.
 
 \b
 --to html     one page with plots for a browser; it loads nothing from a network
@@ -87,6 +88,7 @@ def command(
 ) -> None:
     """Read, decode and write."""
     kind, window = _format_and_window(ends, begin)
+    name = str(recording_path(name))
     path = _target(output, name, kind)
     formats.check(kind)
     selection = Selection(patterns)

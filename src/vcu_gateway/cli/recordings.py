@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway.cli import recordings_text as text
+from vcu_gateway.cli.recording_names import DEFAULT_FOLDER
 from vcu_gateway.drive_format.layout import plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH, read_status
 from vcu_gateway.recordings import (
@@ -24,7 +25,6 @@ from vcu_gateway.recordings import (
 from vcu_gateway.recordings.running_recorder import keep_now, no_recorder
 from vcu_gateway.time_window import Moment, Window, moment
 
-_DEFAULT_FOLDER = "/var/lib/vcu-gateway-recorder"
 _NOW = "now"
 
 folder_option = click.option(
@@ -32,7 +32,7 @@ folder_option = click.option(
     "folder_path",
     metavar="FOLDER",
     type=click.Path(path_type=Path, readable=False),
-    default=_DEFAULT_FOLDER,
+    default=DEFAULT_FOLDER,
     show_default=True,
     help="Where the recordings are.",
 )

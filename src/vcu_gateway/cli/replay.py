@@ -9,7 +9,8 @@ from typing import Any
 import click
 
 from vcu_gateway.cli import replay_drive, replay_log
-from vcu_gateway.cli.replay_options import ReplayOptions, recorded_path
+from vcu_gateway.cli.recording_names import recorded_path
+from vcu_gateway.cli.replay_options import ReplayOptions
 
 _HELP = """Decide a recorded drive again: is it the same to the byte, and what if?
 

@@ -59,9 +59,10 @@ class _DriveReplay:
         self._drive = drive
         self._clock = TimeOfDay(drive.info.clock.distance_ns)
         self._protocol = drive_records.protocol_of(drive)
+        self._window = asked.window
 
     def _replay(self, *notes: Callable[[Record], None]) -> None:
-        records = drive_records.records(self._drive, self._asked.window, self._clock)
+        records = drive_records.records(self._drive, self._window, self._clock)
         shown = watched(records, len(self._drive.segments), self._asked.quiet)
         try:
             _give(shown, notes)
@@ -81,6 +82,8 @@ class _DriveReplay:
         judged = JudgedRecords(self._drive.info.settings, self._protocol.aliases)
         self._replay(check.note, judged.note)
         equality, verdict, clock = check.result(), judged.verdict(), self._clock
+        why = equality.gaps[0].why if equality.gaps else ""
+        self._check_ticks(equality.ticks, equality.ended_ns, why)
         lines = [
             self._title(),
             *equality_text.equality_lines(equality, clock),
@@ -131,10 +134,23 @@ class _DriveReplay:
             notes.append(_reloads(loop.reloads))
         return self._answer(loop.what_if.result(), notes, series, "closed loop")
 
+    def _check_ticks(self, ticks: int, ended_ns: int, why: str = "") -> None:
+        """DataError where there was nothing to replay, or not of the time that was asked for."""
+        window, clock = self._window, self._clock
+        if not window.open and (not ticks or clock.wall_ns(ended_ns) < window.bounds_ns(0)[0]):
+            what, remedy = "has nothing of that time", "all times are UTC"
+        elif not ticks:
+            what = f"has no tick that can be replayed{why and ': '}{why}"
+            remedy = "vcu-gateway recordings check says what is damaged"
+        else:
+            return
+        raise DataError(Problem(what, str(self._path), remedy))
+
     def _answer(
         self, result: Any, notes: list[str], series: CommandSeries | None, kind: str
     ) -> ReplayReport:
         clock = self._clock
+        self._check_ticks(result.ticks, result.ended_ns)
         lines = [self._title(), *_given_lines(self._asked), *notes, ""]
         lines += what_if_text.what_if_lines(result, clock)
         values = self._values() | {

@@ -48,7 +48,10 @@ def report(asked: ReplayOptions) -> ReplayReport:
             pass
         unreadable = recording.problems.unreadable
     if not replay.frames:
-        raise DataError(Problem("holds no frame that can be read", asked.recording, "it is empty"))
+        what, remedy = "holds no frame that can be read", "it is empty"
+        if not window.open:
+            what, remedy = "has nothing of that time that can be read", "all times are UTC"
+        raise DataError(Problem(what, asked.recording, remedy))
     result = replay.what_if.result()
     notes = [*_notes(asked, replay, unreadable, clock), *without_effect]
     lines = [f"{asked.recording}: {replay.frames:,} frames, {result.ticks:,} ticks", *notes, ""]

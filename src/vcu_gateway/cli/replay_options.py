@@ -9,11 +9,9 @@ from typing import Any, NamedTuple
 import click
 
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun
-from vcu_gateway.drive_format import layout
 from vcu_gateway.recording import Recording
 from vcu_gateway.time_window import Moment, Window, moment
 
-DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
 _PROGRESS_PERIOD_S = 0.5
 _LOOK_EVERY = 4096
 
@@ -67,20 +65,6 @@ def _moment(text: str | None, option: str) -> Moment | None:
     except ValueError:
         what = f"{text!r} is no time such as 90.5, 12:03:14.150 or 2026-11-23T12:03:14."
         raise click.BadParameter(what, param_hint=f"'{option}'") from None
-
-
-def recorded_path(name: str) -> Path | None:
-    """The drive, incident or segment of this name; None where it is a log."""
-    path = Path(name)
-    if not path.exists() and "/" not in name:
-        folders = (DEFAULT_FOLDER / part / name for part in (layout.DRIVES, layout.INCIDENTS))
-        path = next((one for one in folders if one.is_dir()), path)
-    if path.is_dir():
-        return path
-    beside = path.parent / layout.DRIVE_FILE
-    if layout.segment_number(path.name) is not None and beside.exists():
-        return path
-    return None
 
 
 def watched(records: Iterable[Record], segments: int, quiet: bool) -> Iterator[Record]:

@@ -61,6 +61,12 @@ class Source(NamedTuple):
     unreadable: int
 
     @property
+    def is_empty(self) -> bool:
+        """True where no frame and no tick is exported."""
+        stamped = any(rows.first_ns is not None for rows in self.store.rows.values())
+        return not stamped and not self.decisions.tick_times_ns
+
+    @property
     def start_ns(self) -> int:
         """Stamp of the first frame or tick that is exported."""
         firsts = [rows.first_ns for rows in self.store.rows.values() if rows.first_ns is not None]
@@ -101,6 +107,8 @@ def read(name: str, options: ReadOptions) -> Source:
     if not source.store.summary.frames and not source.decisions.tick_times_ns:
         remedy = "" if source.unreadable else "it is empty"
         raise DataError(Problem("holds no frame that can be read", name, remedy))
+    if not options.window.open and source.is_empty:
+        raise DataError(Problem("has nothing of that time", name, "all times are UTC"))
     return source
 
 

@@ -1,6 +1,7 @@
 """Writer's thread: takes what was received and puts it on the disk, however long that takes."""
 
 import contextlib
+import errno
 import threading
 import time
 from collections import deque
@@ -28,6 +29,8 @@ _AFTER_LATCH_S = 2.0
 _MOST_WAITING = 1 << 20
 _MOST_SEGMENT_BYTES = 16 << 20
 _MOST_PENDING = 100
+_NO_LINKS = (errno.EXDEV, errno.EPERM, errno.EOPNOTSUPP, errno.EMLINK)
+"""What a file system answers that has no hard links, or is another one."""
 _MOST_RUNS = 8
 _ROOM_BYTES = 1 << 20
 _REQUESTED = Trigger(triggers.REQUESTED, triggers.REQUESTED, "somebody asked to keep this")
@@ -63,7 +66,7 @@ class Writer:
         self._held: Received | None = None
         self._pending: deque[_Pending] = deque()
         self._wake = threading.Event()
-        self._stopping = self._requested = self._urgent = False
+        self._stopping = self._requested = self._urgent = self._links_missing = False
         self._member_s = self._sync_s = self._latched_until_s = 0.0
         self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
 
@@ -272,13 +275,28 @@ class Writer:
             self._pending += [_Pending(drive, wanted) for drive in self.drives.values()]
         while self._pending:
             drive, trigger = self._pending[0]
-            with contextlib.suppress(FileNotFoundError):  # somebody removed it meanwhile
+            try:
                 if trigger is None:
                     self.incidents.segment_began(drive)
                 else:
                     self.incidents.begin(trigger, drive)
+            except FileNotFoundError:
+                pass  # somebody removed it meanwhile
+            except OSError as error:
+                if error.errno not in _NO_LINKS:
+                    raise
+                self._say_no_links(error)
             self._pending.popleft()
         self.incidents.forget_ended()
+
+    def _say_no_links(self, error: OSError) -> None:
+        """Once: what is recorded goes on."""
+        if not self._links_missing:
+            self._links_missing = True
+            self._say(
+                f"no incident can be kept: {error.strerror or error}; drives and incidents must lie"
+                " on one file system that has hard links"
+            )
 
     def _given_reason(self) -> str:
         """Why somebody asked; empty where he gave no reason."""

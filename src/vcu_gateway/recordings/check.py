@@ -131,6 +131,11 @@ class _Sums:
         self.missing_frames += max(0, frames)
 
     def end(self) -> None:
-        """Judge the last segment by what its own lines count; a torn end tells no number."""
-        if self.last is not None and not any(fault.at_end for fault in self.last.faults):
-            self.missing_frames += max(0, self.last.counted_frames - self.last.frames)
+        """Judge the last segment by what its own lines count; a torn end tells no number.
+
+        One that the recorder ended has no torn end: what its last line counts was there.
+        """
+        last = self.last
+        if last is None or (not last.ended and any(fault.at_end for fault in last.faults)):
+            return
+        self.missing_frames += max(0, last.counted_frames - last.frames)
