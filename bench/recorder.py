@@ -1,4 +1,8 @@
-"""The recorder's share of a core, its memory and what it writes, with a gateway's traffic."""
+"""The recorder's share of a core, its memory and what it writes, with a gateway's traffic.
+
+To the frames received comes what every drive has: both commands of each tick, which come back from
+the bus, and a demand a tick.
+"""
 
 import contextlib
 import os
@@ -18,7 +22,7 @@ from bench.traffic import NOMINAL_PER_S, SATURATED_PER_S, second_at_rest, wire_p
 from bench.wire import cpu_ns, resident_mb
 from vcu_gateway.drive_format import datagram
 from vcu_gateway.drive_format.datagram import TickHeader
-from vcu_gateway.units import NS_PER_S
+from vcu_gateway.units import NS_PER_S, NS_PER_US
 
 _TICKS_PER_S = 20
 _FULL_S = 20.0
@@ -32,6 +36,12 @@ _TICK = (
     '{{"f":{frames},"tick":{now_ns},"frames":[["PCU1","0008A7D0","0c000000e02e{life:02x}00"],'
     '["PCU2","0008A8D0","0c000000e02e{life:02x}00"]],"ok":[true,true]}}\n'
 )
+_OFFER = (
+    '{{"f":{frames},"offer":{{"source":"driver","sequence":{sequence},"ttl_ms":200,"age_ns":{age_ns},'
+    '"both":["PCU1","PCU2"],"demand":{{"throttle_pct":{throttle_pct},"power_mode":"normal"}}}},'
+    '"now":{now_ns},"granted":true}}\n'
+)
+_COMMANDS = (0x0008A7D0, 0x0008A8D0)
 
 
 class Recorded(NamedTuple):
@@ -130,7 +140,8 @@ class _Traffic:
         self._frames_a_tick = per_s / _TICKS_PER_S
         self._second = second_at_rest(life=False)
         self._random = random.Random(1)
-        self._sequence = self._frames = 0
+        self._sequence = self._frames = self._handed_on = 0
+        self._throttle_pct = 20.0
         self._begin_ns = time.monotonic_ns()
         clock = {"monotonic_ns": self._begin_ns, "wall_ns": time.time_ns()}
         hello = {"format": 1, "run": uuid.uuid4().hex, "channel": "can0", "clock": clock}
@@ -149,13 +160,34 @@ class _Traffic:
         self._sequence += 1
         until = int(self._sequence * self._frames_a_tick)
         packed = [self._frame(number) for number in range(self._frames, until)]
+        packed += self._commands()
         self._frames = until
+        self._handed_on += len(packed)
         now_ns, life = time.monotonic_ns(), self._sequence & 0xF
-        lines = _TICK.format(frames=until, now_ns=now_ns, life=life)
+        lines = self._offer(now_ns) + _TICK.format(frames=self._handed_on, now_ns=now_ns, life=life)
         if self._sequence == 1:
             lines = '{"checkpoint":{"ticks":0},"f":0}\n' + lines
-        header = TickHeader(self._sequence, self._frames, 0, 0)
+        header = TickHeader(self._sequence, self._handed_on, 0, 0)
         self._sock.send(datagram.packed_tick(header, packed, lines))
+
+    def _commands(self) -> list[bytes]:
+        """Both commands of the tick before, as the bus gave them back."""
+        payload = bytes((0x0C, round(self._throttle_pct / 0.39), 0, 0, 0xE0, 0x2E, 0x60, 0xEA))
+        begin_ns = self._begin_ns + round((self._sequence - 1) * NS_PER_S / _TICKS_PER_S)
+        return [self._packed(begin_ns, can_id, payload, own_echo=True) for can_id in _COMMANDS]
+
+    def _offer(self, now_ns: int) -> str:
+        """A driver's demand, made a moment ago; its sequence is of the client's clock."""
+        step_pct = self._random.uniform(-2, 2)
+        self._throttle_pct = round(min(90.0, max(0.0, self._throttle_pct + step_pct)), 1)
+        age_ns = 500_000 + self._random.randrange(_JITTER_NS)
+        return _OFFER.format(
+            frames=self._handed_on,
+            sequence=(now_ns - age_ns) // NS_PER_US,
+            age_ns=age_ns,
+            throttle_pct=self._throttle_pct,
+            now_ns=now_ns,
+        )
 
     def _frame(self, number: int) -> bytes:
         """A frame of the mix: noise in its values, and in its stamp what a bus adds."""
@@ -163,6 +195,9 @@ class _Traffic:
         can_id, data = wire_parts(frame)
         noisy = int.from_bytes(data, "little") ^ self._random.getrandbits(48) & _NOISE
         at_ns = round(number * NS_PER_S / _TICKS_PER_S / self._frames_a_tick)
-        stamp = self._begin_ns + at_ns + self._random.randrange(_JITTER_NS)
-        payload = noisy.to_bytes(8, "little")
-        return datagram.packed_frame(stamp, can_id | datagram.EXTENDED, False, payload)
+        return self._packed(self._begin_ns + at_ns, can_id, noisy.to_bytes(8, "little"))
+
+    def _packed(self, due_ns: int, can_id: int, data: bytes, own_echo: bool = False) -> bytes:
+        stamp_ns = due_ns + self._random.randrange(_JITTER_NS)
+        stamp_ns -= stamp_ns % NS_PER_US
+        return datagram.packed_frame(stamp_ns, can_id | datagram.EXTENDED, own_echo, data)

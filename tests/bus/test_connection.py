@@ -85,6 +85,7 @@ def test_a_frame_of_ours_arrives_with_a_monotonic_stamp(connection, other, recei
     assert (frame.remote, frame.error, frame.own_echo) == (False, False, False)
     # The virtual bus stamps with the wall clock, whose float has a resolution of 0.2 us.
     assert before_ns - 1_000_000 <= frame.arrival_ns <= time.monotonic_ns()
+    assert frame.arrival_ns % 1_000 == 0
 
 
 def test_a_frame_waits_until_the_connection_is_read(connection, other, received):

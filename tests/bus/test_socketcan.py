@@ -131,6 +131,15 @@ def test_frames_wait_until_they_are_read_and_come_in_order_as_old_as_they_are(wi
     }
 
 
+def test_a_stamp_is_in_whole_microseconds_and_never_younger_than_the_frame(wire: Wire):
+    for _ in range(20):
+        wire.send()
+        wire.read()
+        read_ns = time.monotonic_ns()
+        assert wire.frames[-1].arrival_ns % 1_000 == 0
+        assert wire.frames[-1].arrival_ns <= read_ns
+
+
 def test_reading_an_empty_socket_takes_no_time(wire: Wire):
     assert wire.read() == 0
     assert wire.reader.drains == 1

@@ -13,7 +13,14 @@ from tests.core.simulated_drive import MS, ZERO_TORQUE
 from tests.core.test_invariants import ASKED, SETTINGS
 from tests.drive.tapped import TappedDrive, lines_of, parsed
 from vcu_gateway.core import inputs
-from vcu_gateway.core.demand import CONTROLLERS, GRANTED, ControllerDemand, Demand, Refusal
+from vcu_gateway.core.demand import (
+    CONTROLLERS,
+    GRANTED,
+    ControllerDemand,
+    Demand,
+    PowerMode,
+    Refusal,
+)
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
@@ -27,6 +34,10 @@ from vcu_gateway.drive.settings_json import settings_json, settings_of
 NOW = 1_000_950_000_000
 BOTH = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=12.5))
 APART = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand(throttle_track2_pct=3)}
+EVERYTHING = dict.fromkeys(
+    CONTROLLERS,
+    ControllerDemand(90.5, 3.25, PowerMode.TURBO, True, True, 8000.0, 30_000.0, 91.0),
+)
 DEMAND = Demand("driver", 7, 200, BOTH)
 ALMOST_UP = LinkStatus(LinkState.WARNING, 5)
 
@@ -40,6 +51,8 @@ CALLS = [
     inputs.BeginInput('under"voltage\n', {"PCU1": True, "PCU2": False}),
     inputs.OfferInput(DEMAND, NOW),
     inputs.OfferInput(replace(DEMAND, controllers=APART, made_ns=-3), NOW),
+    inputs.OfferInput(replace(DEMAND, made_ns=NOW + 3), NOW),
+    inputs.OfferInput(replace(DEMAND, controllers=EVERYTHING), NOW),
     inputs.OfferInput(replace(DEMAND, controllers={}, ttl_ms=None), NOW),
     inputs.EndDemandInput("driver", NOW),
     inputs.ArmInput(NOW),
@@ -214,8 +227,8 @@ def test_a_line_of_another_kind_is_passed_by(line):
         '{"f":1,"reload":[]}',
         '{"f":1,"carrier_changed":null}',
         '{"f":1,"begin_from":5,"reverse":{}}',
-        '{"f":1,"offer":{"source":5,"sequence":1,"ttl_ms":1,"made_ns":null,"each":{}},"now":1}',
-        '{"f":1,"offer":{"source":"a","sequence":1.5,"ttl_ms":1,"made_ns":null,"each":{}},"now":1}',
+        '{"f":1,"offer":{"source":5,"sequence":1,"ttl_ms":1,"age_ns":null,"each":{}},"now":1}',
+        '{"f":1,"offer":{"source":"a","sequence":1.5,"ttl_ms":1,"age_ns":null,"each":{}},"now":1}',
         '{"f":1,"arm":1,"refused":["never","no"]}',
         '{"checkpoint":{},"f":0}',
         "[" * 100_000,

@@ -7,7 +7,7 @@ from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.arrival_time import arrival_ns
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.python_can import can
-from vcu_gateway.units import NS_PER_S
+from vcu_gateway.units import NS_PER_S, NS_PER_US
 
 
 class FrameListener:
@@ -27,14 +27,20 @@ class FrameListener:
         self._clocks = read_clocks()
 
     def __call__(self, message: can.Message) -> None:
-        """Hand one frame on."""
+        """Hand one frame on, with its stamp in whole microseconds.
+
+        No kernel and no reading of two clocks is more exact; what is below would be noise, and a
+        tenth of every recording.
+        """
         self._counters.received += 1
         stamp_ns = int(message.timestamp * NS_PER_S)
+        if not self._stamps_are_monotonic:
+            stamp_ns = self._to_monotonic(stamp_ns)
         self._receive(
             Frame(
                 message.arbitration_id,
                 message.data,
-                stamp_ns if self._stamps_are_monotonic else self._to_monotonic(stamp_ns),
+                stamp_ns - stamp_ns % NS_PER_US,
                 message.is_extended_id,
                 message.is_remote_frame,
                 message.is_error_frame,

@@ -180,7 +180,9 @@ _RECORDS: Mapping[str, Callable[[Any], CoreRecord]] = {
 }
 
 _INPUTS: Mapping[str, Callable[[Any], inputs.CoreInput]] = {
-    "offer": lambda values: inputs.OfferInput(demand_of(values["offer"]), _number(values["now"])),
+    "offer": lambda values: inputs.OfferInput(
+        demand_of(values["offer"], _number(values["now"])), values["now"]
+    ),
     "link_lost": lambda values: inputs.LinkLostInput(_number(values["link_lost"])),
     "link_opened": _link_opened,
     "carrier_changed": lambda values: inputs.CarrierInput(

@@ -155,7 +155,9 @@ _TEXTS: Mapping[type, _Writer] = {
     inputs.BeginInput: lambda one: (
         f'"begin_from":{encoded(one.cut_reason)},"reverse":{encoded(dict(one.reverse))}'
     ),
-    inputs.OfferInput: lambda one: f'"offer":{demand_text(one.demand)},"now":{one.now_ns}',
+    inputs.OfferInput: lambda one: (
+        f'"offer":{demand_text(one.demand, one.now_ns)},"now":{one.now_ns}'
+    ),
     inputs.EndDemandInput: lambda one: f'"end_demand":{encoded(one.source)},"now":{one.now_ns}',
     inputs.ArmInput: lambda one: f'"arm":{one.now_ns}',
     inputs.DisarmInput: lambda one: f'"disarm":{one.now_ns}',

@@ -14,6 +14,7 @@ _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 _SETTINGS = {item.name: item for item in fields(Settings)}
 _DEMAND = tuple(item.name for item in fields(ControllerDemand))
 _DEFAULTS = Settings()
+_NOTHING_DEMANDED = ControllerDemand()
 
 
 def settings_json(settings: Settings) -> dict[str, Any]:
@@ -57,19 +58,25 @@ def controller_json(demand: ControllerDemand) -> dict[str, Any]:
 
 
 def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
-    """Demand of what `controller_json` gave; ValueError, KeyError or TypeError for others."""
+    """Demand of what `controller_json` gave, or a part of it; for what is missing the default.
+
+    ValueError, KeyError or TypeError for others.
+    """
     numbers = {name: number_of(value) for name, value in values.items() if name != "power_mode"}
     return ControllerDemand(**numbers, power_mode=PowerMode[values["power_mode"].upper()])
 
 
-def demand_text(demand: Demand) -> str:
-    """JSON text of a source's demand; `both` where its controllers share one.
+def demand_text(demand: Demand, now_ns: int) -> str:
+    """JSON text of a source's demand offered at `now_ns`; `both` where its controllers share one.
 
-    Written out: the general encoder takes four times as long, and there is a demand a tick.
+    Written out: the general encoder takes four times as long, and there is a demand a tick. Short
+    for that reason too: an age has fewer digits than a time, and what nobody asked for is left out.
     """
+    made_ns = demand.made_ns
+    age = "null" if made_ns is None else now_ns - made_ns
     head = (
         f'{{"source":{_quoted(demand.source)},"sequence":{demand.sequence},'
-        f'"ttl_ms":{number_text(demand.ttl_ms)},"made_ns":{number_text(demand.made_ns)}'
+        f'"ttl_ms":{number_text(demand.ttl_ms)},"age_ns":{age}'
     )
     controllers = demand.controllers
     first = next(iter(controllers.values()), None)
@@ -81,15 +88,23 @@ def demand_text(demand: Demand) -> str:
 
 
 def _controller_text(one: ControllerDemand) -> str:
-    number = number_text
-    return (
-        f'{{"throttle_pct":{number(one.throttle_pct)},"brake_pct":{number(one.brake_pct)}'
-        f',"power_mode":"{one.power_mode.name.lower()}"'
-        f',"motor_reverse":{number(one.motor_reverse)},"regen_brake":{number(one.regen_brake)}'
-        f',"speed_limit_rpm":{number(one.speed_limit_rpm)}'
-        f',"power_limit_w":{number(one.power_limit_w)}'
-        f',"throttle_track2_pct":{number(one.throttle_track2_pct)}}}'
+    number, default = number_text, _NOTHING_DEMANDED
+    text = (
+        f'{{"throttle_pct":{number(one.throttle_pct)},"power_mode":"{one.power_mode.name.lower()}"'
     )
+    if one.brake_pct != default.brake_pct:
+        text += f',"brake_pct":{number(one.brake_pct)}'
+    if one.motor_reverse:
+        text += ',"motor_reverse":true'
+    if one.regen_brake:
+        text += ',"regen_brake":true'
+    if one.speed_limit_rpm != default.speed_limit_rpm:
+        text += f',"speed_limit_rpm":{number(one.speed_limit_rpm)}'
+    if one.power_limit_w != default.power_limit_w:
+        text += f',"power_limit_w":{number(one.power_limit_w)}'
+    if one.throttle_track2_pct is not None:
+        text += f',"throttle_track2_pct":{number(one.throttle_track2_pct)}'
+    return text + "}"
 
 
 def number_text(value: float | None) -> str:
@@ -103,7 +118,7 @@ _WORDS = {None: "null", True: "true", False: "false"}
 _quoted = json.encoder.encode_basestring_ascii
 
 
-def demand_of(values: Mapping[str, Any]) -> Demand:
+def demand_of(values: Mapping[str, Any], now_ns: int) -> Demand:
     """Demand of what `demand_text` gave; ValueError, KeyError or TypeError for others."""
     if "both" in values:
         controllers = dict.fromkeys(values["both"], controller_of(values["demand"]))
@@ -114,8 +129,16 @@ def demand_of(values: Mapping[str, Any]) -> Demand:
         sequence=_whole(values["sequence"]),
         ttl_ms=None if values["ttl_ms"] is None else _whole(values["ttl_ms"]),
         controllers=controllers,
-        made_ns=None if values["made_ns"] is None else _whole(values["made_ns"]),
+        made_ns=_made_ns(values, now_ns),
     )
+
+
+def _made_ns(values: Mapping[str, Any], now_ns: int) -> int | None:
+    """When a demand was made; the golden drives have some with the time itself."""
+    if "made_ns" in values:
+        return None if values["made_ns"] is None else _whole(values["made_ns"])
+    age_ns = values["age_ns"]
+    return None if age_ns is None else now_ns - _whole(age_ns)
 
 
 def number_of(value: Any) -> Any:
