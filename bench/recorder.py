@@ -37,7 +37,7 @@ _TICK = (
     '["PCU2","0008A8D0","0c000000e02e{life:02x}00"]],"ok":[true,true]}}\n'
 )
 _OFFER = (
-    '{{"f":{frames},"offer":{{"source":"driver","sequence":{sequence},"ttl_ms":200,"age_ns":{age_ns},'
+    '{{"f":{frames},"offer":{{"source":"driver","ttl_ms":200,"age_ns":{age_ns},'
     '"both":["PCU1","PCU2"],"demand":{{"throttle_pct":{throttle_pct},"power_mode":"normal"}}}},'
     '"now":{now_ns},"granted":true}}\n'
 )
@@ -177,13 +177,12 @@ class _Traffic:
         return [self._packed(begin_ns, can_id, payload, own_echo=True) for can_id in _COMMANDS]
 
     def _offer(self, now_ns: int) -> str:
-        """A driver's demand, made a moment ago; its sequence is of the client's clock."""
+        """A driver's demand, made a moment ago."""
         step_pct = self._random.uniform(-2, 2)
         self._throttle_pct = round(min(90.0, max(0.0, self._throttle_pct + step_pct)), 1)
         age_ns = 500_000 + self._random.randrange(_JITTER_NS)
         return _OFFER.format(
             frames=self._handed_on,
-            sequence=(now_ns - age_ns) // NS_PER_US,
             age_ns=age_ns,
             throttle_pct=self._throttle_pct,
             now_ns=now_ns,

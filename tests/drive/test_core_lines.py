@@ -52,6 +52,7 @@ CALLS = [
     inputs.OfferInput(DEMAND, NOW),
     inputs.OfferInput(replace(DEMAND, controllers=APART, made_ns=-3), NOW),
     inputs.OfferInput(replace(DEMAND, made_ns=NOW + 3), NOW),
+    inputs.OfferInput(replace(DEMAND, made_ns=NOW - 1, sequence=NOW // 1000 - 1), NOW),
     inputs.OfferInput(replace(DEMAND, controllers=EVERYTHING), NOW),
     inputs.OfferInput(replace(DEMAND, controllers={}, ttl_ms=None), NOW),
     inputs.EndDemandInput("driver", NOW),

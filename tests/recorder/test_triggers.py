@@ -34,6 +34,12 @@ def test_a_latched_fault_is_named_by_the_cause_that_stops():
     )
 
 
+def test_a_code_is_named_by_its_signal():
+    fields = {"cause": "code", "subject": "BMS_Status.CellUndervoltage", "effect": "cut"}
+    (trigger,) = noticed(tick(["cause_began", "warning", fields], LATCHED)).triggers
+    assert trigger.kind == "CellUndervoltage"
+
+
 def test_a_latched_fault_without_a_cause_is_named_by_its_words_without_values():
     (trigger,) = noticed(tick(LATCHED)).triggers
     assert trigger.kind == "bms_undervoltage"

@@ -9,6 +9,7 @@ from typing import Any
 
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.units import NS_PER_US
 
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 _SETTINGS = {item.name: item for item in fields(Settings)}
@@ -70,14 +71,16 @@ def demand_text(demand: Demand, now_ns: int) -> str:
     """JSON text of a source's demand offered at `now_ns`; `both` where its controllers share one.
 
     Written out: the general encoder takes four times as long, and there is a demand a tick. Short
-    for that reason too: an age has fewer digits than a time, and what nobody asked for is left out.
+    for that reason too: an age has fewer digits than a time, and left out is what nobody asked for,
+    and a sequence that is the time in microseconds, as the client makes it.
     """
     made_ns = demand.made_ns
     age = "null" if made_ns is None else now_ns - made_ns
     head = (
-        f'{{"source":{_quoted(demand.source)},"sequence":{demand.sequence},'
-        f'"ttl_ms":{number_text(demand.ttl_ms)},"age_ns":{age}'
+        f'{{"source":{_quoted(demand.source)},"ttl_ms":{number_text(demand.ttl_ms)},"age_ns":{age}'
     )
+    if made_ns is None or demand.sequence != made_ns // NS_PER_US:
+        head += f',"sequence":{demand.sequence}'
     controllers = demand.controllers
     first = next(iter(controllers.values()), None)
     if first is not None and all(one is first for one in controllers.values()):
@@ -124,12 +127,14 @@ def demand_of(values: Mapping[str, Any], now_ns: int) -> Demand:
         controllers = dict.fromkeys(values["both"], controller_of(values["demand"]))
     else:
         controllers = {name: controller_of(one) for name, one in values["each"].items()}
+    made_ns = _made_ns(values, now_ns)
+    timely = None if made_ns is None else made_ns // NS_PER_US
     return Demand(
         source=_text(values["source"]),
-        sequence=_whole(values["sequence"]),
+        sequence=_whole(values.get("sequence", timely)),
         ttl_ms=None if values["ttl_ms"] is None else _whole(values["ttl_ms"]),
         controllers=controllers,
-        made_ns=_made_ns(values, now_ns),
+        made_ns=made_ns,
     )
 
 

@@ -20,7 +20,7 @@ from vcu_gateway.recorder.status import StatusFile
 from vcu_gateway.recorder.writer import Writer
 
 _STATUS_S = 1.0
-_GATHER_S = 0.08
+_GATHER_S = 0.1
 """Between two looks, while nothing is urgent: two ticks cost little more than one."""
 _CALM_S = 3.0
 _LAST_DATAGRAMS_S = 1.0

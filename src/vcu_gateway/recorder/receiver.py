@@ -13,6 +13,7 @@ from vcu_gateway.recorder.listener import TapListener
 
 _MOST_CONNECTIONS = 16
 _MOST_AT_ONCE = 200
+_MOST_OF_ONE = 20
 _WAKE_UP_BYTES = 4096
 
 
@@ -87,23 +88,28 @@ class DatagramReceiver:
         self._selector.register(connection, selectors.EVENT_READ, connection)
 
     def _read(self, connection: GatewayConnection) -> None:
-        """Take one datagram; the selector tells of the next."""
-        try:
-            received = connection.receive(self._buffer)
-        except BlockingIOError:
-            return
-        except DatagramError as error:
-            self._say(f"a connection is closed: {error}")
-            received = None
-        except OSError:
-            received = None
-        if received is None:
-            self._end(connection)
-        elif received:
-            self._backlog.put(Received(connection, received, begins_segment(received)))
-            if triggers.may_be_urgent(received):
-                self.urgent_s = time.monotonic()
-                self._urgent()
+        """Take what waits, some datagrams at most; the selector tells of more."""
+        for _ in range(_MOST_OF_ONE):
+            try:
+                received = connection.receive(self._buffer)
+            except BlockingIOError:
+                return
+            except DatagramError as error:
+                self._say(f"a connection is closed: {error}")
+                received = None
+            except OSError:
+                received = None
+            if received is None:
+                self._end(connection)
+                return
+            if received:
+                self._put(connection, received)
+
+    def _put(self, connection: GatewayConnection, received: bytes) -> None:
+        self._backlog.put(Received(connection, received, begins_segment(received)))
+        if triggers.may_be_urgent(received):
+            self.urgent_s = time.monotonic()
+            self._urgent()
 
     def _end(self, connection: GatewayConnection) -> None:
         if connection in self.connections:

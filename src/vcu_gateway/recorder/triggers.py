@@ -12,6 +12,7 @@ REQUESTED = "requested"
 
 _URGENT = (b'"events":', b'"mode":', b'"estop":', b'"restarted":')
 _STOPPING_EFFECTS = ("stop", "cut")
+_CODE = "code"
 
 
 class Trigger(NamedTuple):
@@ -81,9 +82,14 @@ def _latched(events: Any) -> Iterator[Trigger]:
             yield Trigger(FAULT_LATCHED, _cause(described, reason), f"fault latched: {reason}")
 
 
+def _kind(cause: str, subject: str) -> str:
+    """Name of a cause; a code that a signal has is told by the signal."""
+    return subject.rpartition(".")[2] if cause == _CODE and subject else cause
+
+
 def _cause(events: list[list[Any]], reason: str) -> str:
     for name, _, fields in events:
         if name == "cause_began" and fields.get("effect") in _STOPPING_EFFECTS:
-            return str(fields.get("cause"))
+            return _kind(str(fields.get("cause")), str(fields.get("subject") or ""))
     words = re.findall(r"[a-z]+", reason.partition(":")[0].lower())
     return "_".join(words[:5]) or FAULT_LATCHED
