@@ -65,6 +65,16 @@ def test_a_part_is_replayed_from_the_checkpoint_before_it(every):
     assert found["began"].endswith("11:06:50.050Z")
 
 
+def test_a_part_is_found_though_somebody_had_set_the_clock_meanwhile(every):
+    def an_hour_later(values: dict) -> None:
+        values["checkpoint"]["wall"] += 3600 * 10**9
+
+    for number in (3, 4):
+        rewrite(core(every, number), changed("checkpoint", an_hour_later))
+    found = replay(every, "--from", "11", "--to", "12.0", "--json").values["replay"]
+    assert found["ticks"] == 40
+
+
 def test_a_changed_byte_of_a_recorded_frame_shows_where_it_acts(every):
     def heavier(lines: list[str]) -> list[str]:
         place = next(n for n, line in enumerate(lines) if "1808D0F4#" in line and n > 800)

@@ -40,7 +40,7 @@ def records(drive: Drive, window: Window, clock: TimeOfDay) -> Iterator[FrameRun
     if window.open:
         yield from drive.runs()
         return
-    begins = dict(_checkpoints(drive))
+    begins = {number: clock.wall_ns(now_ns) for number, now_ns in _checkpoints(drive)}
     from_ns, to_ns = window.bounds_ns(min(begins.values(), default=0))
     before = [number for number, wall_ns in begins.items() if wall_ns <= from_ns]
     for record in drive.runs(max(before, default=None)):
@@ -50,9 +50,9 @@ def records(drive: Drive, window: Window, clock: TimeOfDay) -> Iterator[FrameRun
 
 
 def _checkpoints(drive: Drive) -> Iterator[tuple[int, int]]:
-    """Number and wall time of each segment that begins with a checkpoint."""
+    """Number of each segment that begins with a checkpoint, and its time on the gateway's clock."""
     for files in drive.segments:
         for record in Drive(drive.folder, drive.info, (files,)).runs():
             if type(record) is Checkpoint:
-                yield files.number, record.wall_ns
+                yield files.number, record.now_ns
                 break
