@@ -282,4 +282,5 @@ def test_the_html_report_has_the_what_if_over_the_drive(recorded, tmp_path):
     text = page.read_text(encoding="utf-8")
     assert "open loop: the recorded vehicle does not react" in text
     assert "limits.throttle_slew_pct_per_s=50" in text
+    assert text.count('"whatIf":true') == 1, "the modes, and no cause that is the recording's"
     assert len(text) < 2_000_000

@@ -169,6 +169,7 @@ class _DriveReplay:
                 what_if,
                 what_if_text.headline(result, clock),
                 (result, clock, series),
+                only_changes=kind == "open loop",
             )
         return ReplayReport(lines, values, result.same)
 

@@ -15,26 +15,40 @@ Drawn = tuple[WhatIfResult, TimeOfDay, CommandSeries | None]
 
 
 def write_html(
-    asked: ReplayOptions, name: str, notes: Sequence[str], headline: str, drawn: Drawn | None = None
+    asked: ReplayOptions,
+    name: str,
+    notes: Sequence[str],
+    headline: str,
+    drawn: Drawn | None = None,
+    only_changes: bool = False,
 ) -> None:
-    """Write the report of the recording `name` to the file that was asked for."""
+    """Write the report of the recording `name` to the file that was asked for.
+
+    `only_changes`: leave out causes that are those of the recording, which the page has anyway.
+    """
     if asked.html_path is None:
         return
     overlay = Overlay(headline, tuple(notes))
     if drawn is not None:
-        overlay = _drawn(overlay, *drawn)
+        overlay = _drawn(overlay, *drawn, only_changes)
     with written_text(asked.html_path) as out:
         write_report(name, out, overlay)
 
 
 def _drawn(
-    overlay: Overlay, result: WhatIfResult, clock: TimeOfDay, series: CommandSeries | None
+    overlay: Overlay,
+    result: WhatIfResult,
+    clock: TimeOfDay,
+    series: CommandSeries | None,
+    only_changes: bool,
 ) -> Overlay:
     columns, rows = command_table(result, clock)
     wall_ns = clock.wall_ns
+    shown = result.after.spans
+    if only_changes:
+        shown = [span for span in shown if span not in result.before.spans]
     causes = [
-        (f"{span.key}", wall_ns(span.began_ns), _end_ns(span.ended_ns, clock))
-        for span in result.after.spans
+        (f"{span.key}", wall_ns(span.began_ns), _end_ns(span.ended_ns, clock)) for span in shown
     ]
     overlay = overlay._replace(
         columns=columns,

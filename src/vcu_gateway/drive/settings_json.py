@@ -127,7 +127,8 @@ def demand_of(values: Mapping[str, Any], now_ns: int) -> Demand:
         controllers = dict.fromkeys(values["both"], controller_of(values["demand"]))
     else:
         controllers = {name: controller_of(one) for name, one in values["each"].items()}
-    made_ns = _made_ns(values, now_ns)
+    age_ns = values["age_ns"]
+    made_ns = None if age_ns is None else now_ns - _whole(age_ns)
     timely = None if made_ns is None else made_ns // NS_PER_US
     return Demand(
         source=_text(values["source"]),
@@ -136,14 +137,6 @@ def demand_of(values: Mapping[str, Any], now_ns: int) -> Demand:
         controllers=controllers,
         made_ns=made_ns,
     )
-
-
-def _made_ns(values: Mapping[str, Any], now_ns: int) -> int | None:
-    """When a demand was made; the golden drives have some with the time itself."""
-    if "made_ns" in values:
-        return None if values["made_ns"] is None else _whole(values["made_ns"])
-    age_ns = values["age_ns"]
-    return None if age_ns is None else now_ns - _whole(age_ns)
 
 
 def number_of(value: Any) -> Any:
