@@ -56,14 +56,12 @@ def check(gate, data, *, slot=0, can_id=None, armed=True, speeds=STANDING, now_n
 
 
 def assert_passes(gate, data, **facts):
-    passed = check(gate, data, **facts)
-    assert passed == ((PCU1_ID, PCU2_ID)[facts.get("slot", 0)], data, None)
+    assert check(gate, data, **facts) is None
     assert gate.blocked == {}
 
 
-def assert_blocked(gate, rule, data, *, instead=ZERO_TORQUE, **facts):
-    passed = check(gate, data, **facts)
-    assert passed == ((PCU1_ID, PCU2_ID)[facts.get("slot", 0)], instead, rule)
+def assert_blocked(gate, rule, data, **facts):
+    assert check(gate, data, **facts) == rule
     assert gate.blocked == {rule: 1}
 
 
@@ -87,7 +85,7 @@ def test_the_identifier_of_its_slot_passes(gate, slot):
         (1, 0x1808D0F4),
     ],
 )
-def test_any_other_identifier_is_blocked_and_the_slots_own_is_used(gate, slot, can_id):
+def test_any_other_identifier_is_blocked(gate, slot, can_id):
     assert_blocked(gate, "identifier", frame(), slot=slot, can_id=can_id)
 
 
@@ -128,7 +126,7 @@ def test_every_bit_that_is_used_passes(gate, first):
 @pytest.mark.parametrize("speed", [500, 501, SPEED_MAX_RPM - 1, SPEED_MAX_RPM])
 @pytest.mark.parametrize("first", [0x04, 0x0C])
 def test_a_speed_limit_of_500_up_to_the_maximum_passes(speed, first):
-    assert check(Gate(LIMITS), frame(first, speed=speed, power=0)).blocked is None
+    assert check(Gate(LIMITS), frame(first, speed=speed, power=0)) is None
 
 
 @pytest.mark.parametrize("speed", [0, 1, 499, SPEED_MAX_RPM + 1, 12_000, 0xFFFF])
@@ -168,14 +166,12 @@ def test_a_power_limit_above_the_maximum_is_blocked(gate, power):
 @pytest.mark.parametrize("now_ns", [0, 50 * MS, 10_000 * MS])
 def test_the_speed_limit_falls_by_one_periods_slew_at_most(gate, speed, rule, first, now_ns):
     data = frame(first, speed=speed, power=0)
-    assert check(gate, data, armed=first == 0x04, now_ns=now_ns).blocked == rule
+    assert check(gate, data, armed=first == 0x04, now_ns=now_ns) == rule
 
 
-def test_a_frame_that_falls_too_fast_is_replaced_by_one_that_does_not(gate):
+def test_a_speed_limit_that_falls_too_fast_is_blocked(gate):
     gate.sent(0, frame(speed=12_000), 0)
-    assert_blocked(
-        gate, "speed_slew", frame(speed=6_000), instead=frame(0x0C, speed=11_800, power=0)
-    )
+    assert_blocked(gate, "speed_slew", frame(speed=6_000))
 
 
 @pytest.mark.parametrize("speed", [500, 501, 5_999, SPEED_MAX_RPM])
@@ -200,7 +196,7 @@ def test_the_speed_limit_rises_at_once(speed):
 def test_above_a_maximum_that_became_stricter_the_speed_limit_comes_down(speed, rule, first):
     gate = Gate(LIMITS)
     gate.sent(0, frame(first, speed=12_000, power=0), 0)
-    assert check(gate, frame(first, speed=speed, power=0)).blocked == rule
+    assert check(gate, frame(first, speed=speed, power=0)) == rule
 
 
 @pytest.mark.parametrize(
@@ -216,12 +212,12 @@ def test_above_a_maximum_that_became_stricter_the_speed_limit_comes_down(speed, 
 def test_above_a_maximum_that_became_stricter_the_power_limit_comes_down(power, rule):
     gate = Gate(LIMITS)
     gate.sent(0, frame(power=60_000), 0)
-    assert check(gate, frame(power=power)).blocked == rule
+    assert check(gate, frame(power=power)) == rule
 
 
 @pytest.mark.parametrize(("speed", "power"), [(SPEED_MAX_RPM + 1, 0), (6_000, POWER_MAX_W + 1)])
 def test_before_the_first_frame_left_nothing_is_on_its_way(speed, power):
-    assert check(Gate(LIMITS), frame(speed=speed, power=power)).blocked is not None
+    assert check(Gate(LIMITS), frame(speed=speed, power=power)) is not None
 
 
 # Regeneration.
@@ -239,7 +235,7 @@ def test_before_the_first_frame_left_nothing_is_on_its_way(speed, power):
 )
 @pytest.mark.parametrize("data", [frame(0x24), frame(0x24, brake=255)])
 def test_nothing_regenerates_unless_both_motors_are_known_to_turn(gate, speeds, rule, data):
-    assert check(gate, data, speeds=speeds).blocked == rule
+    assert check(gate, data, speeds=speeds) == rule
 
 
 @pytest.mark.parametrize("speeds", [(0.0, 0.0), (None, None)])
@@ -263,7 +259,7 @@ def test_a_least_speed_of_one_rpm_lets_nothing_brake_at_a_standstill(gate):
 
 @pytest.mark.parametrize(("throttle", "rule"), [(0, None), (1, "power_mode")])
 def test_there_is_no_throttle_in_power_mode_safety(gate, throttle, rule):
-    assert check(gate, frame(0x0C, throttle)).blocked == rule
+    assert check(gate, frame(0x0C, throttle)) == rule
 
 
 @pytest.mark.parametrize(("throttle", "rule"), [(0, None), (1, "directions")])
@@ -271,7 +267,7 @@ def test_there_is_no_throttle_in_power_mode_safety(gate, throttle, rule):
 def test_there_is_no_throttle_while_the_slots_have_two_directions(gate, throttle, rule, slot):
     gate.sent(1, ZERO_TORQUE_REVERSE, 0)
     first = 0x14 if slot else 0x04
-    assert check(gate, frame(first, throttle), slot=slot).blocked == rule
+    assert check(gate, frame(first, throttle), slot=slot) == rule
 
 
 def test_two_directions_pass_where_the_configuration_says_so(gate):
@@ -327,15 +323,15 @@ def test_the_throttle_rises_by_the_slew_since_the_last_frame_sent(before, elapse
     for throttle, blocked in ((highest, None), (highest + 1, "throttle_slew")):
         gate = Gate(LIMITS)
         gate.sent(0, frame(throttle=before), at_ns)
-        assert check(gate, frame(throttle=throttle), now_ns=at_ns + elapsed_ns).blocked == blocked
+        assert check(gate, frame(throttle=throttle), now_ns=at_ns + elapsed_ns) == blocked
 
 
 def test_a_whole_code_earned_exactly_is_allowed():
     limits = replace(LIMITS, throttle_slew_pct_per_s=39.0, period_ns=10 * MS)
     gate = Gate(limits)
     gate.sent(0, frame(throttle=10), 0)
-    assert check(gate, frame(throttle=12), now_ns=10 * MS).blocked is None
-    assert check(gate, frame(throttle=13), now_ns=10 * MS).blocked == "throttle_slew"
+    assert check(gate, frame(throttle=12), now_ns=10 * MS) is None
+    assert check(gate, frame(throttle=13), now_ns=10 * MS) == "throttle_slew"
 
 
 @pytest.mark.parametrize("throttle", [0, 1, 100, 199, 200])
@@ -357,8 +353,8 @@ def test_each_slot_has_its_own_last_frame(gate):
 
 
 def test_before_the_first_frame_left_only_a_throttle_of_zero_passes():
-    assert check(Gate(LIMITS), frame(throttle=0)).blocked is None
-    assert check(Gate(LIMITS), frame(throttle=1)).blocked == "throttle_slew"
+    assert check(Gate(LIMITS), frame(throttle=0)) is None
+    assert check(Gate(LIMITS), frame(throttle=1)) == "throttle_slew"
 
 
 def test_a_stricter_slew_counts_at_once(gate):
@@ -413,34 +409,6 @@ def test_a_change_that_did_not_leave_is_still_a_change(gate):
 # Blocked frames.
 
 
-@pytest.mark.parametrize(
-    ("last_sent", "instead"),
-    [
-        (frame(0x04, throttle=77), ZERO_TORQUE),
-        (frame(0x14, throttle=77), ZERO_TORQUE_REVERSE),
-        (POWER_CUT_REVERSE, ZERO_TORQUE_REVERSE),
-    ],
-)
-@pytest.mark.parametrize("demanded", [frame(0x04, power=0xFFFF), frame(0x14, power=0xFFFF)])
-def test_instead_goes_zero_torque_in_the_direction_of_the_last_frame_sent(
-    last_sent, instead, demanded
-):
-    gate = Gate(LIMITS)
-    gate.sent(0, last_sent, 0)
-    passed = check(gate, demanded, speeds=(3000.0, 3000.0))
-    assert passed.blocked is not None
-    assert passed.data == instead
-
-
-@pytest.mark.parametrize(
-    ("demanded", "instead"),
-    [(frame(0x14, 9), ZERO_TORQUE_REVERSE), (frame(0x04, 9), ZERO_TORQUE), (b"", ZERO_TORQUE)],
-)
-def test_before_the_first_frame_the_direction_asked_for_is_kept(demanded, instead):
-    passed = check(Gate(LIMITS), demanded)
-    assert (passed.data, passed.blocked is None) == (instead, False)
-
-
 def test_every_blocked_frame_is_counted_by_its_rule(gate):
     for data in (frame(power=0xFFFF), frame(power=0xFFFF), frame(throttle=99), b"", frame()):
         check(gate, data)
@@ -448,21 +416,10 @@ def test_every_blocked_frame_is_counted_by_its_rule(gate):
     assert gate.blocked == {"power_limit": 2, "throttle_slew": 2, "length": 1}
 
 
-def test_zero_torque_carries_the_maximum_speed_and_the_direction(gate):
-    assert gate.zero_torque(reverse=False) == ZERO_TORQUE
-    assert gate.zero_torque(reverse=True) == ZERO_TORQUE_REVERSE
-    gate.limits = replace(LIMITS, speed_limit_max_rpm=12_000)
-    assert gate.zero_torque(reverse=False) == bytes.fromhex("0c000000e02e0000")
-    gate.limits = replace(LIMITS, speed_limit_max_rpm=0x0DFF)
-    assert gate.zero_torque(reverse=False) == bytes.fromhex("0c000000ff0d0000")
-
-
-def test_what_passes_is_a_copy_that_nobody_can_change(gate):
+def test_a_frame_sent_is_kept_as_it_was_then(gate):
     data = bytearray(frame())
-    passed = check(gate, data)
     gate.sent(0, data, 0)
     data[1] = 255
-    assert passed.data == frame()
     assert_blocked(gate, "throttle_slew", frame(throttle=100))
 
 
@@ -507,19 +464,17 @@ def test_the_safe_frame_always_passes(last_sent, armed, speeds, now_ns, cut):
     now_ns=TIMES_NS,
     can_id=st.sampled_from([PCU1_ID, PCU2_ID]) | st.integers(0, 2**29 - 1),
 )
-def test_whatever_comes_in_what_goes_out_would_pass_and_carries_torque_only_when_armed(
+def test_whatever_passes_is_the_slots_own_and_carries_torque_only_when_armed(
     last_sent, data, armed, speeds, now_ns, can_id
 ):
     gate = gate_after(last_sent)
-    passed = check(gate, data, can_id=can_id, armed=armed, speeds=speeds, now_ns=now_ns)
-    assert (passed.can_id, len(passed.data)) == (PCU1_ID, 8)
-    again = check(gate, passed.data, armed=armed, speeds=speeds, now_ns=now_ns)
-    assert again.blocked is None
-    if not armed or passed.blocked:
-        first, throttle, brake, _, _, _, power_low, power_high = passed.data
-        assert (throttle, brake, power_low, power_high, first & 0x2C) == (0, 0, 0, 0, 0x0C)
-    if passed.blocked:
-        assert gate.blocked == {passed.blocked: 1}
+    rule = check(gate, data, can_id=can_id, armed=armed, speeds=speeds, now_ns=now_ns)
+    assert gate.blocked == ({} if rule is None else {rule: 1})
+    if rule is None:
+        assert (can_id, len(data)) == (PCU1_ID, 8)
+        first, throttle, brake, _, _, _, power_low, power_high = data
+        torque = (throttle, brake, power_low, power_high, first & 0x2C)
+        assert armed or torque == (0, 0, 0, 0, 0x0C)
 
 
 # Independence.
@@ -534,4 +489,4 @@ def test_the_gate_imports_nothing_of_the_modules_that_it_checks():
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0
             imported.add(node.module)
-    assert imported == {"dataclasses", "functools", "typing"}
+    assert imported == {"dataclasses", "functools"}

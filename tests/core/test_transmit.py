@@ -166,10 +166,10 @@ def test_the_gate_knows_how_a_power_limit_comes_down_and_whether_directions_may_
     assert output.gate.limits.independent_directions is True
 
 
-def test_zero_torque_of_commands_and_of_the_gate_are_the_same_bytes(output):
+def test_without_any_demand_the_frames_are_zero_torque_and_pass_unarmed(output):
     frames = output.encoded(decided())
     assert {frame.data for frame in frames} == {ZERO_TORQUE}
-    assert output.gate.zero_torque(reverse=False) == ZERO_TORQUE
+    assert output.fault_of(frames, False, STANDING, 0) is None
 
 
 BOTH = ("PCU1", "PCU2")

@@ -1,13 +1,12 @@
 """Gate: the last check of every command frame, independent of the rest of the core.
 
 Written against the bytes of the command frame and the protocol's limits alone; it imports
-nothing of the rules, the supervisor or the commands. A frame that breaks a rule here is
-replaced by ZERO_TORQUE; the safe frame always passes.
+nothing of the rules, the supervisor or the commands. Where a frame breaks a rule here
+the gateway sends safe frames instead; the safe frame always passes.
 """
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 # Byte 1 of the command frame.
 _MODE_MASK, _MODE_SAFETY = 0b0000_1100, 0b0000_1100
@@ -59,14 +58,6 @@ class GateLimits:
         return self.speed_slew_rpm_per_s * self.period_ns / _NS_PER_S
 
 
-class GateResult(NamedTuple):
-    """Frame that may be sent, and the rule that the given one broke; None where it broke none."""
-
-    can_id: int
-    data: bytes
-    blocked: str | None
-
-
 @dataclass(slots=True)
 class _Sent:
     data: bytes
@@ -78,7 +69,7 @@ class Gate:
     """Checks each slot's frame against the last one of it that was really sent.
 
     Attributes:
-        blocked: frames replaced, by the name of the rule they broke.
+        blocked: frames not to be sent, by the name of the rule they broke.
     """
 
     limits: GateLimits
@@ -94,27 +85,16 @@ class Gate:
         armed: bool,
         speeds_rpm: tuple[float | None, ...],
         now_ns: int,
-    ) -> GateResult:
-        """Pass the frame of a slot, or replace it.
+    ) -> str | None:
+        """Name of the rule that the frame of a slot breaks; None where it may be sent.
 
         `speeds_rpm` holds the last known speed of each motor, None where it is not known.
         """
-        own_id = self.limits.allowed[slot]
-        sent = self._sent.get(slot)
+        own_id, sent = self.limits.allowed[slot], self._sent.get(slot)
         why = self._fault(can_id == own_id, data, armed, speeds_rpm, sent, now_ns)
-        if why is None:
-            return GateResult(own_id, bytes(data), None)
-        self.blocked[why] = self.blocked.get(why, 0) + 1
-        reverse = _reverse_of(sent.data if sent else data)
-        return GateResult(own_id, self.zero_torque(reverse, sent), why)
-
-    def zero_torque(self, reverse: bool, sent: _Sent | None = None) -> bytes:
-        """ZERO_TORQUE (docs/safety.md, Safe frames) in bytes, as it may follow the frame sent."""
-        speed = int(self.limits.speed_limit_max_rpm)
-        if sent is not None:
-            speed = max(speed, _word(sent.data, 4) - int(self.limits.speed_step_rpm))
-        first = _MODE_SAFETY | (_REVERSE if reverse else 0)
-        return bytes((first, 0, 0, 0, speed & 0xFF, speed >> 8, 0, 0))
+        if why is not None:
+            self.blocked[why] = self.blocked.get(why, 0) + 1
+        return why
 
     def sent(self, slot: int, data: bytes, at_ns: int) -> None:
         """Remember the frame of a slot that has really been handed to the bus."""
@@ -223,7 +203,3 @@ def _falls(limit: int, before: int | None, step: float) -> bool:
 
 def _word(data: bytes, index: int) -> int:
     return data[index] | data[index + 1] << 8
-
-
-def _reverse_of(data: bytes) -> bool:
-    return bool(data and data[0] & _REVERSE)

@@ -84,7 +84,7 @@ class Transmitter:
         """Show every frame to the gate; the rule that one of them breaks, or None."""
         fault: str | None = None
         for slot, frame in enumerate(frames):
-            passed = self.gate.check(
+            broken = self.gate.check(
                 slot,
                 frame.can_id,
                 frame.data,
@@ -92,7 +92,7 @@ class Transmitter:
                 speeds_rpm=speeds_rpm,
                 now_ns=now_ns,
             )
-            fault = fault or passed.blocked
+            fault = fault or broken
         return fault
 
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
