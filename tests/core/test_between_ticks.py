@@ -240,6 +240,21 @@ def test_a_late_tick_in_standby_latches_nothing():
     assert drive.gateway.supervisor.latch is None
 
 
+def test_a_late_tick_in_standby_is_a_cause_to_stop():
+    drive = standby()
+    drive.gateway.tick(drive.now_ns + LATE_NS + 1)
+    assert "tick 200 ms: stop" in drive.sentence
+
+
+def test_a_late_tick_after_arming_latches_before_an_end_that_was_asked_for():
+    drive = standby()
+    assert drive.arm().granted
+    drive.gateway.requests.terminate()
+    drive.gateway.tick(drive.now_ns + LATE_NS + 1)
+    assert drive.mode is Mode.STOPPING
+    assert drive.gateway.supervisor.latch.reason.startswith("tick ")
+
+
 @pytest.mark.parametrize("request_of", ["disarm", "a demand", "a demand ends"])
 def test_a_late_tick_cannot_be_reset_before_it_was_ticked(request_of):
     drive = active()
