@@ -51,7 +51,19 @@ BROKEN_CORES = (
         "commands",
         "target_rpm = max(_SPEED_LIMIT_MIN_RPM, min(demanded_rpm, settings.speed_limit_max_rpm))",
         "target_rpm = min(demanded_rpm, 12000.0)",
-        ("other-limits", "reloads"),
+        ("other-limits", "reloads", "speed-limits"),
+    ),
+    *(
+        # By as much as rounding may take, and by one more.
+        BrokenCore(
+            "speed_slew",
+            "commands",
+            "return max(target_rpm, sent_rpm - settings.speed_slew_rpm_per_s * self._elapsed_s)",
+            "return max(target_rpm,"
+            f" sent_rpm - settings.speed_slew_rpm_per_s * self._elapsed_s - {too_far_rpm})",
+            ("speed-limits",),
+        )
+        for too_far_rpm in (1, 2)
     ),
     BrokenCore(
         "direction",

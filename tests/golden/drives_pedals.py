@@ -174,3 +174,12 @@ def other_limits(drive: ScriptedDrive) -> None:
     ):
         drive.run(1500)
     drive.run(3000)
+
+
+@golden(config="limits: {speed_slew_rpm_per_s: 20000}")
+def speed_limits(drive: ScriptedDrive) -> None:
+    """Speed limits down to the least one and below it: each falls along its slew, rises at once."""
+    drive.start_driving()
+    for limit_rpm in (501, 500, 499, 0, 12000, 600):
+        drive.demand(speed_limit_rpm=limit_rpm)
+        drive.run(700)
