@@ -99,7 +99,13 @@ def test_no_two_steps_that_judge_by_the_clock_run_at_once_and_the_others_give_wa
     folder: Path,
 ) -> None:
     """Of the suite on the bus every step judges by the clock."""
-    steps = ["test-vcan", "test-faults-vcan", "test-faults-netem", "test-faults-slcan"]
+    steps = [
+        "test-vcan",
+        "test-recorded",
+        "test-faults-vcan",
+        "test-faults-netem",
+        "test-faults-slcan",
+    ]
     tell = "nice >>niceness; [ ! -e timed ] || echo two; touch timed; sleep 0.2; rm timed"
     (folder / "Makefile").write_text(f"{' '.join(steps)}:\n\t@{tell}\n")
     done = subprocess.run(
