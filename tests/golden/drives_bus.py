@@ -201,6 +201,18 @@ def refused(drive: ScriptedDrive) -> None:
         drive.run(1800)
 
 
+@golden(40)
+def refused_on_the_ramp(drive: ScriptedDrive) -> None:
+    """The bus takes no frame for a tick while the throttle rises: it rises from what was sent."""
+    drive.start_driving(throttle_pct=0)
+    drive.demand(throttle_pct=80)
+    drive.ticks(3)
+    drive.accepted = False
+    drive.ticks(1)
+    drive.accepted = True
+    drive.run(600)
+
+
 @golden(41)
 def unconfirmed(drive: ScriptedDrive) -> None:
     """Frames are taken and do not come back, for 2, 3, 4 ticks and for 5 s."""

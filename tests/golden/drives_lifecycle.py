@@ -3,7 +3,7 @@
 from random import Random
 
 from tests.golden.drives_vehicle import code
-from tests.golden.scripted_drive import END_TICKS_AT_MOST, MS, ScriptedDrive
+from tests.golden.scripted_drive import END_TICKS_AT_MOST, MS, ScriptedDrive, Step
 from tests.golden.scripts import golden
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.supervisor import FaultClass
@@ -45,6 +45,15 @@ def restarted_while_rolling(drive: ScriptedDrive) -> None:
         drive.reset()
         drive.run(1500)
     drive.start_driving()
+
+
+@golden(49, 51)
+def restarted_in_reverse(drive: ScriptedDrive) -> None:
+    """A start after a crash in reverse, of which only one controller says anything."""
+    drive.gateway.begin_from(None, {"PCU1": True, "PCU2": True})
+    silent: Step = {"fault": "silence", "of": "PCU2_Status1"}
+    with drive.broken(code("PCU1_Status1.MotorReverse", 1), silent):
+        drive.run(1500)
 
 
 @golden(49, 51)

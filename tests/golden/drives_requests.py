@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from tests.golden.scripted_drive import CRUISE, MS, ScriptedDrive
+from tests.golden.scripted_drive import CRUISE, MS, RELEASED, ScriptedDrive
 from tests.golden.scripts import golden
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
@@ -36,6 +36,19 @@ def silent_driver(drive: ScriptedDrive) -> None:
     drive.offer(CRUISE, made_ns=drive.now_ns + 60 * MS)
     drive.offer(CRUISE, made_ns=drive.now_ns + 5 * MS)
     drive.run(200)
+
+
+@golden(70)
+def interrupted_demand(drive: ScriptedDrive) -> None:
+    """A released pedal counts anew after a pause: arming waits for it again."""
+    drive.until(Mode.STANDBY)
+    drive.run(600)
+    drive.demanded = None
+    drive.run(300)
+    drive.demanded = RELEASED
+    for _ in range(12):
+        drive.ticks(1)
+        drive.arm()
 
 
 @golden(71, config="demand: {priorities: {remote_stop: 10}}")

@@ -224,3 +224,17 @@ def echoes(drive: ScriptedDrive) -> None:
         drive.run(600)
     drive.run(1100)
     drive.until(Mode.FAULT) if drive.gateway.supervisor.mode is Mode.FAULT else None
+
+
+@golden(30)
+def first_echo(drive: ScriptedDrive) -> None:
+    """A controller whose first echo comes while it is driven, and says that it does not obey."""
+    with drive.broken({"fault": "silence", "of": "PCU1_Status1"}):
+        drive.until(Mode.STANDBY)
+        drive.run(1200)
+        drive.arm()
+        drive.ticks(1)
+        drive.demand()
+        drive.run(1800)
+    with drive.broken(code("PCU1_Status1.Throttle", 0)):
+        drive.run(1600)

@@ -28,7 +28,7 @@ MODULES = (
     "rules", "coded_signals", "causes", "supervisor", "mode_manager", "operator_requests",
     "commands", "pedals", "motor_speeds", "plausibility", "lifecycle", "link", "demand", "gate",
 )  # fmt: skip
-BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked")
+BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked", "commands.Commander.replaced")
 """Rules that act on mistakes of the rest of the core alone."""
 ENDED = ("ended-in-order", "ended-without-a-bus", "ended-while-listening")
 """Drives that end when the core says so: a replay does not ask it, so they are driven anew."""
