@@ -56,6 +56,26 @@ def test_a_clock_that_was_set_back_opens_no_session():
     assert not session.is_open(500.0)
 
 
+def test_a_clock_that_is_set_ends_no_session_also_after_a_restart(tmp_path):
+    file = tmp_path / "sessions.json"
+    ahead_s = 100.0
+    sessions = Sessions(HOUR_S, file, lambda: ahead_s)
+    token = sessions.open("anna", 1000.0)
+    ahead_s += 10 * 365 * 24 * HOUR_S
+    assert sessions.find(token).is_open(1010.0)
+    again = Sessions(HOUR_S, file, lambda: ahead_s)
+    assert again.find(token).is_open(1020.0)
+    assert not again.find(token).is_open(1000.0 + HOUR_S + 1)
+
+
+def test_a_full_disk_keeps_nobody_from_signing_in_and_leaves_nothing_behind(tmp_path):
+    file = tmp_path / "folder" / "sessions.json"
+    file.mkdir(parents=True)  # cannot be replaced by a file
+    sessions = Sessions(HOUR_S, file)
+    assert sessions.find(sessions.open("anna", 0.0)) is not None
+    assert list(file.parent.iterdir()) == [file]
+
+
 def test_tokens_are_random_and_kept_nowhere(tmp_path):
     file = tmp_path / "sessions.json"
     sessions = Sessions(HOUR_S, file)
@@ -141,12 +161,16 @@ def test_anything_else_without_tls_does_not_start(address, users):
 def test_a_network_address_with_tls_and_users_starts(tmp_path):
     for name in ("chain", "key"):
         (tmp_path / name).write_text("")
+        (tmp_path / name).chmod(0o640)
     tls = TlsFiles(tmp_path / "chain", tmp_path / "key")
     settings(address="192.0.2.1", users=ANNA, tls=tls).check()
     with pytest.raises(ConfigError, match="there are no users"):
         settings(address="192.0.2.1", tls=tls).check()
     with pytest.raises(ConfigError, match="no name that a browser uses"):
         settings(address="0.0.0.0", users=ANNA, tls=tls).check()
+    tls.key.chmod(0o644)
+    with pytest.raises(ConfigError, match="others may read this key"):
+        settings(address="192.0.2.1", users=ANNA, tls=tls).check()
 
 
 def test_the_names_of_this_machine_are_known_and_no_others():

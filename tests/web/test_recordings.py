@@ -1,8 +1,11 @@
 """Recordings in the page: listed, given away whole, computed again, within limits."""
 
 import io
+import resource
 import shutil
 import tarfile
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -12,6 +15,7 @@ from tests.replay.drives import ordinary
 from tests.web.browser import PICTURES, chromium, context_of, opened
 from tests.web.conftest import PASSWORD
 from tests.web.stand import WebProcess, serving
+from vcu_gateway.web.recordings import archive
 
 SLOWER = b"bus: {channel: can0}\nlimits: {throttle_slew_pct_per_s: 20.0}\n"
 NAME = "20261123T180412Z-1f3a9c2e"
@@ -92,6 +96,61 @@ def test_a_wrong_configuration_is_named_without_the_name_of_a_temporary_file(web
 
 def test_a_configuration_that_is_too_large_is_refused(web):
     assert web.request("POST", path("what-if"), bytes(70_000)).status == 413
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        b"a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n",
+        b"[" * 60_000,
+        b"{a: " * 15_000,
+        b"limits: {" + b", ".join(b"k%d: 1" % number for number in range(6000)) + b"}",
+        b"\xff\xfe\x00",
+        b"!!python/object/apply:os.system [id]",
+        b"include: /etc/shadow",
+        b"",
+    ],
+    ids=["aliases", "depth", "maps", "keys", "bytes", "tag", "include", "empty"],
+)
+def test_a_hostile_configuration_is_a_sentence_and_soon(web, config):
+    begin_s = time.monotonic()
+    answer = web.request("POST", path("what-if"), config)
+    assert answer.status == 422
+    assert 0 < len(answer.json["sentence"]) < 10_000
+    assert time.monotonic() - begin_s < 20
+    assert web.request("GET", "/").status == 200
+
+
+def test_a_full_disk_is_a_sentence_and_the_page_goes_on(web):
+    resource.prlimit(web.process.pid, resource.RLIMIT_FSIZE, (0, 0))  # no file has any room
+    answer = web.request("POST", path("what-if"), SLOWER)
+    assert answer.status == 507
+    assert "cannot be kept" in answer.json["sentence"]
+    assert web.act("estop").json["confirmed"] is True
+
+
+def test_whoever_lists_does_not_wait_for_a_replay(tmp_path, gateway, driven):
+    options = ("--local-role", "operator", "--recordings", str(driven))
+    with serving(tmp_path, gateway.socket_path, *options) as web, ThreadPoolExecutor() as pool:
+        replays = [pool.submit(web.request, "POST", path("replay")) for _ in range(2)]
+        assert len(web.request("GET", "/api/recordings").json["recordings"]) == 1
+        assert sorted(one.result().status for one in replays) == [200, 429]
+
+
+def test_a_large_file_is_given_away_in_pieces_also_where_it_changes(tmp_path):
+    folder = tmp_path / NAME
+    folder.mkdir()
+    large = folder / "0001.frames.log.gz"
+    large.write_bytes(bytes(range(251)) * 10_000)
+    pieces = archive(folder)
+    begun = [next(pieces), next(pieces)]
+    large.write_bytes(b"shorter")
+    whole = [*begun, *pieces]
+    assert max(map(len, whole)) <= 65_536
+    with tarfile.open(fileobj=io.BytesIO(b"".join(whole))) as tar:
+        (entry,) = tar.getmembers()
+        assert entry.size == 2_510_000
+        assert not entry.uid
 
 
 def test_recordings_are_for_operators(tmp_path, gateway, folder, users_file):

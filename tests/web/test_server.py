@@ -8,13 +8,14 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.driven import wait_until
 from tests.web.conftest import PASSWORD
-from tests.web.stand import WebProcess, gateway_running, serving
+from tests.web.stand import ROOT, WebProcess, gateway_running, serving
 
 
 @pytest.fixture
@@ -301,10 +302,29 @@ def test_with_tls_and_users_it_listens_on_a_network(tmp_path, gateway, users_fil
         assert "max-age=" in answer.headers["strict-transport-security"]
 
 
+def test_handshakes_that_never_come_keep_no_other_address_out(tmp_path, gateway, users_file):
+    chain, key = certificate(tmp_path)
+    options = ["--listen", "0.0.0.0:0", "--users", str(users_file), "--host-name", "127.0.0.1"]
+    options += ["--certificate", str(chain), "--key", str(key)]
+    with serving(tmp_path, gateway.socket_path, *options) as web, contextlib.ExitStack() as stack:
+        to = ("127.0.0.1", web.port)
+        begin_s = time.monotonic()
+        silent = [socket.create_connection(to, 30, ("127.0.0.2", 0)) for _ in range(300)]
+        for one in silent:
+            stack.enter_context(one)
+        silent[0].send(b"GET / HTTP/1.1\r\n\r\n")
+        assert web.request("GET", "/").status == 200
+        assert all(is_closed(one) for one in silent)
+        assert 8 < time.monotonic() - begin_s < 25
+        assert web.request("GET", "/").status == 200
+        assert len(web.said) == 2, web.said  # where it is, and that the gateway was found
+
+
 def test_a_certificate_that_is_none_is_named(tmp_path):
     chain, key = tmp_path / "chain.pem", tmp_path / "key.pem"
     for path in (chain, key):
         path.write_text("nothing")
+        path.chmod(0o600)
     options = ("--certificate", str(chain), "--key", str(key))
     code, said = refused_start(tmp_path, *options)
     assert code == os.EX_CONFIG
@@ -360,6 +380,10 @@ def test_half_a_request_is_not_waited_for_and_too_many_connections_are_closed(we
         one.settimeout(30)
     begin_s = time.monotonic()
     sockets[0].send(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n")
+    host = f"127.0.0.1:{web.port}"
+    post = f"POST /api/session HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n"
+    sockets[1].send(f"{post}Content-Length: 90\r\n\r\n{{".encode())
+    sockets[2].send(f"{post}Transfer-Encoding: chunked\r\n\r\n1\r\n{{\r\n".encode())
     closed = [one for one in sockets if is_closed(one)]
     assert len(closed) == 150
     assert time.monotonic() - begin_s < 25
@@ -367,12 +391,11 @@ def test_half_a_request_is_not_waited_for_and_too_many_connections_are_closed(we
 
 
 def is_closed(one: socket.socket) -> bool:
-    try:
-        return one.recv(1) == b""
-    except ConnectionError:
-        return True
-    finally:
-        one.close()
+    """Whether it ends, be it after an answer; TimeoutError where it does not."""
+    with one, contextlib.suppress(ConnectionError):
+        while one.recv(4096):
+            pass
+    return True
 
 
 def test_a_browser_that_does_not_read_misses_updates_and_costs_no_memory(web):
@@ -390,6 +413,34 @@ def test_a_browser_that_does_not_read_misses_updates_and_costs_no_memory(web):
             while time.monotonic() < end_s:
                 reading.until("state")
         assert resident_kb() - before_kb < 4000
+
+
+def test_a_flood_of_requests_keeps_no_stop_out_and_makes_no_tick_late(gateway, web):
+    os.setpriority(os.PRIO_PROCESS, web.process.pid, 10)  # as the unit has it
+    before = gateway.ask("ticks")
+    with flooding(web) as answered:
+        end_s = time.monotonic() + 4
+        while time.monotonic() < end_s:
+            answer = web.act("estop")
+            assert answer.json["confirmed"] is True, answer.json
+    after = gateway.ask("ticks")
+    assert answered[0] > 200
+    assert after["skipped"] == before["skipped"]
+    assert gateway.ask("reset") == "standby"
+
+
+@contextlib.contextmanager
+def flooding(web: WebProcess) -> Iterator[list[int]]:
+    """As many requests as are answered; their number at the end."""
+    command = [sys.executable, "-m", "tests.web.flood", str(web.port)]
+    pipe = subprocess.PIPE
+    answered: list[int] = []
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "asking\n"
+        yield answered
+        output, _ = process.communicate()
+        answered.append(int(output))
 
 
 def test_the_server_needs_little(web):

@@ -11,7 +11,7 @@ from vcu_gateway.api.rights import Right
 from vcu_gateway.web.events import WebEvents
 from vcu_gateway.web.login_limit import LoginLimit
 from vcu_gateway.web.roles import UserRole
-from vcu_gateway.web.sessions import Sessions
+from vcu_gateway.web.sessions import Sessions, now_s
 from vcu_gateway.web.settings import WebSettings
 from vcu_gateway.web.users import MOST_PASSWORD_CHARACTERS, NOBODY, is_name
 
@@ -23,7 +23,7 @@ class Visitor(NamedTuple):
 
     Attributes:
         user: empty where there are no users.
-        expires_s: when the session ends, seconds since 1970; None where there are none.
+        expires_s: when the session ends, by `sessions.now_s`; None where there are none.
         looks: False for a session that has ended and may only stop the vehicle.
     """
 
@@ -71,9 +71,9 @@ class Access:
             return Visitor("", self._settings.local_role, address, None, looks=True)
         session = self._sessions.find(request.cookies.get(self.cookie, ""))
         user = self._settings.users.get(session.user) if session else None
-        if session is None or user is None or not session.may_stop(time.time()):
+        if session is None or user is None or not session.may_stop(now_s()):
             return None
-        looks = session.is_open(time.time())
+        looks = session.is_open(now_s())
         return Visitor(user.name, user.role, address, session.expires_s, looks)
 
     async def sign_in(self, name: str, password: str, address: str) -> tuple[str, UserRole]:
@@ -90,7 +90,7 @@ class Access:
         self._limit.succeeded(address)
         role = self._settings.users[name].role
         self._events.tell("signed_in", "info", user=name, role=role.value, address=address)
-        return self._sessions.open(name, time.time()), role
+        return self._sessions.open(name, now_s()), role
 
     async def _is_right(self, name: str, password: str) -> bool:
         if len(password) > MOST_PASSWORD_CHARACTERS:

@@ -27,7 +27,7 @@ def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
     """The whole application; its lifespan follows the gateway."""
     broadcast = Broadcast()
     link = GatewayLink(settings.socket_path, broadcast, events)
-    events.on_change = link.publish_events
+    events.on_change = link.note_event
     actions = Actions(settings.socket_path, link)
     access = Access(settings, events)
     api = Routes(access, link, actions, Streams(broadcast), events)

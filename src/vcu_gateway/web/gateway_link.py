@@ -46,7 +46,7 @@ class GatewayLink:
         self._known_why: object = None
         self._why_told_s = 0.0
         self._dated: list[dict[str, object]] = []
-        self._shown_events: object = None
+        self._are_events_new = False
 
     async def run(self) -> None:
         """Follow until cancelled."""
@@ -137,20 +137,20 @@ class GatewayLink:
             {key: value for key, value in one.items() if not key.endswith("_ms")}
             for one in events["events"]
         ]
-        self.publish_events(dated)
-
-    def publish_events(self, dated: list[dict[str, object]] | None = None) -> None:
-        """The gateway's latest events with those of this page, where there is something new."""
-        if dated is not None:
+        if dated != self._dated:
             self._dated = dated
-        shown = {"gateway": self._dated, "page": self._events.latest()}
-        if shown != self._shown_events:
-            self._shown_events = shown
-            self._publish("events", shown)
+            self.note_event()
+
+    def note_event(self) -> None:
+        """There is a new one; all go with the next beat, however many come until then."""
+        self._are_events_new = True
 
     async def _beat(self) -> None:
         """Four times a second: this program lives, and whether the gateway does."""
         while True:
+            if self._are_events_new:
+                self._are_events_new = False
+                self._publish("events", {"gateway": self._dated, "page": self._events.latest()})
             self._publish_link()
             await asyncio.sleep(BEAT_S)
 

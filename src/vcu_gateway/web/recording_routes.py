@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import tempfile
+from collections.abc import Awaitable
 from pathlib import Path
 
 from starlette.requests import Request
@@ -36,10 +37,8 @@ class RecordingRoutes:
         folder = self._for(visitor)
         if isinstance(folder, Response):
             return folder
-        try:
-            return _listed(await folder.listed())
-        except TooBusyError:
-            return _busy()
+        listed = await _result(folder.listed())
+        return listed if isinstance(listed, Response) else _listed(listed)
 
     async def download(self, request: Request, visitor: Visitor) -> Response:
         """The whole folder of one as a tar file."""
@@ -61,10 +60,8 @@ class RecordingRoutes:
             return found
         folder, path = found
         self._tell("recording_replayed", path, visitor)
-        try:
-            return _said(await folder.replay(path))
-        except TooBusyError:
-            return _busy()
+        replayed = await _result(folder.replay(path))
+        return replayed if isinstance(replayed, Response) else _said(replayed)
 
     async def what_if(self, request: Request, visitor: Visitor) -> Response:
         """What the configuration in the body would have done."""
@@ -76,13 +73,15 @@ class RecordingRoutes:
         if isinstance(config, Response):
             return config
         self._tell("what_if_asked", path, visitor)
-        with tempfile.TemporaryDirectory(prefix="vcu-web.") as temporary:
-            file = Path(temporary) / "gateway.yaml"
-            file.write_bytes(config)
-            try:
-                return _said(await folder.replay(path, file), hide=temporary + os.sep)
-            except TooBusyError:
-                return _busy()
+        try:
+            with tempfile.TemporaryDirectory(prefix="vcu-web.") as temporary:
+                file = Path(temporary) / "gateway.yaml"
+                file.write_bytes(config)
+                replayed = await _result(folder.replay(path, file))
+                hide = temporary + os.sep
+        except OSError as error:
+            return problem(507, f"the configuration cannot be kept: {error.strerror}")
+        return replayed if isinstance(replayed, Response) else _said(replayed, hide)
 
     def _for(self, visitor: Visitor) -> RecorderFolder | Response:
         if not visitor.may(Right.OPERATE):
@@ -132,5 +131,11 @@ def _reason(result: VerbResult) -> str:
     return said or f"it ended with {result.code} and said nothing"
 
 
-def _busy() -> Response:
-    return problem(429, "another one is being computed: try again soon", {"retry-after": "5"})
+async def _result(running: Awaitable[VerbResult]) -> VerbResult | Response:
+    """What the verb said; why it did not run, where it did not."""
+    try:
+        return await running
+    except TooBusyError:
+        return problem(429, "another one is being computed: try again soon", {"retry-after": "5"})
+    except OSError as error:
+        return problem(503, f"it cannot be computed now: {error.strerror}", {"retry-after": "5"})

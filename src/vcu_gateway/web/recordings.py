@@ -6,7 +6,6 @@ of its own with limits on time, memory and output, one at a time.
 
 import asyncio
 import contextlib
-import io
 import os
 import re
 import resource
@@ -48,7 +47,7 @@ class RecorderFolder:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._one_at_a_time = asyncio.Lock()
+        self._listing, self._computing = asyncio.Lock(), asyncio.Lock()
 
     def find(self, kind: str, name: str) -> Path | None:
         """Folder of a drive or an incident; None for a name that is none."""
@@ -59,18 +58,20 @@ class RecorderFolder:
 
     async def listed(self) -> VerbResult:
         """`recordings list --json`."""
-        return await self._run("recordings", "list", "--json", "--folder", str(self._folder))
+        arguments = ("recordings", "list", "--json", "--folder", str(self._folder))
+        return await _alone(self._listing, *arguments)
 
     async def replay(self, path: Path, config: Path | None = None) -> VerbResult:
         """`replay` of a recording, or what another configuration would have done."""
         options = ["--config", str(config)] if config is not None else []
-        return await self._run("replay", str(path), *options)
+        return await _alone(self._computing, "replay", str(path), *options)
 
-    async def _run(self, *arguments: str) -> VerbResult:
-        if self._one_at_a_time.locked():
-            raise TooBusyError
-        async with self._one_at_a_time:
-            return await _verb(*arguments)
+
+async def _alone(lock: asyncio.Lock, *arguments: str) -> VerbResult:
+    if lock.locked():
+        raise TooBusyError
+    async with lock:
+        return await _verb(*arguments)
 
 
 async def _verb(*arguments: str) -> VerbResult:
@@ -117,21 +118,24 @@ def _limit(pid: int) -> None:
 
 def archive(path: Path) -> Iterator[bytes]:
     """The folder as a tar file, piece by piece; its members are compressed already."""
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w|", format=tarfile.PAX_FORMAT) as tar:
-        for one in sorted(path.iterdir()):
-            if one.is_file() and not one.is_symlink():
-                yield from _member(tar, buffer, one, f"{path.name}/{one.name}")
-    yield buffer.getvalue()
+    for one in sorted(path.iterdir()):
+        if one.is_file() and not one.is_symlink():
+            yield from _member(one, f"{path.name}/{one.name}")
+    yield bytes(2 * tarfile.BLOCKSIZE)
 
 
-def _member(tar: tarfile.TarFile, buffer: io.BytesIO, path: Path, name: str) -> Iterator[bytes]:
+def _member(path: Path, name: str) -> Iterator[bytes]:
     """One file, as long as it is now: one that is being written may grow meanwhile."""
     with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
-        entry = tar.gettarinfo(arcname=name, fileobj=file)
-        entry.uid = entry.gid = 0
-        entry.uname = entry.gname = ""
-        tar.addfile(entry, file)
-        yield buffer.getvalue()
-        buffer.seek(0)
-        buffer.truncate()
+        entry = tarfile.TarInfo(name)
+        found = os.fstat(file.fileno())
+        entry.size, entry.mtime = found.st_size, int(found.st_mtime)
+        yield entry.tobuf(tarfile.PAX_FORMAT)
+        left = entry.size
+        while left and (piece := file.read(min(left, _READ_BYTES))):
+            left -= len(piece)
+            yield piece
+        padding = left + -entry.size % tarfile.BLOCKSIZE  # the file may have become shorter, too
+        while padding:
+            yield bytes(min(padding, _READ_BYTES))
+            padding -= min(padding, _READ_BYTES)

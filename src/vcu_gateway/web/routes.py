@@ -66,7 +66,6 @@ class Routes:
                 "user": visitor.user if visitor else "",
                 "role": visitor.role.value if visitor else "",
                 "rights": rights,
-                "expires_s": visitor.expires_s if visitor else None,
                 "clock": clock(),
             }
         )

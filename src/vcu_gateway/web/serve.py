@@ -10,22 +10,25 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from vcu_gateway.errors import ConfigError, Problem, UnavailableError
-from vcu_gateway.web.connections import LimitedProtocol
+from vcu_gateway.web.connections import LimitedListener, LimitedProtocol
 from vcu_gateway.web.settings import WebSettings
 
 _BACKLOG = 128
 _SEND_BUFFER_BYTES = 64 * 1024
 _HEAD_BYTES = 16 * 1024
+_UNREAD_FOR_MS = 30_000
 
 
-def listening_socket(settings: WebSettings) -> socket.socket:
+def listening_socket(settings: WebSettings) -> LimitedListener:
     """Socket of the address; UnavailableError, with a remedy, where it cannot be had."""
     family = socket.AF_INET6 if ":" in settings.address else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener = LimitedListener(family)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         # Inherited by each connection: a slow browser is to miss updates, not to get old ones.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        # A phone that has left the network makes room, and not only after a quarter of an hour.
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNREAD_FOR_MS)
         listener.bind((settings.address, settings.port))
         listener.listen(_BACKLOG)
     except OSError as error:
@@ -56,6 +59,7 @@ def run(settings: WebSettings, app: ASGIApp, on_open: Callable[[str], None]) -> 
     with listening_socket(settings) as listener:
         config = uvicorn.Config(
             app,
+            loop="asyncio",  # others do not ask the listener
             http=LimitedProtocol,
             ws="none",
             lifespan="on",

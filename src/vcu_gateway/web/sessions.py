@@ -6,16 +6,29 @@ import json
 import os
 import secrets
 import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 _TOKEN_BYTES = 32
 _SESSIONS = 256
 _STOPS_FOR_S = 24 * 3600
+_STEP_S = 1.0
+
+
+def now_s() -> float:
+    """Seconds since the boot, suspended ones too: setting the clock ends no session."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def wall_clock_ahead_s() -> float:
+    """Difference of the wall clock to `now_s`, which changes where the clock is set."""
+    return time.time() - now_s()
 
 
 class BrowserSession(NamedTuple):
-    """One browser that has signed in; the times are seconds since 1970."""
+    """One browser that has signed in; the times are those of `now_s`."""
 
     user: str
     began_s: float
@@ -35,13 +48,22 @@ class Sessions:
 
     Args:
         lifetime_s: how long one lasts.
-        file: where they are kept over a restart of this program; None keeps them in memory.
+        file: where they are kept over a restart of this program; None keeps them in memory. Its
+            times are those of the wall clock, for it may be read after another boot.
+        ahead_s: difference of the wall clock to `now_s`.
     """
 
-    def __init__(self, lifetime_s: float, file: Path | None = None) -> None:
+    def __init__(
+        self,
+        lifetime_s: float,
+        file: Path | None = None,
+        ahead_s: Callable[[], float] = wall_clock_ahead_s,
+    ) -> None:
         self._lifetime_s = lifetime_s
         self._file = file
-        self._sessions = _load(file) if file is not None else {}
+        self._ahead_s = ahead_s
+        self._written_ahead_s = ahead_s()
+        self._sessions = _load(file, self._written_ahead_s) if file is not None else {}
 
     def open(self, user: str, now_s: float) -> str:
         """A new session; the token is for the browser's cookie and kept nowhere."""
@@ -55,6 +77,8 @@ class Sessions:
 
     def find(self, token: str) -> BrowserSession | None:
         """The session of this token, ended or not; None for a token that is none."""
+        if abs(self._ahead_s() - self._written_ahead_s) > _STEP_S:
+            self._save()  # the clock was set: a restart is to find them where they were
         return self._sessions.get(_key(token))
 
     def close(self, token: str) -> None:
@@ -68,25 +92,40 @@ class Sessions:
 
     def _save(self) -> None:
         """Write a new file and rename it: a session is whole or not there."""
+        self._written_ahead_s = ahead_s = self._ahead_s()
         if self._file is None:
             return
+        written = {
+            key: (one.user, one.began_s + ahead_s, one.expires_s + ahead_s)
+            for key, one in self._sessions.items()
+        }
         with contextlib.suppress(OSError):  # a full disk keeps nobody from signing in
-            number, name = tempfile.mkstemp(dir=self._file.parent)
-            with os.fdopen(number, "w") as file:
-                json.dump({key: list(one) for key, one in self._sessions.items()}, file)
-            Path(name).replace(self._file)
+            _replace(self._file, json.dumps(written))
 
 
 def _key(token: str) -> str:
     return hashlib.sha256(token.encode(errors="replace")).hexdigest()
 
 
-def _load(file: Path) -> dict[str, BrowserSession]:
+def _replace(path: Path, text: str) -> None:
+    number, name = tempfile.mkstemp(dir=path.parent)
+    try:
+        with os.fdopen(number, "w") as file:
+            file.write(text)
+        Path(name).replace(path)
+    except OSError:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _load(file: Path, ahead_s: float) -> dict[str, BrowserSession]:
     """Sessions of the run before; none where the file is missing or damaged."""
     try:
         written = json.loads(file.read_text())
         return {
-            str(key): BrowserSession(str(user), float(began_s), float(expires_s))
+            str(key): BrowserSession(
+                str(user), float(began_s) - ahead_s, float(expires_s) - ahead_s
+            )
             for key, (user, began_s, expires_s) in written.items()
         }
     except (OSError, ValueError, TypeError, AttributeError):

@@ -1,6 +1,7 @@
 """Settings of the page, and what it refuses to start with."""
 
 import ipaddress
+import stat
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -81,12 +82,17 @@ class WebSettings(NamedTuple):
         return problems
 
     def _tls_problems(self) -> list[Problem]:
-        files = (self.tls.certificate, self.tls.key) if self.tls else ()
-        return [
+        if self.tls is None:
+            return []
+        problems = [
             Problem("cannot be read", str(path), "look at its path, owner and mode")
-            for path in files
+            for path in self.tls
             if not _is_readable(path)
         ]
+        if not problems and self.tls.key.stat().st_mode & (stat.S_IROTH | stat.S_IWOTH):
+            key = str(self.tls.key)
+            problems.append(Problem("others may read this key", key, f"chmod o= {key}"))
+        return problems
 
 
 def _is_address(text: str) -> bool:

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import time
 from collections import Counter
 
 from starlette.responses import Response
@@ -11,6 +10,7 @@ from starlette.types import Receive, Scope, Send
 from vcu_gateway.web.access import Visitor
 from vcu_gateway.web.broadcast import Broadcast, SeenVersions
 from vcu_gateway.web.connections import TRANSPORT
+from vcu_gateway.web.sessions import now_s
 
 MOST_STREAMS = 128
 MOST_STREAMS_PER_ADDRESS = 64
@@ -73,7 +73,7 @@ class StreamResponse(Response):
     async def _until_over(self, receive: Receive) -> None:
         """Until the browser has gone or its session has ended."""
         expires_s = self._visitor.expires_s
-        left_s = None if expires_s is None else max(0.0, expires_s - time.time())
+        left_s = None if expires_s is None else max(0.0, expires_s - now_s())
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(_until_gone(receive), left_s)
 
