@@ -89,6 +89,7 @@ def test_why_is_the_largest_text_of_the_page(context, web):
         "[parseFloat(getComputedStyle(one).fontSize), one.className])"
     )
     assert max(sizes)[1] == "sentence"
+    assert text(page, ".next span") not in text(page, ".sentence"), "it says nothing twice"
 
 
 @pytest.mark.parametrize("colours", ["dark", "light"])
@@ -112,6 +113,8 @@ def test_nothing_keeps_out_a_screen_reader_or_a_keyboard(browser, web, colours, 
                 if one["impact"] in ("serious", "critical")
             ]
             assert serious == [], view
+            if colours == "light":
+                page.screenshot(path=PICTURES / f"{view}-{width}-light.png")
 
 
 def test_numbers_do_not_jump_while_the_vehicle_drives(gateway, context, web):
@@ -175,6 +178,14 @@ def test_a_plot_has_what_the_server_kept_before_the_page_was_there(context, web)
         }"""
     )
     assert drawn
+
+
+def test_plots_of_signals_that_are_no_more_ask_for_nothing(context, web):
+    context.add_init_script("localStorage.setItem('plots', '[\"Nothing.Here\"]')")
+    page, seen = opened(context, web.url, "plots")
+    page.wait_for_timeout(1000)
+    assert [one for one in seen.addresses if "/api/history" in one] == []
+    assert seen.errors == []
 
 
 # Old is never shown as live.
@@ -273,6 +284,29 @@ def test_a_page_whose_thread_hung_shows_nothing_of_then(context, web):
     assert age_ms > 0
 
 
+@pytest.mark.parametrize("by_ms", [-500_000, 500_000])
+def test_a_server_whose_clock_began_anew_is_live_again_within_seconds(context, web, by_ms):
+    def shifted(route) -> None:
+        answer = route.fetch()
+        value = answer.json()
+        value.get("clock", value)["monotonic_ms"] += by_ms
+        route.fulfill(response=answer, json=value)
+
+    of_the_clock = re.compile("/api/(clock|session)$")
+    context.route(of_the_clock, shifted)
+    page = context.new_page()
+    page.goto(web.url)
+    page.wait_for_function("() => document.getElementById('mode').textContent.length > 1")
+    page.wait_for_timeout(500)
+    context.unroute(of_the_clock)
+    page.wait_for_function(
+        """() => import('/model.js').then((model) =>
+          Math.abs(model.monotonicNow() - model.model.state.t) < 2000)""",
+        timeout=8000,
+    )
+    until_old(page, False)
+
+
 def test_eight_tabs_share_one_stream_and_outlive_the_one_that_has_it(context, web):
     tabs = [opened(context, web.url) for _ in range(8)]
     streams = [
@@ -337,6 +371,7 @@ def test_a_stop_needs_no_session_that_has_not_ended(browser, tmp_path, gateway, 
         page.fill("#sign-in-password", "wrong")
         page.press("#sign-in-password", "Enter")
         page.wait_for_selector("#sign-in-problem:text('name or password is wrong')")
+        page.screenshot(path=PICTURES / "sign-in-1024.png")
         page.fill("#sign-in-password", PASSWORD)
         page.press("#sign-in-password", "Enter")
         page.wait_for_selector("#pulse[data-live=yes]")
@@ -383,7 +418,13 @@ def test_a_reset_shows_its_reason_before_it_is_asked_for(gateway, context, web):
     page.click("#reset")
     assert "Latched: " in text(page, "#reset-reason")
     assert "service level" in text(page, "#reset-level")
+    page.screenshot(path=PICTURES / "reset-1024.png")
+    page.click("#stop")  # still in reach
+    page.wait_for_selector("#stop-outcome[data-state=confirmed]")
+    page.keyboard.press("Escape")
+    page.locator("#reset").click()
     page.click("#reset-leave")
+    assert not page.is_visible("#reset-dialog")
     assert gateway.ask("mode") == "fault"
     gateway.ask("reset")
     page.wait_for_selector("#stop-outcome", state="hidden")
@@ -457,7 +498,7 @@ def test_events_of_gateway_and_page_are_found_by_typing(context, web):
     web.act("disarm")
     page, _ = opened(context, web.url, "events")
     page.wait_for_selector(".events .name:text('action_asked')")
+    page.wait_for_selector(".events .name:text('mode_changed')")
     page.get_by_role("searchbox", name="Find an event").fill("mode_changed")
-    page.wait_for_timeout(200)
     names = set(page.locator(".events tbody .name").all_inner_texts())
     assert names == {"mode_changed"}

@@ -153,8 +153,10 @@ function startReset() {
     const needs = `It needs a reset at ${level} level.`;
     setText(byId("reset-level"), may ? needs : `${needs} This role may not ask for that.`);
     setDisabled(byId("reset-do"), !may);
-    dialog.showModal();
+    dialog.show(); // not modal: the emergency stop stays in reach
+    byId(may ? "reset-do" : "reset-leave").focus();
   });
+  dialog.addEventListener("keydown", (event) => event.key === "Escape" && dialog.close());
   byId("reset-leave").addEventListener("click", () => dialog.close());
   byId("reset-do").addEventListener("click", () => {
     dialog.close();

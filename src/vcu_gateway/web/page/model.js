@@ -8,6 +8,8 @@ export const OLD_AFTER_MS = 400;
 const QUALITIES = { g: "live", r: "range", s: "saturated", o: "stale", n: "never" };
 const AGING_PERIODS = 2.2;
 const LEAST_AGING_MS = 150;
+const JUMP_MS = 20;
+const AHEAD_MS = 100;
 
 export const model = {
   definition: null, // messages and signals of the protocol, with names
@@ -27,15 +29,20 @@ let arrived = -Infinity;
 /** A sample of the server's clock, asked at `sent` and answered at `received` here. */
 export function setClock(sample, sent, received) {
   const roundTrip = received - sent;
+  const offset = sample.monotonic_ms - (sent + received) / 2;
+  // Further off than both ways explain: that machine was started anew, or this one has slept.
+  const jumped = Math.abs(offset - clock.offset) > (roundTrip + clock.roundTrip) / 2 + JUMP_MS;
   // A sample counts for a minute, unless a better one comes: clocks drift, and networks change.
-  if (roundTrip > clock.roundTrip && received - clock.at < 60_000) return;
+  if (!jumped && roundTrip > clock.roundTrip && received - clock.at < 60_000) return;
   clock.roundTrip = roundTrip;
   clock.at = received;
-  clock.offset = sample.monotonic_ms - (sent + received) / 2;
+  clock.offset = offset;
   clock.wall = sample.wall_ms - sample.monotonic_ms;
 }
 
 export const hasClock = () => clock.offset !== null;
+/** Whether the server's clock may be another one than was thought. */
+export const isClockDoubtful = () => model.old || (model.state !== null && model.state.t - monotonicNow() > AHEAD_MS);
 export const monotonicNow = () => performance.now() + (clock.offset ?? 0);
 export const wallOf = (monotonic) => new Date(monotonic + clock.wall);
 

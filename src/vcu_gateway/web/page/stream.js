@@ -1,18 +1,20 @@
 // One stream for all tabs of a browser: it allows six connections to a host, and a tab takes one.
 // The tab that holds the lock has the stream and passes on what comes; if it hangs, another takes over.
 
-import { setClock, take } from "/model.js";
+import { isClockDoubtful, setClock, take } from "/model.js";
 
 const SECTIONS = ["definition", "state", "why", "health", "events", "link"];
 const SILENT_AFTER_MS = 2000;
 const AGAIN_MS = 500;
 const CLOCK_EVERY_MS = 10_000;
+const DOUBTFUL_CLOCK_EVERY_MS = 2000;
 
 const channel = new BroadcastChannel("vcu-gateway");
 const latest = new Map(); // text of each section
 const listeners = new Set();
 let source = null;
 let heard = 0;
+let asked = 0; // the time, last
 let leads = false;
 let refused = () => {};
 
@@ -27,7 +29,6 @@ export function start(onRefused) {
   wantLead({});
   setInterval(watch, AGAIN_MS);
   synchronise();
-  setInterval(synchronise, CLOCK_EVERY_MS);
   addEventListener("pagehide", () => source?.close());
 }
 
@@ -93,6 +94,8 @@ function hearTab(message) {
 }
 
 function watch() {
+  const clockAge = performance.now() - asked;
+  if (clockAge > (isClockDoubtful() ? DOUBTFUL_CLOCK_EVERY_MS : CLOCK_EVERY_MS)) synchronise();
   const silent = performance.now() - heard > SILENT_AFTER_MS;
   if (leads) {
     channel.postMessage({ alive: true });
@@ -106,6 +109,7 @@ function watch() {
 
 async function synchronise() {
   const sent = performance.now();
+  asked = sent;
   try {
     const response = await fetch("/api/clock", { signal: AbortSignal.timeout(2000) });
     const received = performance.now();

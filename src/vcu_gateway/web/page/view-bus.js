@@ -78,9 +78,9 @@ function ticks({ ticks: now }) {
     ["Done", count(now.done)],
     ["Skipped", count(now.skipped), now.skipped > 0],
     ["Silent", count(now.silent)],
-    ["Lateness, half below", us(now.lateness_p50_us)],
-    ["99 of 100 below", us(now.lateness_p99_us)],
-    ["Latest", us(now.lateness_max_us)],
+    ["Lateness, median", us(now.lateness_p50_us)],
+    ["Lateness, 99th percentile", us(now.lateness_p99_us)],
+    ["Lateness, worst", us(now.lateness_max_us)],
   ];
 }
 
@@ -88,7 +88,7 @@ function frames({ frames: now }) {
   return [
     ["Received", count(now.received)],
     ["Sent", count(now.sent)],
-    ...Object.entries(now.confirmed).map(([name, number]) => [`Left for ${name}`, count(number)]),
+    ...Object.entries(now.confirmed).map(([name, number]) => [`Confirmed for ${name}`, count(number)]),
     ["Dropped by the kernel", count(now.dropped), now.dropped > 0],
     ["Out of order", count(now.out_of_order)],
     ["Not judged", count(now.unjudged), now.unjudged > 0],

@@ -32,14 +32,14 @@ function why() {
   const spoken = h("p.unseen", { role: "status" });
   let meaning = "";
   const next = h("span");
-  const nextLine = h("p.next", {}, h("b", {}, "Next: "), next);
+  const nextLine = h("p.next", { hidden: true }, h("b", {}, "Next: "), next);
   const causes = h("ul.causes");
   const demand = h("p.demand");
   const element = h("section.panel.why", { "aria-label": "Why" }, h("h2", {}, "Why"), sentence, spoken, nextLine, causes, demand);
   drawers.push(() => {
     const now = model.why;
     if (!now) return;
-    setText(sentence, now.sentence);
+    setText(sentence, heading(now));
     // Read aloud where its words change, not its numbers.
     if (now.sentence.replace(/[\d.]+/g, "") !== meaning) {
       meaning = now.sentence.replace(/[\d.]+/g, "");
@@ -49,9 +49,17 @@ function why() {
     setHidden(nextLine, !now.next_step);
     setData(element, "tone", now.blocks.length || now.mode === "fault" ? "bad" : now.limits.length ? "warn" : now.mode === "active" ? "good" : "calm");
     drawCauses(causes, now);
-    setText(demand, demandText(now.demand));
+    setText(demand, now.demand ? demandText(now.demand) : "");
+    setHidden(demand, !now.demand);
   });
   return element;
+}
+
+/** The gateway's sentence without what stands below it: the next step, and the demand's age. */
+function heading({ sentence, next_step: next }) {
+  const end = `; ${next}`;
+  const text = next && sentence.endsWith(end) ? sentence.slice(0, -end.length) : sentence;
+  return text.replace(/(; demand of \S+) \d+ ms old/, "$1");
 }
 
 function drawCauses(list, now) {
@@ -74,7 +82,6 @@ function drawCauses(list, now) {
 }
 
 function demandText(demand) {
-  if (!demand) return "Nobody demands anything.";
   const made = demand.age_ms == null ? "" : `, made ${age(demand.age_ms)} ago`;
   return `Demand of ${demand.source}${made}${demand.fresh ? "" : ": no longer in effect"}`;
 }

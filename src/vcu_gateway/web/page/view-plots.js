@@ -7,6 +7,7 @@ import { request, sentence } from "/requests.js";
 
 const MOST = 8;
 const STEP_MS = 100;
+const TRY_AGAIN_MS = 2000;
 const COLOURS = ["#5aa9ff", "#ff9f57", "#45d69a", "#e57bd8", "#d9c24a", "#8f8cff", "#ff7a74", "#4fd4d8"];
 const COMMANDED = { throttle_pct: "%", brake_pct: "%", speed_limit_rpm: "rpm", power_limit_w: "W" };
 const FIRST = ["PCU1.commanded.throttle_pct", "PCU1_Status1.Throttle", "PCU1_Status2.MotorSpeed", "PCU2_Status2.MotorSpeed", "BMS_Status.PackVoltage"];
@@ -17,6 +18,7 @@ let times = []; // monotonic, ms
 const columns = new Map();
 let loaded = "";
 let isLoading = false;
+let tryAfter = 0;
 let charts = [];
 let chips, input, list, area, status, ranges;
 let drawn = 0;
@@ -99,7 +101,7 @@ function renderChips() {
 
 async function load() {
   const wanted = chosen.join(",");
-  if (!wanted || wanted === loaded || isLoading || !model.definition) {
+  if (!wanted || wanted === loaded || isLoading || !model.definition || performance.now() < tryAfter) {
     if (!wanted) rebuild();
     return;
   }
@@ -107,7 +109,8 @@ async function load() {
   try {
     const known = new Set(allKeys());
     const names = chosen.filter((key) => known.has(key));
-    const history = await request("GET", `/api/history?points=2400&signals=${encodeURIComponent(names.join(","))}`);
+    const path = `/api/history?points=2400&signals=${encodeURIComponent(names.join(","))}`;
+    const history = names.length ? await request("GET", path) : { times_ms: [], values: {} };
     times = history.times_ms;
     columns.clear();
     for (const name of names) columns.set(name, history.values[name]);
@@ -116,6 +119,7 @@ async function load() {
     rebuild();
   } catch (error) {
     setText(status, sentence(error));
+    tryAfter = performance.now() + TRY_AGAIN_MS;
   } finally {
     isLoading = false;
   }
@@ -161,6 +165,14 @@ function rebuild() {
   drawCharts();
 }
 
+/** Digits that tell the lines of the grid apart. */
+function stepDecimals([first, second]) {
+  const step = Math.abs(second - first) || 1;
+  let decimals = 0;
+  while (decimals < 4 && Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-6) decimals += 1;
+  return decimals;
+}
+
 const size = (element) => ({ width: Math.max(240, element.clientWidth - 12), height: matchMedia("(max-width: 36rem)").matches ? 190 : 240 });
 
 function chart(unit) {
@@ -178,8 +190,8 @@ function chart(unit) {
     cursor: { y: false, drag: { x: false, y: false } },
     scales: { x: { time: false } },
     axes: [
-      { ...axis, values: (_, splits) => splits.map((time) => clockTime(wallOf(time))), space: 90 },
-      { ...axis, size: 58, values: (_, splits) => splits.map((value) => fixed(value, Math.abs(splits[1] - splits[0]) < 1 ? 2 : 0)) },
+      { ...axis, size: 30, values: (_, splits) => splits.map((time) => clockTime(wallOf(time))), space: 90 },
+      { ...axis, size: 58, values: (_, splits) => splits.map((value) => fixed(value, stepDecimals(splits))) },
     ],
     series: [{}, ...keys.map((key) => ({ label: key, stroke: COLOURS[chosen.indexOf(key)], width: 1.6, spanGaps: false, points: { show: false } }))],
   }, [[], ...keys.map(() => [])], holder);
