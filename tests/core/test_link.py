@@ -227,6 +227,11 @@ def test_the_receiver_enters_error_frames_and_nothing_else(codec: Codec):
     assert receiver.monitor.link == LinkStatus(OFF, 10)
 
 
+def test_a_loss_counts_at_once(monitor):
+    monitor.lose(110)
+    assert monitor.link == LinkStatus(LinkState.LOST, 110)
+
+
 def test_a_lost_link_is_lost_since_the_first_report_until_it_is_opened(monitor):
     monitor.lose(110)
     monitor.lose(120)
