@@ -17,6 +17,7 @@ from tests.faults.conftest import ROOT, Seen
 from tests.faults.machine import program
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
 from tests.faults.pure.test_process import commands, moving, next_commands
+from tests.unrecorded import unrecorded
 from vcu_gateway import config as configuration
 from vcu_gateway.config.protocol import load_protocol
 from vcu_gateway.errors import ConfigError
@@ -194,7 +195,7 @@ def test_f61_an_invalid_reload_changes_nothing_and_leaves_no_gap(tmp_path, seen:
             problems: list[str] = []
             while schedule.ticks < ticks + 20:
                 for text in BROKEN:
-                    written(whole.file, whole._head + text)
+                    written(whole.file, unrecorded(tmp_path, whole._head + text))
                     problems += driver.request("config.reload")["error"]["data"]["problems"]
             whole.file.unlink()
             problems += driver.request("config.reload")["error"]["data"]["problems"]
@@ -241,7 +242,7 @@ def test_f62_a_reload_while_armed_takes_stricter_limits_and_nothing_else(tmp_pat
                     head, more = head.replace("bus: {", "bus: {reopen_ms: 100, "), ""
                 else:
                     more = text
-                written(whole.file, head + more)
+                written(whole.file, unrecorded(folder_, head + more))
                 answer = driver.request("config.reload")
                 found.changed[text] = answer["result"]["changed"] if "result" in answer else None
                 found.modes.add(whole.mode)
