@@ -27,7 +27,7 @@ ORDINARY := -m 'not slow'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
-.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-web test-web-vcan \
+.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-web test-web-vcan test-web-figures test-web-fuzz \
 	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-recorded test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
 	test-faults-slcan test-faults-netem test-systems lint nightly soak recorded-soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
 
@@ -102,6 +102,13 @@ test-others: setup
 test-web: setup  ## the page, in a real Chromium beside a real gateway
 	scripts/test-tools
 	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q $(ORDINARY) tests/web --ignore=tests/web/vcan
+
+test-web-figures: setup  ## what the page costs and how fast it is, on a machine that does nothing else
+	scripts/test-tools
+	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q -s tests/web/test_figures.py
+
+test-web-fuzz: setup  ## 100 000 requests that nobody should send
+	$(BIN)/python -m tests.web.fuzz 100000
 
 # Chromium takes minutes in the lab.
 test-web-vcan: setup lab
@@ -190,9 +197,7 @@ test-faults-netem: setup lab
 
 nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
-	$(MAKE) test-web
-	$(BIN)/pytest -s tests/web/test_figures.py
-	$(BIN)/python -m tests.web.fuzz 100000
+	$(MAKE) test-web test-web-fuzz test-web-figures
 	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
 	$(IN_LAB) --timeout 3000 -- $(BIN)/pytest -s tests/vcan tests/oracle tests/faults/vcan
 	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan

@@ -122,6 +122,19 @@ def test_no_two_steps_that_judge_by_the_clock_run_at_once_and_the_others_give_wa
     assert (folder / "niceness").read_text().split() == [str(min(19, os.nice(0) + 10))]
 
 
+def test_a_step_that_measures_the_machine_runs_alone_after_all_others(folder: Path) -> None:
+    steps = re.findall(r'"(test-[a-z-]+)"', SCRIPT.read_text().partition("ELSEWHERE")[2])
+    elsewhere = steps[: steps.index("test-web-figures") + 1]
+    (folder / "Makefile").write_text(
+        f"{' '.join(elsewhere)}:\n\t@echo $@ >>order; sleep 0.2; echo end $@ >>order\n"
+    )
+    command: list[str | Path] = [SCRIPT, "elsewhere", "-C", folder, "--jobs", "8"]
+    assert subprocess.run(command, capture_output=True).returncode == 0
+    order = (folder / "order").read_text().splitlines()
+    assert order[-2:] == ["test-web-figures", "end test-web-figures"]
+    assert len(order) == 2 * len(elsewhere) > 10
+
+
 def test_an_interrupt_ends_every_step(folder: Path) -> None:
     replace_step(folder, "lint", "@sleep 300 & echo $$! >pid; wait")
     process = subprocess.Popen([SCRIPT, "quick", "-C", folder], stdout=subprocess.PIPE, text=True)

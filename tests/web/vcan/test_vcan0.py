@@ -13,11 +13,11 @@ from tests.vcan.conftest import (
     ended_after,
     wait_until,
 )
-from tests.web.browser import PICTURES, chromium, context_of
+from tests.web.browser import PICTURES, WIDTHS, Seen, chromium, context_of
 from tests.web.stand import serving
 from vcu_gateway.client import Client, ClientError
 
-VIEWS = ("why", "signals", "plots", "events", "bus")
+VIEWS = ("why", "signals", "plots", "events", "bus", "recordings")
 PATIENCE_MS = 240_000
 PATIENCE_S = PATIENCE_MS / 1000
 POWER_CUT = 0x80
@@ -52,15 +52,22 @@ def test_every_view_and_the_stop_beside_the_real_programs_on_vcan0(stand: Stand,
     ):
         context.set_default_timeout(PATIENCE_MS)
         page = context.new_page()
+        seen = Seen(page)
         page.goto(web.url)
         page.wait_for_function("() => document.getElementById('mode').textContent.length > 1")
         PICTURES.mkdir(parents=True, exist_ok=True)
         for view in VIEWS:
             page.evaluate(f"location.hash = '#{view}'")
             page.wait_for_selector(f"#view-{view}:not([hidden])")
-            page.wait_for_timeout(2000)
-            page.screenshot(path=PICTURES / f"vcan0-{view}.png", timeout=PATIENCE_MS)
-        assert re.search(r"socketcan\s+vcan0", page.inner_text("#view-bus"))
+            page.wait_for_timeout(1500)
+            for width, height in WIDTHS.items():
+                page.set_viewport_size({"width": width, "height": height})
+                assert page.evaluate("document.documentElement.scrollWidth") <= width
+                picture = PICTURES / f"vcan0-{view}-{width}.png"
+                page.screenshot(path=picture, timeout=PATIENCE_MS)
+            if view == "bus":
+                assert re.search(r"socketcan\s+vcan0", page.inner_text("#view-bus"))
+        assert seen.errors == []
         before = len(recording.commands())
         page.evaluate("document.getElementById('stop').click()")
         page.wait_for_selector("#stop-outcome[data-state=confirmed]")
