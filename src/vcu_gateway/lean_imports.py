@@ -1,10 +1,12 @@
 """Imports without what the gateway does not use: it starts sooner and stays smaller.
 
 asyncio, hashlib and hmac, which libraries import, are imported here without OpenSSL: nothing in the
-program uses TLS, and Python has a SHA-256 of its own. `run` imports this module first.
+program uses TLS, and Python has a SHA-256 of its own. pydantic looks for no plugins: it would read
+what every installed package says of itself, and run those. `run` imports this module first.
 """
 
 import contextlib
+import os
 import sys
 from collections.abc import Iterator
 
@@ -29,3 +31,5 @@ with hidden("ssl", "_hashlib"):
     import asyncio  # noqa: F401 - each as the program gets it from here on
     import hashlib  # noqa: F401
     import hmac  # noqa: F401
+
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")

@@ -12,7 +12,7 @@ from vcu_gateway.protocol import packaged
 # Libraries, of the standard library what loads OpenSSL, and parts of the program.
 UNWANTED = {
     *("cantools", "bitstruct", "textparser", "rich", "pygments", "textual", "better_exceptions"),
-    *("twisted", "asammdf", "numpy", "pandas", "wrapt", "msgpack", "prometheus_client"),
+    *("twisted", "greenlet", "asammdf", "numpy", "pandas", "wrapt", "msgpack", "prometheus_client"),
     *("ssl", "_ssl", "_hashlib", "argparse", "unittest", "difflib", "http", "xml"),
     *(
         f"vcu_gateway.{name}"
@@ -57,6 +57,15 @@ def test_a_dbc_of_ones_own_is_read_by_cantools(tmp_path):
     (tmp_path / "own.dbc").write_text(f"{text}\n", encoding="utf-8")
     modules = set(run(tmp_path, "protocol: {dbc: own.dbc}\n"))
     assert {"cantools", "vcu_gateway.protocol.cantools_dbc"} <= modules
+
+
+def test_a_plugin_of_pydantic_that_is_merely_installed_is_not_run(tmp_path):
+    (tmp_path / "stowaway.py").write_text("plugin = None\n")
+    described = tmp_path / "stowaway-1.dist-info"
+    described.mkdir()
+    (described / "METADATA").write_text("Metadata-Version: 2.1\nName: stowaway\nVersion: 1\n")
+    (described / "entry_points.txt").write_text("[pydantic]\nstowaway = stowaway:plugin\n")
+    assert "stowaway" not in run(tmp_path)
 
 
 COLLECTED = """

@@ -13,8 +13,8 @@ from typing import Any, Literal, TextIO
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.lean_imports import hidden
 
-# structlog imports these where they are installed, for tracebacks that this log does not have.
-with hidden("rich", "better_exceptions", "twisted"):
+# structlog imports these where they are installed, for tracebacks and threads that are not here.
+with hidden("rich", "better_exceptions", "twisted", "greenlet"):
     import structlog
 
 _QUEUE_LINES = 1000

@@ -1,6 +1,7 @@
 """The page in Chromium beside the real programs on a real vcan0; slow where that is in the lab."""
 
 import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from tests.web.stand import serving
 from vcu_gateway.client import Client, ClientError
 
 VIEWS = ("why", "signals", "plots", "events", "bus", "recordings")
+RECORDED = Path(__file__).parents[2] / "golden" / "drives" / "battery-codes"
 PATIENCE_MS = 240_000
 PATIENCE_S = PATIENCE_MS / 1000
 POWER_CUT = 0x80
@@ -44,7 +46,10 @@ def test_every_view_and_the_stop_beside_the_real_programs_on_vcan0(stand: Stand,
             return False
 
     wait_until(answers, "standby", PATIENCE_S)
-    options = ("--local-role", "service")
+    recordings = tmp_path / "recordings"
+    shutil.copytree(RECORDED, recordings / "drives" / "20261123T180412Z-1f3a9c2e")
+    (recordings / "incidents").mkdir()
+    options = ("--local-role", "service", "--recordings", str(recordings))
     with (
         serving(tmp_path, stand.socket_path, *options) as web,
         chromium(PATIENCE_MS) as browser,
