@@ -41,6 +41,7 @@ ID_MASK = 0x1FFF_FFFF
 
 _PREFIX = struct.Struct("<BBB")
 _HEADER = struct.Struct("<BBBQQQQI")
+_TICK_PREFIX = _PREFIX.pack(TICK, FORMAT, 0)
 _FRAME = struct.Struct("<qIBB")
 CLASSIC = struct.Struct("<qIBB8s")
 """Record of a frame with eight bytes: arrival, identifier, echo, 8, payload."""
@@ -49,6 +50,7 @@ _EIGHT = bytes([_CLASSIC_BYTES])
 _ECHO_AT, _LENGTH_AT = 12, 13
 _TRUTH = b"\0\1"
 _LONGEST_PAYLOAD_BYTES = 64
+_CHECKPOINT = b'{"checkpoint":'
 
 
 class DatagramError(ValueError):
@@ -108,6 +110,11 @@ class TickParts(NamedTuple):
     frames: bytes
     lines: bytes
 
+    @property
+    def begins_segment(self) -> bool:
+        """True where the state of the core comes first: what follows can be read by itself."""
+        return self.lines.startswith(_CHECKPOINT)
+
 
 def packed_frame(arrival_ns: int, can_id: int, own_echo: bool, data: bytes | bytearray) -> bytes:
     """One frame; `can_id` has Linux's flags."""
@@ -147,24 +154,18 @@ def unpack(datagram: bytes) -> HelloPart | TickDatagram:
     raise DatagramError(f"kind {kind} with {last} is neither a HELLO nor a tick")
 
 
-def tick_header(datagram: bytes) -> TickHeader:
-    """Header of a tick's datagram, which is not looked at further; DatagramError as `unpack`."""
-    if tuple(datagram[:3]) != (TICK, FORMAT, 0):
+def tick_parts(datagram: bytes) -> TickParts:
+    """A tick's datagram with its frames as they are; DatagramError as `unpack`."""
+    if not datagram.startswith(_TICK_PREFIX):
         raise DatagramError("it is no tick of this format")
     if len(datagram) < _HEADER.size:
         raise DatagramError(f"a tick of {len(datagram)} bytes is too short")
-    return TickHeader(*_HEADER.unpack_from(datagram)[3:7])
-
-
-def tick_parts(datagram: bytes) -> TickParts:
-    """A tick's datagram with its frames as they are; DatagramError as `unpack`."""
-    header = tick_header(datagram)
-    count = _HEADER.unpack_from(datagram)[-1]
+    *numbers, count = _HEADER.unpack_from(datagram)[_PREFIX.size :]
     end = _end_of_frames(datagram, count)
     lines = datagram[end:]
     if lines and not lines.endswith(b"\n"):
         raise DatagramError("the last core line has no end")
-    return TickParts(header, count, datagram[_HEADER.size : end], lines)
+    return TickParts(TickHeader(*numbers), count, datagram[_HEADER.size : end], lines)
 
 
 def _end_of_frames(datagram: bytes, count: int) -> int:

@@ -1,37 +1,46 @@
-"""Bounded queue of datagrams between the receiver's thread and the writer's."""
+"""Bounded queue of ticks between the receiver's thread and the writer's."""
 
 import threading
 from collections import deque
 from typing import NamedTuple
 
+from vcu_gateway.drive_format.datagram import TickParts
 from vcu_gateway.recorder.connection import GatewayConnection
 
-_ITEM_BYTES = 200
-"""Of an entry's own, roughly, besides its datagram."""
+_ITEM_BYTES = 400
+"""Of an entry's own, roughly, besides its frames and lines."""
 
 
 class Received(NamedTuple):
-    """A tick's datagram of a connection; None: the connection has ended."""
+    """Tick of a connection.
+
+    Attributes:
+        tick: None: the connection has ended.
+        size: bytes in memory, roughly.
+        is_urgent: it may have to be on the disk at once.
+    """
 
     connection: GatewayConnection
-    datagram: bytes | None
-    begins_segment: bool = False
+    tick: TickParts | None
+    size: int = _ITEM_BYTES
+    is_urgent: bool = False
 
-    @property
-    def size(self) -> int:
-        """Bytes in memory, roughly."""
-        return _ITEM_BYTES + (len(self.datagram) if self.datagram is not None else 0)
+
+def received(connection: GatewayConnection, tick: TickParts, is_urgent: bool) -> Received:
+    """What goes into the queue for a tick."""
+    size = _ITEM_BYTES + len(tick.frames) + len(tick.lines)
+    return Received(connection, tick, size, is_urgent)
 
 
 class Backlog:
     """Queue of what was received and is not written.
 
-    Where it is full the oldest goes, up to the next datagram that begins a segment: what follows
+    Where it is full the oldest goes, up to the next tick that begins a segment: what follows
     can be read by itself. Neither side waits for the other.
 
     Attributes:
         size: bytes in it, roughly.
-        dropped: datagrams that went for want of room.
+        dropped: ticks that went for want of room.
     """
 
     def __init__(self, max_bytes: int) -> None:
@@ -58,18 +67,18 @@ class Backlog:
             return item
 
     def _drop_oldest(self) -> bool:
-        """Drop a connection's oldest datagrams up to its next segment; False where there are none.
+        """Drop a connection's oldest ticks up to its next segment; False where there are none.
 
         Where all of them go its gateway is to connect again: that begins a segment.
         """
-        datagrams = (item for item in self._items if item.datagram is not None)
-        oldest = next(datagrams, None)
+        ticks = ((item, item.tick) for item in self._items if item.tick is not None)
+        oldest, _ = next(ticks, (None, None))
         if oldest is None:
             return False
         dropped = {id(oldest)}
-        for item in datagrams:
+        for item, tick in ticks:
             if item.connection is oldest.connection:
-                if item.begins_segment:
+                if tick.begins_segment:
                     break
                 dropped.add(id(item))
         else:

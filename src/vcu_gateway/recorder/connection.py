@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import DatagramError, HelloPart, HelloText
+from vcu_gateway.drive_format.datagram import DatagramError, HelloPart, HelloText, TickParts
 
 _BUFFER_BYTES = 4 << 20
-_CHECKPOINT = b'{"checkpoint":'
 _HELLO_KEYS = {"run": str, "channel": str, "clock": dict, "config": str, "dbc": str}
 _CLOCK_KEYS = ("monotonic_ns", "wall_ns")
 
@@ -37,14 +36,15 @@ class GatewayConnection:
         """Descriptor, for a selector."""
         return self._sock.fileno()
 
-    def receive(self, buffer: bytearray) -> bytes | None:
-        """The next tick's datagram, empty for a part of the HELLO; None where it has ended.
+    def receive(self, buffer: bytearray) -> TickParts | None:
+        """The next tick; None for a part of the HELLO.
 
-        BlockingIOError where none waits; DatagramError where it is none, or too long.
+        BlockingIOError where none waits, EOFError where the connection has ended; DatagramError
+        where it is no datagram of a gateway, or too long.
         """
         size = self._sock.recv_into(buffer, 0, socket.MSG_TRUNC)
         if size == 0:
-            return None
+            raise EOFError
         if size > len(buffer):
             raise DatagramError(f"a datagram of {size} bytes is too long")
         self.last_wall_ns = time.time_ns()
@@ -54,13 +54,14 @@ class GatewayConnection:
         part = datagram.unpack(received)
         if isinstance(part, HelloPart):
             self._take(part)
-        return b""
+        return None
 
-    def _tick(self, received: bytes) -> bytes:
+    def _tick(self, received: bytes) -> TickParts:
         if self.hello is None:
             raise DatagramError("a tick before the HELLO")
-        self.frames = datagram.tick_header(received).frames
-        return received
+        tick = datagram.tick_parts(received)
+        self.frames = tick.header.frames
+        return tick
 
     def _take(self, part: HelloPart) -> None:
         hello = self._hello_text.take(part)
@@ -76,11 +77,6 @@ class GatewayConnection:
 def new_buffer() -> bytearray:
     """Room for the longest datagram."""
     return bytearray(_BUFFER_BYTES)
-
-
-def begins_segment(received: bytes) -> bool:
-    """True for a tick's datagram that holds a checkpoint, which is its first line."""
-    return _CHECKPOINT in received
 
 
 def _checked(hello: Mapping[str, Any]) -> Mapping[str, Any]:

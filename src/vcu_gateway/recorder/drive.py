@@ -20,7 +20,6 @@ from vcu_gateway.recorder.resume import Lost, Position
 from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.units import NS_PER_S
 
-_CHECKPOINT = b'{"checkpoint":'
 _MEMORY_FULL = "the recorder's memory was full"
 _OWN_FILES = {"config": layout.CONFIG_FILE, "dbc": layout.DBC_FILE}
 
@@ -65,7 +64,7 @@ class DriveRecorder:
 
         OSError where a segment cannot be begun: then nothing of it was taken.
         """
-        if tick.lines.startswith(_CHECKPOINT):
+        if tick.begins_segment:
             lines = self._begin(tick)
         elif self.segment is None or tick.header.sequence != self._next_sequence:
             self._missing_because = self._missing_because or _MEMORY_FULL

@@ -5,10 +5,10 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 
-from vcu_gateway.drive_format.datagram import DatagramError
+from vcu_gateway.drive_format.datagram import DatagramError, TickParts
 from vcu_gateway.recorder import triggers
-from vcu_gateway.recorder.backlog import Backlog, Received
-from vcu_gateway.recorder.connection import GatewayConnection, begins_segment, new_buffer
+from vcu_gateway.recorder.backlog import Backlog, Received, received
+from vcu_gateway.recorder.connection import GatewayConnection, new_buffer
 from vcu_gateway.recorder.listener import TapListener
 
 _MOST_CONNECTIONS = 16
@@ -66,6 +66,12 @@ class DatagramReceiver:
         for connection in [one for one in self.connections if one.begin_again]:
             self._end(connection)
 
+    def look(self) -> None:
+        """Take what has come, without waiting; connections are not asked whether something has."""
+        for connection in list(self.connections):
+            self._read(connection)
+        self._take(self._selector.select(0.0))
+
     def receive_rest(self, limit_s: float) -> None:
         """Take what the gateways still send until they have closed, for at most this time."""
         end_s = time.monotonic() + limit_s
@@ -91,23 +97,23 @@ class DatagramReceiver:
         """Take what waits, some datagrams at most; the selector tells of more."""
         for _ in range(_MOST_OF_ONE):
             try:
-                received = connection.receive(self._buffer)
+                tick = connection.receive(self._buffer)
             except BlockingIOError:
                 return
             except DatagramError as error:
                 self._say(f"a connection is closed: {error}")
-                received = None
-            except OSError:
-                received = None
-            if received is None:
                 self._end(connection)
                 return
-            if received:
-                self._put(connection, received)
+            except (OSError, EOFError):
+                self._end(connection)
+                return
+            if tick is not None:
+                self._put(connection, tick)
 
-    def _put(self, connection: GatewayConnection, received: bytes) -> None:
-        self._backlog.put(Received(connection, received, begins_segment(received)))
-        if triggers.may_be_urgent(received):
+    def _put(self, connection: GatewayConnection, tick: TickParts) -> None:
+        is_urgent = triggers.may_be_urgent(tick.lines)
+        self._backlog.put(received(connection, tick, is_urgent))
+        if is_urgent:
             self.urgent_s = time.monotonic()
             self._urgent()
 

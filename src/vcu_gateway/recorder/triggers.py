@@ -29,9 +29,9 @@ class Trigger(NamedTuple):
     what: str
 
 
-def may_be_urgent(datagram: bytes) -> bool:
-    """False where nothing in it needs to be on the disk at once; quick, and seldom wrong."""
-    return any(word in datagram for word in _URGENT)
+def may_be_urgent(lines: bytes) -> bool:
+    """False where none of them needs to be on the disk at once; quick, and seldom wrong."""
+    return any(word in lines for word in _URGENT)
 
 
 class Noticed(NamedTuple):
@@ -41,13 +41,8 @@ class Noticed(NamedTuple):
     triggers: tuple[Trigger, ...]
 
 
-NOTHING = Noticed(False, ())
-
-
 def noticed(lines: bytes) -> Noticed:
     """Reasons among these core lines; damaged lines are none."""
-    if not may_be_urgent(lines):
-        return NOTHING
     found = [_noticed(values) for line in lines.splitlines() if (values := _values(line))]
     triggers = tuple(trigger for one in found for trigger in one.triggers)
     return Noticed(any(one.urgent for one in found), triggers)

@@ -8,8 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from vcu_gateway.drive_format import datagram, layout
-from vcu_gateway.drive_format.datagram import DatagramError, TickParts
+from vcu_gateway.drive_format import layout
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
@@ -21,7 +20,7 @@ from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, free_bytes
 from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.recorder.triggers import Trigger
 
-_MEMBER_S = 0.85
+_MEMBER_S = 0.84
 """With what is still being gathered, a second at most is lost where the recorder is killed."""
 _SYNC_S = 5.0
 _SYNC_AFTER_LATCH_S = 0.1
@@ -156,18 +155,10 @@ class Writer:
                     self._flush(drive)
 
     def _take(self, item: Received) -> None:
-        if item.datagram is None:
-            self._close(item.connection)
+        connection, tick = item.connection, item.tick
+        if tick is None:
+            self._close(connection)
             return
-        try:
-            tick = datagram.tick_parts(item.datagram)
-        except DatagramError as error:
-            self._say(f"a datagram cannot be read: {error}")
-            item.connection.begin_again = True
-            return
-        self._take_tick(item.connection, tick)
-
-    def _take_tick(self, connection: GatewayConnection, tick: TickParts) -> None:
         drive = self._drive_of(connection)
         before = drive.segment
         with self._abandoning(drive):
@@ -180,7 +171,8 @@ class Writer:
             self._pending.append(_Pending(drive, None))
         elif before is not None and before.size > _MOST_SEGMENT_BYTES:
             connection.begin_again = True
-        self._notice(drive, tick.lines)
+        if item.is_urgent:
+            self._notice(drive, tick.lines)
 
     def _notice(self, drive: DriveRecorder, lines: bytes) -> None:
         found = triggers.noticed(lines)
