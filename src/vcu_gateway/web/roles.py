@@ -7,7 +7,7 @@ from vcu_gateway.api.rights import Right
 
 
 class UserRole(Enum):
-    """UserRole of a user; each has all that the ones before it have."""
+    """Role of a user; each has all that the ones before it have."""
 
     VIEWER = "viewer"
     OPERATOR = "operator"
