@@ -76,6 +76,7 @@ class Program:
     def park(self) -> None:
         if self._pedals is not None:
             self._pedals.release()
+            self._pedals = None
 
     def cuts(self) -> dict[str, float]:
         """When POWER_CUT was first on the bus, and forget it."""

@@ -49,6 +49,7 @@ def context(browser):
 def stopped(gateway):
     """Whatever a test stops can be driven again."""
     yield
+    gateway.ask("park")
     gateway.ask("reset")
 
 
@@ -324,6 +325,39 @@ def test_eight_tabs_share_one_stream_and_outlive_the_one_that_has_it(context, we
 
 
 # Acting.
+
+
+LIVE_REASONS = """() => {
+  window.reasons = [];
+  const panel = document.querySelector('.why'), mode = document.getElementById('mode');
+  const look = () => {
+    const live = panel.dataset.old === undefined;
+    const reason = panel.querySelector('.sentence').textContent.split(';')[0];
+    window.reasons.push([mode.textContent, live ? reason : 'old']);
+    requestAnimationFrame(look);
+  };
+  look();
+}"""
+
+
+@pytest.mark.usefixtures("stopped")
+def test_a_reason_of_another_mode_is_never_shown_as_live_and_the_next_one_comes_soon(
+    gateway, context, web
+):
+    gateway.ask("drive")
+    page, _ = opened(context, web.url)
+    page.wait_for_selector("#mode[data-mode=active]")
+    page.wait_for_selector(".why:not([data-old])")
+    page.evaluate(LIVE_REASONS)
+    page.wait_for_timeout(300)
+    page.click("#stop")
+    page.wait_for_selector("#mode[data-mode=fault]")
+    page.wait_for_selector(".why:not([data-old])")
+    seen = page.evaluate("window.reasons")
+    assert {mode: {two for one, two in seen if one == mode} - {"old"} for mode, _ in seen} == {
+        "active": {"active"},
+        "fault": {"fault"},
+    }
 
 
 @pytest.mark.usefixtures("stopped")

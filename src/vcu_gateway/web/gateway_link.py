@@ -43,6 +43,7 @@ class GatewayLink:
         self._client = AsyncClient(socket_path, _ANSWER_TIMEOUT_S)
         self._bits: PowerCutBits = {}
         self._updated = asyncio.Event()
+        self._mode_changed = asyncio.Event()
         self._known_why: object = None
         self._why_told_s = 0.0
         self._dated: list[dict[str, object]] = []
@@ -52,7 +53,7 @@ class GatewayLink:
         """Follow until cancelled."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_again_and_again())
-            tasks.create_task(self._every(_WHY_EVERY_S, self._ask_why))
+            tasks.create_task(self._every(_WHY_EVERY_S, self._ask_why, self._mode_changed))
             tasks.create_task(self._every(_HEALTH_EVERY_S, self._ask_health))
             tasks.create_task(self._every(_HEALTH_EVERY_S, self._ask_events))
             tasks.create_task(self._beat())
@@ -87,6 +88,8 @@ class GatewayLink:
         self._publish_link()
 
     def _take(self, state: State) -> None:
+        if self.latest is not None and self.latest["mode"] != state["mode"]:
+            self._mode_changed.set()  # the reason is another one
         self.latest = state
         self.history.add(state)
         self._broadcast.publish("state", state_row(state, now_ms()))
@@ -113,13 +116,22 @@ class GatewayLink:
             latest is not None and latest["monotonic_ns"] > after_ns and is_cut(latest, self._bits)
         )
 
-    async def _every(self, period_s: float, ask: Callable[[], Awaitable[None]]) -> None:
+    async def _every(
+        self,
+        period_s: float,
+        ask: Callable[[], Awaitable[None]],
+        at_once: asyncio.Event | None = None,
+    ) -> None:
+        """Ask again and again, and where `at_once` is set."""
+        at_once = at_once or asyncio.Event()
         while True:
+            at_once.clear()
             if self.problem is None:
                 # Whether the gateway is there decides the subscription alone.
                 with contextlib.suppress(ClientError):
                     await ask()
-            await asyncio.sleep(period_s)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(at_once.wait(), period_s)
 
     async def _ask_why(self) -> None:
         why = await self._client.why()

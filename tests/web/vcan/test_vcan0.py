@@ -64,6 +64,8 @@ def test_every_view_and_the_stop_beside_the_real_programs_on_vcan0(stand: Stand,
         for view in VIEWS:
             page.evaluate(f"location.hash = '#{view}'")
             page.wait_for_selector(f"#view-{view}:not([hidden])")
+            if view == "recordings":
+                page.wait_for_selector("text=1 recording")
             page.wait_for_timeout(1500)
             for width, height in WIDTHS.items():
                 page.set_viewport_size({"width": width, "height": height})

@@ -101,7 +101,7 @@ function showStop() {
   const sent = `SENT ${clockTime(at, true)}`;
   const lines = {
     sent: ["SENT", `${sent}: waiting for the gateway`],
-    failed: ["NOT CONFIRMED: use the contactor", `${sent}, tried ${tries === 1 ? "once" : `${tries} times`}. ${reason || "no answer yet"}`],
+    failed: ["NOT CONFIRMED: use the contactor", `${sent}, tried ${tries === 1 ? "once" : `${tries} times`}: ${reason || "no answer yet"}`],
     confirmed: ["CONFIRMED: power is cut", `${sent} → CONFIRMED after ${Math.round(took ?? 0)} ms, mode ${answer?.mode}`],
   }[state];
   const frames = Object.entries(answer?.frames ?? {});

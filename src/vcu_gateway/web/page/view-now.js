@@ -2,11 +2,12 @@
 
 import { h, setData, setHidden, setStyle, setText } from "/dom.js";
 import { age, fixed } from "/format.js";
-import { messageAge, model, reading, stateAge } from "/model.js";
+import { hasClock, messageAge, model, monotonicNow, reading, stateAge } from "/model.js";
 import { barOf, valueOf } from "/values.js";
 
 const drawers = [];
 const EFFECT_TONES = { stop: "bad", cut: "bad" };
+const WHY_OLD_AFTER_MS = 2000; // it comes every second, and where it changes
 
 export function build(root) {
   root.append(why(), controller("PCU1"), controller("PCU2"), battery(), wheels(), inertial());
@@ -39,6 +40,7 @@ function why() {
   drawers.push(() => {
     const now = model.why;
     if (!now) return;
+    setData(element, "old", isOld(now) ? "" : null);
     setText(sentence, heading(now));
     // Read aloud where its words change, not its numbers.
     if (now.sentence.replace(/[\d.]+/g, "") !== meaning) {
@@ -53,6 +55,11 @@ function why() {
     setHidden(demand, !now.demand);
   });
   return element;
+}
+
+/** A reason is old where the mode has changed since, whatever its age. */
+function isOld({ mode, t }) {
+  return mode !== model.state?.mode || (hasClock() && monotonicNow() - t > WHY_OLD_AFTER_MS);
 }
 
 /** The gateway's sentence without what stands below it: the next step, and the demand's age. */
