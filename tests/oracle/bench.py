@@ -77,13 +77,18 @@ class Bench(Rig):
     def disturbed(self, since: float, still_s: float = 0.0) -> bool:
         """Whether the machine stood still, was slow or had frames left out: this says nothing."""
         self.pump()
-        times = [f.t for f in self.commands(since) if f.can_id == wire.PCU1_COMMAND]
-        gaps = [after - before for before, after in pairwise(times)]
         return (
             self.recorder.stalled(since, for_s=SLOW_S)
-            or max(gaps, default=0.0) > 0.080 + still_s
+            or self._longest_gap_s(since) > 0.080 + still_s
             or self.speed.is_slow()
         )
+
+    def _longest_gap_s(self, since: float) -> float:
+        """Between two commands to one controller; also one that had begun before."""
+        frames = self.recorder.commands_since(since - 1.0)
+        times = [[f.t for f in frames if f.can_id == can_id] for can_id in wire.COMMANDS]
+        pairs = [two for one in times for two in pairwise(one)]
+        return max((after - before for before, after in pairs if after > since), default=0.0)
 
     @contextlib.contextmanager
     def another(self) -> Iterator[Client]:

@@ -94,6 +94,7 @@ def _begin_again(bench, fixtures):
     bench.repeated += 1
     bench.speed.wait_for_quiet()
     bench.rules.violations.clear()
+    bench.rules.left_out.clear()
     if "own_bench" in fixtures:
         bench.end()
         bench.vehicle.heal()
