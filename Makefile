@@ -27,7 +27,7 @@ ORDINARY := -m 'not slow'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
-.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-web test-web-vcan test-web-figures test-web-fuzz \
+.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-recorder test-web test-web-server test-web-vcan test-web-figures test-web-fuzz \
 	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-recorded test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
 	test-faults-slcan test-faults-netem test-systems lint nightly soak recorded-soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
 
@@ -46,7 +46,7 @@ demo: setup  ## gateway and simulated vehicle with a live table, without hardwar
 test: tools  ## everything: lint, types, tests, the service, the real vcan0
 	@RUN=$$(date +%s%N) scripts/suite whole
 
-test-quick: tools  ## the tests that need no CAN
+test-quick: tools  ## the tests that need neither CAN nor a browser
 	@scripts/suite quick
 
 test-bus: setup lab  ## the tests on a real vcan0, in the lab where the kernel has no CAN
@@ -95,13 +95,21 @@ SHELL_TESTS := $(addprefix tests/,bus cli config daemon exporter recording)
 test-shell: setup
 	$(BIN)/pytest -q -m 'not slow' $(SHELL_TESTS)
 
+# In real time, with a C library that has its disk fail.
+test-recorder: setup
+	$(BIN)/pytest -q -m 'not slow' tests/recorder
+
 test-others: setup
 	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=,$(SERVING)) \
-		$(addprefix --ignore=tests/,core faults golden packaging) $(addprefix --ignore=,$(SHELL_TESTS)) $(NO_BUS)
+		$(addprefix --ignore=tests/,core faults golden packaging recorder) $(addprefix --ignore=,$(SHELL_TESTS)) $(NO_BUS)
 
+IN_A_BROWSER := $(addprefix tests/web/,test_page.py test_recordings.py)
 test-web: setup  ## the page, in a real Chromium beside a real gateway
 	scripts/test-tools
-	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q $(ORDINARY) tests/web --ignore=tests/web/vcan
+	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q $(ORDINARY) $(IN_A_BROWSER)
+
+test-web-server: setup  ## the page's server, without a browser
+	$(BIN)/pytest -q $(ORDINARY) tests/web $(addprefix --ignore=,$(IN_A_BROWSER) tests/web/vcan)
 
 test-web-figures: setup  ## what the page costs and how fast it is, on a machine that does nothing else
 	scripts/test-tools
@@ -197,7 +205,7 @@ test-faults-netem: setup lab
 
 nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 	scripts/test-tools
-	$(MAKE) test-web test-web-fuzz test-web-figures
+	$(MAKE) test-web-server test-web test-web-fuzz test-web-figures
 	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
 	$(IN_LAB) --timeout 3000 -- $(BIN)/pytest -s tests/vcan tests/oracle tests/faults/vcan
 	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan
@@ -211,7 +219,7 @@ nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
 SYSTEMS :=
 test-systems: setup  ## the README's commands in clean systems, or SYSTEMS="trixie"; with them, every Python
 	@scripts/test-tools
-	$(BIN)/python -m tests.systems $(SYSTEMS)
+	$(BIN)/python -m tests.systems $(if $(CI),--tested-here) $(SYSTEMS)
 
 MINUTES := 10
 soak: setup lab  ## nominal traffic with random faults for MINUTES=10, in the lab

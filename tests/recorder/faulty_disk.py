@@ -1,8 +1,11 @@
 """A disk that fails on demand: calls of the recorder's process fail as the kernel fails them."""
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
+
+import pytest
 
 _SOURCE = Path(__file__).with_name("disk_faults.c")
 
@@ -11,6 +14,9 @@ class FaultyDisk:
     """Library to load before the recorder's own calls, and the word that it reads."""
 
     def __init__(self, folder, disk):
+        if shutil.which("cc") is None:
+            missing = "no C compiler: scripts/test-tools installs it"
+            pytest.fail(missing) if os.environ.get("CI") else pytest.skip(missing)
         self._mode = Path(folder) / "disk-mode"
         self._log = Path(folder) / "disk-log"
         library = Path(folder) / "disk_faults.so"

@@ -12,7 +12,7 @@ import pytest
 SCRIPT = Path(__file__).parents[2] / "scripts" / "suite"
 QUICK = """
 lint test-core test-serving test-shell test-faults-pure test-others test-exhaustive \
-test-golden test-web:
+test-golden test-recorder test-web-server:
 \t@echo "1 passed in 0.01s"
 """
 
@@ -45,10 +45,10 @@ def runs(pid: str) -> bool:
 def test_each_step_is_told_with_its_tests_and_then_the_verdict(folder: Path) -> None:
     done = suite(folder)
     assert done.returncode == 0
-    assert len(re.findall(r"^ \d:\d\d  [a-z-]+ +\d+ s  1 passed", done.stdout, re.MULTILINE)) == 9
+    assert len(re.findall(r"^ \d:\d\d  [a-z-]+ +\d+ s  1 passed", done.stdout, re.MULTILINE)) == 10
     assert re.search(r"first verdict after \d+ s: style, types and core are right", done.stdout)
-    assert "\n9 passed, 0 failed, 0 skipped\n" in done.stdout
-    assert re.search(r"9 steps in 0 min \d+ s: all right", done.stdout)
+    assert "\n10 passed, 0 failed, 0 skipped\n" in done.stdout
+    assert re.search(r"10 steps in 0 min \d+ s: all right", done.stdout)
     assert "\033" not in done.stdout
 
 
@@ -60,7 +60,7 @@ def test_a_step_that_fails_is_shown_and_the_others_run_on(folder: Path) -> None:
     assert "the reason" in done.stdout
     assert "all of it: build/suite/test-core.log; again: make test-core" in done.stdout
     assert "first verdict" in done.stdout
-    assert "9 steps" in done.stdout
+    assert "10 steps" in done.stdout
     assert done.stdout.splitlines()[-1].endswith("failed: test-core")
 
 
@@ -93,6 +93,14 @@ def test_no_more_steps_run_at_once_than_asked_for(folder: Path) -> None:
     suite(folder, "--jobs", "1")
     order = (folder / "order").read_text().splitlines()
     assert order == [line for step in steps for line in (f"began {step}", "ended")]
+
+
+def test_a_step_whose_tests_wait_takes_no_other_steps_place(folder: Path) -> None:
+    replace_step(folder, "test-recorder", "@echo began >>order; sleep 0.5; echo ended >>order")
+    replace_step(folder, "test-others", "@echo another >>order")
+    suite(folder, "--jobs", "1")
+    order = (folder / "order").read_text().split()
+    assert order == ["began", "another", "ended"]
 
 
 def test_no_two_steps_that_judge_by_the_clock_run_at_once_and_the_others_give_way(

@@ -46,9 +46,11 @@ class Outcome(NamedTuple):
 class Visit:
     """A newcomer's visit to one system."""
 
-    def __init__(self, system: System, test: str) -> None:
+    def __init__(self, system: System, test: str, *, tested_here: bool) -> None:
+        """`tested_here`: where this machine is such a system, its tests have run on it already."""
         self.system = system
         self.test = test
+        self.tested = tested_here and systems.is_this_machine(system)
         self.folder = FOLDER / system.suite
         self.log = FOLDER / f"{system.suite}.log"
         self.done: list[str] = []
@@ -118,7 +120,10 @@ class Visit:
         self.run(terminal, CLONE, 60)
 
     def tests(self, terminal: Terminal, test: str) -> None:
-        self.run(terminal, test, TEST_S)
+        if self.tested:
+            self.done.append("its tests ran on this machine")
+        else:
+            self.run(terminal, test, TEST_S)
         terminal.run(".venv/bin/vcu-gateway version", 60)
 
     def run(self, terminal: Terminal, line: str, wait_s: float, answer: str = "") -> None:
@@ -131,8 +136,8 @@ class Visit:
         self.say(self.done[-1])
 
 
-def visit(test: str, system: System) -> Outcome:
-    one = Visit(system, test)
+def visit(test: str, tested_here: bool, system: System) -> Outcome:
+    one = Visit(system, test, tested_here=tested_here)
     outcome = one.outcome()
     one.say(outcome.line if outcome.status else "ok")
     return outcome
@@ -150,7 +155,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with ThreadPoolExecutor(options.at_once) as pool:
         each = pool.map if options.at_once > 1 else map  # without threads Ctrl-C ends at once
-        outcomes = list(each(functools.partial(visit, test), chosen))
+        outcomes = list(each(functools.partial(visit, test, options.tested_here), chosen))
     print(f"\n{test}, from nothing, in a clean")
     for system, outcome in zip(chosen, outcomes, strict=True):
         python = f"Python {outcome.python or system.python}"
@@ -167,6 +172,8 @@ def parse() -> argparse.Namespace:
     known = ", ".join(f"{one.suite} ({one.name}, Python {one.python})" for one in SYSTEMS.values())
     parser.add_argument("systems", nargs="*", metavar="SYSTEM", help=f"all, or some of {known}")
     parser.add_argument("--whole", action="store_true", help="`make test`, not `make test-quick`")
+    text = "the tests have run on this machine: leave them out in a system that is as this one"
+    parser.add_argument("--tested-here", action="store_true", help=text)
     text = "systems at a time (default: %(default)s)"
     parser.add_argument("--at-once", type=int, default=1, metavar="COUNT", help=text)
     options = parser.parse_args()

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import platform
 import re
 import shlex
 import shutil
@@ -66,6 +67,12 @@ def clean_root(system: System, folder: Path) -> str:
     lay_home(folder / "home" / "user", _CA)
     subprocess.run(["chroot", folder, "chown", "-R", "user:", "/home/user"], check=True)
     return f"{_NAMESPACES} {shlex.join([str(HERE / 'enter-root'), str(folder), system.suite])}"
+
+
+def is_this_machine(system: System) -> bool:
+    """Whether this machine has that distribution's release, and this program its Python."""
+    release = platform.freedesktop_os_release().get("VERSION_CODENAME")
+    return release == system.suite and system.python == f"3.{sys.version_info.minor}"
 
 
 def installed_python(version: str) -> str | None:

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from playwright.sync_api import (
     Browser,
     BrowserContext,
@@ -17,6 +16,8 @@ from playwright.sync_api import (
     sync_playwright,
 )
 
+from tests.browser import no_browser
+
 PROGRAMS = ("chromium", "chromium-headless-shell", "google-chrome")
 PICTURES = Path(__file__).parents[2] / "build" / "web"
 WIDTHS = {360: 740, 1024: 768, 1920: 1080}
@@ -24,13 +25,7 @@ WIDTHS = {360: 740, 1024: 768, 1920: 1080}
 
 def program() -> str:
     """Path of the browser; the test is skipped, or fails in CI, where there is none."""
-    found = next(filter(None, map(shutil.which, PROGRAMS)), None)
-    if found is None:
-        missing = "no Chromium: scripts/test-tools installs it"
-        if os.environ.get("CI") or os.environ.get("VCU_REQUIRE_BROWSER"):
-            pytest.fail(missing)
-        pytest.skip(missing)
-    return found
+    return next(filter(None, map(shutil.which, PROGRAMS)), None) or no_browser()
 
 
 @contextlib.contextmanager
