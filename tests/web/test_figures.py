@@ -35,7 +35,7 @@ pytestmark = pytest.mark.slow  # on a machine that does little else
 
 LOOKERS = 50
 WINDOW_S = 8.0
-ROUNDS = 5
+ROUNDS = 4
 
 
 @pytest.fixture(scope="module")
