@@ -2,11 +2,19 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# The layers of .venv: the program, and what tests, linters and the page's tests add, where used.
 STAMP := $(VENV)/.set-up
+TESTED := $(VENV)/.test
+LINTED := $(VENV)/.lint
+BROWSED := $(VENV)/.browser
+LAYERS := $(TESTED) $(LINTED) $(BROWSED)
 LAB := tests/lab/lab
 # What needs a bus runs in the lab, the faults in a lab for each kind of bus.
 BUS_ROOMS := vcan oracle controller lab power_cut recorded service faults/vcan faults/slcan faults/netem
-NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS) web)
+NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS) web/vcan)
+IN_A_BROWSER := $(addprefix tests/web/,test_page.py test_recordings.py test_stop.py)
+NO_BROWSER := $(addprefix --ignore=,$(IN_A_BROWSER))
+NEEDS = @scripts/test-tools check --for $@
 IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
 WITH_SLCAN := --modules slcan
 WITH_NETEM := --module-param vcan:echo=1 --modules "sch_netem sch_tbf"
@@ -23,60 +31,84 @@ IN_GUEST := /usr/bin/python3 -m pytest -q -p no:cacheprovider
 # Two emulated CAN controllers on one bus, in Debian's own kernel.
 IN_QEMU := $(LAB) run --qemu --timeout 2400 $(IN_SUITE) --env VCU_REQUIRE_CONTROLLER=1
 LAB_QEMU := tests/lab/test_qemu.py
-ORDINARY := -m 'not slow'
+# How much a step runs: LEVEL=test, as `make test` does; ci, with what costs more; nightly, what is left.
+LEVEL ?= test
+SELECTED_test := not slow and not ci
+SELECTED_ci := not slow
+SELECTED_nightly := slow
+SELECTED := $(SELECTED_$(LEVEL))
+# Beside other work there is no clock to judge by: what does is in test-clock.
+PYTEST = $(BIN)/pytest -q -m '$(SELECTED) and not clock'
+IN_BUS_GUEST = $(BIN)/pytest -q -m '$(SELECTED)'
 # Too slow under coverage's eyes, and the other tests cover the same lines.
 EXHAUSTIVE := tests/core/test_exhaustive.py tests/core/test_invariants.py
 
-.PHONY: help setup demo test test-quick test-bus test-elsewhere tools lab test-core coverage-shell test-exhaustive test-serving test-shell test-others test-recorder test-web test-web-server test-web-vcan test-web-figures test-web-fuzz \
-	test-faults-pure test-contents test-guests test-service test-package test-debian test-debians test-lab test-power-cut test-golden test-recorded test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
+.PHONY: help setup demo test test-changed test-quick test-bus test-smoke test-ci tools test-core coverage-shell test-exhaustive test-clock test-deep test-serving test-shell test-others test-recordings test-recorder test-web test-web-server test-web-vcan test-web-figures test-web-fuzz \
+	test-faults-pure test-contents test-guests test-service test-debian test-debians test-lab test-power-cut test-golden test-recorded test-vcan test-oracle test-controller test-lab-qemu test-realtime test-faults-vcan \
 	test-faults-slcan test-faults-netem test-systems lint nightly soak recorded-soak golden-accept golden-mutants faults mutants oracle-mutants bench lock clean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-16s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup: $(STAMP)  ## build .venv with the program and its tools
+setup: $(STAMP)  ## build .venv with the program
 
-$(STAMP): pyproject.toml requirements.lock requirements-dev.lock scripts/setup
+$(STAMP): pyproject.toml requirements.lock requirements-build.lock scripts/setup
 	@scripts/setup $(PYTHON) $(VENV)
-	@touch $@
+
+$(TESTED) $(LINTED) $(BROWSED): $(VENV)/.%: requirements-%.lock $(STAMP)
+	@scripts/setup $(PYTHON) $(VENV) $*
 
 demo: setup  ## gateway and simulated vehicle with a live table, without hardware
 	@$(BIN)/vcu-gateway demo
 
-test: tools  ## everything: lint, types, tests, the service, the real vcan0
-	@RUN=$$(date +%s%N) scripts/suite whole
+test: $(LAYERS)  ## everything that a change may break: lint, types, tests, the service, the real vcan0
+	@scripts/suite test
 
-test-quick: tools  ## the tests that need neither CAN nor a browser
+AGAINST :=
+FILES :=
+test-changed: $(TESTED) $(LINTED)  ## what the changed files reach; AGAINST=REV, FILES="..."
+	@$(BIN)/python scripts/test-changed $(or $(FILES),$(if $(AGAINST),--base $(AGAINST)))
+
+test-quick: $(TESTED) $(LINTED)  ## the tests that need neither CAN nor a guest
 	@scripts/suite quick
 
-test-bus: setup lab  ## the tests on a real vcan0, in the lab where the kernel has no CAN
+test-smoke: $(TESTED) $(LINTED)  ## style, types and the core: the first minute of them
+	@scripts/suite smoke
+
+test-bus: $(TESTED)  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	@scripts/suite bus
 
-test-elsewhere: tools  ## the oracle, other Debians and Pythons from nothing, two CAN controllers (40 minutes)
-	@scripts/suite elsewhere
+test-ci: $(LAYERS)  ## with the oracle, other Debians and Pythons from nothing, two CAN controllers (30 minutes)
+	@scripts/suite ci
 
-tools: setup
-	-@scripts/test-tools
+nightly: $(LAYERS)  ## what is left: soak, mutants, every system wholly; goes on where it was ended
+	@scripts/suite nightly
 
-lab: setup
-	@$(LAB) install
+tools: $(LAYERS)  ## install what the tests need of the machine, with sudo
+	@scripts/test-tools install
 
 # The steps of scripts/suite, which runs several at once; each runs alone, too.
 
-test-core: setup
+# Under the eyes of coverage it takes twice as long: 100 % is for CI.
+test-core: $(TESTED)
+ifeq ($(LEVEL),test)
+	$(PYTEST) tests/core $(addprefix --ignore=,$(EXHAUSTIVE))
+else
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -q -m 'not slow' tests/core $(addprefix --ignore=,$(EXHAUSTIVE))
+	$(BIN)/coverage run -m pytest -q -m '$(SELECTED)' tests/core $(addprefix --ignore=,$(EXHAUSTIVE))
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
+endif
 
-# Not in `make test`: it takes 18 minutes. What tests start as a program of its own counts too,
+# Nightly: it takes 18 minutes. What tests start as a program of its own counts too,
 # but for what a signal kills and for safe_stop.py, which -I -S keep coverage out of. Without CAN
 # in the kernel bus/socketcan.py runs in the lab alone, where nothing is measured.
 COVERED_SHELL := $(wildcard $(addprefix tests/,api app bus cli client config daemon doctor exporter \
 	protocol recording server simulator strict_yaml watch web))
 SHELL_COVERAGE := build/shell-coverage
 coverage-shell: export COVERAGE_FILE = $(SHELL_COVERAGE)/data
-coverage-shell: setup  ## branch coverage of everything outside the core (18 minutes)
+coverage-shell: $(TESTED)  ## branch coverage of everything outside the core (18 minutes)
+	$(NEEDS) terminal compiler export
 	rm -rf $(SHELL_COVERAGE)
 	mkdir -p build
 	mkdir -m 1777 $(SHELL_COVERAGE)  # programs of other users write there, too
@@ -84,154 +116,174 @@ coverage-shell: setup  ## branch coverage of everything outside the core (18 min
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report --include='src/vcu_gateway/*' --omit='src/vcu_gateway/core/*' --fail-under=97
 
-test-exhaustive: setup
-	$(BIN)/pytest -q $(ORDINARY) $(EXHAUSTIVE)
+test-exhaustive: $(TESTED)
+	$(PYTEST) $(EXHAUSTIVE)
+
+# What judges durations.
+test-clock: $(TESTED)
+	$(NEEDS) compiler terminal
+	$(BIN)/pytest -q -m '$(SELECTED) and clock' tests $(NO_BUS) $(NO_BROWSER) --ignore=tests/packaging
 
 SERVING := tests/api tests/server tests/client tests/app
-test-serving: setup
-	$(BIN)/pytest -q -m 'not slow' $(SERVING)
+test-serving: $(TESTED)
+	$(PYTEST) $(SERVING)
 
 SHELL_TESTS := $(addprefix tests/,bus cli config daemon exporter recording)
-test-shell: setup
-	$(BIN)/pytest -q -m 'not slow' $(SHELL_TESTS)
+test-shell: $(TESTED)
+	$(NEEDS) export
+	$(PYTEST) $(SHELL_TESTS)
 
 # In real time, with a C library that has its disk fail.
-test-recorder: setup
-	$(BIN)/pytest -q -m 'not slow' tests/recorder
+test-recorder: $(TESTED)
+	$(NEEDS) compiler
+	$(PYTEST) tests/recorder
 
-test-others: setup
-	$(BIN)/pytest -q -m 'not slow' tests $(addprefix --ignore=,$(SERVING)) \
-		$(addprefix --ignore=tests/,core faults golden packaging recorder) $(addprefix --ignore=,$(SHELL_TESTS)) $(NO_BUS)
+RECORDED_DATA := $(addprefix tests/,drive drive_format recordings replay export)
+test-recordings: $(TESTED)  ## what reads, replays and exports recorded drives
+	$(NEEDS) browser export
+	$(PYTEST) $(RECORDED_DATA)
 
-IN_A_BROWSER := $(addprefix tests/web/,test_page.py test_recordings.py)
-test-web: setup  ## the page, in a real Chromium beside a real gateway
-	scripts/test-tools
-	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q $(ORDINARY) $(IN_A_BROWSER)
+test-others: $(TESTED)
+	$(NEEDS) terminal promtool compiler
+	$(PYTEST) tests $(addprefix --ignore=,$(SERVING) $(SHELL_TESTS) $(RECORDED_DATA)) \
+		$(addprefix --ignore=tests/,core faults golden packaging recorder web) $(NO_BUS)
 
-test-web-server: setup  ## the page's server, without a browser
-	$(BIN)/pytest -q $(ORDINARY) tests/web $(addprefix --ignore=,$(IN_A_BROWSER) tests/web/vcan)
+test-web: $(TESTED) $(BROWSED)  ## the page, in a real Chromium beside a real gateway
+	$(NEEDS) browser axe
+	$(BIN)/pytest -q -m '$(SELECTED)' $(IN_A_BROWSER)
 
-test-web-figures: setup  ## what the page costs and how fast it is, on a machine that does nothing else
-	scripts/test-tools
-	VCU_REQUIRE_BROWSER=1 $(BIN)/pytest -q -s tests/web/test_figures.py
+test-web-server: $(TESTED)  ## the page's server, without a browser
+	$(PYTEST) tests/web $(NO_BROWSER) --ignore=tests/web/vcan
 
-test-web-fuzz: setup  ## 100 000 requests that nobody should send
-	$(BIN)/python -m tests.web.fuzz 100000
+test-web-figures: $(TESTED) $(BROWSED)  ## what the page costs and how fast it is, on a machine that does nothing else
+	$(NEEDS) browser
+	$(BIN)/pytest -q -s tests/web/test_figures.py
+
+ODD_REQUESTS := $(if $(filter nightly,$(LEVEL)),100000,10000)
+test-web-fuzz: $(TESTED)  ## 10,000 requests that nobody should send; LEVEL=nightly: 100,000
+	$(BIN)/python -m tests.web.fuzz $(ODD_REQUESTS)
 
 # Chromium takes minutes in the lab.
-test-web-vcan: setup lab
-	scripts/test-tools
-	$(IN_LAB) --mem 1500M --timeout 1500 --env VCU_REQUIRE_BROWSER=1 -- $(BIN)/pytest -q tests/web/vcan
+test-web-vcan: $(TESTED) $(BROWSED)
+	$(NEEDS) lab browser
+	$(IN_LAB) --mem 1500M --timeout 2700 -- $(BIN)/pytest -q tests/web/vcan
 
-test-faults-pure: setup
-	$(BIN)/pytest -q -m 'not slow' tests/faults/pure
+test-faults-pure: $(TESTED)
+	$(PYTEST) tests/faults/pure
 
-test-contents: setup test-guests  ## what is in the package
-	VCU_DEB=$(CURDIR)/$(PACKAGES)/first.deb VCU_SUITE=$(SUITE) $(BIN)/pytest -q $(ORDINARY) tests/packaging
+# Ten times as many examples, and the slow tests.
+test-deep: $(TESTED)
+	$(NEEDS) promtool export browser terminal compiler
+	HYPOTHESIS_PROFILE=nightly $(BIN)/pytest -q -m '(slow or hypothesis) and not clock' \
+		tests $(NO_BUS) --ignore=tests/packaging --ignore=tests/web
 
-test-guests: setup
-	@scripts/test-guests $(SUITE) $(BIN) $(PACKAGES) $(RUN)
+test-contents: $(TESTED) test-guests  ## what is in the package
+	VCU_DEB=$(CURDIR)/$(PACKAGES)/first.deb VCU_SUITE=$(SUITE) $(BIN)/pytest -q -m '$(SELECTED)' tests/packaging
 
-test-service: setup test-guests  ## the installed service under a real systemd, in the lab
-	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 1500 --modules slcan --install $(PACKAGES)/first.deb -- \
-		$(IN_GUEST) $(ORDINARY) tests/service --ignore=tests/service/test_package.py
+test-guests: $(TESTED)
+	$(NEEDS) guests
+	@scripts/test-guests $(SUITE) $(BIN) $(PACKAGES)
 
-test-package: setup test-guests  ## the package installed, upgraded and removed, in the lab
-	@[ ! -f $(PACKAGES)/first.deb ] || $(IN_DEBIAN) --timeout 1500 \
+test-service: $(TESTED) test-guests  ## the installed service under a real systemd, then the package, in the lab
+	@$(IN_DEBIAN) --timeout 1800 --modules slcan --install $(PACKAGES)/first.deb \
 		--env VCU_DEB=$(CURDIR)/$(PACKAGES)/first.deb --env VCU_DEB_NEXT=$(CURDIR)/$(PACKAGES)/next.deb -- \
-		$(IN_GUEST) $(ORDINARY) tests/service/test_package.py
+		$(IN_GUEST) -m '$(SELECTED)' tests/service
 
-test-debian: setup  ## the package for one release wholly: contents, service, installing; SUITE=trixie
-	@run=$$(date +%s%N); \
-	$(MAKE) --no-print-directory RUN=$$run test-contents ORDINARY= && \
-	$(MAKE) --no-print-directory RUN=$$run test-service test-package
+test-debian: $(TESTED)  ## the package for one release wholly: contents, service, installing; SUITE=trixie
+	@$(MAKE) --no-print-directory SELECTED='slow or not slow' test-contents
+	@$(MAKE) --no-print-directory SELECTED='slow or not slow' test-service
 
-test-controller: setup test-guests  ## on two emulated CAN controllers with a real networkd, in the lab
-	$(LAB) install --qemu
-	$(IN_QEMU) -- $(IN_GUEST) $(ORDINARY) tests/controller
+# For the other release what `make test` runs for this one; at night both wholly, with lintian and a
+# second build.
+test-debians: $(TESTED)
+ifeq ($(LEVEL),nightly)
+	@for suite in $(SUITES); do $(MAKE) --no-print-directory test-debian SUITE=$$suite || exit; done
+else
+	@for suite in $(filter-out $(SUITE),$(SUITES)); do \
+		$(MAKE) --no-print-directory LEVEL=test SUITE=$$suite test-contents test-service || exit; done
+endif
 
-test-lab-qemu: setup
-	$(LAB) install --qemu
-	$(BIN)/pytest -q $(LAB_QEMU)
-
-# The service on a PREEMPT_RT kernel, where its package can be built.
-test-realtime: setup test-guests
-	$(LAB) install --qemu
-	deb=$(PACKAGES)/first.deb; $(IN_QEMU) --kernel rt $$([ ! -f $$deb ] || echo --install $$deb) \
-		--env VCU_REQUIRE_REALTIME=1 -- $(IN_GUEST) tests/controller/test_realtime.py
-
-# The other releases wholly, and of this one what lintian and a second build say.
-test-debians: setup
-	@$(MAKE) --no-print-directory test-contents ORDINARY=
-	@for suite in $(filter-out $(SUITE),$(SUITES)); do $(MAKE) --no-print-directory test-debian SUITE=$$suite || exit; done
-
-test-lab: setup test-guests
+test-lab: $(TESTED) test-guests
+	$(NEEDS) guests
 	$(BIN)/pytest -q tests/lab --ignore=$(LAB_QEMU)
 
-test-power-cut: setup test-guests  ## what a power cut leaves of a recording, in the lab
+test-power-cut: $(TESTED) test-guests  ## what a power cut leaves of a recording, in the lab
+	$(NEEDS) guests
 	$(BIN)/pytest -q tests/power_cut
 
 # Every scenario and fault that a recording can hold, replayed to the byte by the core as it is.
-test-golden: setup  ## recorded drives, replayed to the byte
-	$(BIN)/pytest -q -m 'not slow' tests/golden
+test-golden: $(TESTED)  ## recorded drives, replayed to the byte
+	$(PYTEST) tests/golden
 
-golden-accept: setup  ## take what the core does now as right: golden drives anew, and their report
+golden-accept: $(TESTED)  ## take what the core does now as right: golden drives anew, and their report
 	scripts/golden accept
 
-golden-mutants: setup  ## change each safety rule on purpose: a golden drive must turn out otherwise
+golden-mutants: $(TESTED)  ## change each safety rule on purpose: a golden drive must turn out otherwise
 	$(BIN)/python -m tests.golden.mutants
 
 # Real gateway and real recorder, on file systems that are made and mounted: in a guest everywhere.
 IN_GUEST_LAB := LAB_WAY=$(or $(LAB_WAY),uml) $(LAB)
-test-recorded: setup  ## recorded on vcan0: complete, replayed, killed, disk full and stalled
-	$(IN_GUEST_LAB) install
-	$(IN_GUEST_LAB) run --env VCU_REQUIRE_CAN=1 --modules loop --timeout 1200 -- $(BIN)/pytest -q tests/recorded
+test-recorded: $(TESTED)  ## recorded on vcan0: complete, replayed, killed, disk full and stalled
+	$(NEEDS) lab
+	$(IN_GUEST_LAB) run --env VCU_REQUIRE_CAN=1 --modules loop --timeout 1200 -- $(IN_BUS_GUEST) tests/recorded
 
-test-vcan: setup lab
-	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -m 'not slow' tests/vcan
+test-vcan: $(TESTED)
+	$(NEEDS) lab
+	$(IN_LAB) --timeout 3000 -- $(IN_BUS_GUEST) tests/vcan
 
 # The specification against the program, by tests that share nothing with it.
-test-oracle: setup lab  ## a second opinion on every frame, written from the specification alone
-	$(IN_LAB) --timeout 1500 -- $(BIN)/pytest -q -m 'not slow' tests/oracle
+test-oracle: $(TESTED)  ## a second opinion on every frame, written from the specification alone
+	$(NEEDS) lab
+	$(IN_LAB) --timeout 1500 -- $(IN_BUS_GUEST) tests/oracle
 
-test-faults-vcan: setup lab
-	$(IN_LAB) --timeout 900 -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan
+test-faults-vcan: $(TESTED)
+	$(NEEDS) lab
+	$(IN_LAB) --timeout 900 -- $(IN_BUS_GUEST) tests/faults/vcan
 
-test-faults-slcan: setup lab
-	$(IN_LAB) --timeout 450 $(WITH_SLCAN) -- $(BIN)/pytest -q -m 'not slow' tests/faults/slcan
+test-faults-slcan: $(TESTED)
+	$(NEEDS) lab
+	$(IN_LAB) --timeout 450 $(WITH_SLCAN) -- $(IN_BUS_GUEST) tests/faults/slcan
 
-test-faults-netem: setup lab
-	$(IN_LAB) --timeout 450 $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
+test-faults-netem: $(TESTED)
+	$(NEEDS) lab
+	$(IN_LAB) --timeout 450 $(WITH_NETEM) -- $(IN_BUS_GUEST) tests/faults/netem
 
-nightly: setup lab  ## the long tests: deep invariants, ten minutes on vcan0
-	scripts/test-tools
-	$(MAKE) test-web-server test-web test-web-fuzz test-web-figures
-	VCU_REQUIRE_PROMTOOL=1 HYPOTHESIS_PROFILE=nightly $(BIN)/pytest $(NO_BUS)
-	$(IN_LAB) --timeout 3000 -- $(BIN)/pytest -s tests/vcan tests/oracle tests/faults/vcan
-	$(IN_LAB) --timeout 900 $(WITH_SLCAN) -- $(BIN)/pytest tests/faults/slcan
-	$(IN_LAB) --timeout 900 $(WITH_NETEM) -- $(BIN)/pytest tests/faults/netem
-	for suite in $(SUITES); do $(MAKE) test-debian SUITE=$$suite ORDINARY= || exit; done
-	$(MAKE) test-controller test-lab-qemu test-realtime
-	$(BIN)/python -m tests.systems --whole bookworm trixie
-	$(MAKE) soak MINUTES=60
-	$(MAKE) recorded-soak golden-mutants
+test-controller: $(TESTED) test-guests  ## on two emulated CAN controllers with a real networkd, in the lab
+	$(NEEDS) qemu
+	$(IN_QEMU) -- $(IN_GUEST) -m 'not slow' tests/controller
 
-SYSTEMS :=
-test-systems: setup  ## the README's commands in clean systems, or SYSTEMS="trixie"; with them, every Python
-	@scripts/test-tools
-	$(BIN)/python -m tests.systems $(if $(CI),--tested-here) $(SYSTEMS)
+test-lab-qemu: $(TESTED)
+	$(NEEDS) qemu
+	$(BIN)/pytest -q $(LAB_QEMU)
+
+# The service on a PREEMPT_RT kernel, where its package can be built.
+test-realtime: $(TESTED) test-guests
+	$(NEEDS) qemu
+	deb=$(PACKAGES)/first.deb; $(IN_QEMU) --kernel rt $$([ ! -f $$deb ] || echo --install $$deb) \
+		--env VCU_REQUIRE_REALTIME=1 -- $(IN_GUEST) tests/controller/test_realtime.py
+
+# What each runs after the README's commands; together they prove every Python that is claimed.
+SYSTEMS_ci := bookworm:smoke noble:smoke trixie:quick forky:smoke
+SYSTEMS_nightly := bookworm:whole noble:quick trixie:whole forky:quick
+SYSTEMS := $(SYSTEMS_$(LEVEL))
+test-systems: $(TESTED)  ## the README's commands in clean systems, or SYSTEMS="trixie:whole"; with them, every Python
+	$(NEEDS) guests terminal
+	$(BIN)/python -m tests.systems $(SYSTEMS)
 
 MINUTES := 10
-soak: setup lab  ## nominal traffic with random faults for MINUTES=10, in the lab
+soak: MINUTES := $(if $(filter nightly,$(LEVEL)),60,10)
+soak: $(TESTED)  ## nominal traffic with random faults for MINUTES=10, in the lab
+	$(NEEDS) lab
 	$(LAB) run --timeout $$(( $(MINUTES) * 60 + 180 )) -- $(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
 
-recorded-soak: setup  ## recorded for MINUTES=10 with random faults: complete, and replayed
-	$(IN_GUEST_LAB) install
+recorded-soak: $(TESTED)  ## recorded for MINUTES=10 with random faults: complete, and replayed
+	$(NEEDS) lab
 	$(IN_GUEST_LAB) run --modules loop --timeout $$(( $(MINUTES) * 180 + 1200 )) --env VCU_RECORDED_SOAK_S=$$(( $(MINUTES) * 60 )) \
 		-- $(BIN)/pytest -q tests/recorded -k random_faults
 
 FAULTS := build/faults
-faults: setup lab  ## every fault that the gateway survives; writes docs/faults.md
+faults: $(TESTED)  ## every fault that the gateway survives; writes docs/faults.md
+	$(NEEDS) lab
 	rm -rf $(FAULTS)
 	-VCU_FAULT_RESULTS=$(FAULTS) $(BIN)/pytest -q -m 'not slow' tests/faults/pure
 	-$(IN_LAB) --timeout 900 --env VCU_FAULT_RESULTS=$(FAULTS) -- $(BIN)/pytest -q -m 'not slow' tests/faults/vcan
@@ -239,13 +291,14 @@ faults: setup lab  ## every fault that the gateway survives; writes docs/faults.
 	-$(IN_LAB) --timeout 300 --env VCU_FAULT_RESULTS=$(FAULTS) $(WITH_NETEM) -- $(BIN)/pytest -q -m 'not slow' tests/faults/netem
 	$(BIN)/python -m tests.faults.page $(FAULTS)
 
-mutants: setup  ## change the safety core on purpose: every mistake must turn a test red
+mutants: $(TESTED)  ## change the safety core on purpose: every mistake must turn a test red
 	scripts/mutants $(BIN)
 
-oracle-mutants: setup lab  ## change what the program does on purpose: the oracle alone must see it
+oracle-mutants: $(TESTED)  ## change what the program does on purpose: the oracle alone must see it
+	$(NEEDS) lab
 	$(BIN)/python -m tests.oracle.mutate
 
-lint: setup  ## style, types, spelling, import contracts, generated files
+lint: $(TESTED) $(LINTED)  ## style, types, spelling, import contracts, generated files
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -255,8 +308,7 @@ lint: setup  ## style, types, spelling, import contracts, generated files
 	$(BIN)/vcu-gateway schema --yaml --check
 	$(BIN)/python scripts/import-graph --check
 
-AGAINST :=
-bench: setup  ## compare with the naive way, and with AGAINST=TREE; writes docs/benchmarks.md
+bench: $(TESTED)  ## compare with the naive way, and with AGAINST=TREE; writes docs/benchmarks.md
 	$(BIN)/python -m bench $(if $(AGAINST),--against $(AGAINST))
 
 lock: setup  ## resolve and hash the dependencies again

@@ -102,7 +102,9 @@ def find_kernel(options):
 
 def command(job, kernel, mem, disk=None):
     own = architecture()
-    disks = [f"file={escaped((job / 'root').resolve())},format=raw,if=virtio,readonly=on"]
+    # Nobody writes it, and guests of User Mode Linux lock it, too.
+    root = f"file={escaped((job / 'root').resolve())},file.locking=off"
+    disks = [f"{root},format=raw,if=virtio,readonly=on"]
     disks += [f"file={escaped(disk)},format=raw,if=virtio"] if disk else []
     options = f"console={own.console} {KERNEL_OPTIONS} {machine.KERNEL_OPTIONS}"
     folders = (job / "shared").read_text().splitlines()

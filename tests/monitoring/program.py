@@ -114,9 +114,7 @@ class Program:
         answers["health"] = health(self.loop, settings, config, self.facts, self.api, now_ns)
         answers["config"] = {"digest": "", "values": configuration.effective(config)}
         if latest is not None:
-            gateway = self.drive.gateway
-            demand = gateway.requests.arbiter.current
-            answers["state"] = views.state(gateway.snapshot(now_ns), latest, demand)
+            answers["state"] = views.state(self.drive.gateway, latest, now_ns)
             answers["why"] = views.why(latest.why)
         answered = GatewayAnswers(**json.loads(json.dumps(answers, allow_nan=False)))
         return answered._replace(recorder=self.recorder, recorder_age_s=self.recorder_age_s)
@@ -141,6 +139,8 @@ def driven() -> Program:
     program.run(1200)
     drive.codes |= {"ARD2_SteeringWheel.WheelSpeedFL": 5_000, "PCU1_Status2.MotorSpeed": 3_000}
     program.run(200)
+    drive.gateway.requests.emergency_stop()
+    program.run(650)  # a status of each controller, while what went before is held
     drive.gateway.transmitter.gate.check(
         0, 0, bytes(8), armed=False, speeds_rpm=(None, None), now_ns=drive.now_ns
     )

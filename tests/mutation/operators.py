@@ -66,9 +66,7 @@ def mutants(source: str) -> Iterator[Mutant]:
     original = ast.unparse(tree)
     seen = set()
     for change in _changes(tree, (), "module", 1):
-        changed = copy.deepcopy(tree)
-        _apply(changed, change)
-        text = ast.unparse(ast.fix_missing_locations(changed))
+        text = ast.unparse(_changed(tree, change.path, change.replacement))
         if text == original or text in seen:
             continue
         seen.add(text)
@@ -83,18 +81,19 @@ def _described(original: str, text: str, change: _Change) -> Mutant:
     return Mutant(f"{change.scope}: {before} => {after}", change.line, text, diff)
 
 
-def _apply(tree: ast.AST, change: _Change) -> None:
-    node = tree
-    for field, index in change.path[:-1]:
-        child = getattr(node, field)
-        node = child if index is None else child[index]
-    field, index = change.path[-1]
+def _changed(node: ast.AST, path: tuple, replacement: ast.AST | None) -> ast.AST:
+    """This tree with the child at `path` replaced; it shares all that is beside the path."""
+    (field, index), *rest = path
+    below = getattr(node, field)
+    old = below if index is None else below[index]
+    new = _changed(old, tuple(rest), replacement) if rest else replacement
+    changed = copy.copy(node)
     if index is None:
-        setattr(node, field, change.replacement)
-    elif change.replacement is None:
-        del getattr(node, field)[index]
+        setattr(changed, field, new)
     else:
-        getattr(node, field)[index] = change.replacement
+        kept = [] if new is None else [new]
+        setattr(changed, field, [*below[:index], *kept, *below[index + 1 :]])
+    return changed
 
 
 def _changes(node: ast.AST, path: tuple, scope: str, line: int) -> Iterator[_Change]:

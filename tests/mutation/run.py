@@ -45,6 +45,7 @@ TESTS = {
     "commands": ["commands"],
     "gate": ["gate"],
     "schedule": ["schedule"],
+    "stop": ["stop"],
     "state": ["state"],
     "snapshot": ["state"],
 }

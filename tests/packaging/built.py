@@ -38,11 +38,12 @@ def suite() -> str:
 
 
 def epoch_s() -> int:
-    """What scripts/deb takes: as given, else the time of the commit."""
+    """What scripts/deb takes: as given, else when what the package is made of last changed."""
     if given := os.environ.get("SOURCE_DATE_EPOCH"):
         return int(given)
-    told: list[str | Path] = ["git", "-C", REPOSITORY, "log", "-1", "--format=%ct"]
-    done = subprocess.run(told, capture_output=True, text=True)
+    made_of = subprocess.check_output([REPOSITORY / "scripts" / "deb", "--made-of"], text=True)
+    log = ["git", "-C", str(REPOSITORY), "log", "-1", "--format=%ct", "--", *made_of.split()]
+    done = subprocess.run(log, capture_output=True, text=True)
     return int(done.stdout) if done.returncode == 0 else _EPOCH_S
 
 
@@ -63,7 +64,7 @@ def build(tree: Path, script: str, folder: Path, *options: str, **environment: s
     """Run it into the folder; where this machine cannot build, that is a failure on CI alone."""
     done = subprocess.run(
         [tree / "scripts" / script, *options, BIN, folder],
-        env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch_s()), **environment},
+        env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch_s()), "DEB_INSTALL": "no", **environment},
         capture_output=True,
         text=True,
     )

@@ -10,11 +10,15 @@ from pathlib import Path
 import pytest
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "suite"
-QUICK = """
-lint test-core test-serving test-shell test-faults-pure test-others test-exhaustive \
-test-golden test-recorder test-web-server:
+PURE = (
+    *("test-serving", "test-shell", "test-faults-pure", "test-others", "test-exhaustive"),
+    *("test-golden", "test-recorder", "test-recordings", "test-web-server", "test-clock"),
+)
+QUICK = f"""
+lint test-core {" ".join(PURE)}:
 \t@echo "1 passed in 0.01s"
 """
+BUS = ("test-vcan", "test-recorded", "test-faults-vcan", "test-faults-slcan")
 
 
 @pytest.fixture
@@ -30,8 +34,10 @@ def replace_step(folder: Path, step: str, *recipe: str) -> None:
     makefile.write_text(rest + f"\n{step}:\n" + "".join(f"\t{line}\n" for line in recipe))
 
 
-def suite(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    command: list[str | Path] = [SCRIPT, "quick", "-C", folder, *options]
+def suite(
+    folder: Path, *options: str, name: str = "quick", first: tuple[str, ...] = ()
+) -> subprocess.CompletedProcess[str]:
+    command: list[str | Path] = [*first, SCRIPT, name, "-C", folder, *options]
     return subprocess.run(command, capture_output=True, text=True)
 
 
@@ -45,10 +51,19 @@ def runs(pid: str) -> bool:
 def test_each_step_is_told_with_its_tests_and_then_the_verdict(folder: Path) -> None:
     done = suite(folder)
     assert done.returncode == 0
-    assert len(re.findall(r"^ \d:\d\d  [a-z-]+ +\d+ s  1 passed", done.stdout, re.MULTILINE)) == 10
+    assert (
+        len(
+            re.findall(
+                r"^ \d:\d\d  [a-z-]+ +\d+ s, +\d+ s of a processor  1 passed",
+                done.stdout,
+                re.MULTILINE,
+            )
+        )
+        == 12
+    )
     assert re.search(r"first verdict after \d+ s: style, types and core are right", done.stdout)
-    assert "\n10 passed, 0 failed, 0 skipped\n" in done.stdout
-    assert re.search(r"10 steps in 0 min \d+ s: all right", done.stdout)
+    assert "\n12 passed, 0 failed, 0 skipped\n" in done.stdout
+    assert re.search(r"12 steps in 0 min \d+ s: all right", done.stdout)
     assert "\033" not in done.stdout
 
 
@@ -60,7 +75,7 @@ def test_a_step_that_fails_is_shown_and_the_others_run_on(folder: Path) -> None:
     assert "the reason" in done.stdout
     assert "all of it: build/suite/test-core.log; again: make test-core" in done.stdout
     assert "first verdict" in done.stdout
-    assert "10 steps" in done.stdout
+    assert "12 steps" in done.stdout
     assert done.stdout.splitlines()[-1].endswith("failed: test-core")
 
 
@@ -86,13 +101,17 @@ def test_what_was_skipped_is_told(folder: Path) -> None:
     assert "skipped: tests/a.py:3: no bus" in suite(folder).stdout
 
 
+def test_what_was_taken_again_since_the_machine_stood_still_is_told(folder: Path) -> None:
+    replace_step(folder, "test-others", "@echo 'taken again: tests/a.py::b: stood still for 30 ms'")
+    assert "taken again: tests/a.py::b: stood still for 30 ms" in suite(folder).stdout
+
+
 def test_no_more_steps_run_at_once_than_asked_for(folder: Path) -> None:
-    steps = ["lint", "test-core", "test-serving", "test-shell"]
+    steps = ["lint", "test-core", "test-others", "test-shell"]
     for step in steps:
         replace_step(folder, step, f"@echo began {step} >>order; sleep 0.3; echo ended >>order")
     suite(folder, "--jobs", "1")
-    order = (folder / "order").read_text().splitlines()
-    assert order == [line for step in steps for line in (f"began {step}", "ended")]
+    assert order(folder) == [line for step in steps for line in (f"began {step}", "ended")]
 
 
 def test_a_step_whose_tests_wait_takes_no_other_steps_place(folder: Path) -> None:
@@ -102,44 +121,82 @@ def test_a_step_whose_tests_wait_takes_no_other_steps_place(folder: Path) -> Non
     assert suite(folder, "--jobs", "1").returncode == 0
 
 
-def test_no_two_steps_that_judge_by_the_clock_run_at_once_and_the_others_give_way(
+def test_as_many_timed_steps_as_processors_run_at_once_and_the_others_give_way(
     folder: Path,
 ) -> None:
     """Of the suite on the bus every step judges by the clock."""
-    steps = [
-        "test-vcan",
-        "test-recorded",
-        "test-faults-vcan",
-        "test-faults-netem",
-        "test-faults-slcan",
-    ]
-    tell = "nice >>niceness; [ ! -e timed ] || echo two; touch timed; sleep 0.2; rm timed"
-    (folder / "Makefile").write_text(f"{' '.join(steps)}:\n\t@{tell}\n")
-    done = subprocess.run(
-        [SCRIPT, "bus", "-C", folder, "--jobs", "4"], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout
-    assert "two" not in "".join(
-        (folder / "build/suite" / f"{step}.log").read_text() for step in steps
-    )
+    tell = "nice >>niceness; echo + >>begun; sleep 0.3; wc -l <begun"
+    (folder / "Makefile").write_text(f"{' '.join(BUS)}:\n\t@{tell}\n")
+    assert suite(folder, "--jobs", "2", name="bus").returncode == 0
+    first, second = ((folder / f"build/suite/{step}.log").read_text() for step in BUS[2::-2])
+    assert {first.strip(), second.strip()} == {"2"}, "two began, and no third before one ended"
     assert set((folder / "niceness").read_text().split()) == {str(os.nice(0))}
     (folder / "Makefile").write_text(QUICK)
-    replace_step(folder, "lint", "@sleep 0.3; nice >niceness")
+    replace_step(folder, "lint", "@nice >niceness")
     suite(folder)
     assert (folder / "niceness").read_text().split() == [str(min(19, os.nice(0) + 10))]
 
 
-def test_a_step_that_measures_the_machine_runs_alone_after_all_others(folder: Path) -> None:
-    steps = re.findall(r'"(test-[a-z-]+)"', SCRIPT.read_text().partition("ELSEWHERE")[2])
-    elsewhere = steps[: steps.index("test-web-figures") + 1]
-    (folder / "Makefile").write_text(
-        f"{' '.join(elsewhere)}:\n\t@echo $@ >>order; sleep 0.2; echo end $@ >>order\n"
-    )
-    command: list[str | Path] = [SCRIPT, "elsewhere", "-C", folder, "--jobs", "8"]
-    assert subprocess.run(command, capture_output=True).returncode == 0
-    order = (folder / "order").read_text().splitlines()
-    assert order[-2:] == ["test-web-figures", "end test-web-figures"]
-    assert len(order) == 2 * len(elsewhere) > 10
+NIGHTLY = re.findall(
+    r'"([a-z-]+)"', SCRIPT.read_text().partition('"nightly": Plan(')[2].partition('"nightly",')[0]
+)
+
+
+@pytest.fixture
+def nightly(folder: Path) -> Path:
+    """A project under git whose steps of the nightly suite tell that they ran, with their level."""
+    recipe = "@echo $@ $(LEVEL) >>order; sleep 0.1; echo end $@ >>order"
+    (folder / "Makefile").write_text(f"{' '.join(NIGHTLY)}:\n\t{recipe}\n")
+    (folder / ".gitignore").write_text("build\norder\n")
+    subprocess.run(["git", "init", "--quiet", folder], check=True)
+    return folder
+
+
+def order(folder: Path) -> list[str]:
+    lines = (folder / "order").read_text().splitlines()
+    (folder / "order").unlink()
+    return lines
+
+
+def test_a_step_that_measures_the_machine_runs_alone_after_all_others(nightly: Path) -> None:
+    assert suite(nightly, "--jobs", "8", name="nightly").returncode == 0
+    lines = order(nightly)
+    assert lines[-2:] == ["test-web-figures nightly", "end test-web-figures"]
+    assert len(lines) == 2 * len(NIGHTLY) > 20
+
+
+def test_the_nightly_suite_goes_on_where_it_was_ended_unless_a_file_changed(nightly: Path) -> None:
+    replace_step(nightly, "mutants", "@[ -e build/well ]")
+    assert suite(nightly, name="nightly").returncode == 1
+    order(nightly)
+    (nightly / "build" / "well").touch()
+    again = suite(nightly, name="nightly")
+    assert again.returncode == 0
+    others = len(NIGHTLY) - 1
+    assert f"1 step in 0 min 0 s, {others} passed before (--anew runs them again)" in again.stdout
+    assert not (nightly / "order").exists()
+    suite(nightly, "--anew", name="nightly")
+    assert len(order(nightly)) == 2 * others
+    (nightly / "new").touch()
+    assert "passed before" not in suite(nightly, name="nightly").stdout
+    assert len(order(nightly)) == 2 * others
+
+
+def test_in_ci_each_step_has_its_level(folder: Path) -> None:
+    (folder / "Makefile").write_text(".DEFAULT:\n\t@echo $@ $(LEVEL) >>order\n")
+    assert suite(folder, name="ci").returncode == 0
+    told = {line.split()[1] for line in order(folder)}
+    assert told == {"ci"}
+
+
+def test_a_background_job_hands_its_ignored_signals_to_no_step(folder: Path) -> None:
+    (folder / "Makefile").write_text(QUICK)
+    replace_step(folder, "lint", "@grep SigIgn /proc/self/status")
+    deaf = ("sh", "-c", "trap '' INT HUP QUIT TERM; exec \"$@\"", "-")
+    assert suite(folder, first=deaf).returncode == 0
+    ignored = int((folder / "build/suite/lint.log").read_text().split()[1], 16)
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM):
+        assert not ignored >> number - 1 & 1, number
 
 
 def test_an_interrupt_ends_every_step(folder: Path) -> None:

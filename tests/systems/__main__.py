@@ -6,7 +6,6 @@ system cannot be had, an installed Python of its version runs the tests instead,
 """
 
 import argparse
-import functools
 import os
 import re
 import signal
@@ -21,7 +20,7 @@ from tests.systems import promises, systems
 from tests.systems.systems import FOLDER, SYSTEMS, CannotError, System
 from tests.systems.terminal import FailedError, Terminal
 
-INSTALL_S = 600
+INSTALL_S = 900
 DEMO_S = 900
 TEST_S = 5400
 LOOK_S = 3  # as long as somebody looks at the live view
@@ -44,13 +43,11 @@ class Outcome(NamedTuple):
 
 
 class Visit:
-    """A newcomer's visit to one system."""
+    """A newcomer's visit to one system: to the demo, and to this command for the tests."""
 
-    def __init__(self, system: System, test: str, *, tested_here: bool) -> None:
-        """`tested_here`: where this machine is such a system, its tests have run on it already."""
+    def __init__(self, system: System, test: str) -> None:
         self.system = system
         self.test = test
-        self.tested = tested_here and systems.is_this_machine(system)
         self.folder = FOLDER / system.suite
         self.log = FOLDER / f"{system.suite}.log"
         self.done: list[str] = []
@@ -116,14 +113,21 @@ class Visit:
         terminal.end(words.demo, 30)
         self.tests(terminal, self.test)
 
+    def tools(self, terminal: Terminal, tools: str) -> None:
+        try:
+            self.run(terminal, tools, INSTALL_S)
+        except FailedError as error:
+            if not self.system.lacks:
+                raise
+            self.done.append(f"{error}, as it has no {self.system.lacks}")
+
     def clone(self, terminal: Terminal) -> None:
         self.run(terminal, CLONE, 60)
 
     def tests(self, terminal: Terminal, test: str) -> None:
-        if self.tested:
-            self.done.append("its tests ran on this machine")
-        else:
-            self.run(terminal, test, TEST_S)
+        if self.test != promises.commands().test_smoke:
+            self.tools(terminal, promises.commands().tools)
+        self.run(terminal, test, TEST_S)
         terminal.run(".venv/bin/vcu-gateway version", 60)
 
     def run(self, terminal: Terminal, line: str, wait_s: float, answer: str = "") -> None:
@@ -136,8 +140,8 @@ class Visit:
         self.say(self.done[-1])
 
 
-def visit(test: str, tested_here: bool, system: System) -> Outcome:
-    one = Visit(system, test, tested_here=tested_here)
+def visit(system: System, test: str) -> Outcome:
+    one = Visit(system, test)
     outcome = one.outcome()
     one.say(outcome.line if outcome.status else "ok")
     return outcome
@@ -149,37 +153,45 @@ def main() -> int:
         print("error: only root can make a system's root; use sudo", file=sys.stderr)
         return EX_UNAVAILABLE
     FOLDER.mkdir(parents=True, exist_ok=True)
-    words = promises.commands()
-    test = words.test if options.whole else words.test_quick
-    chosen = [SYSTEMS[suite] for suite in options.systems or SYSTEMS]
+    chosen = options.systems or [asked(suite) for suite in SYSTEMS]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with ThreadPoolExecutor(options.at_once) as pool:
         each = pool.map if options.at_once > 1 else map  # without threads Ctrl-C ends at once
-        outcomes = list(each(functools.partial(visit, test, options.tested_here), chosen))
-    print(f"\n{test}, from nothing, in a clean")
-    for system, outcome in zip(chosen, outcomes, strict=True):
+        outcomes = list(each(visit, *zip(*chosen, strict=True)))
+    print("\nfrom nothing, in a clean")
+    for (system, test), outcome in zip(chosen, outcomes, strict=True):
         python = f"Python {outcome.python or system.python}"
-        print(f"  {system.name:<15} {python}: {outcome.line}")
+        print(f"  {system.name:<15} {python}: {test}: {outcome.line}")
     unproven = promises.unproven(outcome.python for outcome in outcomes)
-    if unproven and not options.systems:
+    if unproven and len(chosen) == len(SYSTEMS):
         print(f"error: {unproven}")
         return 1
     return max(outcome.status for outcome in outcomes)
 
 
+def asked(text: str) -> tuple[System, str]:
+    """A system and the command for its tests: "trixie:smoke"; of "trixie" that of `make test`."""
+    suite, _, what = text.partition(":")
+    words = promises.commands()
+    tests = {
+        "": words.test,
+        "whole": words.test,
+        "quick": words.test_quick,
+        "smoke": words.test_smoke,
+    }
+    if suite not in SYSTEMS or what not in tests:
+        raise argparse.ArgumentTypeError(f"there is {', '.join(SYSTEMS)}, with {', '.join(tests)}")
+    return SYSTEMS[suite], tests[what]
+
+
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser("python -m tests.systems", description=__doc__)
     known = ", ".join(f"{one.suite} ({one.name}, Python {one.python})" for one in SYSTEMS.values())
-    parser.add_argument("systems", nargs="*", metavar="SYSTEM", help=f"all, or some of {known}")
-    parser.add_argument("--whole", action="store_true", help="`make test`, not `make test-quick`")
-    text = "the tests have run on this machine: leave them out in a system that is as this one"
-    parser.add_argument("--tested-here", action="store_true", help=text)
+    text = f"all, or some of {known}; which tests it runs: whole (the default), quick or smoke"
+    parser.add_argument("systems", nargs="*", metavar="SYSTEM[:TESTS]", type=asked, help=text)
     text = "systems at a time (default: %(default)s)"
     parser.add_argument("--at-once", type=int, default=1, metavar="COUNT", help=text)
-    options = parser.parse_args()
-    if unknown := set(options.systems) - set(SYSTEMS):
-        parser.error(f"unknown: {', '.join(sorted(unknown))}; there are {known}")
-    return options
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -16,8 +16,10 @@ class Commands(NamedTuple):
 
     install: str
     demo: str
+    tools: str
     test: str
     test_quick: str
+    test_smoke: str
 
 
 def commands() -> Commands:
@@ -27,8 +29,11 @@ def commands() -> Commands:
     [two] = re.findall(r"```sh\n(.*?)```", section, re.DOTALL)
     [install] = re.findall(r"`(sudo apt update .*?)`", section)
     demo, test = two.splitlines()
-    [test_quick] = re.findall(rf"`({re.escape(test)}-quick)`", section)
-    return Commands(install, demo, test, test_quick)
+    [test_quick], [test_smoke] = (
+        re.findall(rf"`({re.escape(test)}-{what})`", section) for what in ("quick", "smoke")
+    )
+    [tools] = set(re.findall(r"`(make tools)`", section))
+    return Commands(install, demo, tools, test, test_quick, test_smoke)
 
 
 def claimed_pythons() -> set[str]:

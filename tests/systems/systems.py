@@ -2,7 +2,6 @@
 
 import ast
 import os
-import platform
 import re
 import shlex
 import shutil
@@ -32,18 +31,19 @@ _PROXY = re.compile(r"(https?|all|no)_proxy", re.IGNORECASE)
 
 
 class System(NamedTuple):
-    """A distribution's suite, and the Python that it has."""
+    """A distribution's suite, the Python that it has, and a package of the lab that it has not."""
 
     suite: str
     name: str
     python: str
+    lacks: str = ""
 
 
 SYSTEMS = {
     one.suite: one
     for one in (
         System("bookworm", "Debian 12", "3.11"),
-        System("noble", "Ubuntu 24.04", "3.12"),
+        System("noble", "Ubuntu 24.04", "3.12", lacks="user-mode-linux"),
         System("trixie", "Debian 13", "3.13"),
         System("forky", "Debian testing", "3.14"),
     )
@@ -67,12 +67,6 @@ def clean_root(system: System, folder: Path) -> str:
     lay_home(folder / "home" / "user", _CA)
     subprocess.run(["chroot", folder, "chown", "-R", "user:", "/home/user"], check=True)
     return f"{_NAMESPACES} {shlex.join([str(HERE / 'enter-root'), str(folder), system.suite])}"
-
-
-def is_this_machine(system: System) -> bool:
-    """Whether this machine has that distribution's release, and this program its Python."""
-    release = platform.freedesktop_os_release().get("VERSION_CODENAME")
-    return release == system.suite and system.python == f"3.{sys.version_info.minor}"
 
 
 def installed_python(version: str) -> str | None:

@@ -31,7 +31,7 @@ def test_a_claimed_python_that_nobody_ran_is_told() -> None:
 def test_the_readmes_commands_are_targets_that_make_knows() -> None:
     words = promises.commands()
     makefile = (promises.REPOSITORY / "Makefile").read_text()
-    for line in (words.demo, words.test, words.test_quick):
+    for line in (words.demo, words.tools, words.test, words.test_quick, words.test_smoke):
         assert re.search(rf"^{re.escape(line.removeprefix('make '))}: ", makefile, re.MULTILINE)
 
 
