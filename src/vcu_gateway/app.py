@@ -90,7 +90,7 @@ class Application:
         self._service = ServiceReporter(manager, runtime, self.loop)
         self._service.begin()
         self.facts.start = self._service.start
-        self.loop.add_observer(restart_state.observe)
+        self.loop.keep(restart_state)
         self.loop.add_observer(self._service.observe)
 
     def run(self, duration_s: float | None = None) -> None:

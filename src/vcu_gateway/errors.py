@@ -3,13 +3,13 @@
 Exit codes follow sysexits.h and are part of the interface:
 
     0   done
-    1   a check answered no (`dbc --check`, `status --check`, `doctor`, `recordings check`)
+    1   a check answered no (`dbc --check`, `status --check`, `doctor`, `estop`, ...)
     2   the command line is wrong
     65  a file's contents are wrong (EX_DATAERR)
     66  a file cannot be read (EX_NOINPUT)
     69  the bus or something else outside is not there (EX_UNAVAILABLE)
     70  a bug in this program (EX_SOFTWARE)
-    75  the gateway refused a request, or did not answer in time (EX_TEMPFAIL)
+    75  the gateway refused a request, or nobody answered or confirmed in time (EX_TEMPFAIL)
     77  this user may not ask for that (EX_NOPERM)
     78  the configuration is wrong (EX_CONFIG)
 """

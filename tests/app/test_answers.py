@@ -61,7 +61,16 @@ def test_the_state_tells_values_with_unit_quality_and_age(client, running):
     assert 0 <= message["age_ms"] < 1100
     assert state["mode"] == "standby"
     assert state["commands"]["PCU1"]["throttle_pct"] == 0
-    assert state["commands"]["PCU1"]["frame"].startswith("0008A7D0#")
+    assert state["stop"] is None
+
+
+def test_a_command_is_told_as_it_was_decided_sent_and_came_back(client):
+    for name, identifier in (("PCU1", "0008A7D0"), ("PCU2", "0008A8D0")):
+        command = client.state([])["commands"][name]
+        assert command["decided"] == f"{identifier}#0C000000E02E0000"
+        for carried in (command["sent"], command["echoed"]):
+            assert carried["frame"] == command["decided"]
+            assert 0 <= carried["age_ms"] < 60_000
 
 
 def test_a_message_that_there_is_not_is_named(client):

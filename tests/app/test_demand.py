@@ -68,6 +68,7 @@ def refusal_of(answer: dict) -> str:
     return answer["error"]["data"]["refusal"]
 
 
+@pytest.mark.clock
 def test_a_demand_drives_after_arming_and_its_release_ends_the_drive(running):
     with running.client() as client, client.demand("driver") as owner:
         assert client.arm()["mode"] == "active"
@@ -79,6 +80,7 @@ def test_a_demand_drives_after_arming_and_its_release_ends_the_drive(running):
     running.until(lambda: running.throttles() == {0}, "zero torque")
 
 
+@pytest.mark.clock
 def test_a_demand_that_is_not_renewed_ends_with_its_time_to_live(running, raw):
     assert "result" in raw.demand(1, ttl_ms=1000)
     assert raw.arm()["result"]["mode"] == "active"
@@ -87,6 +89,7 @@ def test_a_demand_that_is_not_renewed_ends_with_its_time_to_live(running, raw):
     assert raw.ask("arm")["error"]["message"] == "there is no fresh demand"
 
 
+@pytest.mark.clock
 def test_the_end_of_the_connection_ends_the_demand_before_its_time_to_live(running):
     one = Raw(running)
     one.demand(1, ttl_ms=1000)
@@ -98,6 +101,7 @@ def test_the_end_of_the_connection_ends_the_demand_before_its_time_to_live(runni
     assert time.monotonic() - begun < 0.9
 
 
+@pytest.mark.clock
 def test_a_half_closed_connection_ends_the_demand(running):
     one = Raw(running)
     one.demand(1, ttl_ms=1000)
@@ -123,6 +127,7 @@ def test_a_demand_that_waited_too_long_on_its_way_is_refused(raw):
     assert refusal_of(raw.demand(2, made_ns=time.monotonic_ns() + 60 * 10**9)) == "from_the_future"
 
 
+@pytest.mark.clock
 def test_a_second_source_is_refused_while_the_first_is_fresh(running, raw):
     raw.demand(1, ttl_ms=1000)
     with running.client() as other, pytest.raises(RefusedError) as caught, other.demand("remote"):
@@ -131,6 +136,7 @@ def test_a_second_source_is_refused_while_the_first_is_fresh(running, raw):
     assert caught.value.sentence == f"{raw.source} owns the demand"
 
 
+@pytest.mark.clock
 def test_a_second_connection_in_the_same_name_is_refused(running, raw):
     raw.demand(1, ttl_ms=1000)
     second = Raw(running, raw.source)
@@ -143,6 +149,7 @@ def test_a_second_connection_in_the_same_name_is_refused(running, raw):
     )
 
 
+@pytest.mark.clock
 def test_a_higher_priority_takes_over(tmp_path):
     with driven(tmp_path, "demand: {priorities: {remote_stop: 10}}\n") as gateway:
         gateway.until_ready()
@@ -189,6 +196,7 @@ def test_parameters_of_a_wrong_form_are_refused(raw, params):
     assert raw.demand(**{"sequence": 1} | params)["error"]["code"] == -32602
 
 
+@pytest.mark.clock
 def test_each_controller_may_be_asked_for_its_own(running):
     with running.client() as client, client.demand("driver") as owner:
         client.arm()
@@ -217,6 +225,7 @@ def test_an_emergency_stop_cuts_and_needs_a_service_reset(fresh):
     fresh.until_mode("standby")
 
 
+@pytest.mark.clock
 def test_the_program_in_the_readme_drives(running, monkeypatch, capsys):
     (program,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     running.until_ready()

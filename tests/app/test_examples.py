@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 TRIES = 4
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 
@@ -15,6 +17,7 @@ def example(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=90)
 
 
+@pytest.mark.clock
 def test_the_control_loop_drives_and_ends_without_motion(running):
     options = ["--throttle-pct", 10, "--ramp-s", 0.5, "--for-s", 1.5]
     for _ in range(TRIES):

@@ -112,6 +112,7 @@ def still_drives(ticking: Ticking) -> bool:
     return ticking.owner.last_answer is not None and ticking.owner.last_answer["mode"] == "active"
 
 
+@pytest.mark.clock
 def test_a_flood_makes_the_ticks_no_later_than_any_busy_process_does(ticking: Ticking, capsys):
     for _ in range(ROUNDS):
         beside = ticking.lateness_us(*ticking.during(BUSY, 4))
@@ -125,6 +126,7 @@ def test_a_flood_makes_the_ticks_no_later_than_any_busy_process_does(ticking: Ti
     ticking.end()
 
 
+@pytest.mark.clock
 @pytest.mark.slow
 @pytest.mark.timeout(200)
 def test_a_flood_of_30_s_keeps_the_lateness_of_the_ticks_within_twice(ticking: Ticking, capsys):

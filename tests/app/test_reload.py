@@ -1,6 +1,7 @@
 """A new configuration while the gateway runs: all of it or nothing, and no looser while active."""
 
 import dataclasses
+import itertools
 import os
 import signal
 import subprocess
@@ -39,6 +40,23 @@ def test_a_changed_limit_is_in_effect_after_a_reload(fresh):
         )
         names = [event["name"] for event in client.events()["events"]]
         assert "config_reloaded" in names
+
+
+@pytest.mark.clock
+def test_a_stricter_power_maximum_is_a_ramp_for_a_demand_that_names_no_power(fresh):
+    powers_w = []
+    with fresh.client() as client, client.demand("driver"):
+        client.arm()
+        fresh.loop.add_observer(
+            lambda tick, result: powers_w.append(result.commands["PCU1"].power_limit_w)
+        )
+        fresh.until(lambda: 60_000 in powers_w, "full power")
+        fresh.configure("limits: {power_limit_max_w: 45000}\n")
+        client.reload()
+        fresh.until(lambda: powers_w[-1] == 45_000, "the stricter maximum")
+    driven = powers_w[: powers_w.index(45_000) + 1]
+    assert all(before - after <= 3_000 for before, after in itertools.pairwise(driven))
+    assert len({one for one in driven if 45_000 < one < 60_000}) >= 4
 
 
 def test_an_invalid_file_changes_nothing_and_says_why_with_its_line(fresh):
@@ -87,6 +105,7 @@ def test_keys_that_need_a_restart_are_named_and_nothing_is_taken(fresh):
         assert client.config() == before
 
 
+@pytest.mark.clock
 def test_while_active_only_stricter_limits_are_taken(fresh):
     with fresh.client() as client, client.demand("driver", hold_s=None):
         client.arm()

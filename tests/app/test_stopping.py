@@ -9,8 +9,13 @@ from typing import Any
 
 import pytest
 
+from tests.app.conftest import is_reset
 from tests.driven import Driven
+from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.client import ApiError
+from vcu_gateway.core.events import Event
+from vcu_gateway.daemon import restart_state
+from vcu_gateway.daemon.restart_state import RestartState, read
 
 WRONG = {
     "an empty list of parameters": {"jsonrpc": "2.0", "id": 1, "params": []},
@@ -21,14 +26,17 @@ WRONG = {
 
 
 @pytest.fixture
-def driving(fresh: Driven) -> Iterator[Driven]:
+def driving(running: Driven) -> Iterator[Driven]:
     """Active, with throttle, by a client of its own."""
-    with fresh.client() as client, client.demand("driver", hold_s=None) as owner:
+    running.until_ready()
+    with running.client() as client, client.demand("driver", hold_s=None) as owner:
         owner.set(throttle_pct=0)
         client.arm()
         owner.set(throttle_pct=30)
-        fresh.until_mode("active")
-        yield fresh
+        running.until_mode("active")
+        yield running
+    if running.mode == "fault":
+        running.until(lambda: running.latest_why.next_step == "service reset", "the hold's end")
 
 
 def told(gateway: Driven, message: dict[str, Any]) -> dict[str, Any]:
@@ -40,15 +48,41 @@ def told(gateway: Driven, message: dict[str, Any]) -> dict[str, Any]:
         return json.loads(one.makefile("r").readline())
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("form", WRONG.values(), ids=WRONG.keys())
 @pytest.mark.parametrize(("stop", "mode"), [("estop", "fault"), ("disarm", "standby")])
 def test_a_stop_wrong_in_form_stops_the_vehicle(driving: Driven, form, stop, mode):
+    with driving.client() as client:
+        before = client.health()["api"]["stopped_anyway"]
     answer = told(driving, {**form, "method": stop})
     assert answer["id"] == form.get("id")
     assert answer["error"]["message"].endswith("; done all the same")
     driving.until_mode(mode)
     with driving.client() as client:
-        assert client.health()["api"]["stopped_anyway"] == 1
+        assert client.health()["api"]["stopped_anyway"] == before + 1
+
+
+@pytest.mark.parametrize("form", [{"id": 1}, *WRONG.values()], ids=["right", *WRONG.keys()])
+def test_an_emergency_stop_in_any_form_is_kept_before_it_is_answered(
+    fresh: Driven, form, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(restart_state, "_QUICK_NS", 10**12)
+    gateway, log = fresh.loop.gateway, fresh.loop.event_log
+    state = RestartState(tmp_path, BusSettings("socketcan", "vcan0"), gateway, log)
+    assert state.path is not None
+    kept: list[str | None] = []
+    path = state.path
+    state.begin()
+    fresh.loop.keep(state)
+
+    def look(event: Event) -> None:
+        """On the ticking thread, between the grant and the answer."""
+        if event.name == "api_request":
+            kept.append(read(path).cut)
+
+    log.subscribe(look)
+    told(fresh, {"jsonrpc": "2.0", **form, "method": "estop"})
+    assert kept == ["emergency stop requested: cut"]
 
 
 def idle(gateway: Driven) -> socket.socket:
@@ -66,8 +100,7 @@ def test_sixteen_idle_connections_keep_nobody_from_stopping_ten_of_ten(fresh: Dr
         fresh.until_mode("fault")
         crowd += [idle(fresh)]
         fresh.until(lambda: fresh.latest_why.next_step == "service reset", "the hold's end")
-        with fresh.client() as client:
-            client.reset("service")
+        fresh.until(lambda: is_reset(fresh), "a reset")
         fresh.until_ready()
         crowd += [idle(fresh)]
     with fresh.client() as client:
@@ -81,6 +114,7 @@ def test_sixteen_idle_connections_keep_nobody_from_stopping_ten_of_ten(fresh: Dr
         one.close()
 
 
+@pytest.mark.clock
 def test_a_crowd_does_not_end_the_drive_of_the_one_with_the_demand(driving: Driven):
     crowd = [idle(driving) for _ in range(60)]
     with driving.client() as client:

@@ -10,20 +10,35 @@ import sys
 
 import pytest
 
+from tests.app.verbs import stage_of, vcu
 from tests.driven import Driven, driven, wait_until
 from tests.recorder.gateway import RecorderProcess
 from vcu_gateway.api import openrpc, results
+from vcu_gateway.simulator.motor import MotorCommand
+
+TRIES = 8
 
 
-def vcu(socket_path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "VCU_GATEWAY_SOCKET": str(socket_path)}
-    command = [sys.executable, "-m", "vcu_gateway", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, env=environment)
+def troubles(gateway: Driven) -> list[int]:
+    """How often its mode changed or a cause began."""
+    log = gateway.loop.event_log.latest(1000)
+    return [one.count for one in log if one.event.name in ("mode_changed", "cause_began")]
 
 
 @pytest.fixture
 def ask(running: Driven):
-    return lambda line: vcu(running.socket_path, *shlex.split(line))
+    """A verb, asked again where the machine held the vehicle up meanwhile."""
+
+    def asked(line: str) -> subprocess.CompletedProcess[str]:
+        for _ in range(TRIES):
+            running.until_ready()
+            before = troubles(running)
+            done = vcu(running.socket_path, *shlex.split(line))
+            if troubles(running) == before:
+                break
+        return done
+
+    return asked
 
 
 def test_status_is_a_few_lines_for_a_person(ask):
@@ -51,6 +66,19 @@ def test_status_is_one_json_object_for_a_program(ask):
     found = json.loads(ask("status --json").stdout)
     openrpc.result_adapter(results.Why).validate_python(found["why"])
     openrpc.result_adapter(results.Health).validate_python(found["health"])
+
+
+def test_status_says_what_is_known_of_a_stop(fresh):
+    assert "stop " not in vcu(fresh.socket_path, "status").stdout
+    fresh.nodes.vehicle.motors["PCU2"].ignores_commands = True
+    fresh.nodes.vehicle.motors["PCU2"].order = MotorCommand()
+    with fresh.client() as client:
+        client.estop()
+    fresh.until(lambda: stage_of(fresh) == "not obeyed", "its status")
+    said = "stop     NOT OBEYED: PCU2 reports PowerCut normal, throttle 0.0 %; use the contactor"
+    assert said in vcu(fresh.socket_path, "status").stdout.splitlines()
+    found = json.loads(vcu(fresh.socket_path, "status", "--json").stdout)
+    assert found["stop"]["stage"] == "not obeyed"
 
 
 def test_a_check_of_the_status_has_an_exit_code(ask, fresh):
@@ -112,12 +140,7 @@ def test_a_refused_reload_is_a_line_for_each_reason_and_exit_78(fresh):
     assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["error", "error"]
 
 
-def test_estop_cuts_and_says_how_it_ends(fresh):
-    done = vcu(fresh.socket_path, "estop")
-    assert done.stdout == "power cut; when it is safe again: vcu-gateway reset --level service\n"
-    fresh.until_mode("fault")
-
-
+@pytest.mark.clock
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_demand_drives_while_it_runs_and_stops_with_it(running: Driven, number):
     command = [sys.executable, "-m", "vcu_gateway", "demand", "--throttle", "20", "--arm"]

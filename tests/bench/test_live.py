@@ -1,7 +1,6 @@
 """The programs under test, on whichever bus there is."""
 
 import os
-import shutil
 import subprocess
 import sys
 
@@ -19,7 +18,6 @@ from bench.under_test import (
 )
 
 SECONDS = 1.0
-needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 
 
 def stamps(*errors_us: int, missing: int = 0) -> list[int]:
@@ -44,6 +42,8 @@ def test_a_cycle_without_a_frame_is_missed_and_no_error():
     assert (found.missed, found.mean_off_ms) == (1, 0)
 
 
+@pytest.mark.ci
+@pytest.mark.clock
 def test_a_timed_gateway_drives_and_times_every_tick():
     found = run(gateway(HERE), NOMINAL_PER_S, SECONDS)
     assert len(found.ticks) >= SECONDS * 10
@@ -54,13 +54,15 @@ def test_a_timed_gateway_drives_and_times_every_tick():
     assert found.resident_mb > 10
 
 
+@pytest.mark.ci
 def test_a_gateway_of_another_tree_than_the_one_named_is_refused(tmp_path):
     (tmp_path / "src").mkdir()
     with pytest.raises(RuntimeError, match=f"not {tmp_path}"):
         run(gateway(tmp_path), NOMINAL_PER_S, 0.1)
 
 
-@needs_compiler
+@pytest.mark.ci
+@pytest.mark.clock
 @pytest.mark.parametrize("program", [NAIVE, C_A_TICK, C_A_FRAME], ids=lambda one: one.name)
 def test_a_peer_sends_both_commands_every_50_ms(program):
     found = run(program, NOMINAL_PER_S, SECONDS)
@@ -68,7 +70,8 @@ def test_a_peer_sends_both_commands_every_50_ms(program):
     assert found.offered > SECONDS * NOMINAL_PER_S / 2
 
 
-@needs_compiler
+@pytest.mark.ci
+@pytest.mark.clock
 def test_the_c_programs_wake_once_a_tick_and_once_a_frame():
     by_tick, by_frame = (run(program, NOMINAL_PER_S, SECONDS) for program in (C_A_TICK, C_A_FRAME))
     assert by_tick.woken_per_s < 30

@@ -280,15 +280,15 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_an_interface_in_use_is_left_alone_until_the_kernel_tells_of_a_change(running: LookRig):
-    counts = [looks_within(running, 0.5) for _ in range(4)]
-    assert min(counts) <= 1, "links of this machine change while it is tested, but not always"
+    is_left_alone = any(looks_within(running, 0.5) <= 1 for _ in range(4))
+    assert is_left_alone, "links of this machine change while it is tested, but not always"
 
 
 @pytest.mark.parametrize("found", [None, DOWN, UP._replace(carrier=False)])
 def test_an_interface_that_cannot_be_used_is_looked_at_ten_times_a_second(running, found):
     running.found = found
     running.connection.on_lost()
-    assert max(looks_within(running, 1.0) for _ in range(5)) >= 5
+    assert any(looks_within(running, 1.0) >= 5 for _ in range(5))
 
 
 def test_a_loss_that_a_reader_reports_is_looked_at_at_once(running: LookRig):
@@ -305,6 +305,6 @@ def test_whoever_asks_for_the_locks_holder_is_answered_at_once(rig: LookRig):
         rig.reconnector.start()
         assert rig.reconnector.tried.wait(PATIENCE_S)
         far.send(b"?")  # nobody reads it: it is there again and again
-        assert max(looks_within(rig, 0.5) for _ in range(5)) >= 5
+        assert any(looks_within(rig, 0.5) >= 5 for _ in range(5))
         assert rig.connection.answers >= 5
         rig.reconnector.stop()

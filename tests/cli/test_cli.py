@@ -10,8 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from vcu_gateway import __version__
+from vcu_gateway.cli import group
 from vcu_gateway.config import digest, load
 
 ROOT = Path(__file__).parents[2]
@@ -37,10 +39,10 @@ def test_the_help_names_every_verb_and_the_exit_codes():
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_explains_itself(verb):
-    done = vcu(verb, "--help")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"Usage: vcu-gateway {verb} ")
-    assert len(done.stdout.splitlines()) >= 5
+    done = CliRunner().invoke(group, [verb, "--help"], prog_name="vcu-gateway")
+    assert done.exit_code == 0, done.output
+    assert done.output.startswith(f"Usage: vcu-gateway {verb} ")
+    assert len(done.output.splitlines()) >= 5
 
 
 def test_a_wrong_verb_or_option_is_exit_2_with_a_hint():
@@ -131,6 +133,8 @@ def test_an_account_that_does_not_exist_is_refused_at_the_start(tmp_path):
     )
 
 
+@pytest.mark.ci
+@pytest.mark.clock
 def test_the_demo_shows_live_values_without_hardware():
     done = vcu("demo", "--duration", "9")
     assert done.returncode == 0, done.stderr
@@ -157,27 +161,6 @@ def test_the_commands_of_the_readme_work_in_its_words(line, tmp_path):
     arguments = [str(tmp_path / "out") if word == "decoded.jsonl" else word for word in arguments]
     done = vcu(*arguments)
     assert done.returncode == 0, done.stderr
-
-
-def test_the_commands_of_the_readme_go_from_the_demo_to_a_what_if(tmp_path):
-    text = (ROOT / "README.md").read_text()
-    lines = [line for line in text.splitlines() if line.startswith(".venv/") and RECORDED in line]
-    assert len(lines) == 3
-    done = []
-    for line in lines:
-        command = line.replace(".venv/bin/vcu-gateway", f"{sys.executable} -m vcu_gateway")
-        environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-        done.append(
-            subprocess.run(
-                command, shell=True, capture_output=True, text=True, cwd=tmp_path, env=environment
-            )
-        )
-    recorded, replayed, what_if = done
-    assert recorded.returncode == 0, recorded.stderr
-    assert replayed.returncode == 0, replayed.stdout
-    assert what_if.returncode == 1, "something differs"
-    assert "Throttle" in what_if.stdout
-    assert (tmp_path / "what-if.html").stat().st_size > 50_000
 
 
 def test_the_readme_has_commands_and_its_links_lead_somewhere():

@@ -208,9 +208,15 @@ def test_every_comment_in_the_example_states_the_range(name: str) -> None:
         assert (errors(one_key(name, wrap(number))) == []) is allowed, number
 
 
+@pytest.fixture(scope="module")
+def entries() -> dict[str, Any]:
+    """What the schema says of each key."""
+    return dict(model_keys(schema()))
+
+
 @pytest.mark.parametrize("name", LEAVES)
-def test_every_number_has_its_range_and_unit_in_the_example(name: str) -> None:
-    entry = dict(model_keys(schema()))[name]
+def test_every_number_has_its_range_and_unit_in_the_example(name: str, entries) -> None:
+    entry = entries[name]
     kinds = {entry.get("type")} | {kind.get("type") for kind in entry.get("anyOf", [])}
     unit = next((text for end, text in UNITS.items() if name.endswith(f"_{end}")), None)
     assert FACTS[name].startswith(f"Unit {unit}; ") is (unit is not None)
@@ -218,8 +224,8 @@ def test_every_number_has_its_range_and_unit_in_the_example(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LEAVES)
-def test_every_choice_is_listed_in_the_example(name: str) -> None:
-    entry = dict(model_keys(schema()))[name]
+def test_every_choice_is_listed_in_the_example(name: str, entries) -> None:
+    entry = entries[name]
     choices = ["true", "false"] if entry.get("type") == "boolean" else entry.get("enum", [])
     if choices and "const" not in entry:
         assert re.search(rf"; one of {', '.join(choices)}(?:\.$|; live,)", FACTS[name])
@@ -291,9 +297,9 @@ def test_a_relative_configuration_path_still_gives_the_whole_path_of_the_dbc(
     assert load(Path("gateway.yaml")).protocol.dbc == tmp_path / "own.dbc"
 
 
-def test_a_bench_demand_without_limits_has_the_configured_maxima() -> None:
-    text = "limits: {speed_limit_max_rpm: 500}\nbench: {demand: {bench_use_only: true}}"
-    demand = parse(text, "").bench.demand
+def test_a_bench_demand_without_limits_has_the_maximum_speed_and_no_power_limit() -> None:
+    limits = "limits: {speed_limit_max_rpm: 500, power_limit_max_w: 400}"
+    demand = parse(f"{limits}\nbench: {{demand: {{bench_use_only: true}}}}", "").bench.demand
     assert demand is not None
     assert (demand.speed_limit_rpm, demand.power_limit_w) == (500, 60000)
 

@@ -97,7 +97,8 @@ class Drive:
     Attributes that break something:
         codes: codes by 'Message.Signal' in every frame from now on.
         silent: messages that do not come.
-        echo: our frames come back; accepted: the bus takes them.
+        echo: our frames come back; accepted: the bus takes them; taken: those of these
+            controllers alone.
         demanded: the driver's demand for both controllers every tick; None: no demand.
         ttl_ms: of these demands.
     """
@@ -108,6 +109,7 @@ class Drive:
         self.codes: dict[str, int] = {}
         self.silent: set[str] = set()
         self.echo = self.accepted = True
+        self.taken = list(CONTROLLERS)
         self.demanded: ControllerDemand | None = ControllerDemand()
         self.ttl_ms = 200
         self.events: list[Event] = []
@@ -162,10 +164,11 @@ class Drive:
         self.result = result = self.gateway.tick(self.now_ns)
         self.events += result.events
         for frame in result.frames:
-            self.gateway.sent(frame, self.accepted, self.now_ns)
-            if self.accepted:
+            accepted = self.accepted and frame.controller in self.taken
+            self.gateway.sent(frame, accepted, self.now_ns)
+            if accepted:
                 self._throttles[frame.controller] = frame.data[1]
-            if self.accepted and self.echo:
+            if accepted and self.echo:
                 echo = Frame(frame.can_id, frame.data, self.now_ns, own_echo=True)
                 self.gateway.receive(echo)
         return result

@@ -28,17 +28,26 @@ class Drive:
         self.now_ns = 1_000 * MS
         self.step("safe")
 
-    def step(self, what="active", demanded=None, *effects, slow=True, after_ns=PERIOD_NS, **both):
+    def step(
+        self,
+        what="active",
+        demanded=None,
+        *effects,
+        slow=True,
+        released=True,
+        after_ns=PERIOD_NS,
+        **both,
+    ):
         """One tick; both controllers' commands where they differ, else the one command."""
         self.now_ns += after_ns
         if demanded is None:
             demanded = dict.fromkeys(CONTROLLERS, ControllerDemand(**both))
         args = (frozenset(effects), slow, self.settings, self.now_ns)
-        speed = {"regenerates": True} if what == "active" else {}
+        facts = {"regenerates": True, "released": released} if what == "active" else {}
         if what == "safe":
             commands = self.commander.safe(demanded, self.settings, False, self.now_ns)
         else:
-            commands = getattr(self.commander, what)(demanded, *args, **speed)
+            commands = getattr(self.commander, what)(demanded, *args, **facts)
         first, second = commands["PCU1"], commands["PCU2"]
         return first if first == second else commands
 
@@ -127,7 +136,9 @@ def test_before_the_first_tick_nothing_can_be_lost():
 def test_the_first_tick_earns_no_throttle():
     commander = Commander(Settings())
     demanded = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=100))
-    commands = commander.active(demanded, frozenset(), True, Settings(), 10**12, regenerates=True)
+    commands = commander.active(
+        demanded, frozenset(), True, Settings(), 10**12, regenerates=True, released=True
+    )
     assert commands["PCU1"].throttle_pct == 0
 
 
@@ -517,6 +528,57 @@ def test_the_strictest_mode_wins_at_once(drive, demanded, effects, expected):
     assert isinstance(mode, PowerMode)
     drive.active(power_mode=demanded)
     assert drive.active(*effects, power_mode=demanded).power_mode is expected
+
+
+RISING = [SAFETY, ECO, NORMAL, TURBO]
+
+
+@pytest.mark.parametrize("after", RISING)
+@pytest.mark.parametrize("before", RISING)
+def test_power_mode_falls_at_once_and_rises_with_released_throttle_alone(drive, before, after):
+    drive.active(power_mode=before)
+    lower = min(before, after, key=RISING.index)
+    asked = drive.active(power_mode=after, throttle_pct=1, released=False)
+    assert (asked.power_mode, asked.throttle_pct) == (lower, 0 if lower is SAFETY else 1)
+    assert drive.active(power_mode=after, released=True).power_mode is after
+
+
+def test_power_mode_rises_again_from_what_a_limit_left_of_it(drive):
+    drive.active(power_mode=TURBO)
+    drive.active(Effect.POWER_LIMIT, power_mode=TURBO, released=False)
+    assert drive.active(power_mode=TURBO, released=False).power_mode is ECO
+    assert drive.active(Effect.TURBO_OFF, power_mode=TURBO, released=False).power_mode is ECO
+    assert drive.active(Effect.TURBO_OFF, power_mode=TURBO).power_mode is NORMAL
+
+
+@pytest.mark.parametrize("unsent", CONTROLLERS)
+def test_a_power_mode_that_one_controller_was_not_sent_falls_again_for_both(drive, unsent):
+    drive.active(power_mode=ECO)
+    drive.active(power_mode=TURBO, throttle_pct=20)
+    drive.commander.not_sent(unsent)
+    (other,) = set(CONTROLLERS) - {unsent}
+    assert drive.commander.last[other].throttle_pct == 5
+    assert drive.active(power_mode=TURBO, released=False).power_mode is ECO
+
+
+def test_a_power_mode_that_falls_for_one_controller_stays_fallen_where_it_was_not_sent(drive):
+    drive.active(power_mode=TURBO)
+    drive.active(power_mode=ECO)
+    drive.commander.not_sent("PCU1")
+    assert {name: one.power_mode for name, one in drive.commander.last.items()} == {
+        "PCU1": TURBO,
+        "PCU2": ECO,
+    }
+
+
+def test_each_controllers_power_mode_waits_where_its_demand_is_higher(drive):
+    drive.active(power_mode=ECO)
+    turbo = ControllerDemand(power_mode=TURBO)
+    demanded = {"PCU1": turbo, "PCU2": ControllerDemand()}
+    assert drive.commander.waiting_modes(demanded, frozenset()) == {"PCU1": ECO}
+    assert drive.commander.waiting_modes(demanded, frozenset({Effect.POWER_LIMIT})) == {}
+    safety = dict.fromkeys(CONTROLLERS, ControllerDemand(power_mode=SAFETY))
+    assert drive.commander.waiting_modes(safety, frozenset()) == {}
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)

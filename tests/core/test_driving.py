@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tests.core.simulated_drive import MS, Drive, active, in_mode, standby
+from tests.core.simulated_drive import COMMAND_IDS, MS, Drive, active, in_mode, standby
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
 from vcu_gateway.core.pedals import ThrottleHold
 from vcu_gateway.core.supervisor import Mode
@@ -232,6 +232,84 @@ def test_why_tells_that_there_is_no_throttle_in_power_mode_safety():
     assert throttles(drive) == [103, 0]
     waits = "throttle 0 in power mode safety (PCU2)"
     assert drive.gateway.why(drive.now_ns).waits == (waits,)
+
+
+# PowerMode.
+
+
+def modes(drive: Drive) -> list[int]:
+    return [command[0] >> 2 & 3 for command in drive.commands]
+
+
+def test_power_mode_does_not_rise_with_throttle_whatever_is_demanded():
+    drive = driving()
+    drive.demanded = replace(PUSHED, power_mode=PowerMode.TURBO)
+    drive.run(500)
+    assert modes(drive) == [PowerMode.ECO] * 2
+    assert "power mode eco until the throttle is below 5 % (PCU1 and PCU2)" in drive.sentence
+    drive.demanded = replace(drive.demanded, throttle_pct=4.8)
+    drive.tick()
+    assert throttles(drive) == [12, 12]
+    assert modes(drive) == [PowerMode.ECO] * 2
+    drive.tick()
+    assert modes(drive) == [PowerMode.TURBO] * 2
+    assert "power mode" not in drive.sentence
+
+
+def test_power_mode_rises_for_both_controllers_in_the_same_tick():
+    drive = driving()
+    turbo, drive.demanded = replace(PUSHED, power_mode=PowerMode.TURBO), None
+    released = replace(turbo, throttle_pct=0)
+    drive.offer(PUSHED, controllers={"PCU1": turbo, "PCU2": released}, ttl_ms=1000)
+    drive.run(100)
+    assert throttles(drive) == [103, 0]
+    assert modes(drive) == [PowerMode.ECO] * 2
+    drive.offer(PUSHED, controllers={"PCU1": released, "PCU2": released})
+    drive.tick()
+    assert modes(drive) == [PowerMode.ECO] * 2
+    drive.tick()
+    assert modes(drive) == [PowerMode.TURBO] * 2
+
+
+def test_power_mode_safety_of_one_controller_ends_with_released_throttle_of_both():
+    drive = driving()
+    safety, drive.demanded = replace(PUSHED, power_mode=PowerMode.SAFETY), None
+    drive.offer(PUSHED, controllers={"PCU1": PUSHED, "PCU2": safety})
+    drive.tick()
+    drive.offer(PUSHED)
+    drive.tick()
+    assert throttles(drive) == [103, 0]
+    assert modes(drive) == [PowerMode.ECO, PowerMode.SAFETY]
+    assert "power mode safety until the throttle is below 5 % (PCU2)" in drive.sentence
+    drive.offer(replace(PUSHED, throttle_pct=0))
+    drive.run(100)
+    assert modes(drive) == [PowerMode.ECO] * 2
+
+
+def test_power_mode_does_not_rise_with_throttle_where_a_limit_ends():
+    drive = active()
+    drive.demanded = replace(PUSHED, power_mode=PowerMode.TURBO)
+    drive.run(1000)
+    assert modes(drive) == [PowerMode.TURBO] * 2
+    drive.codes["PCU1_Status1.TemperatureProtectLevel"] = 1
+    drive.run(1000)
+    assert modes(drive) == [PowerMode.NORMAL] * 2
+    drive.codes.clear()
+    drive.run(3000)
+    assert "limited" not in drive.sentence
+    assert modes(drive) == [PowerMode.NORMAL] * 2
+    assert "power mode normal until the throttle is below 5 % (PCU1 and PCU2)" in drive.sentence
+
+
+def test_a_power_mode_that_only_one_controller_was_sent_is_taken_back():
+    drive = active()
+    drive.demanded = ControllerDemand(throttle_pct=100, power_mode=PowerMode.TURBO)
+    drive.taken = ["PCU1"]
+    drive.tick()
+    assert modes(drive) == [PowerMode.TURBO] * 2
+    drive.taken = list(COMMAND_IDS)
+    drive.tick()
+    assert modes(drive) == [PowerMode.ECO] * 2
 
 
 # Regeneration.

@@ -263,6 +263,13 @@ def test_a_prepared_gateway_is_put_back_exactly(prepared):
             assert again.snapshot.latest(message.name) == healthy.snapshot.latest(message.name)
 
 
+ACTIVE_ALONE = [
+    pytest.param(mode, id=mode.name, marks=() if mode is Mode.ACTIVE else pytest.mark.ci)
+    for mode in Mode
+]
+
+
+@pytest.mark.parametrize("prepared", ACTIVE_ALONE, indirect=True)
 def test_every_word_of_the_battery_has_its_effects_and_no_others(prepared):
     for byte6, byte7 in product(range(256), repeat=2):
         if prepared.mode != "ACTIVE" and (byte6 >> 4 & 3) != (byte6 + byte7 + byte7 // 4) % 4:

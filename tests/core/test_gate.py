@@ -347,6 +347,7 @@ def test_a_frame_that_was_not_sent_earns_no_rise(gate):
 
 
 def test_each_slot_has_its_own_last_frame(gate):
+    gate.sent(0, frame(), 50 * MS)
     gate.sent(1, frame(throttle=13), 50 * MS)
     assert_passes(gate, frame(throttle=26), slot=1, now_ns=100 * MS)
     assert_blocked(gate, "throttle_slew", frame(throttle=26), slot=0, now_ns=100 * MS)
@@ -361,6 +362,37 @@ def test_a_stricter_slew_counts_at_once(gate):
     gate.limits = replace(LIMITS, throttle_slew_pct_per_s=10.0)
     assert_passes(gate, frame(throttle=2))
     assert_blocked(gate, "throttle_slew", frame(throttle=3))
+
+
+# PowerMode.
+
+ECO, NORMAL, TURBO, SAFETY = (code << 2 for code in range(4))
+RISING = [SAFETY, ECO, NORMAL, TURBO]
+
+
+@pytest.mark.parametrize("thrown", [(13, 0), (0, 13), (255, 255)])
+@pytest.mark.parametrize("after", RISING)
+@pytest.mark.parametrize("before", RISING)
+def test_power_mode_rises_only_where_each_slot_was_released(gate, before, after, thrown):
+    for slot, throttle in enumerate((12, 12)):
+        gate.sent(slot, frame(before, throttle), 0)
+    assert_passes(gate, frame(after, brake=1))
+    for slot, throttle in enumerate(thrown):
+        gate.sent(slot, frame(before, throttle), 0)
+    rises = RISING.index(after) > RISING.index(before)
+    for slot in (0, 1):
+        expected = "power_mode_rise" if rises else None
+        assert check(gate, frame(after, brake=1), slot=slot) == expected
+
+
+def test_power_mode_of_a_slot_without_a_frame_rises_only_where_the_other_was_released():
+    gate = Gate(LIMITS)
+    gate.sent(1, frame(ECO, 12), 0)
+    assert check(gate, frame(ECO)) is None
+    gate.sent(1, frame(ECO, 13), 0)
+    assert check(gate, frame(ECO)) == "power_mode_rise"
+    assert check(gate, frame(SAFETY, brake=1)) is None
+    assert check(gate, ZERO_TORQUE) is None
 
 
 # Direction.

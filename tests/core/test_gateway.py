@@ -27,6 +27,7 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.link import Carrier, LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.snapshot import Quality
+from vcu_gateway.core.stop import StopStage
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
 DRIVER, SERVICE = FaultClass.DRIVER, FaultClass.SERVICE
@@ -63,6 +64,21 @@ def test_the_gateway_gives_its_mode_and_what_latched_it():
     assert drive.gateway.mode is Mode.FAULT
     assert drive.gateway.latch is not None
     assert drive.gateway.latch.fault_class is SERVICE
+
+
+def test_the_gateway_tells_what_it_sent_what_came_back_and_what_is_known_of_a_stop():
+    drive = active()
+    assert drive.gateway.stop(drive.now_ns) is None
+    drive.gateway.requests.emergency_stop()
+    drive.run(200)
+    stop = drive.gateway.stop(drive.now_ns)
+    assert stop is not None
+    assert stop.latched_ns == drive.now_ns - 150 * MS
+    assert stop.stage is StopStage.ON_BUS
+    assert {one.frame.data for one in drive.gateway.taken.values()} == {POWER_CUT}
+    assert {name: frame.data for name, frame in drive.gateway.echoes.items()} == dict.fromkeys(
+        COMMAND_IDS, POWER_CUT
+    )
 
 
 def test_counters_are_those_of_their_instant():
@@ -1198,6 +1214,76 @@ def test_a_bench_does_not_arm_itself_after_three_restarts():
     drive.gateway.restarted(3)
     drive.run(5000)
     assert drive.mode is Mode.STANDBY
+
+
+def restart_state_causes(drive: Drive) -> list[str]:
+    held = drive.gateway.causes.held
+    return [str(one.finding) for one in held if one.finding.cause == "restart_state"]
+
+
+def test_nobody_can_arm_while_the_restart_state_cannot_be_kept():
+    drive = standby()
+    drive.gateway.restart_state_tried("No space")
+    drive.run(500)
+    assert drive.arm().sentence == "the restart state cannot be kept: No space"
+    assert "before arming: the restart state cannot be kept: No space" in drive.sentence
+    assert restart_state_causes(drive) == [], "it is an alarm in ACTIVE alone"
+    drive.gateway.restart_state_tried(None)
+    assert drive.arm().granted
+
+
+def test_a_restart_state_that_was_not_kept_in_active_is_an_alarm_from_the_next_tick_on():
+    drive = active()
+    drive.gateway.restart_state_tried("No space")
+    drive.tick()
+    assert restart_state_causes(drive) == ["restart state not kept (No space): alarm"]
+    drive.run(1500)
+    assert drive.mode is Mode.ACTIVE
+    drive.gateway.restart_state_tried(None)
+    drive.run(1100)
+    assert restart_state_causes(drive) == []
+
+
+def test_a_bench_arms_itself_only_once_the_restart_state_can_be_kept():
+    drive = Drive(bench_demand=BENCH, auto_arm=True)
+    drive.gateway.restart_state_tried("No space")
+    drive.run(5000)
+    assert drive.mode is Mode.STANDBY
+    drive.gateway.restart_state_tried(None)
+    drive.run(100)
+    assert drive.mode is Mode.ACTIVE
+
+
+def test_controllers_that_echo_two_directions_keep_them_and_nobody_can_arm():
+    drive = Drive()
+    drive.codes = {"PCU1_Status1.MotorReverse": 1}
+    drive.turn(1000)
+    drive.until(Mode.STANDBY).run(1500)
+    assert [command[0] >> 4 & 1 for command in drive.commands] == [1, 0]
+    for motor_reverse in (False, True):
+        drive.demanded = ControllerDemand(motor_reverse=motor_reverse)
+        drive.run(500)
+        assert drive.arm().sentence == "a change of direction is pending"
+        assert [command[0] >> 4 & 1 for command in drive.commands] == [1, 0]
+    drive.turn(0)
+    drive.run(500)
+    assert [command[0] >> 4 & 1 for command in drive.commands] == [1, 1]
+    assert drive.arm().granted
+
+
+def test_two_echoed_directions_may_stay_where_directions_are_independent():
+    drive = Drive(independent_directions=True)
+    drive.codes = {"PCU1_Status1.MotorReverse": 1}
+    drive.turn(1000)
+    drive.demanded = None
+    drive.until(Mode.STANDBY).run(1500)
+    each = {"PCU1": ControllerDemand(motor_reverse=True), "PCU2": ControllerDemand()}
+    for _ in range(5):
+        drive.offer(ControllerDemand(), controllers=each)
+        drive.tick()
+    assert drive.arm().granted
+    drive.tick()
+    assert [command[0] >> 4 & 1 for command in drive.commands] == [1, 0]
 
 
 @pytest.mark.parametrize("mode", [Mode.STARTING, Mode.STANDBY, Mode.ACTIVE])

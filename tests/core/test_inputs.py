@@ -48,6 +48,14 @@ def test_too_many_restarts_are_against_arming():
     assert "restarted 3 times" in inputs.ArmInput(drive.now_ns).apply(drive.gateway).sentence
 
 
+def test_a_restart_state_that_cannot_be_kept_is_against_arming():
+    drive = standby()
+    applied(drive, inputs.RestartStateInput("No space"))
+    assert "No space" in inputs.ArmInput(drive.now_ns).apply(drive.gateway).sentence
+    applied(drive, inputs.RestartStateInput(None))
+    assert inputs.ArmInput(drive.now_ns).apply(drive.gateway).granted
+
+
 def test_a_cut_of_the_process_before_is_latched_again():
     drive = Drive()
     applied(drive, inputs.BeginInput("undervoltage", {"PCU1": True}))

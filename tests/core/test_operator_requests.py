@@ -56,12 +56,20 @@ def inputs(*stimuli: Stimulus, found: Causes | None = None, **changes: Any) -> R
         independent_directions=False,
         listening=False,
         restarts=0,
+        restart_state_failure=None,
     )
     return healthy._replace(**changes)
 
 
 def test_a_healthy_standby_with_a_fresh_demand_of_nothing_may_be_armed():
     assert arming_refusal(inputs(*STANDBY)) == ""
+
+
+def test_a_restart_state_that_cannot_be_kept_is_against_arming():
+    sentence = arming_refusal(inputs(*STANDBY, restart_state_failure="No space"))
+    assert sentence == "the restart state cannot be kept: No space"
+    starting = inputs(restart_state_failure="No space")
+    assert arming_refusal(starting) == "arming needs standby, the mode is starting"
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,7 @@ KINDS = {
     "tick_late": OF_THE_GATEWAY,
     "emergency_stop": OF_THE_GATEWAY - {AT},
     "gate_blocked": OF_THE_GATEWAY - {AT},
+    "restart_state": OF_THE_GATEWAY - {AT},
 }
 
 
@@ -346,6 +347,8 @@ TICK_ROWS = [
     row("tick_late", BEYOND, "tick STOP", "of 20 ms", tick_late_ns=80 * MS + 1, period_ns=20 * MS),
     row("emergency_stop", HEALTHY),
     row("emergency_stop", BEYOND, "emergency stop CUT", emergency_stop=True),
+    row("restart_state", HEALTHY),
+    row("restart_state", BEYOND, "restart state ALARM", restart_state_failure="No space"),
 ]
 
 ROWS = [
@@ -404,6 +407,7 @@ FACTS = st.fixed_dictionaries(
         "foreign_sender": st.just(0x0008A7D0),
         "emergency_stop": st.booleans(),
         "blocked_by_gate": st.just("length"),
+        "restart_state_failure": st.sampled_from(["", "No space"]),
         "observed": st.builds(Observed, wheels_apart_ns=st.sampled_from([None, 1_000 * MS])),
         "codes": st.just({"BMS_Status.CellUndervoltage": 2}),
         "never": st.just(["BMS_Temperatures"]),
@@ -482,6 +486,7 @@ def test_only_another_sender_and_the_gate_latch_from_every_mode_without_a_cut():
         ({"tick_late_ns": 201 * MS}, "tick 201 ms"),
         ({"emergency_stop": True}, "emergency stop requested"),
         ({"blocked_by_gate": "unarmed"}, "gate unarmed"),
+        ({"restart_state_failure": "No space"}, "restart state not kept (No space)"),
     ],
 )  # fmt: skip
 def test_a_finding_names_its_subject_and_its_value(broken, detail):

@@ -244,3 +244,21 @@ def test_the_history_reaches_over_the_echo_window_and_is_bounded():
     kept = sending.frames["PCU1"]
     assert kept[-1].at_ns - kept[0].at_ns >= 2_700_000_000
     assert len(kept) <= 100
+
+
+def test_released_is_a_last_throttle_below_5_pct_for_each_controller():
+    sending = SentHistory(BOTH)
+    sending.note_sent("PCU1", SentValues(1, 0.0))
+    assert not sending.released, "nothing is known of PCU2"
+    for first_raw, second_raw in ((12, 12), (13, 12), (12, 13), (0, 0)):
+        sending.note_sent("PCU1", SentValues(2, first_raw * 0.39))
+        sending.note_sent("PCU2", SentValues(2, second_raw * 0.39))
+        assert sending.released is (first_raw <= 12 and second_raw <= 12)
+
+
+def test_the_place_of_power_cut_is_the_one_bit_that_a_cut_changes(output):
+    safe, cut = output.encoded(decided()), output.encoded(decided(power_cut=True))
+    for before, after in zip(safe, cut, strict=True):
+        byte, mask = output.power_cut_bits()[after.controller]
+        changed = int.from_bytes(before.data) ^ int.from_bytes(after.data)
+        assert changed == mask << 8 * (7 - byte)

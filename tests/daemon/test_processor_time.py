@@ -36,6 +36,7 @@ def test_a_busy_process_has_used_the_processor_on_whichever_thread(spent):
     assert spent.since_last().processor_ns >= 50 * MS
 
 
+@pytest.mark.clock
 def test_the_interval_is_that_between_two_looks(spent):
     spent.since_last()
     begun_ns = time.monotonic_ns()

@@ -4,6 +4,7 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,7 +47,7 @@ class Process:
     """
 
     now_ns = time.monotonic_ns()
-    life = 0
+    life = sequence = 0
 
     def __init__(
         self, folder: Path | None, settings: BusSettings = BUS, others: Sequence[Path] = ()
@@ -64,6 +65,8 @@ class Process:
         for name in ("PCU1_Status2", "PCU2_Status2"):
             self.hear(name)
         result = self.gateway.tick(self.now_ns)
+        self.state.before_sending()
+        self.kept_before_sending = read(self.state.path) if self.state.path else NOTHING
         for frame in result.frames:
             self.gateway.sent(frame, True, self.now_ns)
             echo = Frame(frame.can_id, frame.data, self.now_ns, own_echo=True)
@@ -199,13 +202,214 @@ def test_what_the_controllers_echo_before_the_first_frame_wins(tmp_path):
     assert process.run(2)[0] == [ZERO_TORQUE, REVERSE]
 
 
-def test_it_is_written_only_when_it_changes(tmp_path):
-    process = estopped(tmp_path)
+def offer(process: Process, **asked: Any) -> None:
+    Process.sequence += 1
+    both = dict.fromkeys(("PCU1", "PCU2"), ControllerDemand(**asked))
+    demand = Demand("driver", Process.sequence, 1000, both)
+    assert process.gateway.requests.offer(demand, process.now_ns).granted
+
+
+def armed(folder: Path) -> Process:
+    process = Process(folder)
+    process.run(3)
+    offer(process)
+    process.run(0.25)
+    answer = process.gateway.requests.arm(process.now_ns)
+    assert answer.granted, answer.sentence
+    return process
+
+
+def times_written(process: Process, seconds: float) -> int:
+    """In ticks, by the file's number and time."""
     assert process.state.path is not None
-    before = process.state.path.stat()
+    seen = set()
+    for _ in range(int(seconds * 20)):
+        offer(process)
+        process.tick()
+        found = process.state.path.stat()
+        seen.add((found.st_ino, found.st_mtime_ns))
+    return len(seen) - 1
+
+
+def test_it_is_tried_each_second_but_never_in_active(tmp_path):
+    assert times_written(estopped(tmp_path), 3.1) == 3
+    with_service = Process(tmp_path)
+    assert times_written(with_service, 3.1) == 3
+    for path in tmp_path.iterdir():
+        path.unlink()
+    process = armed(tmp_path)
+    assert times_written(process, 3.1) == 0
+    assert process.mode is Mode.ACTIVE
+
+
+def arming(process: Process) -> str:
+    return process.gateway.requests.arm(process.now_ns).sentence
+
+
+def test_nobody_can_arm_while_it_cannot_be_kept(tmp_path):
+    folder = tmp_path / "nowhere"
+    process = Process(folder)
+    process.run(3)
+    offer(process)
+    process.run(0.25)
+    assert arming(process) == "the restart state cannot be kept: No such file or directory"
+    folder.mkdir()
+    offer(process)
+    process.tick()
+    assert arming(process) == ""
+
+
+def test_nobody_can_arm_from_the_next_second_on_in_which_it_cannot_be_kept(tmp_path):
+    (tmp_path / "here").mkdir()
+    process = Process(tmp_path / "here")
+    process.run(3)
+    (tmp_path / "here").rename(tmp_path / "gone")
+    process.run(1)
+    offer(process)
+    process.run(0.25)
+    assert arming(process) == "the restart state cannot be kept: No such file or directory"
+
+
+def test_nobody_can_arm_without_a_folder_but_on_a_virtual_bus():
+    for settings, sentence in (
+        (BUS, "the restart state cannot be kept: no folder for it can be written by this user"),
+        (BusSettings("virtual", "x"), ""),
+    ):
+        process = Process(None, settings)
+        process.run(3)
+        offer(process)
+        process.run(0.25)
+        assert arming(process).startswith(sentence)
+        assert (process.gateway.mode is Mode.ACTIVE) is (sentence == "")
+
+
+def alarms(process: Process) -> list[str]:
+    return [str(held.finding) for held in process.gateway.why(process.now_ns).alarms]
+
+
+def test_a_failure_in_active_is_an_alarm_and_is_tried_again_after_the_drive(tmp_path):
+    (tmp_path / "here").mkdir()
+    process = armed(tmp_path / "here")
+    (tmp_path / "here").rename(tmp_path / "gone")
+    process.run(0.5)
+    assert not any("restart state" in one for one in alarms(process)), "it is not tried"
+    offer(process, motor_reverse=True)
+    process.run(0.15)
+    (alarm,) = [one for one in alarms(process) if "restart state" in one]
+    assert alarm == "restart state not kept (No such file or directory): alarm"
+    assert process.mode is Mode.ACTIVE
+    (tmp_path / "gone").rename(tmp_path / "here")
+    process.run(0.5)
+    assert process.state.path is not None
+    assert not any(read(process.state.path).reverse.values()), "once, in ACTIVE"
+    process.gateway.requests.disarm(process.now_ns)
+    process.tick()
+    assert all(read(process.state.path).reverse.values())
+    process.run(1.2)
+    assert not any("restart state" in one for one in alarms(process))
+
+
+# The order: kept, then answered; kept, then sent.
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """However slow this machine is."""
+    monkeypatch.setattr(restart_state, "_QUICK_NS", 10**12)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_granted_emergency_stop_is_latched_though_no_tick_came_after_it(tmp_path):
+    process = Process(tmp_path)
     process.run(2)
-    after = process.state.path.stat()
-    assert (before.st_ino, before.st_mtime_ns) == (after.st_ino, after.st_mtime_ns)
+    process.gateway.requests.emergency_stop()
+    process.state.keep_emergency_stop(0)
+    again = Process(tmp_path)
+    assert again.mode is Mode.FAULT
+    assert again.gateway.latch is not None
+    assert again.gateway.latch.reason == "before this start: emergency stop requested: cut"
+
+
+def cut_by_the_battery(process: Process) -> None:
+    process.hear("BMS_Status", {"LifeSignal": process.life, "InternalFault": 1})
+    process.tick()
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_new_cut_is_kept_before_its_first_frame_with_its_reason(tmp_path):
+    process = Process(tmp_path)
+    process.run(2)
+    cut_by_the_battery(process)
+    assert process.kept_before_sending.cut is not None
+    assert "InternalFault" in process.kept_before_sending.cut
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_cut_while_stopping_is_kept_before_its_first_frame(tmp_path):
+    process = Process(tmp_path)
+    process.run(2)
+    process.gateway.requests.terminate()
+    process.tick()
+    assert process.mode is Mode.STOPPING
+    cut_by_the_battery(process)
+    assert process.kept_before_sending.cut is not None
+
+
+def test_where_the_last_write_was_slow_the_frames_go_first(tmp_path, monkeypatch):
+    process = Process(tmp_path)
+    process.run(2)
+    monkeypatch.setattr(restart_state, "_QUICK_NS", 0)
+    process.gateway.requests.emergency_stop()
+    process.state.keep_emergency_stop(0)
+    assert read(process.state.path) == process.kept_before_sending
+    assert process.tick() == [POWER_CUT, POWER_CUT]
+    assert process.kept_before_sending.cut is None
+    assert read(process.state.path).cut == "emergency stop requested: cut"
+
+
+@pytest.mark.parametrize(("first_ns", "kept"), [(2 * MS - 1, True), (2 * MS, False)])
+def test_a_stop_waits_for_what_took_less_than_2_ms_in_one_of_three_times(tmp_path, first_ns, kept):
+    process = Process(tmp_path)
+    process.run(2)
+    process.state._took_ns.extend((first_ns, 9 * MS, 9 * MS))  # as if they had taken so long
+    process.gateway.requests.emergency_stop()
+    process.tick()
+    assert (process.kept_before_sending.cut is not None) is kept
+
+
+def test_a_slow_write_has_the_time_until_the_tick_that_sends_the_stop(tmp_path, monkeypatch):
+    monkeypatch.setattr(restart_state, "_QUICK_NS", 0)
+    process = Process(tmp_path)
+    process.run(2)
+    process.gateway.requests.emergency_stop()
+    process.state.keep_emergency_stop(10**12)
+    assert Process(tmp_path).mode is Mode.FAULT
+
+
+@pytest.mark.usefixtures("quick")
+def test_where_the_last_write_failed_the_frames_go_first(tmp_path):
+    (tmp_path / "here").mkdir()
+    process = Process(tmp_path / "here")
+    process.run(2)
+    (tmp_path / "here").rename(tmp_path / "gone")
+    process.run(1)
+    (tmp_path / "gone").rename(tmp_path / "here")
+    process.gateway.requests.emergency_stop()
+    process.state.keep_emergency_stop(0)
+    assert process.tick() == [POWER_CUT, POWER_CUT]
+    assert process.kept_before_sending.cut is None
+    assert Process(tmp_path / "here").mode is Mode.FAULT
+
+
+def test_an_emergency_stop_that_cannot_be_kept_is_sent_all_the_same(tmp_path):
+    (tmp_path / "here").mkdir()
+    process = Process(tmp_path / "here")
+    process.run(2)
+    (tmp_path / "here").rename(tmp_path / "gone")
+    process.gateway.requests.emergency_stop()
+    process.state.keep_emergency_stop(0)
+    assert process.tick() == [POWER_CUT, POWER_CUT]
+    assert process.events()["restart_state_unwritten"] == 1
 
 
 def test_another_boots_file_says_nothing(tmp_path, monkeypatch):

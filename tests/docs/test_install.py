@@ -4,13 +4,12 @@ What needs root, a unit or a real bus is run by tests/service, in the lab.
 """
 
 import contextlib
-import functools
 import os
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -36,7 +35,6 @@ from tests.docs.pages import (
 from tests.driven import Driven
 from tests.packaging.built import RELEASES
 from vcu_gateway import cli
-from vcu_gateway.client import RefusedError
 
 pytestmark = pytest.mark.timeout(400)  # a trial may be begun again
 
@@ -157,38 +155,6 @@ def throttles(driven: Driven) -> set[float]:
     return {command.throttle_pct for command in latest.result.commands.values()}
 
 
-def stalls(driven: Driven) -> set[str]:
-    """When the machine stood still for longer than a drive outlives, by the gateway's own word."""
-    with driven.client() as client:
-        events = client.events(limit=200)["events"]
-    return {one["last_time"] for one in events if one["fields"].get("cause") == "tick_late"}
-
-
-def unless_stalled(trial: Callable[[Driven], None]) -> Callable[[Driven], None]:
-    """A trial during which that happened is begun again; nothing else excuses a failure."""
-
-    @functools.wraps(trial)
-    def tried(driven: Driven) -> None:
-        for _ in range(2):
-            before = stalls(driven)
-            try:
-                return trial(driven)
-            except AssertionError:
-                if stalls(driven) <= before:
-                    raise
-            driven.until(lambda: calmed(driven), "standby")
-        return trial(driven)
-
-    return tried
-
-
-def calmed(driven: Driven) -> bool:
-    with contextlib.suppress(RefusedError), driven.client() as client:
-        if driven.mode == "fault":
-            client.reset("service")
-    return driven.mode == "standby"
-
-
 def ready(driven: Driven) -> None:
     driven.until_mode("standby")
     driven.until(lambda: headline(driven).startswith("standby; before arming: there is"), "ready")
@@ -198,7 +164,7 @@ def status_lines() -> list[str]:
     return [codes(row[0])[0] for row in rows(section(INSTALL, "## 7. Start"))]
 
 
-@unless_stalled
+@pytest.mark.clock
 def test_the_first_arming_goes_as_the_page_says(driven):
     pedals, meanwhile, turn = first_arming()
     ready(driven)
@@ -232,7 +198,6 @@ def turning(driven: Driven) -> Iterator[subprocess.Popen[str]]:
         driver.kill()
 
 
-@unless_stalled
 def test_ctrl_c_releases_the_throttle(driven):
     with turning(driven) as driver:
         driver.send_signal(signal.SIGINT)
@@ -241,7 +206,6 @@ def test_ctrl_c_releases_the_throttle(driven):
         driven.until_mode("standby")
 
 
-@unless_stalled
 def test_the_trial_of_the_emergency_stop_goes_as_the_page_says(driven):
     with turning(driven):
         says(driven, "vcu-gateway estop")

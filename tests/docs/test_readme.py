@@ -40,6 +40,7 @@ def run(line: str, folder: Path, code: int = 0) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.clock  # the verdict of a replay judges how soon the gateway reacted
 def test_three_commands_lead_from_the_demo_to_a_what_if_report(folder: Path):
     demo, replay, what_if = LINES
     said = run(demo, folder)
@@ -51,6 +52,7 @@ def test_three_commands_lead_from_the_demo_to_a_what_if_report(folder: Path):
     assert re.search(r"^PCU1, PCU2 +Throttle +\d+ ", differing, re.MULTILINE)
     page = (folder / "what-if.html").read_text()
     assert page.startswith("<!doctype html>")
+    assert len(page) > 50_000
     assert not re.search(r"(?:src|href)=.?https?:", page)
     check = re.findall(r"^  vcu-gateway (recordings check .*)$", said, re.MULTILINE)
     assert "whole" in run(f".venv/bin/vcu-gateway {check[0]}", folder)

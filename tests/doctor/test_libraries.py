@@ -89,6 +89,7 @@ def test_what_python_imports_by_itself_is_found_in_the_gateway(tmp_path: Path):
     assert not {"can", "python-can", "pydantic", "click", "vcu-gateway"} & foreign.keys()
 
 
+@pytest.mark.ci
 @pytest.mark.timeout(PATIENCE_S)
 def test_the_cost_of_asammdf_is_measured(export_folder):
     found = read(with_export_libraries(export_folder))

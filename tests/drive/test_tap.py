@@ -15,7 +15,7 @@ from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.drive.tap import Tap, TappedGateway, TappedRequests
 
 READING = {
-    Gateway: {"snapshot", "safe_frames", "why", "reasons"},
+    Gateway: {"snapshot", "safe_frames", "why", "reasons", "stop"},
     # `refuse` emits an event, for the core alone: `reload` and its like call it.
     OperatorRequests: {"refuse", "against_arming", "against_resetting", "demanded"},
 }

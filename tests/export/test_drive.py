@@ -58,14 +58,14 @@ def test_wall_time_is_exact(recorded):
 
 def test_causes_are_stretches_of_time(recorded):
     causes = source(recorded.writer.folder).decisions.causes
-    [fault] = [one for one in causes if one.subject == "BMS_Status.CellUndervoltage"]
-    assert (fault.effect, fault.detail, fault.ended_ns) == ("stop", "2 (level2)", None)
+    [fault] = [one for one in causes if one.key.subject == "BMS_Status.CellUndervoltage"]
+    assert (fault.key.effect, fault.detail, fault.ended_ns) == ("stop", "2 (level2)", None)
 
 
 def test_causes_that_stood_at_the_begin_of_a_part_are_known(recorded):
     last = recorded.writer.folder / "0003.core.jsonl.gz"
     found = source(last)
-    assert [one.subject for one in found.decisions.causes] == ["BMS_Status.CellUndervoltage"]
+    assert [one.key.subject for one in found.decisions.causes] == ["BMS_Status.CellUndervoltage"]
     assert 0 < len(found.decisions.tick_times_ns) < len(recorded.results)
     assert title(str(last)) == "20251123T174640Z-01234567-0003"
 
@@ -158,6 +158,17 @@ def test_a_folder_without_segments_is_told(folder):
         source(folder)
 
 
+def test_a_report_tells_a_stop_by_its_sentence(folder):
+    path = folder / "0003.core.jsonl.gz"
+    lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
+    fields = {"stage": "cut", "sentence": "Power is cut: PCU1 and PCU2 confirm"}
+    now_ns = json.loads(lines[0])["checkpoint"]["now"]
+    event = {"f": 0, "event": ["stop_stage", "INFO", fields], "now": now_ns}
+    path.write_bytes(gzip.compress(b"".join([*lines, json.dumps(event).encode() + b"\n"])))
+    [told] = [one for one in build(source(folder), Selection()).events if one.name == "stop_stage"]
+    assert told.text == "Power is cut: PCU1 and PCU2 confirm"
+
+
 def test_a_gap_is_told_in_the_tables(folder):
     path = folder / "0002.core.jsonl.gz"
     lines = gzip.decompress(path.read_bytes()).splitlines(keepends=True)
@@ -191,7 +202,7 @@ def test_an_incident_says_why_it_is_kept(folder, contents):
 def test_a_cause_ends_where_its_event_says(tmp_path):
     drive = record(tmp_path / "drive", seconds=8)
     found = source(drive.writer.folder).decisions
-    ended = {(one.subject, one.ended_ns) for one in found.causes if one.ended_ns is not None}
+    ended = {(one.key.subject, one.ended_ns) for one in found.causes if one.ended_ns is not None}
     events = [one for one in found.events if one.name == "cause_ended"]
     assert ended == {(one.fields["subject"], one.wall_ns) for one in events}
     assert ended
@@ -202,7 +213,7 @@ def test_behind_a_missing_segment_causes_are_known_again(folder):
         path.unlink()
     found = source(folder).decisions
     assert [text for _, text in found.gaps] == ["no segment before 0003"]
-    [fault] = [one for one in found.causes if one.subject == "BMS_Status.CellUndervoltage"]
+    [fault] = [one for one in found.causes if one.key.subject == "BMS_Status.CellUndervoltage"]
     assert fault.began_ns > found.gaps[0][0]
 
 
@@ -214,4 +225,4 @@ def test_behind_a_gap_causes_are_known_again(folder):
     gap = b'{"f":0,"gap":{"frames":1,"ticks":1,"why":"full"}}\n'
     path.write_bytes(gzip.compress(lines[0] + gap))
     found = source(folder).decisions
-    assert "BMS_Status.CellUndervoltage" in [one.subject for one in found.causes]
+    assert "BMS_Status.CellUndervoltage" in [one.key.subject for one in found.causes]

@@ -257,11 +257,15 @@ def hour(noise: int) -> Report:
     )
 
 
-@pytest.mark.parametrize("noise", [2, 1000, 32768])
+@pytest.mark.parametrize(
+    "noise",
+    [pytest.param(2, marks=pytest.mark.ci), pytest.param(1000, marks=pytest.mark.ci), 32768],
+)
 def test_an_hour_is_at_most_2_mb_however_noisy(noise):
     assert len(html_page.page(hour(noise)).encode()) <= LIMIT_BYTES
 
 
+@pytest.mark.ci
 def test_a_very_noisy_hour_is_still_drawn(page, tmp_path):
     path = tmp_path / "hour.html"
     path.write_text(html_page.page(hour(32768)))

@@ -197,6 +197,7 @@ def test_commanded_stands_beside_what_the_controller_says(exported, kind):
         ]
 
 
+@pytest.mark.ci
 def test_what_exists_is_replaced_in_one_piece(export_folder, tmp_path):
     log = write_log(tmp_path / "drive.log", FRAMES[:100])
     for kind in READERS:

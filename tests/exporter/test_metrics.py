@@ -233,6 +233,21 @@ def test_a_cut_is_shown_in_the_commands():
     assert program.scrape().by("command_power_cut", "controller") == {"PCU1": 1, "PCU2": 1}
 
 
+def test_a_stop_is_told_by_its_stage_and_by_what_each_controller_says():
+    program = Program(active()).run(50)
+    assert set(program.scrape().by("stop_stage", "stage").values()) == {0.0}
+    assert program.scrape().of("vcu_gateway_stop_obeyed") == {}
+    program.drive.codes["PCU2_Status1.PowerCut"] = 1
+    program.drive.gateway.requests.emergency_stop()
+    program.run(100)
+    stages = program.scrape().by("stop_stage", "stage")
+    assert stages == {"latched": 0, "sent": 0, "on the bus": 1, "cut": 0, "not obeyed": 0}
+    assert program.scrape().of("vcu_gateway_stop_obeyed") == {}
+    program.run(600)
+    assert program.scrape().value("stop_stage", stage="not obeyed") == 1
+    assert program.scrape().by("stop_obeyed", "controller") == {"PCU1": 0, "PCU2": 1}
+
+
 def test_the_limits_are_those_of_the_configuration():
     scrape = Program().scrape()
     assert scrape.value("limit_speed_rpm") == 12_000

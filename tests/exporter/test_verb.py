@@ -85,13 +85,14 @@ def counts(scrape: Scrape) -> dict:
 def test_a_running_gateway_is_scraped_and_its_counters_never_go_back(gateway):
     with exporting(gateway.socket_path) as one:
         scrapes = [one.scrape() for _ in range(20)]
+        # The vehicle is a thread of this process, and missed while the machine holds it up.
+        wait_until(lambda: one.scrape().by("mode", "mode")["standby"] == 1, "the mode")
     for before, after in itertools.pairwise(map(counts, scrapes)):
         assert {key for key, value in before.items() if after[key] < value} == set()
     last = scrapes[-1]
     assert last.value("up") == 1
     assert last.value("ticks_total") <= gateway.loop.schedule.ticks
     assert last.value("frames_received_total") > 0
-    assert last.by("mode", "mode")["standby"] == 1
     assert last.value("starts_total") == 3
     for family in exporter.FAMILIES:
         assert f"# HELP {family.name} {family.help}" in last.text

@@ -101,6 +101,13 @@ BROKEN_CORES = (
         ("pedals",),
     ),
     BrokenCore(
+        "power_mode_rise",
+        "commands",
+        "power_mode = lower_mode(power_mode, self.last[name].power_mode)",
+        "pass",
+        ("power-modes", "pedals"),
+    ),
+    BrokenCore(
         "directions",
         "transmit",
         "OutFrame(name, self._can_ids[name], data)",

@@ -69,6 +69,21 @@ def restarted_too_often(drive: ScriptedDrive) -> None:
     drive.run(500)
 
 
+@golden()
+def restart_state(drive: ScriptedDrive) -> None:
+    """A restart state that cannot be kept, before arming and in the drive."""
+    drive.gateway.restart_state_tried("No space left on device")
+    drive.run(3000)
+    drive.arm()
+    drive.run(300)
+    drive.gateway.restart_state_tried(None)
+    drive.start_driving()
+    drive.gateway.restart_state_tried("Read-only file system")
+    drive.run(500)
+    drive.gateway.restart_state_tried(None)
+    drive.run(1500)
+
+
 @golden(81, start_ns=DAYS_200_NS)
 def after_200_days(drive: ScriptedDrive) -> None:
     """A drive on a machine that has been up for 200 days."""

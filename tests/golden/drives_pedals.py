@@ -5,7 +5,7 @@ from dataclasses import replace
 from tests.golden.drives_vehicle import code
 from tests.golden.scripted_drive import CRUISE, MS, RELEASED, ScriptedDrive
 from tests.golden.scripts import golden
-from vcu_gateway.core.demand import PowerMode
+from vcu_gateway.core.demand import CONTROLLERS, PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
 PEDALS_TOGETHER = (
@@ -32,6 +32,32 @@ def pedals(drive: ScriptedDrive) -> None:
         drive.run(900)
     drive.demanded = {"PCU1": CRUISE, "PCU2": replace(CRUISE, throttle_pct=10.0)}
     drive.run(700)
+
+
+@golden()
+def power_modes(drive: ScriptedDrive) -> None:
+    """PowerMode waits for released throttle, of each controller; one rise reaches PCU1 alone."""
+    eco, turbo = PowerMode.ECO, PowerMode.TURBO
+    drive.start_driving(power_mode=eco)
+    drive.demand(power_mode=turbo)
+    drive.run(300)
+    for second_pct in (5.1, 4.8):
+        released = replace(CRUISE, throttle_pct=4.8, power_mode=turbo)
+        drive.demanded = {"PCU1": released, "PCU2": replace(released, throttle_pct=second_pct)}
+        drive.run(300)
+    drive.demand(power_mode=PowerMode.SAFETY)
+    drive.run(200)
+    drive.demanded = {"PCU1": CRUISE, "PCU2": replace(CRUISE, power_mode=PowerMode.SAFETY)}
+    drive.run(300)
+    drive.demand()
+    drive.run(300)
+    drive.demand(power_mode=eco, throttle_pct=0)
+    drive.run(200)
+    drive.taken = ("PCU1",)
+    drive.demand(power_mode=turbo, throttle_pct=60)
+    drive.ticks(1)
+    drive.taken = CONTROLLERS
+    drive.run(500)
 
 
 @golden(24)

@@ -73,7 +73,7 @@ class ScriptedDrive:
         gateway: the core, or what records the calls into it.
         demanded: the driver's demand, offered 1 ms before every tick; None: no demand.
         ttl_ms: of these demands; source: whose they are.
-        accepted: the bus takes our frames; echo: they come back.
+        accepted: the bus takes our frames, of the controllers `taken`; echo: they come back.
         connected: frames of the vehicle reach the gateway.
         after_tick: called when a tick's frames were sent, as the gateway's observer is.
     """
@@ -93,6 +93,7 @@ class ScriptedDrive:
         self.ttl_ms = 200
         self.source = "driver"
         self.accepted = self.echo = self.connected = True
+        self.taken: tuple[str, ...] = CONTROLLERS
         self.result: TickResult | None = None
         self.after_tick: Callable[[TickResult], None] = lambda result: None
         self._quiet = [QUIET] if quiet else []
@@ -191,8 +192,9 @@ class ScriptedDrive:
         """A tick at this instant, on no grid."""
         self.result = self.gateway.tick(self.now_ns)
         for frame in self.result.frames:
-            self.gateway.sent(frame, self.accepted, self.now_ns)
-            if self.accepted:
+            accepted = self.accepted and frame.controller in self.taken
+            self.gateway.sent(frame, accepted, self.now_ns)
+            if accepted:
                 self.nodes.receive(frame.can_id, frame.data, self.now_ns)
                 at_ns = self.now_ns + ECHO_DELAY_NS
                 self._echoes.append(Frame(frame.can_id, frame.data, at_ns, own_echo=True))

@@ -29,6 +29,7 @@ def test_it_is_replayed_to_the_byte(name: str) -> None:
     assert lines == [], "\n".join([*lines, MEANT])
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", DRIVES)
 def test_recording_it_again_gives_the_same(name: str, tmp_path: Path) -> None:
     found, kept = contents(record(DRIVES[name], tmp_path)), contents(FOLDER / name)

@@ -13,6 +13,8 @@ TICK_S = 0.050
 GAP_S = 0.110
 HALF_PERIOD_S = 0.025
 JITTER_S = 0.002  # between the gateway's clock and the kernel's stamp
+MODE_RANKS = (1, 2, 3, 0)  # by code: safety is the lowest
+RELEASED = 12  # below 5 %
 OUTDATED_S = 0.090  # from the answer to a demand to the last frame of the one before
 STATUS = {
     wire.IDENTIFIERS["PCU1_Status2"]: wire.PCU1_COMMAND,
@@ -73,6 +75,7 @@ class Invariants:
         if before:
             self._after(frame, before[-1])
             self._rise(frame, before)
+            self._mode_rise(frame, before[-1])
         self._pair(frame)
         self._torque(frame, before[-1] if before else None)
         before.append(frame)
@@ -111,6 +114,16 @@ class Invariants:
         for back, earlier in enumerate(reversed(history), 1):
             if throttle - earlier.command.throttle > back * self.throttle_step + 1:
                 self._broken(frame, f"I3 throttle rises over {back} frames")
+                return
+
+    def _mode_rise(self, frame: Frame, before: Frame) -> None:
+        """PowerMode rises only where the last frame of each controller had released throttle."""
+        if MODE_RANKS[frame.command.power_mode] <= MODE_RANKS[before.command.power_mode]:
+            return
+        for frames in self.before.values():
+            earlier = [one for one in frames if frame.t - one.t > 0.020]  # not of this tick
+            if earlier and earlier[-1].command.throttle > RELEASED:
+                self._broken(frame, "PowerMode rises with throttle")
                 return
 
     def _turns(self, frame: Frame) -> bool:

@@ -114,6 +114,8 @@ class Node:
         echo = self.echo[pcu]
         if "reverse" in echo:
             b1 = b1 & ~0x10 | echo["reverse"] << 4
+        if "cut" in echo:
+            b1 = b1 & ~0x80 | echo["cut"] << 7
         return bytes([b1, echo.get("throttle", throttle), brake])
 
     def send(self, name: str, changes: dict | None = None) -> None:

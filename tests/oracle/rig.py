@@ -16,6 +16,7 @@ from tests.oracle.vehicle import Vehicle
 
 RENEW_S = 0.15
 RELEASED_S = 0.25
+MODES = ("eco", "normal", "turbo", "safety")
 
 Condition = Callable[[], object]
 
@@ -201,7 +202,7 @@ class Rig:
     def drive(self, **values: Any) -> None:
         """From wherever it is to ACTIVE with the throttle where it was asked."""
         for left in (2, 1, 0):
-            if self.mode() != "active":
+            if self.mode() != "active" or self._must_rise(values):
                 self.standby()
                 self.arm()
             self.demand(**values)
@@ -209,6 +210,12 @@ class Rig:
             if self._reached(wanted):
                 return
             assert left, f"throttle {wanted}: {self.command()}, {self._why()}"
+
+    def _must_rise(self, values: dict) -> bool:
+        """Whether PowerMode is lower than asked: with throttle it stays there."""
+        last = self.command()
+        asked = MODES.index(values.get("power_mode", "eco"))
+        return last is not None and last.power_mode < asked
 
     def _reached(self, throttle: int) -> bool:
         """Whether it gets there; not where the drive ends, as on a machine that is too slow."""

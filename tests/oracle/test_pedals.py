@@ -164,11 +164,66 @@ def test_the_power_limit_is_as_demanded_below_the_maximum(bench):
 def test_power_modes_are_sent_as_asked_and_safety_means_throttle_0(bench):
     bench.drive(throttle_pct=20)
     for mode, code in (("eco", 0), ("normal", 1), ("turbo", 2)):
-        command = settled(bench, {"throttle_pct": 20, "power_mode": mode})
-        assert (command.power_mode, command.throttle) == (code, wire.percent(20))
+        assert settled(bench, {"power_mode": mode}).power_mode == code
+        bench.drive(throttle_pct=20, power_mode=mode)
+        assert bench.command().power_mode == code
     bench.demand(throttle_pct=20, power_mode="safety")
     assert throttles_stay_zero(bench, 0.25)
     assert bench.mode() == "active"
+
+
+def test_power_mode_falls_at_once_and_rises_only_with_released_throttle(bench):
+    bench.drive(throttle_pct=20, power_mode="turbo")
+    bench.demand(throttle_pct=20, power_mode="eco")
+    bench.rest(0.12)
+    since = time.monotonic()
+    bench.demand(throttle_pct=20, power_mode="turbo")
+    bench.rest(0.4)
+    frames = bench.commands(since)
+    told = {(f.command.power_mode, f.command.throttle) for f in frames}
+    assert told == {(wire.ECO, wire.percent(20))}
+    assert "power mode eco until the throttle is below 5 %" in bench.why()["sentence"]
+    assert settled(bench, {"throttle_pct": 4.7, "power_mode": "turbo"}).power_mode == wire.TURBO
+    bench.drive(throttle_pct=20, power_mode="turbo")
+    assert bench.command().power_mode == wire.TURBO
+
+
+def test_power_mode_stays_where_a_limit_ends_with_throttle(bench):
+    bench.drive(throttle_pct=20, power_mode="turbo")
+    bench.vehicle.set("PCU1_Status1", TemperatureProtectLevel=1)
+    bench.wait(lambda: bench.command().power_mode == wire.NORMAL, "normal", 1.0)
+    bench.vehicle.set("PCU1_Status1", TemperatureProtectLevel=0)
+    bench.wait(lambda: not bench.why()["limits"], "no limit", 3.0)
+    bench.rest(0.2)
+    command = bench.command()
+    assert (command.power_mode, command.throttle) == (wire.NORMAL, wire.percent(20))
+    assert settled(bench, {"throttle_pct": 0, "power_mode": "turbo"}).power_mode == wire.TURBO
+
+
+def test_power_mode_rises_for_both_controllers_in_the_same_tick(bench):
+    bench.drive(throttle_pct=20)
+    turbo = {"throttle_pct": 0, "power_mode": "turbo"}
+    bench.demand(controllers={"PCU1": turbo, "PCU2": {**turbo, "throttle_pct": 20}})
+    bench.rest(0.3)
+    assert {f.command.power_mode for f in bench.last_pair()} == {wire.ECO}
+    since = time.monotonic()
+    bench.demand(**turbo)
+    bench.rest(0.3)
+    frames = bench.commands(since)
+    pairs = [(a, b) for a, b in itertools.pairwise(frames) if b.t - a.t < 0.020]
+    assert all(a.command.power_mode == b.command.power_mode for a, b in pairs)
+    assert frames[-1].command.power_mode == wire.TURBO
+
+
+def test_a_stricter_maximum_power_is_reached_along_the_slew(bench, reloaded):
+    bench.drive(throttle_pct=10)
+    assert bench.command().power_limit == 60000
+    since = time.monotonic()
+    reloaded(limits={"power_limit_max_w": 40000})
+    bench.wait(lambda: bench.command().power_limit == 40000, "40000 W", 2.0)
+    powers = [f.command.power_limit for f in of_pcu1(bench.commands(since))]
+    assert all(before - after <= 3001 for before, after in itertools.pairwise(powers)), powers
+    assert len([p for p in powers if 40000 < p < 60000]) >= 6, powers
 
 
 def test_a_stricter_maximum_is_reached_along_the_slew(bench, reloaded):

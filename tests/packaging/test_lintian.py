@@ -7,7 +7,7 @@ import pytest
 
 from tests.packaging.built import REPOSITORY, suite
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]  # the root may have to be built
+pytestmark = [pytest.mark.ci, pytest.mark.timeout(1200)]  # the root may have to be built
 # One list of overrides serves every release: one's lintian may not know the name of another's tag.
 UNKNOWN = "alien-tag"
 

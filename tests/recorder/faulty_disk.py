@@ -15,8 +15,7 @@ class FaultyDisk:
 
     def __init__(self, folder, disk):
         if shutil.which("cc") is None:
-            missing = "no C compiler: scripts/test-tools installs it"
-            pytest.fail(missing) if os.environ.get("CI") else pytest.skip(missing)
+            pytest.fail("no C compiler here: make tools")
         self._mode = Path(folder) / "disk-mode"
         self._log = Path(folder) / "disk-log"
         library = Path(folder) / "disk_faults.so"

@@ -40,7 +40,7 @@ class Gateway:
         self._checkpoint_due = True
         self._segment_frames = 0
 
-    def connect(self, timeout_s=5.0):
+    def connect(self, timeout_s=60.0):
         end_s = time.monotonic() + timeout_s
         while True:
             sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)

@@ -10,6 +10,7 @@ import time
 
 import pytest
 
+from tests.driven import wait_until
 from tests.recorder.gateway import Gateway, account, core_lines, damage, drives, members
 from vcu_gateway.drive_format import datagram, layout, lock
 
@@ -202,13 +203,13 @@ def test_the_drive_is_held_while_it_is_written(recorder, gateway, tmp_path):
     process = recorder()
     vehicle = gateway()
     vehicle.drive(0.3)
+    wait_until(lambda: drives(tmp_path), "the drive's folder")
+    vehicle.drive(0.3)
     (drive,) = drives(tmp_path)
     assert lock.is_held(drive)
     vehicle.close()
     process.wait_for(lambda status: not status["connections"])
-    vehicle.close()
-    time.sleep(0.2)
-    assert not lock.is_held(drive)
+    wait_until(lambda: not lock.is_held(drive), "it is held no more")
 
 
 def test_what_gateways_still_send_after_sigterm_is_recorded(recorder, gateway, tmp_path):

@@ -4,6 +4,8 @@ import os
 import shutil
 import time
 
+import pytest
+
 from tests.recorder.gateway import Gateway, account, core_lines, drives
 from vcu_gateway.drive_format import layout
 
@@ -24,6 +26,7 @@ def long_drive(vehicle, segments):
         vehicle.drive(0.3, frames=SEGMENT_FRAMES // 6)
 
 
+@pytest.mark.clock  # a segment has its seconds, too
 def test_the_oldest_segments_go_above_the_budget(recorder, gateway, tmp_path):
     budget = 400_000
     process = recorder("--max-bytes", str(budget))

@@ -86,12 +86,14 @@ def modules_with_python_can() -> list[str]:
     ]
 
 
+@pytest.mark.ci
 def test_there_is_something_to_keep_out(export_folder):
     loaded = "import sys, can; print(*sys.modules)"
     assert set(HEAVY) <= set(python(export_folder, "-c", loaded).split())
     assert len(modules_with_python_can()) >= 6
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("module", [*modules_with_python_can(), "vcu_gateway.cli.run"])
 def test_whatever_module_comes_first_python_can_comes_without_asammdf(export_folder, module):
     program = f"import {module}, sys; print(*sys.modules)"
@@ -100,6 +102,7 @@ def test_whatever_module_comes_first_python_can_comes_without_asammdf(export_fol
     assert not loaded & set(HEAVY)
 
 
+@pytest.mark.ci
 def test_asammdf_is_hidden_only_while_python_can_is_imported(export_folder):
     program = "import vcu_gateway.python_can, asammdf; print(asammdf.__name__)"
     assert python(export_folder, "-c", program).strip() == "asammdf"
@@ -158,6 +161,7 @@ def cost(folder: Path | None, configuration: Path) -> Cost:
     return Cost(sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK"), int(memory))
 
 
+@pytest.mark.ci
 def test_a_gateway_starts_with_asammdf_installed_as_without(export_folder, configuration, capsys):
     """A busy machine only adds: the least of some turns is compared, of more where it is busy."""
     without, beside = [], []

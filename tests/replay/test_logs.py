@@ -102,6 +102,7 @@ with can.Logger(sys.argv[2]) as writer:
 """
 
 
+@pytest.mark.ci
 @pytest.mark.timeout(PATIENCE_S)
 def test_mf4_is_replayed_where_asammdf_is_installed(export_folder, tmp_path):
     path, environment = tmp_path / "drive.mf4", with_export_libraries(export_folder)

@@ -7,7 +7,14 @@ import pytest
 
 from tests.replay.drives import MS, SimulatedDrive
 from tests.replay.ran import replay
-from vcu_gateway.core.inputs import ArmInput, EmergencyStopInput, OfferInput, ResetInput, SentInput
+from vcu_gateway.core.inputs import (
+    ArmInput,
+    EmergencyStopInput,
+    OfferInput,
+    ResetInput,
+    RestartStateInput,
+    SentInput,
+)
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.reader import open_drive
@@ -169,6 +176,19 @@ def no_cut(records: Records) -> None:
     records[place] = one._replace(frames=frames)
 
 
+def safety_for_a_tick(records: Records) -> None:
+    """PowerMode safety of PCU1 ends at once, though PCU2 has throttle."""
+    place = ticks(records, Mode.ACTIVE)[60]
+    one = tick(records, place)
+    first = one.frames[0]
+    safety = first._replace(data=put(b0=0x0C, b1=0)(first.data))
+    records[place] = one._replace(frames=(safety, *one.frames[1:]))
+
+
+def armed_without_restart_state(records: Records) -> None:
+    records.insert(1, InputRecord(RestartStateInput("No space"), None))
+
+
 SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "unused bits": ("ordinary", "gate unused bits", with_data(put(b3=1))),
     "POWER_CUT with torque": ("ordinary", "gate POWER_CUT without torque", with_data(put(b0=0x84))),
@@ -186,6 +206,8 @@ SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "more than demanded": ("ordinary", "I1 throttle as demanded", with_data(put(b1=110), 60)),
     "brake not demanded": ("ordinary", "I1 brake as demanded", with_data(put(b2=10), 60)),
     "safety mode": ("ordinary", "gate throttle in PowerMode safety", with_data(put(b0=0x0C), 60)),
+    "power mode": ("ordinary", "gate PowerMode rise", with_data(put(b0=0x08), 60)),
+    "from safety": ("ordinary", "gate PowerMode rise", safety_for_a_tick),
     "nobody regenerates": ("ordinary", "I10 regeneration", with_data(put(b0=0x24), 60)),
     "power above the limit": ("limits", "I1 PowerLimit", with_data(put(b6=0x60, b7=0xEA), 110)),
     "not eco": ("limits", "POWER_LIMIT", with_data(put(b0=0x04), 110)),
@@ -194,6 +216,7 @@ SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "two directions": ("ordinary", "gate directions", opposite_directions),
     "one frame": ("ordinary", "I13 both frames in every tick", one_frame),
     "too early": ("ordinary", "I4 half a period apart", too_early),
+    "restart state": ("ordinary", "arming", armed_without_restart_state),
     "no arm": ("ordinary", "I2 ACTIVE by arm alone", without(ArmInput)),
     "no reset": ("stops", "I6 modes", without(ResetInput)),
     "a fault that ends by itself": ("stops", "I6 modes", with_mode(10, Mode.STANDBY, Mode.FAULT)),

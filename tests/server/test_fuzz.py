@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from tests.server.conftest import Client, eventually
 from vcu_gateway.api.methods import METHODS, Params
 from vcu_gateway.server import jsonrpc
-from vcu_gateway.server.session import MAX_LINE_BYTES
+from vcu_gateway.server.line_buffer import MAX_LINE_BYTES
 from vcu_gateway.server.settings import SessionLimits
 
 NIGHTLY = settings().max_examples > 1000
@@ -30,7 +30,7 @@ CONNECTIONS = 20_000 if NIGHTLY else 300
 SEED = 20_260_801
 MAX_GROWTH_KIB = 16_384
 MAX_KEPT_BYTES = 65_536
-QUICK = SessionLimits(rate_per_s=1_000_000, burst=1_000_000, accepts_per_s=1_000_000)
+QUICK = SessionLimits(rate_per_s=1_000_000, burst=1_000_000)
 
 DEMAND = {"source": "pedal", "sequence": 41, "ttl_ms": 200, "made_ns": 123456789}
 VALUES = {"throttle_pct": 12.5, "brake_pct": 0, "power_mode": "eco", "motor_reverse": False}

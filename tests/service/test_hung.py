@@ -53,6 +53,7 @@ BREAKS = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("what", BREAKS)
 def test_is_ended_and_started_again(breakable: Unit, driver: Driver, figures: list[str], what: str):
     one = BREAKS[what]

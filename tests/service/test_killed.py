@@ -80,6 +80,7 @@ def frames_between(unit: Unit, driver: Driver, killed: Signalled) -> list[Record
     return [one for one in frames if one.stamp_ns > killed.done_ns or not one.data[1]]
 
 
+@pytest.mark.ci
 def test_three_kills_end_arming_until_a_clean_restart(service: Unit, driver: Driver):
     for times in (1, 2, 3):
         service.kill()
@@ -91,6 +92,7 @@ def test_three_kills_end_arming_until_a_clean_restart(service: Unit, driver: Dri
     driver.drive()
 
 
+@pytest.mark.ci
 def test_the_safe_frames_keep_a_power_cut(service: Unit, driver: Driver):
     driver.until_standby()
     driver.client.estop()
@@ -103,6 +105,7 @@ def test_the_safe_frames_keep_a_power_cut(service: Unit, driver: Driver):
     assert {frame.data for frame in safe} == {cut}
 
 
+@pytest.mark.ci
 def test_a_latched_cut_survives_kill_stop_and_start_until_a_service_reset(
     service: Unit, driver: Driver
 ):

@@ -1,7 +1,7 @@
 """The Debian package in a clean Debian with a systemd of its own and no network.
 
-Run as root inside the lab, in a guest of its own, for it installs and removes the package: VCU_DEB
-is the package, VCU_DEB_NEXT the same with a higher revision.
+Run as root inside the lab, after all other tests of the guest, for it installs and removes the
+package: VCU_DEB is the package, VCU_DEB_NEXT the same with a higher revision.
 """
 
 import contextlib
@@ -15,8 +15,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-
-from tests.faults.driving import QUIET
 
 PACKAGE = "vcu-gateway"
 SERVICE = "vcu-gateway.service"
@@ -160,19 +158,16 @@ def running(ready: None) -> int:
 
 
 @pytest.fixture
-def healthy(revision_1: None, running: int, tmp_path: Path) -> Iterator[None]:
+def healthy(revision_1: None, running: int, vehicle: None) -> None:
     """Beside a healthy vehicle, ready to be armed."""
-    scenario = tmp_path / "quiet.yaml"
-    scenario.write_text(QUIET)
-    with doing("simulate", "--channel", "vcan0", "--scenario", str(scenario)):
-        until(lambda: why().get("mode") == "standby" and not why()["blocks"], "nothing blocks")
-        yield
+    until(lambda: why().get("mode") == "standby" and not why()["blocks"], "nothing blocks")
 
 
 @contextlib.contextmanager
-def doing(*words: str) -> Iterator[None]:
-    # Below the gateway and above apt, which keeps the lab's one processor busy for seconds.
-    command = ["chrt", "--fifo", "30", "vcu-gateway", *words]
+def demanding() -> Iterator[None]:
+    """Somebody has the pedals, with a priority as the vehicle's."""
+    demand = ["demand", "--throttle", "0", "--ttl-ms", "1000"]
+    command = ["chrt", "--fifo", "30", "vcu-gateway", *demand]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         try:
             yield
@@ -180,6 +175,7 @@ def doing(*words: str) -> Iterator[None]:
             process.terminate()
 
 
+@pytest.mark.ci  # the guest has installed it before it booted
 def test_it_installs_without_a_network_enabled_and_not_started(first):
     assert installed() == ("install ok installed", "1")
     assert apt("check").returncode == 0
@@ -255,7 +251,7 @@ def refused(change: list[str], attempts: int = 3) -> str:
     nothing.
     """
     for _ in range(attempts):
-        with doing("demand", "--throttle", "0", "--ttl-ms", "1000"):
+        with demanding():
             until(armed, "active")
             since_s, pid = time.time(), show(SERVICE, "MainPID")
             done = apt(*change)
@@ -278,6 +274,7 @@ def armed() -> bool:
     return mode == "active"
 
 
+@pytest.mark.ci
 def test_nothing_changes_while_it_is_active_and_once_disarmed_it_upgrades_what_runs(healthy):
     for change in (
         ["install", os.environ["VCU_DEB_NEXT"]],
@@ -354,6 +351,7 @@ NOTES_OF_SYSTEMD = {
 }
 
 
+@pytest.mark.ci
 def test_purging_leaves_nothing_but_the_users(running, recording):
     remove("purge")
     assert not RECORDINGS.exists()

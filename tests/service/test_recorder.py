@@ -55,6 +55,25 @@ def gateway(booted: Booted) -> Iterator[Gateway]:
 
 @pytest.fixture
 def recording(gateway: Gateway) -> RecordingPath:
+    return recording_of(gateway)
+
+
+@pytest.fixture(scope="module")
+def steady_gateway(booted: Booted) -> Iterator[Gateway]:
+    """The same for all tests that leave its drive as it is."""
+    one = Gateway(TAP, channel="vcan1")  # apart from the service's
+    one.connect()
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="module")
+def steady(steady_gateway: Gateway) -> RecordingPath:
+    """Of that gateway, still being written."""
+    return recording_of(steady_gateway)
+
+
+def recording_of(gateway: Gateway) -> RecordingPath:
     """The gateway's drive, some seconds of it on the disk."""
     gateway.drive(2.5)
     name = layout.drive_name(gateway.clock["wall_ns"], gateway.run)
@@ -78,51 +97,51 @@ def test_the_boot_listens_and_the_first_gateway_starts_it(booted: Booted):
     one.close()
 
 
-def test_it_writes_as_its_own_user_what_its_group_may_read(recording: RecordingPath):
+def test_it_writes_as_its_own_user_what_its_group_may_read(steady: RecordingPath):
     user = pwd.getpwnam("vcu-gateway-recorder")
     assert os.stat(f"/proc/{pid()}").st_uid == user.pw_uid
     assert RECORDINGS.stat().st_mode & 0o7777 == 0o750
-    for path in [recording.path, *recording.path.iterdir()]:
+    for path in [steady.path, *steady.path.iterdir()]:
         found = path.stat()
         assert (found.st_uid, found.st_gid) == (user.pw_uid, user.pw_gid)
         assert found.st_mode & (0o027 if path.is_dir() else 0o037) == 0, path
 
 
 def test_whoever_is_in_its_group_lists_and_checks_and_nobody_else_does(
-    recording: RecordingPath, reader: None
+    steady: RecordingPath, reader: None
 ):
     listed = as_user(READER, "vcu-gateway", "recordings", "list")
     assert listed.returncode == 0, listed.stderr
-    assert recording.name in listed.stdout
+    assert steady.name in listed.stdout
     assert "being written" in listed.stdout
     refused = as_user(STRANGER, "vcu-gateway", "recordings", "list")
     assert refused.returncode == 77
     assert "usermod -aG vcu-gateway-recorder" in refused.stderr
-    kept = as_user(READER, "vcu-gateway", "recordings", "keep", recording.name)
+    kept = as_user(READER, "vcu-gateway", "recordings", "keep", steady.name)
     assert kept.returncode == 77
     assert "use sudo" in kept.stderr
 
 
-def test_what_root_keeps_the_recorder_owns(recording: RecordingPath):
-    done = subprocess.run(["vcu-gateway", "recordings", "keep", recording.name])
+def test_what_root_keeps_the_recorder_owns(steady: RecordingPath):
+    done = subprocess.run(["vcu-gateway", "recordings", "keep", steady.name])
     assert done.returncode == 0
-    assert (recording.path / layout.KEEP_FILE).owner() == "vcu-gateway-recorder"
-    subprocess.run(["vcu-gateway", "recordings", "remove", "--yes", recording.name])
-    assert recording.path.exists(), "it is being written"
+    assert (steady.path / layout.KEEP_FILE).owner() == "vcu-gateway-recorder"
+    subprocess.run(["vcu-gateway", "recordings", "remove", "--yes", steady.name])
+    assert steady.path.exists(), "it is being written"
 
 
-def test_keep_now_makes_an_incident(gateway: Gateway, recording: RecordingPath):
+def test_keep_now_makes_an_incident(steady_gateway: Gateway, steady: RecordingPath):
     command = ["vcu-gateway", "recordings", "keep", "now"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as keeping:
         while keeping.poll() is None:
-            gateway.drive(0.1)
+            steady_gateway.drive(0.1)
         assert keeping.stdout is not None
         name = keeping.stdout.read().strip()
     assert (RECORDINGS / layout.INCIDENTS / name / layout.INCIDENT_FILE).exists()
 
 
 def test_the_exporters_user_reads_its_state_and_a_stranger_does_not(
-    recording: RecordingPath, people: None
+    steady: RecordingPath, people: None
 ):
     status = RUNTIME / "status.json"
     wait_until(lambda: json.loads(status.read_text())["totals"]["frames"] > 0, "told", PATIENCE_S)
@@ -164,7 +183,7 @@ def test_the_service_is_recorded_out_of_its_root_folder_from_start_to_end(
     assert found.frames > 0
 
 
-def test_it_has_no_network_no_rights_and_no_priority(recording: RecordingPath):
+def test_it_has_no_network_no_rights_and_no_priority(steady: RecordingPath):
     process = Path(f"/proc/{pid()}")
     assert os.readlink(process / "ns/net") != os.readlink("/proc/self/ns/net")
     status = dict(

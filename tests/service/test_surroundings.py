@@ -52,6 +52,7 @@ def strange_service(unit: Unit, vehicle: None) -> Iterator[Unit]:
         systemctl("unset-environment", *STRANGE)
 
 
+@pytest.mark.ci
 def test_f83_language_and_time_zone_have_no_effect(strange_service: Unit, driver: Driver):
     driver.drive()
     with open(f"/proc/{strange_service.pid}/environ") as environment:

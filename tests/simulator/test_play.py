@@ -99,12 +99,17 @@ def first(bus: can.BusABC, message: str) -> can.Message:
 
 
 class FakeBus:
-    """A bus whose sends and receptions fail as told; without a descriptor."""
+    """A bus whose sends and receptions fail as told; without a descriptor.
+
+    Attributes:
+        served: set once all of them have failed and some frames were sent.
+    """
 
     def __init__(self, send_errors: list[Exception | None], recv_error: Exception | None = None):
         self._send_errors = deque(send_errors)
         self._recv_error = recv_error
         self.sent: list[can.Message] = []
+        self.served = threading.Event()
 
     def fileno(self) -> int:
         raise NotImplementedError
@@ -114,6 +119,8 @@ class FakeBus:
         if error is not None:
             raise error
         self.sent.append(message)
+        if len(self.sent) > 5 and not self._send_errors and self._recv_error is None:
+            self.served.set()
 
     def recv(self, timeout: float) -> None:
         error, self._recv_error = self._recv_error, None
@@ -122,9 +129,11 @@ class FakeBus:
         threading.Event().wait(timeout)
 
 
-def play_on(bus: Any, duration_s: float = 0.2, **options: Any) -> Played:
+def play_on(bus: Any, **options: Any) -> Played:
+    """Until it has served, or for the duration asked for."""
     nodes = simulator.build(CODEC, time.monotonic_ns())
-    return play(bus, nodes, stop=threading.Event(), duration_s=duration_s, **options)
+    stop = threading.Event() if "duration_s" in options else bus.served
+    return play(bus, nodes, stop=stop, **{"duration_s": PATIENCE_S, **options})
 
 
 def test_every_node_speaks_and_status2_answers_a_command(channel: str, gateway: can.BusABC) -> None:
@@ -169,6 +178,7 @@ def test_only_command_frames_reach_the_controllers(channel: str, gateway: can.Bu
         assert background.result().received == {COMMAND: 1}
 
 
+@pytest.mark.clock
 def test_the_duration_ends_it(channel: str) -> None:
     with open_bus("virtual", channel, []) as bus:
         nodes = simulator.build(CODEC, time.monotonic_ns())

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from tests.simulator.driving import CRUISE, Asked, Drive, Ticked, drive, signals
+from tests.simulator.driving import CRUISE, S_NS, START_NS, Asked, Drive, Ticked, drive, signals
 from vcu_gateway.cli.simulate import command as simulate
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
@@ -163,6 +163,29 @@ def test_a_controller_that_ignores_commands_is_found_by_its_echo():
     at_s = next(at for at, _ in done.heard_of("PCU1_Status1", 10))
     assert at_s < 10.5
     assert_latched(done, at_s, 0, "PCU1_Status1.Throttle 80")
+
+
+CUT_AT_12_S = "  - {at_s: 12, fault: set, signal: BMS_Status.CellUndervoltage, raw: 3}\n"
+
+
+@pytest.mark.parametrize(
+    ("step", "sentence"),
+    [
+        (
+            "{at_s: 10, fault: ignore_commands, controller: PCU1}",
+            "NOT OBEYED: PCU1 reports PowerCut normal, throttle 40.2 %; use the contactor",
+        ),
+        ("{at_s: 10, fault: silence, of: PCU1_Status1}", "Stop sent; PCU1 does not confirm"),
+        ("{at_s: 10, fault: silence, of: IMU}", "Power is cut: PCU1 and PCU2 confirm"),
+    ],
+    ids=["ignores commands", "sends no Status1", "obeys"],
+)
+def test_a_stop_that_a_controller_does_not_obey_or_confirm_is_told_as_such(step, sentence):
+    scenario = parse(f"steps:\n  - {step}\n{CUT_AT_12_S}", "here", CODEC.protocol)
+    done = drive(CODEC, scenario, 16, stale_after_ms={"PCU1_Status1": 10_000})
+    stop = done.gateway.stop(START_NS + 16 * S_NS)
+    assert stop is not None
+    assert stop.sentence() == sentence
 
 
 def test_a_foreign_sender_stops_both_at_its_first_frame():

@@ -2,11 +2,22 @@
 
 import json
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from tests.vcan.conftest import COMMANDS, PATIENCE_S, Stand, ip, program, wait_until
+from tests.vcan.conftest import (
+    COMMANDS,
+    PATIENCE_S,
+    Recorded,
+    Stand,
+    ended_after,
+    ip,
+    program,
+    wait_until,
+)
 
 # Imported for the processes that are forked from this one.
 from vcu_gateway.cli import doctor  # noqa: F401
@@ -66,49 +77,10 @@ def mode(path: Path) -> str | None:
         return None
 
 
-def test_a_gateway_and_its_vehicle_are_heard(stand):
-    drive(stand)
-    found = examined_until(stand, "gateway mode", "--listen")
-    assert kinds(found, "interface") == {"ok"}
-    assert found["interface well"]["what"] == "vcan0: up, vcan, no bit rate"
-    assert "wrong" not in kinds(found, "bus")  # on a busy machine messages may be slow
-    for word in ("VCU_PCU1_Command sent", "VCU_PCU2_Command sent"):
-        assert word in found["bus well"]["what"]
-    assert "gateway mode" in found
-    assert found["process priority"]["kind"] == "warning"  # no service: an ordinary process
-
-
-def test_looking_and_listening_change_nothing_on_the_bus(stand):
-    drive(stand)
-    recording = stand.record()
-    recording.wait_for(lambda frames: len(frames) > 100, "traffic")
-    begin_ns = time.time_ns()
-    examined(stand, "--listen")
-    end_ns = time.time_ns()
-    recording.wait_for(lambda frames: frames[-1].stamp_ns > end_ns, "what came after")
-    during = [one for one in recording.frames() if begin_ns <= one.stamp_ns <= end_ns]
-    known = {j1939.match_key(message.can_id) for message in dbc.load(packaged("vcu.dbc")).messages}
-    assert {j1939.match_key(frame.can_id) for frame in during} <= known
-    for can_id in COMMANDS:
-        count = sum(frame.can_id == can_id for frame in during)
-        # The first may be half a period late.
-        assert count <= (end_ns - begin_ns) / 50e6 + 1.5, "more commands than the gateway's own"
-    with Client(stand.socket_path, timeout_s=PATIENCE_S) as client:
-        foreign = client.health()["frames"]["foreign_commands"]
-    assert not any(foreign.values()), "nobody else's commands"
-
-
 def test_a_silent_bus_is_wrong_only_for_who_listens(stand):
     stand.configure("")
     assert not any(name.startswith("bus ") for name in examined(stand))
     assert examined(stand, "--listen")["bus silent"]["kind"] == "wrong"
-
-
-def test_commands_without_a_gateway_are_another_sender(stand):
-    drive(stand)
-    stand.config_path.write_text("bus: {channel: vcan0}\napi: {socket_path: /run/none.sock}\n")
-    found = examined(stand, "--listen")["bus other_sender"]
-    assert found["kind"] == "wrong"
 
 
 @pytest.fixture
@@ -137,8 +109,84 @@ def test_a_missing_interface_names_the_others(stand):
     assert "set bus.channel to vcan0" in found["remedy"]
 
 
-def test_a_file_changed_since_the_start_is_told(stand):
-    drive(stand)
-    stand.configure(BENCH.replace("3000", "2000"))
-    found = examined_until(stand, "gateway config_digest")
+# One gateway drives for all who only look at it: the bus is silent before and not after.
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stand]:
+    with ended_after(Stand(tmp_path_factory.mktemp("driven"), forking=True)) as stand:
+        drive(stand)
+        yield stand
+
+
+@pytest.fixture
+def driven(shared: Stand) -> Stand:
+    """Drives with its configuration in the file; by a further gateway where a stall ended it."""
+    shared.configure(BENCH)
+    if mode(shared.socket_path) != "active":
+        for child in shared.children:
+            child.stop()
+        drive(shared)
+    return shared
+
+
+@dataclass
+class Heard:
+    """What the doctor found while it listened, and what was on the bus meanwhile."""
+
+    found: dict[str, dict[str, str]]
+    begin_ns: int
+    end_ns: int
+    frames: list[Recorded]
+    foreign_commands: int
+
+
+@pytest.fixture(scope="module")
+def heard(shared: Stand) -> Heard:
+    """It listens once for both tests."""
+    recording = shared.record()
+    recording.wait_for(lambda frames: len(frames) > 100, "traffic")
+    begin_ns = time.time_ns()
+    found = examined_until(shared, "gateway mode", "--listen")
+    end_ns = time.time_ns()
+    recording.wait_for(lambda frames: frames[-1].stamp_ns > end_ns, "what came after")
+    during = [one for one in recording.frames() if begin_ns <= one.stamp_ns <= end_ns]
+    recording.process.stop()
+    with Client(shared.socket_path, timeout_s=PATIENCE_S) as client:
+        foreign = client.health()["frames"]["foreign_commands"]
+    return Heard(found, begin_ns, end_ns, during, sum(foreign.values()))
+
+
+def test_a_gateway_and_its_vehicle_are_heard(heard: Heard):
+    found = heard.found
+    assert kinds(found, "interface") == {"ok"}
+    assert found["interface well"]["what"] == "vcan0: up, vcan, no bit rate"
+    assert "wrong" not in kinds(found, "bus")  # on a busy machine messages may be slow
+    for word in ("VCU_PCU1_Command sent", "VCU_PCU2_Command sent"):
+        assert word in found["bus well"]["what"]
+    assert "gateway mode" in found
+    assert found["process priority"]["kind"] == "warning"  # no service: an ordinary process
+
+
+def test_looking_and_listening_change_nothing_on_the_bus(heard: Heard):
+    known = {j1939.match_key(message.can_id) for message in dbc.load(packaged("vcu.dbc")).messages}
+    assert {j1939.match_key(frame.can_id) for frame in heard.frames} <= known
+    for can_id in COMMANDS:
+        count = sum(frame.can_id == can_id for frame in heard.frames)
+        # The first may be half a period late.
+        assert count <= (heard.end_ns - heard.begin_ns) / 50e6 + 1.5, (
+            "more commands than the gateway's own"
+        )
+    assert not heard.foreign_commands, "nobody else's commands"
+
+
+def test_commands_without_a_gateway_are_another_sender(driven: Stand):
+    driven.config_path.write_text("bus: {channel: vcan0}\napi: {socket_path: /run/none.sock}\n")
+    found = examined(driven, "--listen")["bus other_sender"]
+    assert found["kind"] == "wrong"
+
+
+def test_a_file_changed_since_the_start_is_told(driven: Stand):
+    driven.configure(BENCH.replace("3000", "2000"))
+    found = examined_until(driven, "gateway config_digest")
     assert found["gateway config_digest"]["kind"] == "warning"

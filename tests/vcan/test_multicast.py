@@ -75,6 +75,7 @@ def test_it_drives_among_its_own_frames_and_stops_for_those_of_another_sender(st
 
 
 @pytest.mark.usefixtures("network")
+@pytest.mark.ci
 def test_a_second_gateway_of_the_group_stays_silent_and_the_first_goes_on(stand: Stand):
     gateway = started(stand)
     wait_until(lambda: gateway.has_logged("mode_changed"), "the first gateway")

@@ -72,7 +72,9 @@ def ended(gateway: Process, number: int) -> None:
     time.sleep(0.2)  # until the recorder has all of its frames
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.ci)]
+)
 def test_a_latched_cut_is_in_the_first_frame_of_the_next_gateway_until_a_service_reset(
     kept: Stand, number: int
 ):
@@ -100,6 +102,7 @@ def test_a_latched_cut_is_in_the_first_frame_of_the_next_gateway_until_a_service
     assert not any(frame.data[0] & 0x80 for frame in first)
 
 
+@pytest.mark.ci
 def test_the_applied_direction_is_kept_where_the_controllers_are_silent(kept: Stand):
     recording = kept.record()
     vehicle = kept.vehicle(QUIET)
@@ -125,6 +128,7 @@ def test_the_applied_direction_is_kept_where_the_controllers_are_silent(kept: St
     assert all(frame.data[0] & REVERSE for frame in first), "an orderly end keeps it, too"
 
 
+@pytest.mark.ci
 def test_a_damaged_file_is_a_latched_cut(kept: Stand):
     recording = kept.record()
     kept.vehicle(QUIET)

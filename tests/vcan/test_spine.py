@@ -28,6 +28,7 @@ from tests.vcan.conftest import (
     program,
     wait_until,
 )
+from vcu_gateway.client import Client
 
 LOGS = Path(__file__).parents[1] / "logs"
 MS = 1_000_000
@@ -85,8 +86,8 @@ class Replayed(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Replayed]:
-    with ended_after(Stand(tmp_path_factory.mktemp("replayed"))) as stand:
+def replayed(tmp_path_factory: pytest.TempPathFactory) -> Replayed:
+    with ended_after(Stand(tmp_path_factory.mktemp("replayed"), forking=True)) as stand:
         recording = stand.record()
         state_path = stand.folder / "state.json"
         gateway = stand.gateway("", "--state-out", str(state_path))
@@ -102,7 +103,7 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Replayed]:
         state = json.loads(state_path.read_text())
         opened, ended = gateway.logged("link_open"), told_full(gateway)
         commands = until_commands(recording, ended["sent_frames"], since_ns=0)
-        yield Replayed(commands, state, opened, ended)
+    return Replayed(commands, state, opened, ended)
 
 
 def test_recorded_traffic_reaches_the_store_as_the_oracle_decodes_it(replayed: Replayed):
@@ -158,8 +159,8 @@ def test_it_listens_for_a_second_before_it_talks(replayed: Replayed):
     assert ended["silent_ticks"] + ended["skipped"] >= 20, "50 ms each, from the opening on"
 
 
-def test_every_tick_is_accounted_for(fresh_stand: Stand):
-    gateway = fresh_stand.gateway("", "--duration", "3")
+def test_every_tick_is_accounted_for(stand: Stand):
+    gateway = stand.gateway("", "--duration", "3")
     assert gateway.popen.wait(PATIENCE_S) == 0
     ended = told_full(gateway)
     unsent = sum(ended["unsent_frames"].values())
@@ -187,43 +188,44 @@ def driven_to_the_full(stand: Stand, recording: Recording) -> list[Recorded] | N
     return until_commands(recording, told_full(gateway)["sent_frames"], begun_ns)
 
 
-def test_a_bench_demand_rises_to_full_throttle_and_does_not_wrap(stand: Stand):
-    recording = stand.record()
-    stand.vehicle()
-    tries = (driven_to_the_full(stand, recording) for _ in range(4))
-    commands = next(found for found in tries if found is not None)
-    throttles = [frame.data[1] for frame in of(commands, COMMANDS[0])]
+class FullThrottle(NamedTuple):
+    """One drive to full throttle and its end, and what the vehicle answered before and in it."""
+
+    commands: list[Recorded]
+    answers: list[Recorded]
+    sent: int
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> FullThrottle:
+    with ended_after(Stand(tmp_path_factory.mktemp("full"), forking=True)) as stand:
+        recording = stand.record()
+        vehicle = stand.vehicle()
+        recording.wait_for(lambda frames: len(frames) > 0, "the vehicle: it hears every command")
+        tries = (driven_to_the_full(stand, recording) for _ in range(4))
+        commands = next(found for found in tries if found is not None)
+        assert vehicle.stop() == 0
+        sent = len(of(recording.commands(), COMMANDS[0]))
+        recording.wait_for(lambda frames: len(of(frames, PCU1_STATUS2)) >= sent - 1, "the answers")
+        answers = of(recording.frames(), PCU1_STATUS2)
+    return FullThrottle(commands, answers, sent)
+
+
+def test_a_bench_demand_rises_to_full_throttle_and_does_not_wrap(full: FullThrottle):
+    throttles = [frame.data[1] for frame in of(full.commands, COMMANDS[0])]
     rises = [after - before for before, after in itertools.pairwise(throttles)]
     assert max(throttles) == 255
     assert max(rises) <= 13, "100 %/s is 5 % a tick, 12.8 bits"
     assert throttles[-3:] == [0, 0, 0], "three safe frames end it"
 
 
-def test_both_priorities_and_the_alias_are_received_and_nothing_else(stand: Stand):
-    state_path = stand.folder / "state.json"
-    recording = stand.record()
-    gateway = stand.gateway("", "--state-out", str(state_path))
-    recording.wait_for(lambda frames: len(frames) >= 2, "the first command frames")
-    payload = bytes.fromhex("a81ea81ea81e0000")
-    send(
-        (EFF | 0x040AD079, payload),
-        (EFF | 0x1C0AD079, payload),
-        (EFF | 0x08F02DE2, bytes(8)),
-        (EFF | 0x18FECA15, payload),  # unknown
-        (EFF | 0x040AD07A, payload),  # another source
-        (0x079, payload),  # 11 bits, equal in the low ones
-        (EFF | 0x040BD079, payload[:7]),  # short
-    )
-    recording.wait_for(lambda frames: len(of(frames, 0x040BD079)) == 1, "the last frame")
-    until_commands(recording, 20)
-    assert gateway.stop() == 0
-    state = json.loads(state_path.read_text())
-    counts = {name: m["frame_count"] for name, m in state["messages"].items() if m["frame_count"]}
-    assert counts == {"IMU_Acceleration": 2, "IMU_Attitude": 1}
-    rejected = {reason: n for reason, n in state["counters"]["rejected"].items() if n}
-    assert rejected == {"short": 1}, "the kernel's filters keep the others away"
+def test_the_simulated_vehicle_answers_every_command_with_status2(full: FullThrottle):
+    assert full.sent - 1 <= len(full.answers) <= full.sent
+    speeds = [int.from_bytes(frame.data[6:8], "little") for frame in full.answers]
+    assert max(speeds) > speeds[0] + 100, "full throttle moves it"
 
 
+@pytest.mark.ci
 def test_without_kernel_filters_the_others_are_counted_by_reason(stand: Stand):
     state_path = stand.folder / "state.json"
     recording = stand.record()
@@ -258,54 +260,9 @@ def test_without_kernel_filters_the_others_are_counted_by_reason(stand: Stand):
     }
 
 
-def test_own_frames_are_confirmed_by_the_kernels_echo_and_told_from_foreign_ones(stand: Stand):
-    state_path = stand.folder / "state.json"
-    recording = stand.record()
-    gateway = stand.gateway("", "--state-out", str(state_path))
-    recording.wait_for(lambda frames: len(frames) >= 20, "command frames")
-    send((EFF | COMMANDS[0], ZERO_TORQUE))
-    until_commands(recording, 8)
-    assert gateway.stop() == 0
-    state = json.loads(state_path.read_text())
-    assert state["counters"]["foreign_commands"] == {"PCU1": 1, "PCU2": 0}
-    ticks = state["ticks"]["done"] - state["ticks"]["silent"]
-    unsent = sum(state["bus"]["refused"].values())
-    for count in state["counters"]["confirmed"].values():
-        # The echo of the last tick may come after the end: it counts as dropped.
-        assert ticks - unsent - state["bus"]["dropped"] <= count <= ticks
-
-
-def test_a_command_of_any_source_and_one_to_all_pass_the_kernels_filters_once(stand: Stand):
-    state_path = stand.folder / "state.json"
-    recording = stand.record()
-    gateway = stand.gateway("", "--state-out", str(state_path))
-    recording.wait_for(lambda frames: len(frames) >= 4, "command frames")
-    foreign = (COMMANDS[0], 0x0008A755, 0x1C08A8A7, 0x0008FF55)
-    send(*((EFF | can_id, ZERO_TORQUE) for can_id in foreign))
-    send(*((EFF | can_id, ZERO_TORQUE) for can_id in (0x0008A655, 0x0009A755, 0x0008FE55)))
-    send((0x755, ZERO_TORQUE))
-    until_commands(recording, 8)
-    assert gateway.stop() == 0
-    state = json.loads(state_path.read_text())
-    assert state["counters"]["foreign_commands"] == {"PCU1": 3, "PCU2": 2}
-
-
-def test_the_simulated_vehicle_answers_every_command_with_status2(stand: Stand):
-    recording = stand.record()
-    vehicle = stand.vehicle()
-    recording.wait_for(lambda frames: len(frames) > 0, "the vehicle: it hears every command")
-    tries = (driven_to_the_full(stand, recording) for _ in range(4))
-    assert any(found is not None for found in tries)
-    assert vehicle.stop() == 0
-    sent = len(of(recording.commands(), COMMANDS[0]))
-    recording.wait_for(lambda frames: len(of(frames, PCU1_STATUS2)) >= sent - 1, "the answers")
-    answers = of(recording.frames(), PCU1_STATUS2)
-    assert sent - 1 <= len(answers) <= sent
-    speeds = [int.from_bytes(frame.data[6:8], "little") for frame in answers]
-    assert max(speeds) > speeds[0] + 100, "full throttle moves it"
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.ci)]
+)
 def test_a_signal_ends_it_within_a_second_with_exit_code_0(fresh_stand: Stand, number: int):
     recording = fresh_stand.record()
     gateway = fresh_stand.gateway()
@@ -314,6 +271,7 @@ def test_a_signal_ends_it_within_a_second_with_exit_code_0(fresh_stand: Stand, n
     assert gateway.logged("stopped")["reason"] == signal.Signals(number).name
 
 
+@pytest.mark.ci
 def test_an_interface_deleted_and_made_again_is_opened_again(stand: Stand):
     recording = stand.record()
     gateway = stand.gateway()
@@ -328,6 +286,7 @@ def test_an_interface_deleted_and_made_again_is_opened_again(stand: Stand):
     assert gateway.stop() == 0
 
 
+@pytest.mark.ci
 def test_a_missing_interface_is_waited_for(stand: Stand):
     path = stand.folder / "other.yaml"
     path.write_text(f"bus: {{channel: vcan9}}\napi: {{socket_path: {stand.socket_path}}}\n")
@@ -354,3 +313,88 @@ def test_decode_reads_what_candump_style_recording_the_simulator_wrote(stand: St
     )
     messages = {json.loads(line)["message"] for line in decoded.stdout.splitlines()}
     assert {"IMU_Acceleration", "BMS_Status", "PCU2_Status1"} <= messages
+
+
+# One gateway for the rest, which look at what it counts.
+
+
+class Running(NamedTuple):
+    """A gateway that runs, and the recording of the bus."""
+
+    gateway: Process
+    recording: Recording
+    client: Client
+
+    def counts(self) -> dict[str, Any]:
+        """Frames of each message, and the counters of frames and ticks, by now."""
+        messages = self.client.state()["messages"].items()
+        health = self.client.health()
+        return {
+            "messages": {name: message["frame_count"] for name, message in messages},
+            **health["frames"],
+            "ticks": health["ticks"],
+        }
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with ended_after(Stand(tmp_path_factory.mktemp("running"), forking=True)) as stand:
+        recording = stand.record()
+        gateway = stand.gateway()
+        recording.wait_for(lambda frames: len(frames) >= 2, "the first command frames")
+        with Client(stand.socket_path, timeout_s=PATIENCE_S) as client:
+            yield Running(gateway, recording, client)
+
+
+def more(before: dict[str, int], after: dict[str, int]) -> dict[str, int]:
+    """What has grown, and by how much."""
+    grown = {name: count - before.get(name, 0) for name, count in after.items()}
+    return {name: count for name, count in grown.items() if count}
+
+
+def test_both_priorities_and_the_alias_are_received_and_nothing_else(running: Running):
+    before = running.counts()
+    payload = bytes.fromhex("a81ea81ea81e0000")
+    send(
+        (EFF | 0x040AD079, payload),
+        (EFF | 0x1C0AD079, payload),
+        (EFF | 0x08F02DE2, bytes(8)),
+        (EFF | 0x18FECA15, payload),  # unknown
+        (EFF | 0x040AD07A, payload),  # another source
+        (0x079, payload),  # 11 bits, equal in the low ones
+        (EFF | 0x040BD079, payload[:7]),  # short
+    )
+    running.recording.wait_for(lambda frames: len(of(frames, 0x040BD079)) == 1, "the last frame")
+    until_commands(running.recording, 20)
+    after = running.counts()
+    received = more(before["messages"], after["messages"])
+    assert received == {"IMU_Acceleration": 2, "IMU_Attitude": 1}
+    rejected = more(before["rejected"], after["rejected"])
+    assert rejected == {"short": 1}, "the kernel's filters keep the others away"
+
+
+def test_own_frames_are_confirmed_by_the_kernels_echo_and_told_from_foreign_ones(running: Running):
+    until_commands(running.recording, 20)
+    before = running.counts()
+    send((EFF | COMMANDS[0], ZERO_TORQUE))
+    until_commands(running.recording, 8)
+    after = running.counts()
+    foreign = more(before["foreign_commands"], after["foreign_commands"])
+    assert foreign == {"PCU1": 1}
+    ticks = after["ticks"]["done"] - after["ticks"]["silent"]
+    unsent = sum(after["unsent"].values())
+    for count in after["confirmed"].values():
+        # The echo of the last tick may not have been read yet.
+        assert ticks - unsent - 1 <= count <= ticks
+
+
+def test_a_command_of_any_source_and_one_to_all_pass_the_kernels_filters_once(running: Running):
+    before = running.counts()
+    foreign = (COMMANDS[0], 0x0008A755, 0x1C08A8A7, 0x0008FF55)
+    send(*((EFF | can_id, ZERO_TORQUE) for can_id in foreign))
+    send(*((EFF | can_id, ZERO_TORQUE) for can_id in (0x0008A655, 0x0009A755, 0x0008FE55)))
+    send((0x755, ZERO_TORQUE))
+    until_commands(running.recording, 8)
+    after = running.counts()
+    counted = more(before["foreign_commands"], after["foreign_commands"])
+    assert counted == {"PCU1": 3, "PCU2": 2}

@@ -58,6 +58,7 @@ def first_pid(process: subprocess.Popen[str]) -> int:
     return int(re.search(r"pid (\d+)", process.stdout.readline())[1])
 
 
+@pytest.mark.clock
 def test_in_a_terminal_it_shows_the_drive_and_ends_with_a_summary(folder):
     with window() as shell:
         shell.type(f"clear; TMPDIR={folder} {VCU_GATEWAY} demo; echo exit=$?")

@@ -93,6 +93,37 @@ def test_the_mode_stands_in_its_colour_and_as_a_word(mode, style):
     assert style in str(line.spans[0].style)
 
 
+BOTH_DISOBEY = (
+    "NOT OBEYED: PCU1 reports PowerCut normal, throttle 19.9 %,"
+    " and PCU2 reports PowerCut normal, throttle 19.9 %; use the contactor"
+)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES[:4])
+@pytest.mark.parametrize(
+    ("stage", "sentence", "style"),
+    [
+        ("sent", "Stop sent; not seen on the bus for PCU2", "yellow"),
+        ("cut", "Power is cut: PCU1 and PCU2 confirm", "green"),
+        ("not obeyed", BOTH_DISOBEY, "bold reverse red"),
+    ],
+)
+def test_what_is_known_of_a_stop_is_shown_whole(stage, sentence, style, width, height):
+    view = view_models.faulty()
+    view.state["stop"] = view_models.stop(stage, sentence)
+    lines = upper_lines("vcu-gateway", view, width, height)
+    assert sentence in " ".join(text_of(lines).split())
+    assert style in styles(lines, sentence[:20])
+    assert len(lines) <= height - 4
+
+
+def test_where_the_gateway_is_not_reached_nothing_is_said_of_a_stop():
+    gone, stopped = view_models.unreachable(), view_models.faulty()
+    view = ViewModel(stopped.state, stopped.why, stopped.health, gone.problem)
+    assert "Stop on the bus" in page(stopped)
+    assert "Stop on the bus" not in page(view)
+
+
 def test_commanded_stands_beside_actual():
     table = text_of(controller_lines(view_models.driving().state, roomy=True))
     assert re.search(r"PCU1 commanded +reported +PCU2 commanded +reported", table)
@@ -122,11 +153,15 @@ def test_regeneration_is_told_and_reported_beside_the_brake():
     assert re.search(r"brake % +0\.0 +regen 0\.0 +regen 7\.8 +0\.0", table)
 
 
-def test_a_controller_without_a_frame_is_silent():
+def test_what_the_kernel_took_last_is_shown_with_its_age_where_it_is_old():
     view = view_models.driving()
-    view.state["commands"]["PCU1"]["frame"] = None
+    view.state["commands"]["PCU1"]["sent"] = None
+    view.state["commands"]["PCU2"]["sent"]["age_ms"] = 150.0
     table = text_of(controller_lines(view.state, roomy=True))
-    assert re.search(r"frame +silent +0008A8D0#", table)
+    assert re.search(r"frame +nothing sent +0008A8D0#\w{16}\n?$", table)
+    view.state["commands"]["PCU2"]["sent"]["age_ms"] = 151.0
+    table = text_of(controller_lines(view.state, roomy=True))
+    assert re.search(r"0008A8D0#\w{16} 151 ms\n?$", table)
 
 
 @pytest.mark.parametrize("quality", ["out of range", "saturated", "stale"])

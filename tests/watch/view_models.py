@@ -9,7 +9,7 @@ from typing import Any
 
 from tests.simulator.driving import CRUISE, S_NS, START_NS
 from vcu_gateway import simulator
-from vcu_gateway.api.results import Cause, Health
+from vcu_gateway.api.results import Cause, ControllerStopState, Health, StopStageName, StopState
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
@@ -95,7 +95,7 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
     gateway = Gateway(codec, Settings(bench_demand=CRUISE, auto_arm=True), START_NS)
     nodes = simulator.build(codec, START_NS, soc_pct=soc_pct)
     now_ns, tick_ns = START_NS, START_NS + 7_000_000
-    while now_ns < START_NS + seconds * S_NS:
+    while tick_ns < START_NS + seconds * S_NS:
         now_ns = min(tick_ns, nodes.next_due_ns())
         for frame in nodes.due(now_ns):
             gateway.receive(Frame(frame.can_id, frame.data, now_ns))
@@ -107,7 +107,7 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
                 nodes.receive(sent.can_id, sent.data, now_ns)
             tick_ns += gateway.settings.period_ns
     latest = LastTick.explained(gateway, result, result.snapshot.now_ns)
-    state = views.state(result.snapshot, latest, None)
+    state = views.state(gateway, latest, result.snapshot.now_ns)
     return ViewModel(state, views.why(latest.why), HEALTH)
 
 
@@ -149,6 +149,7 @@ def faulty() -> ViewModel:
     state["mode"] = why["mode"] = "fault"
     for command in state["commands"].values():
         command |= {"throttle_pct": 0.0, "power_mode": "safety", "power_limit_w": 0.0}
+    state["stop"] = stop()
     why["latch"] = {
         "fault_class": "service",
         "reason": "BMS_Status.Overtemperature 2 (level2): cut",
@@ -181,6 +182,29 @@ def faulty() -> ViewModel:
     health["frames"] |= {"rejected": {"unknown": 3, "length": 1}, "dropped": 12}
     health["ticks"]["skipped"] = 2
     return view
+
+
+def stop(
+    stage: StopStageName = "on the bus",
+    sentence: str = "Stop on the bus; waiting for PCU1 and PCU2 to confirm",
+) -> StopState:
+    """A stop as the API tells it; its controllers are not shown."""
+    known: ControllerStopState = {
+        "sent_ms": 4300.0,
+        "echoed_ms": 4300.0,
+        "obeyed": None,
+        "judged_ms": None,
+        "power_cut": None,
+        "throttle_pct": None,
+        "missing": "has not confirmed yet",
+    }
+    return {
+        "latched_ms": 4300.0,
+        "reason": "BMS_Status.Overtemperature 2 (level2): cut",
+        "stage": stage,
+        "sentence": sentence,
+        "controllers": {"PCU1": known, "PCU2": known},
+    }
 
 
 def unreachable() -> ViewModel:

@@ -15,8 +15,12 @@ from playwright.sync_api import (
     ViewportSize,
     sync_playwright,
 )
+from playwright.sync_api import (
+    TimeoutError as PlaywrightTimeout,
+)
 
 from tests.browser import no_browser
+from tests.web.stand import GatewayProcess
 
 PROGRAMS = ("chromium", "chromium-headless-shell", "google-chrome")
 PICTURES = Path(__file__).parents[2] / "build" / "web"
@@ -24,7 +28,7 @@ WIDTHS = {360: 740, 1024: 768, 1920: 1080}
 
 
 def program() -> str:
-    """Path of the browser; the test is skipped, or fails in CI, where there is none."""
+    """Path of the browser; without one the test fails (but on Ubuntu)."""
     return next(filter(None, map(shutil.which, PROGRAMS)), None) or no_browser()
 
 
@@ -85,3 +89,23 @@ def opened(context: BrowserContext, url: str, view: str = "why") -> tuple[Page, 
 
 def is_old(page: Page) -> bool:
     return bool(page.evaluate("'old' in document.documentElement.dataset"))
+
+
+def text(page: Page, selector: str) -> str:
+    return page.inner_text(selector)
+
+
+def until_old(page: Page, old: bool) -> None:
+    page.wait_for_function(
+        f"() => ('old' in document.documentElement.dataset) === {str(old).lower()}"
+    )
+
+
+def until_driving(gateway: GatewayProcess, page: Page) -> None:
+    """Active in the page; a drive that the machine ended, for it stood still, is begun again."""
+    for _ in range(10):
+        gateway.ask("drive")
+        with contextlib.suppress(PlaywrightTimeout):
+            page.wait_for_selector("#mode[data-mode=active]", timeout=3000)
+            return
+    raise AssertionError("the page never shows a drive")

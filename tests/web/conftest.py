@@ -4,10 +4,14 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.web.stand import GatewayProcess, gateway_running
+from tests.web.stand import GatewayProcess, WebProcess, gateway_running, serving
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext
 
 PASSWORD = "correct horse battery"
 # Cheap ones: the real costs are tried in test_users.py.
@@ -43,3 +47,38 @@ def gateway() -> Iterator[GatewayProcess]:
     with gateway_running(folder) as one:
         yield one
     shutil.rmtree(folder)
+
+
+@pytest.fixture(scope="module")
+def web(tmp_path_factory: pytest.TempPathFactory, gateway: GatewayProcess) -> Iterator[WebProcess]:
+    """The page's server, for whoever may do everything."""
+    options = ("--local-role", "service")
+    with serving(tmp_path_factory.mktemp("web"), gateway.socket_path, *options) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    from tests.web.browser import chromium
+
+    with chromium() as one:
+        yield one
+
+
+@pytest.fixture
+def context(browser: "Browser") -> "Iterator[BrowserContext]":
+    from tests.web.browser import context_of
+
+    with context_of(browser) as one:
+        yield one
+
+
+@pytest.fixture
+def stopped(gateway: GatewayProcess) -> Iterator[None]:
+    """Whatever a test stops can be driven again, by controllers that obey on a whole bus."""
+    yield
+    gateway.ask("interface", "whole")
+    gateway.ask("silence")
+    gateway.ask("deafen")
+    gateway.ask("park")
+    gateway.ask("reset")

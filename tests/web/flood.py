@@ -1,6 +1,6 @@
 """Requests as fast as they are answered: `python -m tests.web.flood PORT`, until stdin ends.
 
-It tells how many were answered.
+They come from many addresses, of which none is beyond its limit. It tells how many were answered.
 """
 
 import http.client
@@ -10,6 +10,8 @@ import sys
 import threading
 
 THREADS = 6
+ADDRESSES = 200
+COUNT = itertools.count()
 REQUESTS = (
     ("POST", "/api/actions/disarm"),
     ("POST", "/api/actions/estop"),
@@ -26,7 +28,8 @@ def ask(port: int, first: int, answered: list[int], end: threading.Event) -> Non
     for method, path in itertools.islice(itertools.cycle(REQUESTS), first, None):
         if end.is_set():
             return
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+        source = (f"127.0.3.{1 + next(COUNT) % ADDRESSES}", 0)
+        connection = http.client.HTTPConnection("127.0.0.1", port, 30, source)
         try:
             connection.request(method, path, headers=headers)
             connection.getresponse().read()

@@ -44,12 +44,17 @@ ODD = (
 )
 
 
+# Below what one session or one address may ask: the limits are not what is tried.
+SESSIONS, ADDRESSES = 24, 250
+
+
 class Fuzz:
     """Requests made from one seed."""
 
     def __init__(self, web: WebProcess, seed: int) -> None:
         self.chance = random.Random(seed)
         self.web = web
+        self.cookies = [""] * SESSIONS
         self.statuses: collections.Counter[str] = collections.Counter()
         self.bad: list[bytes] = []
 
@@ -61,7 +66,7 @@ class Fuzz:
         if method not in ("GET", "HEAD"):
             headers["Origin"] = self.web.url.rstrip("/")
         if chance.random() < 0.8:
-            headers["Cookie"] = self.web.cookie
+            headers["Cookie"] = chance.choice(self.cookies)
         if chance.random() < 0.2:
             headers[chance.choice(NAMES)] = self.odd()
         lines = [f"{name}: {value}" for name, value in headers.items()]
@@ -90,7 +95,9 @@ class Fuzz:
         return bytes(flipped)
 
     def send(self, raw: bytes) -> None:
-        with socket.create_connection(("127.0.0.1", self.web.port), timeout=30) as connection:
+        source = (f"127.0.2.{1 + self.statuses.total() % ADDRESSES}", 0)
+        to = ("127.0.0.1", self.web.port)
+        with socket.create_connection(to, timeout=30, source_address=source) as connection:
             connection.sendall(raw)
             connection.shutdown(socket.SHUT_WR)
             try:
@@ -102,13 +109,21 @@ class Fuzz:
         if status.startswith("5") and status not in ("503", "504"):
             self.bad.append(raw)
 
+    def sign_in(self, place: int) -> None:
+        """Sign in anew where a request has signed this session out."""
+        if self.web.request("GET", "/api/clock", cookie=self.cookies[place]).status != 200:
+            self.web.sign_in(("otto", "anna")[place % 2], PASSWORD)
+            self.cookies[place] = self.web.cookie
+
 
 def fuzzed(web: WebProcess, count: int, seed: int) -> Fuzz:
-    """So many requests; signing in anew where one of them signed out."""
+    """So many requests."""
     fuzz = Fuzz(web, seed)
+    for place in range(SESSIONS):
+        fuzz.sign_in(place)
     for number in range(count):
-        if number % 100 == 0 and web.request("GET", "/api/clock").status != 200:
-            web.sign_in("otto", PASSWORD)
+        if number % 100 == 0:
+            fuzz.sign_in(number // 100 % SESSIONS)
         fuzz.send(fuzz.request())
     return fuzz
 

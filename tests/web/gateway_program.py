@@ -6,6 +6,7 @@ they arrive at a node of their own.
 """
 
 import contextlib
+import errno
 import json
 import random
 import sys
@@ -19,6 +20,7 @@ import can
 from tests.driven import Driven
 from vcu_gateway.client import Client, RefusedError
 from vcu_gateway.core.schedule import Tick
+from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.simulator.nodes import NodeFrame
 
 COMMANDS = {0x0008A7D0: "PCU1", 0x0008A8D0: "PCU2"}
@@ -44,9 +46,10 @@ class Program:
     def __init__(self, folder: Path, config: str) -> None:
         self.driven = Driven(folder, config)
         self.silenced: set[str] = set()
+        self._deaf: dict[str, bytes | None] = {}
         self._lateness_us: list[float] = []
         self.driven.loop.add_observer(self._note_lateness)
-        self.driven.nodes._transforms += (self._unless_silenced,)
+        self.driven.nodes._transforms += (self._unless_silenced, self._as_before_where_deaf)
         self.bus = Bus()
         self.notifier = can.Notifier([self.driven.other_node], [self.bus])
         self._pedals: Any = None
@@ -59,16 +62,22 @@ class Program:
         return self.driven.mode
 
     def drive(self, throttle_pct: float = 20.0) -> str:
-        """Arm and demand, until `park`."""
-        client = Client(self.driven.socket_path)
-        self._pedals = client.demand("driver", ttl_ms=1000, hold_s=None).__enter__()
-        client.arm()
+        """Arm and demand, until `park`; also where a machine that stood still ended a drive."""
+        self.demand_nothing()
+        with self.driven.client() as client:
+            self.driven.until(lambda: self._is_active(client), "active")
         self._pedals.set(throttle_pct=throttle_pct)
-        self.driven.until_mode("active")
         return self.driven.mode
+
+    def _is_active(self, client: Client) -> bool:
+        if self.driven.mode != "active" and self._is_ready(client):
+            with contextlib.suppress(RefusedError):
+                client.arm()
+        return self.driven.mode == "active"
 
     def demand_nothing(self) -> None:
         """A driver who has the pedals and asks for nothing, so that arming is possible."""
+        self.park()
         self._pedals = (
             Client(self.driven.socket_path).demand("driver", ttl_ms=1000, hold_s=None).__enter__()
         )
@@ -89,6 +98,19 @@ class Program:
             self.driven.until(lambda: self._is_ready(client), "standby")
         self.bus.cut = {}
         return self.driven.mode
+
+    def mend(self) -> str:
+        """The same without the API, which an attack keeps busy."""
+        self.driven.until(self._is_mended, "standby")
+        self.bus.cut = {}
+        return self.driven.mode
+
+    def _is_mended(self) -> bool:
+        self.driven.loop.work_queue.post(self._reset)
+        return self.driven.mode == "standby" and not self.driven.latest_why.blocks
+
+    def _reset(self) -> None:
+        self.driven.loop.gateway.requests.reset(FaultClass.SERVICE, time.monotonic_ns())
 
     def _is_ready(self, client: Client) -> bool:
         if self.driven.mode == "fault":
@@ -115,12 +137,35 @@ class Program:
         """These are not sent any more, by nobody."""
         self.silenced = set(messages)
 
+    def _as_before_where_deaf(self, frame: NodeFrame) -> tuple[NodeFrame, ...]:
+        if frame.message in self._deaf:
+            kept = self._deaf[frame.message] = self._deaf[frame.message] or frame.data
+            frame = frame._replace(data=kept)
+        return (frame,)
+
+    def deafen(self, *controllers: str) -> None:
+        """These go on as they did, whatever they are commanded, and say so; the others obey."""
+        self._deaf = {f"{name}_Status1": None for name in controllers}
+
+    def interface(self, how: str) -> None:
+        """`whole`; `away`, which takes frames that never come back; or `full`, which takes none."""
+        bus: Any = self.driven.loop.connection._sending_bus
+        library = bus._library_bus
+        library.receive_own_messages = how != "away"
+        library.__dict__.pop("send", None)
+        if how == "full":
+            library.send = _take_none
+
     def steer(self, count: int) -> list[tuple[float, float]]:
         """Steering angles that no other node sends: the wall clock and the angle of each."""
         self.silenced = {"ARD2_SteeringWheel"}
         sent = self._steering.send(count)
         self.silenced = set()
         return sent
+
+
+def _take_none(message: can.Message, timeout: float | None = None) -> None:
+    raise can.CanOperationError("Transmit buffer full", errno.ENOBUFS)
 
 
 class Steering:

@@ -14,8 +14,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from tests.driven import wait_until
@@ -163,11 +165,11 @@ class WebProcess:
         return self.request("POST", f"/api/actions/{name}")
 
     @contextlib.contextmanager
-    def stream(self) -> Iterator["Stream"]:
+    def stream(self, headers: Mapping[str, str] = MappingProxyType({})) -> Iterator["Stream"]:
         """The server-sent events."""
         with contextlib.closing(self._connection()) as connection:
-            headers = {"Host": f"127.0.0.1:{self.port}", "Cookie": self.cookie}
-            connection.request("GET", "/api/stream", headers=headers)
+            sent = {"Host": f"127.0.0.1:{self.port}", "Cookie": self.cookie, **headers}
+            connection.request("GET", "/api/stream", headers=sent)
             answer = connection.getresponse()
             assert answer.status == 200, answer.read()
             yield Stream(answer)
@@ -179,15 +181,27 @@ class WebProcess:
 
 
 class Stream:
-    """Sections of a stream, as they come."""
+    """Sections of a stream, as they come; `wire_bytes` came, and were `bytes` of text."""
 
     def __init__(self, answer: http.client.HTTPResponse) -> None:
         self._answer = answer
+        self.wire_bytes = self.bytes = 0
+        self._received = self._lines()
+
+    def _lines(self) -> Iterator[bytes]:
+        is_packed = self._answer.headers.get("content-encoding") == "gzip"
+        inflate = zlib.decompressobj(zlib.MAX_WBITS | 16)
+        rest = b""
+        while data := self._answer.read1(65536):
+            plain = inflate.decompress(data) if is_packed else data
+            self.wire_bytes, self.bytes = self.wire_bytes + len(data), self.bytes + len(plain)
+            *lines, rest = (rest + plain).split(b"\n")
+            yield from lines
 
     def __iter__(self) -> Iterator[tuple[str, Any]]:
         name = ""
-        for line in self._answer:
-            word, _, rest = line.decode().rstrip("\n").partition(": ")
+        for line in self._received:
+            word, _, rest = line.decode().partition(": ")
             if word == "event":
                 name = rest
             elif word == "data":
@@ -222,6 +236,48 @@ def gateway_running(folder: Path, config: str = "") -> Iterator[GatewayProcess]:
         yield one
     finally:
         one.end()
+
+
+class AlteringRelay:
+    """The gateway's socket under another path, each result changed by `alter(method, result)`."""
+
+    def __init__(self, path: Path, to: Path, alter: Callable[[str, Any], Any]) -> None:
+        self._to = to
+        self._alter = alter
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(str(path))
+        self._listener.listen()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                far = socket.socket(socket.AF_UNIX)
+                far.connect(str(self._to))
+                methods: dict[int, str] = {}
+                for ways in ((near, far, methods, False), (far, near, methods, True)):
+                    threading.Thread(target=self._pump, args=ways, daemon=True).start()
+
+    def _pump(
+        self, source: socket.socket, to: socket.socket, methods: dict[int, str], is_back: bool
+    ) -> None:
+        with contextlib.suppress(OSError), source.makefile("rb") as lines:
+            for line in lines:
+                message = json.loads(line)
+                if not is_back:
+                    methods[message["id"]] = message["method"]
+                elif "result" in message:
+                    message["result"] = self._alter(methods[message["id"]], message["result"])
+                elif "params" in message:
+                    message["params"] = self._alter(message["method"], message["params"])
+                to.sendall(json.dumps(message).encode() + b"\n")
+        for one in (source, to):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        self._listener.close()
 
 
 class Proxy:

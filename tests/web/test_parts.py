@@ -1,4 +1,4 @@
-"""The parts of the page that need no server: sessions, limits, settings, history, POWER_CUT."""
+"""The parts of the page that need no server: sessions, limits, settings, history."""
 
 import asyncio
 import json
@@ -14,7 +14,6 @@ from vcu_gateway.units import NS_PER_S
 from vcu_gateway.web.broadcast import Broadcast, SeenVersions
 from vcu_gateway.web.history import CAPACITY, History
 from vcu_gateway.web.login_limit import LoginLimit
-from vcu_gateway.web.power_cut import PowerCutBit, is_cut
 from vcu_gateway.web.roles import ACTION_RIGHTS, UserRole
 from vcu_gateway.web.sessions import Sessions
 from vcu_gateway.web.settings import TlsFiles, WebSettings
@@ -92,11 +91,13 @@ def test_a_damaged_file_of_sessions_is_none(tmp_path):
         assert Sessions(HOUR_S, file).find("x") is None
 
 
-def test_more_sessions_than_256_end_the_oldest():
+def test_more_sessions_of_a_user_than_16_end_the_oldest_of_that_user_and_nobody_elses():
     sessions = Sessions(HOUR_S)
-    tokens = [sessions.open("anna", 0.0) for _ in range(257)]
+    other = sessions.open("otto", 0.0)
+    tokens = [sessions.open("anna", 0.0) for _ in range(17)]
     assert sessions.find(tokens[0]) is None
     assert sessions.find(tokens[1]) is not None
+    assert sessions.find(other) is not None
 
 
 def test_the_end_of_one_is_the_end_of_no_other():
@@ -179,6 +180,12 @@ def test_the_names_of_this_machine_are_known_and_no_others():
     assert named.known_hosts == {"192.0.2.1", "vehicle.lan"}
 
 
+def test_a_name_given_with_its_port_is_known_by_the_name():
+    names = ("vehicle.lan:9465", "[fe80::1]:9465", "fe80::1")
+    named = settings(address="192.0.2.1", host_names=names)
+    assert named.known_hosts == {"192.0.2.1", "vehicle.lan", "[fe80::1]", "fe80::1"}
+
+
 # History.
 
 
@@ -208,6 +215,40 @@ def test_what_is_stale_or_was_never_there_is_a_gap():
     assert history.read(["M.S"], 4000)["values"]["M.S"] == [5.0, None, None, 5.0]
 
 
+def gaps(read: Any) -> list[int]:
+    """Where the signal has no value, by the sample's time."""
+    return [
+        at for at, one in zip(read["times_ms"], read["values"]["M.S"], strict=True) if one is None
+    ]
+
+
+@pytest.mark.parametrize(("apart_ms", "gap"), [(300, []), (301, [200])])
+def test_more_than_three_periods_without_a_state_are_a_gap(apart_ms, gap):
+    history = History()
+    for at in (0, 100, 100 + apart_ms, 200 + apart_ms):
+        history.add(state(at))
+    assert gaps(history.read(["M.S"], 4000)) == gap
+
+
+def test_a_short_gap_in_ten_minutes_stays_a_gap_where_they_are_thinned():
+    history = History()
+    for at in range(CAPACITY - 1):
+        history.add(state(at * 100, quality="stale" if at == 4321 else "good"))
+    history.add(state(CAPACITY * 100 + 400))
+    assert gaps(history.read(["M.S"], 600)) == [432_100, (CAPACITY - 1) * 100]
+
+
+@pytest.mark.parametrize("part", [None, 3, "x", [], {}, {"M": None}, {"M": {"signals": None}}])
+def test_a_state_with_other_parts_is_a_gap_of_what_they_concern(part):
+    history = History()
+    history.add(state(0))
+    history.add({**state(100), "messages": part})
+    history.add({**state(200), "commands": part})
+    assert gaps(history.read(["M.S"], 4000)) == [100]
+    commanded = history.read(["PCU1.commanded.throttle_pct"], 4000)["values"]
+    assert [*commanded.values()] == [[3.0, 3.0, None]]
+
+
 def test_ten_minutes_are_kept_and_the_oldest_gives_way():
     history = History()
     for at in range(CAPACITY + 10):
@@ -231,49 +272,6 @@ def test_ten_minutes_of_every_signal_take_less_than_three_megabytes():
     history.add(state(0))
     sizes = [column.itemsize * len(column) for column in history._columns.values()]
     assert sum(sizes) / len(sizes) * 80 + 8 * CAPACITY < 3_000_000
-
-
-# POWER_CUT in the bytes.
-
-BIT = PowerCutBit(0x0008A7D0, 7)
-
-
-@pytest.mark.parametrize(
-    ("frame", "cut"),
-    [
-        ("0008A7D0#8C000000E02E0000", True),
-        ("0008A7D0#80", True),
-        ("0008A7D0#0C000000E02E0000", False),
-        ("0008A8D0#8C000000E02E0000", False),
-        ("0008A7D0#", False),
-        ("0008A7D0", False),
-        ("#8C", False),
-        ("x#y", False),
-        ("", False),
-        (None, False),
-    ],
-)
-def test_power_cut_is_read_from_the_bytes_of_that_controllers_frame(frame, cut):
-    assert BIT.is_set_in(frame) is cut
-
-
-@pytest.mark.parametrize(
-    ("mode", "first", "second", "cut"),
-    [
-        ("fault", "8C", "8C", True),
-        ("fault", "8C", "0C", False),
-        ("active", "8C", "8C", False),
-    ],
-)
-def test_a_cut_is_fault_and_both_frames(mode, first, second, cut):
-    bits = {"PCU1": BIT, "PCU2": PowerCutBit(0x0008A8D0, 7)}
-    commands: Any = {
-        "PCU1": {"frame": f"0008A7D0#{first}"},
-        "PCU2": {"frame": f"0008A8D0#{second}"},
-    }
-    seen: Any = {"mode": mode, "commands": commands}
-    assert is_cut(seen, bits) is cut
-    assert not is_cut(seen, {}), "nothing known is no cut"
 
 
 # Sections.

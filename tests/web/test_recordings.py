@@ -21,21 +21,40 @@ SLOWER = b"bus: {channel: can0}\nlimits: {throttle_slew_pct_per_s: 20.0}\n"
 NAME = "20261123T180412Z-1f3a9c2e"
 
 
-@pytest.fixture
-def folder(tmp_path) -> Path:
+def broken_drive(parent: Path) -> Path:
     """A recorder's folder with one drive that is none: its parts are there, and cannot be read."""
-    drive = tmp_path / "recordings" / "drives" / NAME
+    drive = parent / "recordings" / "drives" / NAME
     drive.mkdir(parents=True)
-    (tmp_path / "recordings" / "incidents").mkdir()
+    (parent / "recordings" / "incidents").mkdir()
     (drive / "drive.json").write_text("{}")
     (drive / "0001.frames.log.gz").write_bytes(bytes(range(256)) * 300)
     (drive / "secret").symlink_to("/etc/passwd")
-    return tmp_path / "recordings"
+    return parent / "recordings"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Of all tests that leave it as it is."""
+    return broken_drive(tmp_path_factory.mktemp("recorded"))
+
+
+@pytest.fixture(scope="module")
+def web(tmp_path_factory, gateway, folder):
+    options = ("--local-role", "operator", "--recordings", str(folder))
+    with serving(tmp_path_factory.mktemp("web"), gateway.socket_path, *options) as one:
+        yield one
 
 
 @pytest.fixture
-def web(tmp_path, gateway, folder):
-    options = ("--local-role", "operator", "--recordings", str(folder))
+def own_folder(tmp_path) -> Path:
+    """To be broken."""
+    return broken_drive(tmp_path)
+
+
+@pytest.fixture
+def own_web(tmp_path, gateway, own_folder):
+    """To be broken."""
+    options = ("--local-role", "operator", "--recordings", str(own_folder))
     with serving(tmp_path, gateway.socket_path, *options) as one:
         yield one
 
@@ -75,11 +94,11 @@ def test_nothing_but_a_recordings_folder_is_given_away(web, name, kind):
     assert web.request("GET", path("download", name, kind)).status == 404
 
 
-def test_a_link_to_another_folder_is_no_recording(web, folder, tmp_path):
+def test_a_link_to_another_folder_is_no_recording(own_web, own_folder, tmp_path):
     other = tmp_path / "other"
     other.mkdir()
-    (folder / "drives" / "20261123T180412Z-00000000").symlink_to(other)
-    assert web.request("GET", path("download", "20261123T180412Z-00000000")).status == 404
+    (own_folder / "drives" / "20261123T180412Z-00000000").symlink_to(other)
+    assert own_web.request("GET", path("download", "20261123T180412Z-00000000")).status == 404
 
 
 def test_a_recording_that_cannot_be_replayed_is_a_sentence(web):
@@ -121,12 +140,12 @@ def test_a_hostile_configuration_is_a_sentence_and_soon(web, config):
     assert web.request("GET", "/").status == 200
 
 
-def test_a_full_disk_is_a_sentence_and_the_page_goes_on(web):
-    resource.prlimit(web.process.pid, resource.RLIMIT_FSIZE, (0, 0))  # no file has any room
-    answer = web.request("POST", path("what-if"), SLOWER)
+def test_a_full_disk_is_a_sentence_and_the_page_goes_on(own_web):
+    resource.prlimit(own_web.process.pid, resource.RLIMIT_FSIZE, (0, 0))  # no file has any room
+    answer = own_web.request("POST", path("what-if"), SLOWER)
     assert answer.status == 507
     assert "cannot be kept" in answer.json["sentence"]
-    assert web.act("estop").json["confirmed"] is True
+    assert own_web.act("estop").json["granted"] is True
 
 
 def test_whoever_lists_does_not_wait_for_a_replay(tmp_path, gateway, driven):
@@ -169,9 +188,9 @@ def test_without_a_recorder_the_list_says_why_it_is_empty(tmp_path, gateway):
     assert "--recordings" in listed["sentence"]
 
 
-def test_a_folder_that_went_away_is_a_sentence(web: WebProcess, folder):
-    shutil.rmtree(folder)
-    listed = web.request("GET", "/api/recordings").json
+def test_a_folder_that_went_away_is_a_sentence(own_web: WebProcess, own_folder):
+    shutil.rmtree(own_folder)
+    listed = own_web.request("GET", "/api/recordings").json
     assert listed["recordings"] == []
     assert "cannot be read" in listed["sentence"]
 

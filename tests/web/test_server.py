@@ -1,10 +1,14 @@
 """`vcu-gateway web` over HTTP, beside a real gateway: what it serves, and what it refuses."""
 
 import contextlib
+import gzip
+import http.client
 import json
 import os
+import re
 import signal
 import socket
+import statistics
 import subprocess
 import sys
 import time
@@ -16,6 +20,9 @@ import pytest
 from tests.driven import wait_until
 from tests.web.conftest import PASSWORD
 from tests.web.stand import ROOT, WebProcess, gateway_running, serving
+from vcu_gateway.web.gateway_link import now_ms
+
+SLOW_BYTES_PER_S = 16_000
 
 
 @pytest.fixture
@@ -73,6 +80,7 @@ def test_the_page_with_all_its_files_is_150_kb_on_the_wire(web):
     assert sum(sizes.values()) < 150_000, sizes
 
 
+@pytest.mark.clock
 def test_a_stream_begins_with_everything_and_goes_on_with_what_changes(web):
     with web.stream() as stream:
         definition = stream.until("definition")
@@ -87,6 +95,26 @@ def test_a_stream_begins_with_everything_and_goes_on_with_what_changes(web):
         assert stream.until("health")["ticks"]["period_ms"] == 50
 
 
+def test_the_head_of_the_stream_is_a_whole_answer_and_the_next_one_follows(web):
+    connection = http.client.HTTPConnection("127.0.0.1", web.port, timeout=10)
+    with contextlib.closing(connection):
+        for _ in range(2):
+            connection.request("HEAD", "/api/stream")
+            answer = connection.getresponse()
+            assert (answer.status, answer.read()) == (200, b"")
+
+
+def test_a_stream_of_http_1_0_has_nothing_but_its_sections(web):
+    with socket.create_connection(("127.0.0.1", web.port), 30) as connection:
+        connection.sendall(b"GET /api/stream HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
+        with connection.makefile("rb") as answer:
+            assert answer.readline() == b"HTTP/1.1 200 OK\r\n"
+            while answer.readline() != b"\r\n":
+                pass
+            words = {answer.readline().partition(b": ")[0] for _ in range(100)}
+    assert words == {b"retry", b"event", b"data", b"\n"}
+
+
 def test_ten_streams_are_one_subscription(gateway, web):
     with contextlib.ExitStack() as stack:
         streams = [stack.enter_context(web.stream()) for _ in range(10)]
@@ -97,13 +125,26 @@ def test_ten_streams_are_one_subscription(gateway, web):
 
 
 def test_the_last_ten_minutes_of_any_signals_are_kept_here(web):
-    time.sleep(1.5)
     path = "/api/history?signals=PCU1_Status2.MotorSpeed,PCU1.commanded.throttle_pct"
+    wait_until(lambda: len(web.request("GET", path).json.get("times_ms", ())) > 8, "samples")
     history = web.request("GET", path).json
-    assert len(history["times_ms"]) > 8
     for values in history["values"].values():
         assert len(values) == len(history["times_ms"])
     assert history["values"]["PCU1.commanded.throttle_pct"][-1] == 0
+
+
+def test_samples_and_stream_are_packed_for_who_takes_gzip(web):
+    wanted = {"Accept-Encoding": "gzip"}
+    path = "/api/history?signals=PCU1_Status2.MotorSpeed"
+    wait_until(lambda: len(web.request("GET", path).json.get("times_ms", ())) > 50, "samples")
+    answer = web.request("GET", path, headers=wanted)
+    assert answer.headers["content-encoding"] == "gzip"
+    assert len(json.loads(gzip.decompress(answer.body))["times_ms"]) > 50
+    with web.stream(wanted) as stream:
+        begin = stream.until("state")
+        assert stream.until("state", lambda one: one["t"] > begin["t"])["mode"] == "standby"
+        assert stream.until("health")["ticks"]["period_ms"] == 50
+        assert stream.wire_bytes < 0.6 * stream.bytes
 
 
 @pytest.mark.parametrize("query", ["", "signals=", "signals=Nothing", "signals=a&points=1"])
@@ -116,11 +157,12 @@ def test_a_wrong_question_for_samples_is_a_sentence(web, query):
 # Acting.
 
 
-def test_an_emergency_stop_is_confirmed_by_the_bytes_on_the_bus(gateway, web):
-    answer = web.act("estop").json
-    assert (answer["answered"], answer["granted"], answer["confirmed"]) == (True, True, True)
-    assert answer["mode"] == "fault"
-    assert answer["frames"]["PCU1"].startswith("0008A7D0#8C")
+def test_an_emergency_stop_is_granted_and_every_state_tells_what_became_of_it(gateway, web):
+    with web.stream() as stream:
+        answer = web.act("estop").json
+        assert (answer["answered"], answer["granted"]) == (True, True)
+        cut = stream.until("state", lambda one: one["stop"] and one["stop"]["stage"] == "cut")
+    assert cut["stop"]["sentence"] == "Power is cut: PCU1 and PCU2 confirm"
     assert set(gateway.ask("cuts")) == {"PCU1", "PCU2"}
     assert web.act("reset-driver").status == 409, (
         "the emergency stop needs a reset at service level"
@@ -143,11 +185,11 @@ def test_there_is_no_other_action_and_no_demand(web, name):
     assert web.act(name).status in (404, 405)
 
 
-def test_a_stop_without_a_gateway_is_not_confirmed(tmp_path):
+def test_a_stop_without_a_gateway_is_not_answered(tmp_path):
     with serving(tmp_path, tmp_path / "nobody.sock", "--local-role", "service") as web:
         answer = web.act("estop")
     assert answer.status == 503
-    assert answer.json["confirmed"] is False
+    assert answer.json["answered"] is False
     assert "systemctl start vcu-gateway" in answer.json["sentence"]
 
 
@@ -197,6 +239,18 @@ def test_a_wrong_password_is_told_and_the_sixth_try_has_to_wait(guarded):
     assert "wrong" not in "".join(str(event) for event in guarded.events("sign_in_failed"))
 
 
+def test_signing_out_ends_the_streams_of_that_session_and_no_other(guarded):
+    guarded.sign_in("anna", PASSWORD)
+    with guarded.stream() as other:
+        guarded.sign_in("otto", PASSWORD)
+        with guarded.stream() as stream:
+            stream.until("state")
+            assert guarded.request("DELETE", "/api/session").status == 200
+            assert list(stream)
+        first = other.until("state")
+        other.until("state", lambda state: state["t"] > first["t"] + 2000)
+
+
 def test_signing_out_ends_the_session_at_once(guarded):
     guarded.sign_in("otto", PASSWORD)
     assert guarded.request("DELETE", "/api/session").status == 200
@@ -213,7 +267,8 @@ def test_a_session_that_has_ended_looks_no_more_and_still_stops(tmp_path, gatewa
             assert list(stream)[-1], "the stream ends with the session"
         assert web.request("GET", "/api/clock").status == 401
         assert web.act("disarm").status == 401
-        assert web.act("estop").json["confirmed"] is True
+        assert web.act("estop").json["granted"] is True
+        wait_until(lambda: gateway.ask("mode") == "fault", "the tick after the grant")
     gateway.ask("reset")
 
 
@@ -300,6 +355,11 @@ def test_with_tls_and_users_it_listens_on_a_network(tmp_path, gateway, users_fil
         assert cookie.startswith("__Host-")
         assert "secure" in cookie.lower()
         assert "max-age=" in answer.headers["strict-transport-security"]
+        web.cookie = cookie.partition(";")[0]
+        with web.stream() as stream:
+            told = stream.until("link", lambda link: link["certificate"])["certificate"]
+        assert re.fullmatch(r"The certificate ends on .*: replace it\.", told)
+        assert [one["sentence"] for one in web.events("certificate_ends")] == [told]
 
 
 def test_handshakes_that_never_come_keep_no_other_address_out(tmp_path, gateway, users_file):
@@ -317,7 +377,8 @@ def test_handshakes_that_never_come_keep_no_other_address_out(tmp_path, gateway,
         assert all(is_closed(one) for one in silent)
         assert 8 < time.monotonic() - begin_s < 25
         assert web.request("GET", "/").status == 200
-        assert len(web.said) == 2, web.said  # where it is, and that the gateway was found
+        # Where it is, a certificate of two days, and that the gateway was found.
+        assert len(web.said) == 3, web.said
 
 
 def test_a_certificate_that_is_none_is_named(tmp_path):
@@ -339,13 +400,15 @@ def test_a_port_that_somebody_else_has_is_named_with_a_remedy(tmp_path):
     assert "ss -ltnp" in said
 
 
-def test_a_users_file_that_others_read_is_refused(tmp_path, users_file):
-    users_file.chmod(0o644)
+@pytest.mark.parametrize("mode", [0o644, 0o660])
+def test_a_users_file_that_others_read_or_change_is_refused(tmp_path, users_file, mode):
+    users_file.chmod(mode)
     code, said = refused_start(tmp_path, "--users", str(users_file))
     assert code == os.EX_CONFIG
-    assert f"chmod o= {users_file}" in said
+    assert f"chmod g-w,o= {users_file}" in said
 
 
+@pytest.mark.clock
 def test_a_signal_ends_it_also_while_browsers_look(web):
     with web.stream() as stream:
         stream.until("state")
@@ -415,6 +478,25 @@ def test_a_browser_that_does_not_read_misses_updates_and_costs_no_memory(web):
         assert resident_kb() - before_kb < 4000
 
 
+@pytest.mark.clock
+def test_a_slow_network_gets_fewer_states_and_none_that_waited_long(web):
+    ages_ms = []
+    with socket.socket() as slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.connect(("127.0.0.1", web.port))
+        slow.sendall(f"GET /api/stream HTTP/1.0\r\nHost: 127.0.0.1:{web.port}\r\n\r\n".encode())
+        received, end_s = b"", time.monotonic() + 10
+        while time.monotonic() < end_s:
+            time.sleep(512 / SLOW_BYTES_PER_S)
+            received += slow.recv(512)
+            while found := re.search(rb'event: state\ndata: {"t":([0-9.]+),', received):
+                ages_ms.append(now_ms() - float(found[1]))
+                received = received[found.end() :]
+    assert 20 < len(ages_ms) < 150, "of 200"
+    assert statistics.median(ages_ms[5:]) < 1000
+
+
+@pytest.mark.clock
 def test_a_flood_of_requests_keeps_no_stop_out_and_makes_no_tick_late(gateway, web):
     os.setpriority(os.PRIO_PROCESS, web.process.pid, 10)  # as the unit has it
     before = gateway.ask("ticks")
@@ -422,8 +504,9 @@ def test_a_flood_of_requests_keeps_no_stop_out_and_makes_no_tick_late(gateway, w
         end_s = time.monotonic() + 4
         while time.monotonic() < end_s:
             answer = web.act("estop")
-            assert answer.json["confirmed"] is True, answer.json
+            assert answer.json["granted"] is True, answer.json
     after = gateway.ask("ticks")
+    wait_until(lambda: gateway.ask("mode") == "fault", "the tick after the last grant")
     assert answered[0] > 200
     assert after["skipped"] == before["skipped"]
     assert gateway.ask("reset") == "standby"

@@ -69,7 +69,9 @@ class ControllerParams(Params):
         description=f"{span('speed_limit_rpm')} rpm; null is the configured maximum.",
     )
     power_limit_w: float | None = Field(
-        default=None, description=f"{span('power_limit_w')} W; null is the configured maximum."
+        default=None,
+        description=f"{span('power_limit_w')} W; null is the highest: whatever the configured"
+        " maximum and its ramp allow.",
     )
 
 
@@ -137,7 +139,10 @@ class Method(NamedTuple):
 
 METHODS: Mapping[str, Method] = {
     "state.get": Method(
-        StateParams, results.State, Right.READ, "Received signals and the commands sent."
+        StateParams,
+        results.State,
+        Right.READ,
+        "Received signals, commands, and what is known of a stop.",
     ),
     "state.subscribe": Method(
         SubscribeParams,

@@ -15,6 +15,7 @@ PowerModeName = Literal["eco", "normal", "turbo", "safety"]
 QualityName = Literal["good", "out of range", "saturated", "stale", "never"]
 EffectName = Literal["alarm", "turbo off", "power limit", "regen limit", "regen off", "stop", "cut"]
 FaultClassName = Literal["driver", "service"]
+StopStageName = Literal["latched", "sent", "on the bus", "cut", "not obeyed"]
 LinkStateName = Literal["up", "error warning", "error passive", "bus off", "lost"]
 
 
@@ -50,8 +51,16 @@ class Message(TypedDict):
     """By the protocol's signal names."""
 
 
-class SentCommand(TypedDict):
-    """Command to one controller in the last tick."""
+class CarriedFrame(TypedDict):
+    """A command frame that the kernel took, or that came back from the bus."""
+
+    frame: str
+    """Identifier and bytes as candump writes them."""
+    age_ms: float
+
+
+class ControllerCommand(TypedDict):
+    """Command to one controller: the values are those that the last tick decided."""
 
     throttle_pct: float
     brake_pct: float
@@ -61,8 +70,43 @@ class SentCommand(TypedDict):
     power_cut: bool
     speed_limit_rpm: float
     power_limit_w: float
-    frame: str | None
-    """Identifier and bytes as candump writes them; null where nothing was sent."""
+    decided: str | None
+    """The frame with these values, as candump writes it; null while listening."""
+    sent: CarriedFrame | None
+    """The last one that the kernel took; null where nothing was sent."""
+    echoed: CarriedFrame | None
+    """The last one that came back because it had left; null where none did."""
+
+
+class ControllerStopState(TypedDict):
+    """What is known of a stop at one controller."""
+
+    sent_ms: float | None
+    """Since when the kernel takes frames with POWER_CUT; null where it does not."""
+    echoed_ms: float | None
+    """Since when they come back from the bus; null where they do not."""
+    obeyed: bool | None
+    """Whether the controller's own status says that it has cut; null where that is not known."""
+    judged_ms: float | None
+    """Age of that status."""
+    power_cut: str | None
+    """PowerCut in it, by its code's name."""
+    throttle_pct: float | None
+    """Throttle in it."""
+    missing: str
+    """What is not known to be so; empty where nothing is missing."""
+
+
+class StopState(TypedDict):
+    """What is known of the latched CUT, judged anew in every tick."""
+
+    latched_ms: float
+    """Since when it is latched."""
+    reason: str
+    stage: StopStageName
+    sentence: str
+    """The stop in one line, which claims no more than is known."""
+    controllers: dict[ControllerName, ControllerStopState]
 
 
 class DemandedValues(TypedDict):
@@ -73,16 +117,18 @@ class DemandedValues(TypedDict):
 
 
 class State(TypedDict):
-    """Received messages and sent commands, at one instant."""
+    """Received messages, commands and stop, at one instant."""
 
     monotonic_ns: int
     """The instant, CLOCK_MONOTONIC of this machine."""
     mode: ModeName
     messages: dict[str, Message]
     """By the protocol's message names; only those that were asked for."""
-    commands: dict[ControllerName, SentCommand]
+    commands: dict[ControllerName, ControllerCommand]
     demanded: dict[ControllerName, DemandedValues]
     """Empty while no fresh demand counts."""
+    stop: StopState | None
+    """Null where no CUT is latched."""
 
 
 class Cause(TypedDict):

@@ -24,7 +24,7 @@ _VERBS = {
     "arm": "let the vehicle move: from standby to active",
     "disarm": "end the drive: from active to standby",
     "reset": "from a latched fault to standby",
-    "estop": "emergency stop: cut the power now",
+    "estop": "emergency stop: cut the power, and say whether it is",
     "events": "the latest events, counted",
     "reload": "read the configuration file again, all of it or nothing",
     "recorder": "keep every drive on disk, bounded",
@@ -45,7 +45,7 @@ _VERBS = {
     "version": "print the versions that matter for a bug report",
 }
 
-_OPERATOR_VERBS = {"arm", "disarm", "estop", "reset", "reload", "why", "events"}
+_OPERATOR_VERBS = {"arm", "disarm", "reset", "reload", "why", "events"}
 
 _EPILOG = """\b
 Exit codes: 0 done, 1 a check answered no, 2 wrong command line, 65 wrong file contents,

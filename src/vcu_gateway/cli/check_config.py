@@ -39,16 +39,17 @@ def summary(config: Config) -> str:
     return "\n".join(
         (
             f"  bus     {bus.interface} {bus.channel}, expected at {bus.bit_rate_bit_s} bit/s",
-            f"  bench   {'no static demand' if demand is None else _in_capitals(demand)}",
+            f"  bench   {'no static demand' if demand is None else _in_capitals(config, demand)}",
             f"  digest  {configuration.digest(config)}",
         )
     )
 
 
-def _in_capitals(demand: BenchDemandSection) -> str:
+def _in_capitals(config: Config, demand: BenchDemandSection) -> str:
+    power_w = min(demand.power_limit_w, config.limits.power_limit_max_w)
     direction = "reverse" if demand.motor_reverse else "forward"
     return (
         f"STATIC DEMAND, WHEELS OFF THE GROUND: throttle {demand.throttle_pct:g} %,"
         f" brake {demand.brake_pct:g} %, {demand.power_mode}, {direction},"
-        f" at most {demand.speed_limit_rpm} rpm and {demand.power_limit_w} W"
+        f" at most {demand.speed_limit_rpm} rpm and {power_w} W"
     )

@@ -47,7 +47,7 @@ _PEDALS = (
     click.option(
         "--speed-limit", "speed_limit_rpm", type=float, help="rpm; default: as configured."
     ),
-    click.option("--power-limit", "power_limit_w", type=float, help="W; default: as configured."),
+    click.option("--power-limit", "power_limit_w", type=float, help="W; default: none of its own."),
 )
 
 

@@ -1,4 +1,4 @@
-"""Requests of an operator: arm, disarm, estop, reset, reload, why, events."""
+"""Requests of an operator: arm, disarm, reset, reload, why, events."""
 
 from pathlib import Path
 from typing import Literal
@@ -29,21 +29,6 @@ def disarm(socket_path: Path | None, as_json: bool) -> None:
     with connected(socket_path) as client:
         granted = client.disarm()
     show(granted, as_json, lambda: granted["mode"])
-
-
-_AFTER_ESTOP = "power cut; when it is safe again: vcu-gateway reset --level service"
-
-
-@click.command("estop")
-@api_options
-def estop(socket_path: Path | None, as_json: bool) -> None:
-    """Emergency stop: cut the power of both controllers in the next tick.
-
-    Every user who can open the socket may do this. It ends with a reset at service level.
-    """
-    with connected(socket_path) as client:
-        granted = client.estop()
-    show(granted, as_json, lambda: _AFTER_ESTOP)
 
 
 @click.command("reset")

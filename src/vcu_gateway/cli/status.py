@@ -16,16 +16,18 @@ def command(socket_path: Path | None, as_json: bool, check: bool) -> None:
     """Print mode, reasons, demand, bus, ticks and commands of the running gateway."""
     with connected(socket_path) as client:
         why, health, state = client.why(), client.health(), client.state(())
-    summary = {"why": why, "health": health, "commands": state["commands"]}
+    stop = state.get("stop")  # an older gateway does not tell it
+    summary = {"why": why, "health": health, "commands": state["commands"], "stop": stop}
     show(summary, as_json, lambda: "\n".join(_lines(why, health, state)))
     if check and why["mode"] not in ("standby", "active"):
         sys.exit(1)
 
 
 def _lines(why: results.Why, health: results.Health, state: results.State) -> list[str]:
-    commands = state["commands"].items()
+    commands, stop = state["commands"].items(), state.get("stop")
     facts = {
         "mode": why["mode"],
+        **({} if stop is None else {"stop": stop["sentence"]}),
         "why": why["sentence"],
         "demand": _demand(why["demand"]),
         **{str(name): _command(command) for name, command in commands},
@@ -57,14 +59,18 @@ def _demand(demand: results.DemandState | None) -> str:
     return f"{demand['source']}, {duration(demand['age_ms'])} old, {fresh}"
 
 
-def _command(command: results.SentCommand) -> str:
+def _command(command: results.ControllerCommand) -> str:
     mode = "POWER CUT" if command["power_cut"] else command["power_mode"]
     return (
         f"throttle {command['throttle_pct']:.1f} %  brake {command['brake_pct']:.1f} %  {mode}"
         f"  {'reverse' if command['motor_reverse'] else 'forward'}"
         f"  {command['speed_limit_rpm']:.0f} rpm  {command['power_limit_w']:.0f} W"
-        f"  {command['frame'] or 'silent'}"
+        f"  {_sent(command['sent'])}"
     )
+
+
+def _sent(frame: results.CarriedFrame | None) -> str:
+    return "nothing sent" if frame is None else f"{frame['frame']} {duration(frame['age_ms'])} ago"
 
 
 def _bus(health: results.Health) -> str:

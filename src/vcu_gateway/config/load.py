@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway.config.model import IDENTIFIER_KEYS, Config, ConfigSource
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W
 from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.problems import FileProblem, problems
@@ -15,6 +16,8 @@ _DEMAND_LIMITS = {
     "speed_limit_rpm": "speed_limit_max_rpm",
     "power_limit_w": "power_limit_max_w",
 }
+# A demand of the highest power sets no limit of its own.
+_NO_LIMIT = {"power_limit_w": POWER_LIMIT_HIGHEST_W}
 
 
 def load(path: Path) -> Config:
@@ -47,7 +50,7 @@ def _checked(config: Config | None, findings: list[FileProblem], source: ConfigS
 
 
 def _resolved(config: Config, folder: Path) -> Config:
-    """The effective values: the DBC's whole path, and the maxima where a demand has no limit."""
+    """The effective values: the DBC's whole path, and the highest speed where a demand has none."""
     update: dict[str, object] = {}
     dbc = config.protocol.dbc
     if dbc is not None:
@@ -56,11 +59,10 @@ def _resolved(config: Config, folder: Path) -> Config:
         ttl_ms = min(config.demand.ttl_default_ms, config.demand.ttl_max_ms)
         update["demand"] = config.demand.model_copy(update={"ttl_default_ms": ttl_ms})
     demand = config.bench.demand
-    if demand is not None:
-        unset = _DEMAND_LIMITS.keys() - demand.model_fields_set
-        limits = {name: getattr(config.limits, _DEMAND_LIMITS[name]) for name in unset}
+    if demand is not None and "speed_limit_rpm" not in demand.model_fields_set:
+        speed = {"speed_limit_rpm": config.limits.speed_limit_max_rpm}
         update["bench"] = config.bench.model_copy(
-            update={"demand": demand.model_copy(update=limits)}
+            update={"demand": demand.model_copy(update=speed)}
         )
     return config.model_copy(update=update)
 
@@ -77,7 +79,7 @@ def _contradictions(config: Config) -> Iterator[FileProblem]:
     demand = config.bench.demand
     for name, maximum in _DEMAND_LIMITS.items() if demand is not None else ():
         asked, largest = getattr(demand, name), getattr(config.limits, maximum)
-        if asked > largest:
+        if asked > largest and asked != _NO_LIMIT.get(name):
             what = f"must be at most {largest} {validation.unit(name)}, not {asked}"
             remedy = f"limits.{maximum} says so"
             yield FileProblem(("bench", "demand", name), what, remedy)

@@ -63,8 +63,8 @@ class BenchDemandSection(Section):
         default=POWER_LIMIT_HIGHEST_W,
         ge=0,
         le=POWER_LIMIT_HIGHEST_W,
-        description="Motor power limit; at most limits.power_limit_max_w, which is also the"
-        " default where that is lower.",
+        description="Motor power limit; at most limits.power_limit_max_w, or 60000, which sets"
+        " no limit of its own.",
     )
 
 

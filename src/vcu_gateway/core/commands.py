@@ -24,6 +24,7 @@ from vcu_gateway.units import NS_PER_S
 _SPEED_LIMIT_MIN_RPM = 500.0
 _FULL_PCT = 100.0
 _HIGHEST_RPM = math.inf
+_RISING = (PowerMode.SAFETY, PowerMode.ECO, PowerMode.NORMAL, PowerMode.TURBO)
 
 
 class Command(NamedTuple):
@@ -164,10 +165,12 @@ class Commander:
         now_ns: int,
         *,
         regenerates: bool,
+        released: bool,
     ) -> Mapping[str, Command]:
         """The demand in ACTIVE, through pedals, direction interlock, limits and slew.
 
-        `regenerates` is True where both motors turn fast enough for regeneration.
+        `regenerates` is True where both motors turn fast enough for regeneration, `released` where
+        the throttle last sent to each was below 5 %.
         """
         held = self._step(settings, demanded, now_ns)
         self._move_ramps(effects, settings)
@@ -183,6 +186,7 @@ class Commander:
                 reverse=demanded[name].motor_reverse if change else last.motor_reverse,
                 throttle_max_pct=0.0 if held else last.throttle_pct + rise_pct,
                 regenerates=regenerates and Effect.REGEN_OFF not in effects,
+                released=released,
             )
         return self._decided(commands)
 
@@ -196,12 +200,15 @@ class Commander:
         reverse: bool,
         throttle_max_pct: float,
         regenerates: bool,
+        released: bool,
     ) -> Command:
-        ramps = self._ramps[name]
-        if demanded.power_mode is PowerMode.SAFETY:
+        ramps, power_mode = self._ramps[name], strictest_mode(demanded.power_mode, effects)
+        if not released:
+            power_mode = lower_mode(power_mode, self.last[name].power_mode)
+        if power_mode is PowerMode.SAFETY:
             throttle_max_pct = 0.0
         return Command(
-            power_mode=strictest_mode(demanded.power_mode, effects),
+            power_mode=power_mode,
             motor_reverse=reverse,
             regen_brake=demanded.regen_brake and regenerates,
             throttle_pct=min(demanded.throttle_pct, throttle_max_pct),
@@ -245,8 +252,29 @@ class Commander:
         self._sent_speed_limit_rpm[controller] = self.last[controller].speed_limit_rpm
 
     def not_sent(self, controller: str) -> None:
-        """The bus did not take this command: the one before it still counts."""
-        self.last = {**self.last, controller: self._before[controller]}
+        """The bus did not take this command: the one before it still counts.
+
+        A PowerMode that the other controller was sent did not rise for both, so it falls again.
+        """
+        last = {name: self._without_rise(name) for name in self.last}
+        self.last = {**last, controller: self._before[controller]}
+
+    def _without_rise(self, name: str) -> Command:
+        last, before = self.last[name], self._before[name]
+        return last._replace(power_mode=lower_mode(last.power_mode, before.power_mode))
+
+    def waiting_modes(
+        self, demanded: ControllerDemands, effects: frozenset[Effect]
+    ) -> Mapping[str, PowerMode]:
+        """PowerMode of each controller in which a higher one waits for released throttle."""
+        waiting: dict[str, PowerMode] = {}
+        for name, last in self.last.items():
+            if demanded[name].power_mode is last.power_mode:
+                continue
+            wanted = strictest_mode(demanded[name].power_mode, effects)
+            if lower_mode(wanted, last.power_mode) is not wanted:
+                waiting[name] = last.power_mode
+        return waiting
 
     def _move_ramps(self, effects: frozenset[Effect], settings: Settings) -> None:
         """Limits go to their targets along their slews, REGEN_OFF at once.
@@ -284,6 +312,11 @@ def moved(limit: float, commanded: float, target: float, step: float) -> float:
     if target >= limit:
         return min(target, limit + step)
     return max(target, min(limit, commanded) - step)
+
+
+def lower_mode(one: PowerMode, other: PowerMode) -> PowerMode:
+    """The power mode of two that allows less."""
+    return min(one, other, key=_RISING.index)
 
 
 def strictest_mode(demanded: PowerMode, effects: frozenset[Effect]) -> PowerMode:

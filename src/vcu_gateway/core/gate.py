@@ -12,6 +12,9 @@ from functools import cached_property
 _MODE_MASK, _MODE_SAFETY = 0b0000_1100, 0b0000_1100
 _REVERSE, _REGEN = 0x10, 0x20
 _UNUSED = 0b0100_0011
+# Safety allows least, then eco, normal, turbo.
+_RISING = (0b1100, 0b0000, 0b0100, 0b1000)
+_RELEASED_RAW = 12
 
 _LENGTH = 8
 _SPEED_LIMIT_MIN_RPM = 500
@@ -149,9 +152,18 @@ class Gate:
             before = None if sent is None else _word(sent.data, 6)
             if not _falls(power, before, limits.power_step_w):
                 return "power_limit"
+        if self._power_mode_rises(data, sent):
+            return "power_mode_rise"
         if data[0] & _REGEN and self._too_slow_to_regenerate(speeds_rpm):
             return "regeneration"
         return self._throttle_fault(data, sent, now_ns) if data[1] else None
+
+    def _power_mode_rises(self, data: bytes, sent: _Sent | None) -> bool:
+        """True where PowerMode rises although a slot's last frame had throttle."""
+        before = 0 if sent is None else _mode_rank(sent.data)
+        if _mode_rank(data) <= before:
+            return False
+        return any(one.data[1] > _RELEASED_RAW for one in self._sent.values())
 
     def _throttle_fault(self, data: bytes, sent: _Sent | None, now_ns: int) -> str | None:
         if data[0] & _MODE_MASK == _MODE_SAFETY:
@@ -185,6 +197,10 @@ class Gate:
         earned_pct = self.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
         # Codes are rounded to the nearest: half a bit up now, half a bit down before.
         return sent.data[1] + earned_pct / _PERCENT_PER_BIT + 1
+
+
+def _mode_rank(data: bytes) -> int:
+    return _RISING.index(data[0] & _MODE_MASK)
 
 
 def _is_safe(data: bytes) -> bool:

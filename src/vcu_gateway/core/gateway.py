@@ -30,13 +30,13 @@ All of it belongs to one thread, the ticking one; any thread may read `snapshot`
 `link`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core import freshness, motor_speeds, rules, why
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
-from vcu_gateway.core.demand import GRANTED, RequestResult
+from vcu_gateway.core.demand import GRANTED, ControllerDemands, RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.lifecycle import (
@@ -58,8 +58,9 @@ from vcu_gateway.core.receive import OWN_NODE, FrameCounters, Receiver
 from vcu_gateway.core.rule_inputs import InputCollector
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.snapshot import Snapshot
+from vcu_gateway.core.stop import Stop, StopWatch
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Stimulus
-from vcu_gateway.core.transmit import OutFrame, Transmitter
+from vcu_gateway.core.transmit import OutFrame, TakenFrame, Transmitter
 from vcu_gateway.core.why import Explanation, Reasons
 from vcu_gateway.units import NS_PER_MS
 
@@ -109,6 +110,7 @@ class Gateway:
         self._speeds = motor_speeds.UNKNOWN
         self._qualification = Qualification()
         self._shutdown = Shutdown()
+        self._stop_watch = StopWatch(self.transmitter.power_cut_bits())
         self._snapshot = self.snapshot(now_ns)
 
     def receive(self, frame: Frame) -> None:
@@ -145,11 +147,16 @@ class Gateway:
         if cut_reason is not None:
             self._modes.apply(Stimulus.CUT, self._snapshot.now_ns, cut_reason)
 
+    def restart_state_tried(self, failure: str | None) -> None:
+        """Whether the restart state was kept when that was last tried: why not, or None."""
+        self.requests.restart_state_failure = failure
+
     def sent(self, frame: OutFrame, ok: bool, now_ns: int) -> None:
         """Whether the bus took a frame of the last tick."""
         if ok:
             self.transmitter.note_sent(frame, now_ns)
             self._commander.note_sent(frame.controller)
+            self._stop_watch.note_sent(frame.controller, frame.data, now_ns)
         else:
             self._commander.not_sent(frame.controller)
             self._shutdown.note_unsent()
@@ -174,9 +181,29 @@ class Gateway:
         return self.supervisor.latch
 
     @property
+    def _latched_cut(self) -> LatchedFault | None:
+        return self.latch if self.supervisor.power_is_cut else None
+
+    def stop(self, now_ns: int) -> Stop | None:
+        """What is known of the latched CUT; None where none is latched."""
+        if self._latched_cut is None:
+            return None
+        return self._stop_watch.judged(self._snapshot, now_ns)
+
+    @property
     def link(self) -> LinkStatus:
         """State of the bus as far as it is known."""
         return self.receiver.monitor.link
+
+    @property
+    def taken(self) -> Mapping[str, TakenFrame]:
+        """The last frame that the kernel took for each controller; from any thread."""
+        return self.transmitter.taken
+
+    @property
+    def echoes(self) -> Mapping[str, Frame]:
+        """The last frame to each controller that came back from the bus; from any thread."""
+        return self.receiver.echoes
 
     @property
     def counters(self) -> FrameCounters:
@@ -213,7 +240,8 @@ class Gateway:
         sent, late_ns = self.transmitter.history, modes.judge_lateness(now_ns)
         snapshot = self._snapshot = self.receiver.store.take(now_ns)
         emergency_stop, requests.emergency_stop_requested = requests.emergency_stop_requested, False
-        inputs = self._collector.collect(snapshot, settings, late_ns, emergency_stop)
+        failure = requests.restart_state_failure if self.mode is Mode.ACTIVE else None
+        inputs = self._collector.collect(snapshot, settings, late_ns, emergency_stop, failure)
         if inputs.foreign_sender is not None or inputs.link.state is LinkState.LOST:
             self._listening.again(now_ns)  # without a bus no other sender is heard
         talking = self._listening.over or self._listening.update(now_ns)
@@ -221,6 +249,7 @@ class Gateway:
             self._commander.take_over(echoed_directions(snapshot, sent.unsent))
         modes.update(rules.findings(inputs), settings.clear_hold_ms * NS_PER_MS, now_ns)
         self._supervise(snapshot, settings)
+        self._stop_watch.follow(self._latched_cut, self.receiver.echoes)
         self._speeds = motor_speeds.of(snapshot, inputs.observed)
         commands = self._decide(settings, now_ns)
         frames = self._frames(commands, now_ns) if talking else ()
@@ -258,7 +287,13 @@ class Gateway:
         slow = motor_speeds.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
         if mode is Mode.ACTIVE and demanded is not None:
             return self._commander.active(
-                demanded, effects, slow, settings, now_ns, regenerates=regenerates
+                demanded,
+                effects,
+                slow,
+                settings,
+                now_ns,
+                regenerates=regenerates,
+                released=self.transmitter.history.released,
             )
         if mode is Mode.STANDBY:
             return self._commander.settle(demanded, effects, slow, settings, now_ns)
@@ -300,12 +335,22 @@ class Gateway:
             refusal,
         )
 
+    def _power_mode_waits(self, demanded: ControllerDemands | None) -> Iterable[str]:
+        """What a PowerMode in ACTIVE waits for; without throttle it rises in the next tick."""
+        if demanded is None or self.supervisor.mode is not Mode.ACTIVE:
+            return ()
+        waiting = self._commander.waiting_modes(demanded, self.causes.effects())
+        if not waiting or self.transmitter.history.released:
+            return ()
+        return why.power_mode_waits(waiting)
+
     def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:
             return [LISTENING]
         if self.supervisor.mode in (Mode.STANDBY, Mode.ACTIVE):
             demanded = self.requests.demanded(now_ns)
-            return why.waits(self._commander, demanded, self._speeds.highest_rpm, self.settings)
+            waits = why.waits(self._commander, demanded, self._speeds.highest_rpm, self.settings)
+            return [*waits, *self._power_mode_waits(demanded)]
         if self.supervisor.mode is not Mode.STARTING:
             return []
         waits = list(self._qualification.missing(self._snapshot, self.settings))

@@ -82,6 +82,16 @@ class BeginInput(NamedTuple):
         gateway.begin_from(self.cut_reason, self.reverse)
 
 
+class RestartStateInput(NamedTuple):
+    """`Gateway.restart_state_tried`."""
+
+    failure: str | None
+
+    def apply(self, gateway: Gateway) -> None:
+        """Make the call."""
+        gateway.restart_state_tried(self.failure)
+
+
 class OfferInput(NamedTuple):
     """`OperatorRequests.offer`."""
 
@@ -190,6 +200,7 @@ CoreInput = (
     | CarrierInput
     | RestartsInput
     | BeginInput
+    | RestartStateInput
     | OfferInput
     | EndDemandInput
     | ArmInput

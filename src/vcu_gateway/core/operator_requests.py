@@ -46,6 +46,7 @@ class RequestInputs(NamedTuple):
         independent_directions: the controllers may have two directions.
         listening: another sender of the gateway's frames may still be heard.
         restarts: unexpected restarts of the gateway in this drive.
+        restart_state_failure: why the restart state could not be kept; None where it was.
     """
 
     supervisor: Supervisor
@@ -56,6 +57,7 @@ class RequestInputs(NamedTuple):
     independent_directions: bool
     listening: bool
     restarts: int
+    restart_state_failure: str | None
 
 
 class OperatorRequests:
@@ -67,6 +69,7 @@ class OperatorRequests:
         emergency_stop_requested: since the last tick.
         terminating: the gateway is to send safe frames and end.
         restarts: unexpected restarts of this gateway in this drive.
+        restart_state_failure: why the restart state could not be kept when that was last tried.
     """
 
     def __init__(
@@ -81,6 +84,7 @@ class OperatorRequests:
         self.emergency_stop_requested = False
         self.terminating = False
         self.restarts = 0
+        self.restart_state_failure: str | None = None
         self._modes = modes
         self._commander = commander
         self._listening = listening
@@ -171,6 +175,7 @@ class OperatorRequests:
             independent_directions=self.terms.independent_directions,
             listening=not self._listening.over,
             restarts=self.restarts,
+            restart_state_failure=self.restart_state_failure,
         )
 
     def demanded(self, now_ns: int) -> ControllerDemands | None:
@@ -208,6 +213,8 @@ def arming_refusal(inputs: RequestInputs) -> str:
         return LISTENING
     if inputs.supervisor.mode is not Mode.STANDBY:
         return f"arming needs standby, the mode is {inputs.supervisor.mode.value}"
+    if inputs.restart_state_failure is not None:
+        return f"the restart state cannot be kept: {inputs.restart_state_failure}"
     return _blocking_cause(inputs.causes) or _against_demand(inputs)
 
 

@@ -43,6 +43,7 @@ class Receiver:
         store: the latest message of each kind.
         rejected: frames not decoded, by reason.
         confirmed: own command frames that came back because they had left, by controller.
+        echoes: the last of them, by controller.
         foreign_commands: command frames from another sender, by controller; one to all counts for
             each.
         command_groups: controllers by the `j1939.group_key` of what commands them.
@@ -61,6 +62,7 @@ class Receiver:
         self.command_groups = _command_groups(own_ids)
         self.rejected = dict.fromkeys(Reason, 0)
         self.confirmed = dict.fromkeys(CONTROLLERS, 0)
+        self.echoes: dict[str, Frame] = {}
         self.foreign_commands = dict.fromkeys(CONTROLLERS, 0)
         self.foreign_count = 0
         self.foreign_id: int | None = None
@@ -91,6 +93,7 @@ class Receiver:
     def _receive_command(self, controller: str, frame: Frame) -> None:
         if frame.own_echo:
             self.confirmed[controller] += 1
+            self.echoes[controller] = frame
         else:
             self.foreign_id = frame.can_id
             self.foreign_commands[controller] += 1

@@ -28,6 +28,7 @@ class RuleInputs(NamedTuple):
         foreign_sender: identifier of a command that another node sent since the last tick.
         emergency_stop: requested since the last tick.
         blocked_by_gate: what the gate blocked in the last tick.
+        restart_state_failure: why the restart state could not be kept in ACTIVE.
     """
 
     snapshot: Snapshot
@@ -44,6 +45,7 @@ class RuleInputs(NamedTuple):
     foreign_sender: int | None = None
     emergency_stop: bool = False
     blocked_by_gate: str | None = None
+    restart_state_failure: str | None = None
 
 
 class InputCollector:
@@ -65,7 +67,12 @@ class InputCollector:
         self._foreign_before = 0
 
     def collect(
-        self, snapshot: Snapshot, settings: Settings, tick_late_ns: int, emergency_stop: bool
+        self,
+        snapshot: Snapshot,
+        settings: Settings,
+        tick_late_ns: int,
+        emergency_stop: bool,
+        restart_state_failure: str | None,
     ) -> RuleInputs:
         """The inputs of a tick at the time of this snapshot; once a tick."""
         receiver, monitor, sent = self._receiver, self._receiver.monitor, self._history
@@ -88,4 +95,5 @@ class InputCollector:
             foreign_sender=receiver.foreign_id if foreign > before else None,
             emergency_stop=emergency_stop,
             blocked_by_gate=blocked,
+            restart_state_failure=restart_state_failure,
         )

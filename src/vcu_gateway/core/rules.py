@@ -25,6 +25,8 @@ _LATE_MAX_PERIODS = 4
 _LIFE_LIMIT_REPEATS = 1
 _LIFE_STOP_REPEATS = 2
 
+EMERGENCY_STOP = Finding("emergency_stop", "emergency stop", Effect.CUT, "requested")
+
 Rule = Callable[[RuleInputs], Sequence[Finding]]
 
 
@@ -206,7 +208,7 @@ def emergency_stop(inputs: RuleInputs) -> Sequence[Finding]:
     """Emergency stop requested."""
     if not inputs.emergency_stop:
         return ()
-    return [Finding("emergency_stop", "emergency stop", Effect.CUT, "requested")]
+    return [EMERGENCY_STOP]
 
 
 def gate_blocked(inputs: RuleInputs) -> Sequence[Finding]:
@@ -217,6 +219,14 @@ def gate_blocked(inputs: RuleInputs) -> Sequence[Finding]:
 def blocked(rule: str) -> Finding:
     """The finding of a frame that breaks this rule of the gate."""
     return Finding("gate", "gate", Effect.STOP, rule, latches=True)
+
+
+def restart_state(inputs: RuleInputs) -> Sequence[Finding]:
+    """Restart state not kept: a restart in this drive begins without it."""
+    failure = inputs.restart_state_failure
+    if failure is None:
+        return ()
+    return [Finding("restart_state", "restart state", Effect.ALARM, f"not kept ({failure})")]
 
 
 def _milliseconds(duration_ns: int) -> str:
@@ -245,6 +255,7 @@ _OF_THE_GATEWAY: tuple[Rule, ...] = (
     tick_late,
     emergency_stop,
     gate_blocked,
+    restart_state,
 )
 
 RULES: tuple[Rule, ...] = (*_OF_MESSAGES, *_OF_DEVIATIONS, *_OF_THE_GATEWAY)
@@ -274,4 +285,5 @@ def _is_odd(inputs: RuleInputs) -> bool:
         or inputs.tick_late_ns > inputs.period_ns
         or inputs.emergency_stop
         or inputs.blocked_by_gate is not None
+        or inputs.restart_state_failure is not None
     )

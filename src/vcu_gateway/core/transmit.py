@@ -20,12 +20,20 @@ class OutFrame(NamedTuple):
     data: bytes
 
 
+class TakenFrame(NamedTuple):
+    """A command frame that the kernel took."""
+
+    frame: OutFrame
+    at_ns: int
+
+
 class Transmitter:
     """Encoder and gate of both controllers' frames.
 
     Attributes:
         gate: the last check of every frame.
-        history: the frames that the bus took.
+        history: values of the frames that the bus took.
+        taken: the last of these frames, by controller.
     """
 
     def __init__(self, codec: Codec, settings: Settings) -> None:
@@ -43,6 +51,7 @@ class Transmitter:
         self._direction_byte, self._reverse = direction // 8, 1 << direction % 8
         self.gate = Gate(self._limits(settings))
         self.history = SentHistory(CONTROLLERS)
+        self.taken: dict[str, TakenFrame] = {}
 
     def _limits(self, settings: Settings) -> GateLimits:
         return GateLimits(
@@ -57,6 +66,11 @@ class Transmitter:
             regen_min_rpm=settings.regen_min_rpm,
             independent_directions=settings.independent_directions,
         )
+
+    def power_cut_bits(self) -> Mapping[str, tuple[int, int]]:
+        """Byte and mask of POWER_CUT in each controller's command."""
+        starts = {name: one.spec.signal("PowerCut").start_bit for name, one in self._codecs.items()}
+        return {name: (start // 8, 1 << start % 8) for name, start in starts.items()}
 
     def reload(self, settings: Settings) -> None:
         """Hold frames against new limits from now on."""
@@ -99,12 +113,14 @@ class Transmitter:
         """Record a frame that the bus took."""
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
         reverse = frame.data[self._direction_byte] & self._reverse != 0
+        self.taken[frame.controller] = TakenFrame(frame, now_ns)
         self.gate.sent(CONTROLLERS.index(frame.controller), frame.data, now_ns)
         self.history.note_sent(frame.controller, SentValues(now_ns, throttle_pct, reverse))
 
 
 # The echo is held against a second or so before a Status1 that may be 1.6 s old.
 _HISTORY_FRAMES = 80
+_RELEASED_PCT = 5.0
 
 
 class SentValues(NamedTuple):
@@ -136,6 +152,14 @@ class SentHistory:
         """A frame was handed to the bus."""
         self.frames[controller].append(sent)
         self.begun = self.begun or all(self.frames.values())
+
+    @property
+    def released(self) -> bool:
+        """The throttle last sent to each controller was below 5 %."""
+        for sent in self.frames.values():
+            if not sent or sent[-1].throttle_pct >= _RELEASED_PCT:
+                return False
+        return True
 
     @property
     def unsent(self) -> list[str]:

@@ -1,5 +1,6 @@
 """Explanation of the gateway's state, as a value and as one line."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, HeldCause
@@ -248,6 +249,17 @@ def waits(
     if safety:
         found.append(f"throttle 0 in power mode safety ({' and '.join(safety)})")
     return found
+
+
+def power_mode_waits(waiting: Mapping[str, PowerMode]) -> list[str]:
+    """Power modes, by controller, that cannot rise yet."""
+    names: dict[PowerMode, list[str]] = {}
+    for name, mode in waiting.items():
+        names.setdefault(mode, []).append(name)
+    return [
+        f"power mode {mode.name.lower()} until the throttle is below 5 % ({' and '.join(some)})"
+        for mode, some in names.items()
+    ]
 
 
 def _turning(

@@ -30,7 +30,7 @@ class LoggedEvent:
 
 
 class EventLog:
-    """The latest events; an event that happens again with the same fields is counted.
+    """The latest events; one that happens again with the same severity and fields is counted.
 
     Belongs to the ticking thread.
 
@@ -39,7 +39,7 @@ class EventLog:
     """
 
     def __init__(self) -> None:
-        self._entries: OrderedDict[tuple[str, str], LoggedEvent] = OrderedDict()
+        self._entries: OrderedDict[tuple[str, int, str], LoggedEvent] = OrderedDict()
         self._sinks: list[Sink] = []
         self.forgotten = 0
 
@@ -51,7 +51,7 @@ class EventLog:
         """Hand an event to every sink and keep it."""
         for sink in self._sinks:
             sink(event)
-        key = (event.name, repr(sorted(event.fields.items())))
+        key = (event.name, event.severity, repr(sorted(event.fields.items())))
         now_ns, wall_s = time.monotonic_ns(), time.time()
         entry = self._entries.get(key)
         if entry is None:

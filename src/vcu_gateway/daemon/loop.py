@@ -8,9 +8,11 @@ from typing import NamedTuple
 
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.reconnect import Reconnector
+from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
+from vcu_gateway.core.stop import Stop
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Explanation, Reasons, explained
 from vcu_gateway.daemon import realtime
@@ -19,6 +21,8 @@ from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.link_events import LinkEvents
 from vcu_gateway.daemon.log import log
 from vcu_gateway.daemon.processor_time import ProcessorTime
+from vcu_gateway.daemon.restart_state import RestartState
+from vcu_gateway.daemon.stop_events import StopEvents
 from vcu_gateway.daemon.work_queue import WorkQueue
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
@@ -38,6 +42,7 @@ class LastTick(NamedTuple):
     Attributes:
         reasons: as they were at `explained_ns`, when the demand was `demand_age_ns` old.
         why_signature: the same object as long as the same is to be said.
+        stop: what was known then of the latched CUT; None where none was latched.
     """
 
     result: TickResult
@@ -45,6 +50,7 @@ class LastTick(NamedTuple):
     why_signature: tuple[object, ...]
     explained_ns: int
     demand_age_ns: int | None
+    stop: Stop | None
 
     @classmethod
     def explained(
@@ -57,7 +63,7 @@ class LastTick(NamedTuple):
         else:
             signature = reasons.signature()
         age_ns = gateway.requests.arbiter.age_ns(now_ns)
-        return cls(result, reasons, signature, now_ns, age_ns)
+        return cls(result, reasons, signature, now_ns, age_ns, gateway.stop(now_ns))
 
     @property
     def why(self) -> Explanation:
@@ -97,7 +103,9 @@ class TickLoop:
         self.event_log = EventLog()
         self.reconnector = Reconnector(connection, reopen_ms)
         self._link_events = LinkEvents(gateway, connection, self.reconnector, self.event_log)
+        self._stop_events = StopEvents(self.event_log)
         self.latest: LastTick | None = None
+        self._restart_state: RestartState | None = None
         self._on_hangup: Callable[[], None] | None = None
         self._last_why: tuple[object, ...] = ()
 
@@ -108,6 +116,19 @@ class TickLoop:
     def add_observer(self, observer: Observer) -> None:
         """Call this after each tick, on the ticking thread; what it raises ends the loop."""
         self._observers.append(observer)
+
+    def keep(self, restart_state: RestartState) -> None:
+        """Keep the restart state from now on."""
+        self._restart_state = restart_state
+        self.add_observer(restart_state.observe)
+
+    def emergency_stop(self) -> RequestResult:
+        """Emergency stop of the gateway, kept before it is answered."""
+        answer = self.gateway.requests.emergency_stop()
+        if self._restart_state is not None:
+            left_ns = self.schedule.next_deadline_ns - time.monotonic_ns()
+            self._restart_state.keep_emergency_stop(left_ns)
+        return answer
 
     def handle_signals(self, on_hangup: Callable[[], None] | None = None) -> None:
         """SIGTERM and SIGINT end the loop, SIGHUP calls `on_hangup`; only in the main thread."""
@@ -185,6 +206,8 @@ class TickLoop:
         now_ns = time.monotonic_ns()
         self._link_events.before_tick(now_ns)
         result = gateway.tick(now_ns)
+        if self._restart_state is not None:
+            self._restart_state.before_sending()
         for frame in result.frames:
             gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
         self.schedule.left(time.monotonic_ns())
@@ -221,6 +244,7 @@ class TickLoop:
             self.event_log.emit(event)
         now_ns = result.snapshot.now_ns
         latest = self.latest = LastTick.explained(self.gateway, result, now_ns, self.latest)
+        self._stop_events.after_tick(latest.stop, now_ns)
         if latest.why_signature != self._last_why:
             self._last_why = latest.why_signature
             log.info("why", sentence=latest.why.sentence())

@@ -8,6 +8,8 @@ import contextlib
 import json
 import os
 import stat
+import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,16 +19,24 @@ from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.rules import EMERGENCY_STOP
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.core.supervisor import FaultClass
+from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.daemon.boot_files import HIDDEN, boot_id, write_whole
 from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _BEFORE = "before this start: "
 _NAMESPACE = Path("/proc/self/ns/net")
 _RUN = Path("/run/vcu-gateway")
 _TEMPORARY = Path("/tmp")  # noqa: S108 - the folder in it is looked at before it is used
 _NOT_MINE = 0o077
+# Longer than this no stop waits: its frames go first.
+_QUICK_NS = 2 * NS_PER_MS
+# A thread that waited for its processor once makes no slow disk.
+_MEASURED_WRITES = 3
+_TRY_EVERY_NS = NS_PER_S
+_NO_FOLDER = "no folder for it can be written by this user alone"
 
 
 class KeptState(NamedTuple):
@@ -47,8 +57,11 @@ NOTHING = KeptState(None, {})
 class RestartState:
     """The file of one bus: the boot's number, then the state as one line of JSON.
 
-    Written by the ticking thread when it changes; it stays after an orderly end. `others` are
-    folders in which another run of the gateway may have left a latched CUT for the same bus.
+    Written by the ticking thread when it changes, and each second outside ACTIVE: the gateway is
+    told whether that works, and is not armed where it does not. A CUT is written before its first
+    frame, an emergency stop when it is granted, where by the last writes that delays no frame. The
+    file stays after an orderly end. `others` are folders in which another run of the gateway may
+    have left a latched CUT for the same bus.
 
     Attributes:
         path: None where nothing is kept.
@@ -68,15 +81,16 @@ class RestartState:
         self._elsewhere = [other / name for other in others]
         self._gateway = gateway
         self._event_log = event_log
-        self._written = self._now = NOTHING
-        self._failure_reported = False
+        self._written = self._now = self._tried = NOTHING
+        self._tried_ns = 0
+        self._took_ns: deque[int] = deque(maxlen=_MEASURED_WRITES)
+        self._failure: str | None = None
+        self._told: str | None = None
 
     def begin(self) -> None:
         """Hand the gateway what the last process of this boot left; before the first tick."""
         kept = NOTHING
-        if self.path is None:
-            self._warn_that_nothing_is_kept()
-        else:
+        if self.path is not None:
             self._written = self._now = kept = read(self.path)
         found = [(path, read(path).cut) for path in self._elsewhere]
         if self.path is not None:
@@ -87,12 +101,30 @@ class RestartState:
         for path, cut in cuts:
             fields = {"file": str(path), "reason": cut}
             self._event_log.emit(Event("cut_kept", Severity.CRITICAL, fields))
+        if self.path is not None:
+            self._write(self.path, kept)
+        elif self._settings.interface != "virtual":
+            self._fail(file_name(self._settings.channel), _NO_FOLDER)
+        self._tell()
 
-    def _warn_that_nothing_is_kept(self) -> None:
-        if self._settings.interface != "virtual":
-            reason = "no folder for it can be written by this user alone"
-            fields = {"file": file_name(self._settings.channel), "reason": reason}
-            self._event_log.emit(Event("restart_state_unwritten", Severity.WARNING, fields))
+    def keep_emergency_stop(self, left_ns: int) -> None:
+        """Keep a CUT that was granted, and is not answered yet; its tick is due in `left_ns`."""
+        if self.path is None or self._written.cut is not None:
+            return
+        if self._takes_less_than(max(left_ns, _QUICK_NS)):
+            self._write(self.path, self._now._replace(cut=str(EMERGENCY_STOP)))
+
+    def before_sending(self) -> None:
+        """After a tick's decisions: keep a CUT that it latched."""
+        latched = self._latched()
+        if latched is None or latched == self._written.cut or self.path is None:
+            return
+        if self._takes_less_than(_QUICK_NS):
+            self._write(self.path, self._now._replace(cut=latched))
+
+    def _takes_less_than(self, most_ns: int) -> bool:
+        """By the quickest of the last writes; one that failed may take any time."""
+        return self._failure is None and min(self._took_ns) < most_ns
 
     def observe(self, tick: Tick, result: TickResult) -> None:
         """After each tick."""
@@ -106,8 +138,23 @@ class RestartState:
         if result.frames:
             reverse = {name: one.motor_reverse for name, one in result.commands.items()}
         self._now = KeptState(latched, reverse)
-        if self._now != self._written:
+        now_ns = result.snapshot.now_ns
+        if self._is_due(result.mode, now_ns):
+            self._tried_ns = now_ns
             self._write(self.path, self._now)
+        self._tell()
+
+    def _is_due(self, mode: Mode, now_ns: int) -> bool:
+        """Whether to write: in ACTIVE what is new, once; else also to see whether it works."""
+        if mode is Mode.ACTIVE:
+            return self._now != self._tried
+        return self._now != self._written or now_ns - self._tried_ns >= _TRY_EVERY_NS
+
+    def _tell(self) -> None:
+        """Tell the gateway where keeping the state has come to work, or to fail."""
+        if self._failure != self._told:
+            self._told = self._failure
+            self._gateway.restart_state_tried(self._failure)
 
     def _forget_elsewhere(self) -> None:
         """Delete the files elsewhere after a service reset; one that stays latches again."""
@@ -123,17 +170,24 @@ class RestartState:
         return latch.reason.removeprefix(_BEFORE)
 
     def _write(self, path: Path, state: KeptState) -> None:
-        """Write the state; a failure is one event, and the next tick tries again."""
+        """Write the state, and measure how long that takes."""
+        self._tried = state
         text = json.dumps({"cut": state.cut, "reverse": dict(state.reverse)})
+        began_ns = time.monotonic_ns()
         try:
             write_whole(path, f"{boot_id()}\n{text}\n")
         except OSError as error:
-            if not self._failure_reported:
-                fields = {"file": str(path), "reason": error.strerror}
-                self._event_log.emit(Event("restart_state_unwritten", Severity.WARNING, fields))
-            self._failure_reported = True
+            self._fail(str(path), error.strerror or str(error))
             return
-        self._written, self._failure_reported = state, False
+        self._took_ns.append(time.monotonic_ns() - began_ns)
+        self._written, self._failure = state, None
+
+    def _fail(self, file: str, reason: str) -> None:
+        """Remember the failure; one event, however often it fails."""
+        if self._failure is None:
+            fields = {"file": file, "reason": reason}
+            self._event_log.emit(Event("restart_state_unwritten", Severity.WARNING, fields))
+        self._failure = reason
 
 
 def file_name(channel: str) -> str:

@@ -40,13 +40,13 @@ from vcu_gateway.core.settings import Settings
 _DERIVED: Mapping[str, frozenset[str]] = {
     name: frozenset(attributes.split())
     for name, attributes in {
-        "Gateway": "settings",
-        "Receiver": "_codec _controller_of command_groups",
+        "Gateway": "settings _stop_watch",
+        "Receiver": "_codec _controller_of command_groups echoes",
         "Store": "_specs _stale_after_ns _pickers _indexes",
         # What arrived before the last tick is looked at in that tick alone.
         "Snapshot": "_specs _indexes _pickers _arrived",
         "Transmitter": "_codecs _can_ids _same_layout _throttle _throttle_byte _direction_byte"
-        " _reverse",
+        " _reverse taken",
         "Gate": "limits",
         "InputCollector": "_late_after_ns",
         "ModeManager": "_period_ns",
@@ -54,7 +54,15 @@ _DERIVED: Mapping[str, frozenset[str]] = {
         "OperatorRequests": "terms",
     }.items()
 }
-"""Attributes by class that the codec and the settings give, or that are made again."""
+"""Attributes by class that the codec and the settings give, or that are made again.
+
+What is known of a stop is among these: it decides nothing, and the frames that follow tell it anew.
+"""
+
+_LATER: Mapping[str, Mapping[str, Any]] = {
+    "OperatorRequests": {"restart_state_failure": None},
+}
+"""Attributes by class that came later, with what earlier recordings mean by leaving them out."""
 
 _SCALARS = frozenset({bool, int, str, type(None)})
 
@@ -134,9 +142,13 @@ class _Encoder:
             raise TypeError(f"a checkpoint cannot hold {kind.__module__}.{kind.__name__}")
         if isinstance(one, tuple):
             return {kind.__name__: [encoded(item) for item in one]}
-        return {
-            kind.__name__: {name: encoded(getattr(one, name)) for name in _attributes(kind, one)}
-        }
+        later = _LATER.get(kind.__name__, {})
+        names = [
+            name
+            for name in _attributes(kind, one)
+            if name not in later or getattr(one, name) != later[name]
+        ]
+        return {kind.__name__: {name: encoded(getattr(one, name)) for name in names}}
 
 
 def _sort_key(item: Any) -> str:
@@ -234,6 +246,7 @@ class _Decoder:
     def _fill(self, made: Any, kind: type, content: Any, twin: Any) -> None:
         """Lay the attributes of a state over what the codec and the settings give."""
         expected = _attributes(kind, twin) if twin is not None else _field_names(kind)
+        content = {**_LATER.get(kind.__name__, {}), **content}
         if sorted(content) != expected:
             odd = ", ".join(sorted(set(content).symmetric_difference(expected)))
             raise StateError(f"{kind.__name__} has other attributes in this version: {odd}")

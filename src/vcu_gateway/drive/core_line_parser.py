@@ -108,6 +108,10 @@ def _text(value: Any) -> str:
     return value
 
 
+def _text_or_none(value: Any) -> str | None:
+    return None if value is None else _text(value)
+
+
 def _out_frame(values: Any) -> OutFrame:
     controller, can_id, data = values
     return OutFrame(_text(controller), int(can_id, 16), bytes.fromhex(data))
@@ -148,9 +152,8 @@ def _link_opened(values: Any) -> inputs.LinkOpenedInput:
 
 
 def _begin(values: Any) -> inputs.BeginInput:
-    cut_reason = values["begin_from"]
     reverse = {name: _truth(one) for name, one in values["reverse"].items()}
-    return inputs.BeginInput(None if cut_reason is None else _text(cut_reason), reverse)
+    return inputs.BeginInput(_text_or_none(values["begin_from"]), reverse)
 
 
 def _checkpoint(values: Any) -> Checkpoint:
@@ -190,6 +193,9 @@ _INPUTS: Mapping[str, Callable[[Any], inputs.CoreInput]] = {
     ),
     "restarted": lambda values: inputs.RestartsInput(_number(values["restarted"])),
     "begin_from": _begin,
+    "restart_state": lambda values: inputs.RestartStateInput(
+        _text_or_none(values["restart_state"])
+    ),
     "end_demand": lambda values: inputs.EndDemandInput(
         _text(values["end_demand"]), _number(values["now"])
     ),

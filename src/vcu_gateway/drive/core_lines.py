@@ -155,6 +155,7 @@ _TEXTS: Mapping[type, _Writer] = {
     inputs.BeginInput: lambda one: (
         f'"begin_from":{encoded(one.cut_reason)},"reverse":{encoded(dict(one.reverse))}'
     ),
+    inputs.RestartStateInput: lambda one: f'"restart_state":{encoded(one.failure)}',
     inputs.OfferInput: lambda one: (
         f'"offer":{demand_text(one.demand, one.now_ns)},"now":{one.now_ns}'
     ),

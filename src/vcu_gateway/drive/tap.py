@@ -102,6 +102,11 @@ class TappedGateway(Gateway):
         self.tap.note(inputs.BeginInput(cut_reason, dict(reverse)))
         super().begin_from(cut_reason, reverse)
 
+    def restart_state_tried(self, failure: str | None) -> None:
+        """Note and hand on."""
+        self.tap.note(inputs.RestartStateInput(failure))
+        super().restart_state_tried(failure)
+
     def sent(self, frame: OutFrame, ok: bool, now_ns: int) -> None:
         """Note and hand on."""
         self.tap.note(inputs.SentInput(frame, ok, now_ns))

@@ -99,10 +99,7 @@ class CoreLines:
         # Damaged, or of another version: causes are then known from their next change on.
         with contextlib.suppress(StateError):
             gateway = restore(record.state, self._codec, record.settings)
-            told = gateway.why(record.now_ns)
-            found = [held.finding for held in (*told.blocks, *told.limits, *told.alarms)]
-            causes = [(one.subject, one.effect.value, one.detail) for one in found]
-            self._decisions.stand(self._latest_ns, causes)
+            self._decisions.stand(self._latest_ns, gateway.causes.held)
 
     def _tick(self, now_ns: int, mode: str | None) -> None:
         self._latest_ns = self._wall_ns(now_ns)

@@ -140,9 +140,11 @@ def _causes_at(source: Source) -> Callable[[int, int], str]:
     edges = sorted({edge for span in spans for edge in (span.began_ns, span.ended_ns) if edge})
     texts = [
         "; ".join(
-            f"{span.subject}: {span.effect}"
-            for span in spans
-            if span.began_ns <= edge and (span.ended_ns is None or span.ended_ns > edge)
+            dict.fromkeys(  # two causes may have the same subject and effect
+                f"{span.key.subject}: {span.key.effect}"
+                for span in spans
+                if span.began_ns <= edge and (span.ended_ns is None or span.ended_ns > edge)
+            )
         )
         for edge in edges
     ]

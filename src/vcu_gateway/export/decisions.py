@@ -4,7 +4,9 @@ from array import array
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.drive.cause_spans import CauseSpan, CauseSpans
 from vcu_gateway.time_window import Window
 
 MODES = tuple(mode.value for mode in Mode)
@@ -28,16 +30,6 @@ class DecidedEvent(NamedTuple):
         return ", ".join(f"{key} {value}" for key, value in self.fields.items() if value != "")
 
 
-class CauseSpan(NamedTuple):
-    """Time in which one cause counted; `ended_ns` is None where it did at the end."""
-
-    subject: str
-    effect: str
-    detail: str
-    began_ns: int
-    ended_ns: int | None
-
-
 class Decisions:
     """What the gateway decided inside the window.
 
@@ -55,8 +47,7 @@ class Decisions:
         self.whys: list[tuple[int, str]] = []
         self.gaps: list[tuple[int, str]] = []
         self._window = window
-        self._standing: dict[tuple[str, str], CauseSpan] = {}
-        self._ended: list[CauseSpan] = []
+        self._causes = CauseSpans()
         self._mode = 0
 
     def begin(self, wall_ns: int, mode: str, why: str) -> None:
@@ -77,21 +68,13 @@ class Decisions:
         if self._window.holds(wall_ns) and (not self.whys or self.whys[-1][1] != sentence):
             self.whys.append((wall_ns, sentence))
 
-    def stand(self, wall_ns: int, causes: Iterable[tuple[str, str, str]]) -> None:
-        """Causes that count at a checkpoint: (subject, effect, detail) of each."""
-        found = {(subject, effect): detail for subject, effect, detail in causes}
-        for key in [key for key in self._standing if key not in found]:
-            self._end(key, wall_ns)
-        for (subject, effect), detail in found.items():
-            self._begin(subject, effect, detail, wall_ns)
+    def stand(self, wall_ns: int, held: Iterable[HeldCause]) -> None:
+        """Causes that count at a checkpoint."""
+        self._causes.stand(held, wall_ns)
 
     def event(self, event: DecidedEvent) -> None:
         """One event; those of causes make their spans."""
-        fields = {name: str(event.fields.get(name, "")) for name in ("subject", "effect", "detail")}
-        if event.name == "cause_began":
-            self._begin(fields["subject"], fields["effect"], fields["detail"], event.wall_ns)
-        elif event.name == "cause_ended":
-            self._end((fields["subject"], fields["effect"]), event.wall_ns)
+        self._causes.event(event.name, event.fields, event.wall_ns)
         if self._window.holds(event.wall_ns):
             self.events.append(event)
 
@@ -100,19 +83,10 @@ class Decisions:
         if self._window.holds(wall_ns):
             self.gaps.append((wall_ns, what))
 
-    def _begin(self, subject: str, effect: str, detail: str, wall_ns: int) -> None:
-        span = CauseSpan(subject, effect, detail, wall_ns, None)
-        self._standing.setdefault((subject, effect), span)
-
-    def _end(self, key: tuple[str, str], wall_ns: int) -> None:
-        span = self._standing.pop(key, None)
-        if span is not None:
-            self._ended.append(span._replace(ended_ns=wall_ns))
-
     @property
     def causes(self) -> list[CauseSpan]:
         """Every span that touches the window, in the order of their beginnings."""
-        spans = [*self._ended, *self._standing.values()]
+        spans = self._causes.spans
         if not self._window.open and self.tick_times_ns:
             first_ns, last_ns = self.tick_times_ns[0], self.tick_times_ns[-1]
             spans = [
@@ -120,4 +94,4 @@ class Decisions:
                 for one in spans
                 if one.began_ns <= last_ns and (one.ended_ns is None or one.ended_ns >= first_ns)
             ]
-        return sorted(spans, key=lambda span: span.began_ns)
+        return spans

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from vcu_gateway.export.decisions import MODES, NEVER_RECEIVED, CauseSpan, Decisions
+from vcu_gateway.drive.cause_spans import CauseSpan
+from vcu_gateway.export.decisions import MODES, NEVER_RECEIVED, Decisions
 from vcu_gateway.export.lines import GAP
 from vcu_gateway.export.report import Band, Overlay, Span
 from vcu_gateway.export.report_lines import Grid, SignalLine
@@ -39,16 +40,16 @@ def cause_bands(decisions: Decisions, start_ns: int, end_ns: int) -> list[Band]:
         if one.detail == NEVER_RECEIVED:
             continue
         last_ns = end_ns if one.ended_ns is None else min(one.ended_ns, end_ns)
-        text = f"{one.subject} {one.detail}".strip()
-        span = Span(max(start_ns, one.began_ns), last_ns, one.effect, text)
-        causes.setdefault(f"{one.subject}: {one.effect}", []).append(span)
+        text = f"{one.key.subject} {one.detail}".strip()
+        span = Span(max(start_ns, one.began_ns), last_ns, one.key.effect, text)
+        causes.setdefault(f"{one.key.subject}: {one.key.effect}", []).append(span)
     return [*bands, *_ranked(causes)]
 
 
 def _waited_for(waited: Sequence[CauseSpan], start_ns: int, end_ns: int) -> Band:
     """What a gateway lacks when it starts: one stretch until the last of it has come."""
     last_ns = max(end_ns if one.ended_ns is None else one.ended_ns for one in waited)
-    messages = sorted({one.subject for one in waited})
+    messages = sorted({one.key.subject for one in waited})
     span = Span(
         max(start_ns, waited[0].began_ns), min(last_ns, end_ns), "alarm", ", ".join(messages)
     )

@@ -162,6 +162,8 @@ def _sentence(event: DecidedEvent) -> str:
     if {"before", "after"} <= fields.keys():
         reason = f": {fields['reason']}" if "reason" in fields else ""
         return f"{fields['before']} → {fields['after']}{reason}"
+    if {"stage", "sentence"} <= fields.keys():
+        return fields["sentence"]
     return event.text
 
 

@@ -21,6 +21,7 @@ _PCT = 100
 _MODES = get_args(results.ModeName)
 _FAULT_CLASSES = get_args(results.FaultClassName)
 _EFFECTS = get_args(results.EffectName)
+_STOP_STAGES = get_args(results.StopStageName)
 _POWER_MODES = get_args(results.PowerModeName)
 
 
@@ -62,27 +63,37 @@ def _demand(name: str, text: str, value: Callable[[results.DemandedValues], floa
     )
 
 
-def _sent(state: results.State) -> Mapping[str, results.SentCommand]:
-    """Commands by controller; none where the last tick sent nothing."""
-    return {name: sent for name, sent in state["commands"].items() if sent["frame"] is not None}
+def _decided(state: results.State) -> Mapping[str, results.ControllerCommand]:
+    """Commands by controller; none while the gateway listens."""
+    return {name: one for name, one in state["commands"].items() if one["decided"] is not None}
 
 
-def _command(name: str, text: str, value: Callable[[results.SentCommand], float]) -> Family:
-    """A value of the last command frame of each controller."""
+def _command(name: str, text: str, value: Callable[[results.ControllerCommand], float]) -> Family:
+    """A value that the last tick decided for each controller."""
     return gauge(
         f"command_{name}",
-        f"{text} in the last tick; absent where it sent nothing.",
-        of_state(lambda state: by({n: value(sent) for n, sent in _sent(state).items()})),
+        f"{text} in the last tick; absent while listening.",
+        of_state(lambda state: by({n: value(one) for n, one in _decided(state).items()})),
         "controller",
     )
 
 
 def _power_modes(state: results.State) -> Samples:
     return {
-        (controller, mode): float(sent["power_mode"] == mode)
-        for controller, sent in _sent(state).items()
+        (controller, mode): float(one["power_mode"] == mode)
+        for controller, one in _decided(state).items()
         for mode in _POWER_MODES
     }
+
+
+def _stop_stage(state: results.State) -> Samples:
+    stop = state["stop"]
+    return states(_STOP_STAGES, [stop["stage"]] if stop else [])
+
+
+def _stop_obeyed(state: results.State) -> Samples:
+    known = state["stop"]["controllers"].items() if state["stop"] else ()
+    return by({name: one["obeyed"] for name, one in known if one["obeyed"] is not None})
 
 
 def _limit(name: str, text: str, key: str, divisor: float = 1) -> Family:
@@ -118,6 +129,19 @@ FAMILIES: tuple[Family, ...] = (
         "fault_class",
     ),
     gauge(
+        "stop_stage",
+        "1 for how far a latched stop has come, 0 for the others; all are 0 where none is latched.",
+        of_state(_stop_stage),
+        "stage",
+    ),
+    gauge(
+        "stop_obeyed",
+        "1 where a controller's own status says that it has cut, 0 where it says otherwise;"
+        " absent where that is not known or no stop is latched.",
+        of_state(_stop_obeyed),
+        "controller",
+    ),
+    gauge(
         "effect",
         "1 for each effect that counted in the last tick, 0 for the others.",
         of_why(lambda why: states(_EFFECTS, [cause["effect"] for cause in _causes(why)])),
@@ -151,10 +175,10 @@ FAMILIES: tuple[Family, ...] = (
     _command("power_limit_watts", "Commanded power limit", lambda sent: sent["power_limit_w"]),
     _command("motor_reverse", "1 where reverse was commanded", lambda sent: sent["motor_reverse"]),
     _command("regen_brake", "1 where regeneration was commanded", lambda sent: sent["regen_brake"]),
-    _command("power_cut", "1 where the power was cut", lambda sent: sent["power_cut"]),
+    _command("power_cut", "1 where POWER_CUT was commanded", lambda sent: sent["power_cut"]),
     gauge(
         "command_power_mode",
-        "1 for the power mode commanded in the last tick; absent where it sent nothing.",
+        "1 for the power mode commanded in the last tick; absent while listening.",
         of_state(_power_modes),
         "controller",
         "power_mode",

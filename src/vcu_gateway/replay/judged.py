@@ -234,6 +234,11 @@ def _begun(judge: Judge, one: inputs.BeginInput, granted: bool) -> None:
         judge.requests.cut_latched = True
 
 
+def _restart_state(judge: Judge, one: inputs.RestartStateInput, granted: bool) -> None:
+    del granted
+    judge.restart_state(kept=one.failure is None)
+
+
 _TOLD: Mapping[type[CoreInput], Callable[[Judge, Any, bool], None]] = {
     inputs.OfferInput: _offered,
     inputs.EndDemandInput: _ended,
@@ -245,4 +250,5 @@ _TOLD: Mapping[type[CoreInput], Callable[[Judge, Any, bool], None]] = {
     inputs.LinkOpenedInput: _link_opened,
     inputs.CarrierInput: _carrier,
     inputs.BeginInput: _begun,
+    inputs.RestartStateInput: _restart_state,
 }

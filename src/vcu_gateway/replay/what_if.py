@@ -17,8 +17,9 @@ from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame
+from vcu_gateway.drive.cause_spans import CauseKey, CauseSpan
 from vcu_gateway.replay.command_fields import CommandFields, FieldChange
-from vcu_gateway.replay.timelines import CauseKey, ReplayedCause, Stop, Timeline
+from vcu_gateway.replay.timelines import DriveEnd, Timeline
 
 _MOST_ANSWERS = 200
 
@@ -63,8 +64,8 @@ class CauseChange(NamedTuple):
     """A cause that appears, vanishes or counts at another time; None on the side without it."""
 
     kind: str
-    before: ReplayedCause | None
-    after: ReplayedCause | None
+    before: CauseSpan | None
+    after: CauseSpan | None
 
 
 class AnswerChange(NamedTuple):
@@ -101,8 +102,8 @@ class WhatIfResult(NamedTuple):
     causes: tuple[CauseChange, ...]
     answers: tuple[AnswerChange, ...]
     answer_counts: dict[str, int]
-    would_stop: tuple[Stop, ...]
-    would_not_stop: tuple[Stop, ...]
+    would_stop: tuple[DriveEnd, ...]
+    would_not_stop: tuple[DriveEnd, ...]
     before: Timeline
     after: Timeline
 
@@ -209,15 +210,15 @@ def told(answer: RequestResult) -> str:
     return "granted" if answer.granted else f"refused: {answer.sentence}"
 
 
-def _alone(stops: list[Stop], others: list[Stop]) -> tuple[Stop, ...]:
+def _alone(stops: list[DriveEnd], others: list[DriveEnd]) -> tuple[DriveEnd, ...]:
     """Stops at a tick at which the other side has none of the same mode."""
     known = {(one.now_ns, one.mode) for one in others}
     return tuple(one for one in stops if (one.now_ns, one.mode) not in known)
 
 
-def cause_changes(before: list[ReplayedCause], after: list[ReplayedCause]) -> list[CauseChange]:
+def cause_changes(before: list[CauseSpan], after: list[CauseSpan]) -> list[CauseChange]:
     """Spans that differ; those of one cause that overlap are the same cause at another time."""
-    others: dict[CauseKey, deque[ReplayedCause]] = {}
+    others: dict[CauseKey, deque[CauseSpan]] = {}
     for span in after:
         others.setdefault(span.key, deque()).append(span)
     changes = []
@@ -236,9 +237,9 @@ def cause_changes(before: list[ReplayedCause], after: list[ReplayedCause]) -> li
     return sorted(changes, key=_began_ns)
 
 
-def _ends_before(one: ReplayedCause, other: ReplayedCause) -> bool:
+def _ends_before(one: CauseSpan, other: CauseSpan) -> bool:
     return one.ended_ns is not None and one.ended_ns <= other.began_ns
 
 
 def _began_ns(change: CauseChange) -> int:
-    return min(span.began_ns for span in change[1:] if isinstance(span, ReplayedCause))
+    return min(span.began_ns for span in change[1:] if isinstance(span, CauseSpan))

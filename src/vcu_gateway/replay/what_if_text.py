@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 
+from vcu_gateway.drive.cause_spans import CauseSpan
 from vcu_gateway.replay.tables import counted, duration, number, table
 from vcu_gateway.replay.time_of_day import TimeOfDay
-from vcu_gateway.replay.timelines import ReplayedCause, Stop, Timeline
+from vcu_gateway.replay.timelines import DriveEnd, Timeline
 from vcu_gateway.replay.what_if import CauseChange, FieldDifference, WhatIfResult
 
 _MOST_ROWS = 30
@@ -59,7 +60,7 @@ def decision_lines(timeline: Timeline, clock: TimeOfDay) -> Iterator[str]:
     yield from seconds_table(timeline, None)
 
 
-def _stop(one: Stop, clock: TimeOfDay) -> str:
+def _stop(one: DriveEnd, clock: TimeOfDay) -> str:
     return f"{clock.clock(one.now_ns)}: {one.sentence or f'{one.mode}; {one.reason}'}"
 
 
@@ -103,16 +104,16 @@ def _change(one: CauseChange, clock: TimeOfDay) -> str:
     return f"  {one.kind:<9} {spans[0]}"
 
 
-def _span(span: ReplayedCause, clock: TimeOfDay) -> str:
+def _span(span: CauseSpan, clock: TimeOfDay) -> str:
     return f"{_times(span, clock)}  {span.key}{_detail(span)}"
 
 
-def _times(span: ReplayedCause, clock: TimeOfDay) -> str:
+def _times(span: CauseSpan, clock: TimeOfDay) -> str:
     ended = "the end" if span.ended_ns is None else clock.clock(span.ended_ns)
     return f"{clock.clock(span.began_ns)} to {ended}"
 
 
-def _detail(span: ReplayedCause) -> str:
+def _detail(span: CauseSpan) -> str:
     return f" ({span.detail})" if span.detail else ""
 
 

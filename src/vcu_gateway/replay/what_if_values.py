@@ -2,8 +2,9 @@
 
 from typing import Any
 
+from vcu_gateway.drive.cause_spans import CauseSpan
 from vcu_gateway.replay.time_of_day import TimeOfDay
-from vcu_gateway.replay.timelines import ReplayedCause, Stop, Timeline
+from vcu_gateway.replay.timelines import DriveEnd, Timeline
 from vcu_gateway.replay.what_if import FieldDifference, WhatIfResult
 
 
@@ -64,7 +65,7 @@ def _time(at_ns: int | None, clock: TimeOfDay) -> str | None:
     return None if at_ns is None else clock.iso(at_ns)
 
 
-def _stop(one: Stop, clock: TimeOfDay) -> dict[str, Any]:
+def _stop(one: DriveEnd, clock: TimeOfDay) -> dict[str, Any]:
     return {
         "time": clock.iso(one.now_ns),
         "mode": one.mode,
@@ -73,7 +74,7 @@ def _stop(one: Stop, clock: TimeOfDay) -> dict[str, Any]:
     }
 
 
-def _span(span: ReplayedCause, clock: TimeOfDay) -> dict[str, Any]:
+def _span(span: CauseSpan, clock: TimeOfDay) -> dict[str, Any]:
     return {
         **span.key._asdict(),
         "detail": span.detail,

@@ -1,4 +1,4 @@
-"""Acceptor: a bounded rate and number of connections, some reserved for operators."""
+"""Acceptor: a bounded number of connections, some reserved for operators."""
 
 import contextlib
 import errno
@@ -11,7 +11,6 @@ from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.rights import Policy, Right
 from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.counters import Counters
-from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.session import Session
 from vcu_gateway.server.settings import SessionLimits
@@ -36,7 +35,11 @@ The second argument is True where it has to be one that may only read.
 
 
 class Acceptor:
-    """Accepts the connections of one listening socket."""
+    """Accepts the connections of one listening socket.
+
+    Attributes:
+        ready_ns: time from which it accepts; until then connections wait in the backlog.
+    """
 
     _numbers = itertools.count(1)
 
@@ -52,48 +55,39 @@ class Acceptor:
         self._policy = policy
         self._limits = limits
         self._counters = counters
-        self._rate = TokenBucket(limits.accepts_per_s, limits.clients, now_ns)
-        self._pause_until_ns = now_ns
+        self.ready_ns = now_ns
 
-    @property
-    def ready_ns(self) -> int:
-        """Time from which it accepts; until then connections wait in the backlog."""
-        return max(self._pause_until_ns, self._rate.ready_ns)
-
-    def accept(self, counts: ConnectionCounts, evict_one: EvictOne, now_ns: int) -> Session | None:
-        """Session of the next connection; None where none waits, or it was turned away."""
+    def next_socket(self, now_ns: int) -> socket.socket | None:
+        """Socket of the next connection; None where none waits, or none can be had now."""
         try:
             sock, _ = self.sock.accept()
         except BlockingIOError:
             return None
         except OSError as error:
             if error.errno in _OUT_OF_RESOURCES:
-                self._pause_until_ns = now_ns + self._limits.accept_pause_ns
+                self.ready_ns = now_ns + self._limits.accept_pause_ns
                 return None
             if error.errno in _ABORTED:
                 return None
             raise
-        self._rate.take(now_ns)
         sock.setblocking(False)
-        caller = self._caller(sock)
-        if not self._has_place(caller, counts, evict_one):
-            self._turn_away(sock)
-            return None
-        self._counters.accepted += 1
+        return sock
+
+    def session(self, sock: socket.socket, now_ns: int) -> Session:
+        """Session of this connection, which has no place yet."""
+        peer = peer_of(sock)
+        caller = Caller(next(self._numbers), peer, self._policy.rights_of(peer))
         return Session(sock, caller, self._limits, now_ns)
 
-    def _caller(self, sock: socket.socket) -> Caller:
-        peer = peer_of(sock)
-        return Caller(next(self._numbers), peer, self._policy.rights_of(peer))
-
-    def _has_place(self, caller: Caller, counts: ConnectionCounts, evict_one: EvictOne) -> bool:
+    def has_place(self, caller: Caller, counts: ConnectionCounts, evict_one: EvictOne) -> bool:
         """True where a place is free, or was made."""
         limits = self._limits
         if may_only_read(caller) and counts.readers >= limits.clients - limits.reserved_clients:
             return evict_one(caller, True)
         return counts.clients < limits.clients or evict_one(caller, False)
 
-    def _turn_away(self, sock: socket.socket) -> None:
+    def turn_away(self, sock: socket.socket) -> None:
+        """Say why there is no place."""
         self._counters.turned_away += 1
         what = (
             f"no place is left: {self._limits.clients} clients at most,"
@@ -103,7 +97,16 @@ class Acceptor:
         line = jsonrpc.error_line(None, RequestError(ErrorCode.TOO_MANY_CLIENTS, what))
         with contextlib.suppress(OSError):  # the peer may have closed it
             sock.send(line, socket.MSG_NOSIGNAL)
-        sock.close()
+
+
+def has_left(sock: socket.socket) -> bool:
+    """True where the peer has ended and asked for nothing: the cheapest of a flood."""
+    try:
+        return not sock.recv(1, socket.MSG_PEEK)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
 
 
 def may_only_read(caller: Caller) -> bool:

@@ -18,6 +18,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.daemon.event_log import LoggedEvent
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W
 from vcu_gateway.server import views
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.service import Caller
@@ -79,7 +80,7 @@ class CommandHandlers:
 
     def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         """Cut the power."""
-        return self._logged("estop", caller, self._requests.emergency_stop())
+        return self._logged("estop", caller, self._context.loop.emergency_stop())
 
     def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
         """Ask for the transition from fault to starting."""
@@ -151,7 +152,7 @@ def _controller_demand(values: methods.ControllerParams, settings: Settings) -> 
         motor_reverse=values.motor_reverse,
         regen_brake=values.regen_brake,
         speed_limit_rpm=settings.speed_limit_max_rpm if speed_rpm is None else speed_rpm,
-        power_limit_w=settings.power_limit_max_w if power_w is None else power_w,
+        power_limit_w=POWER_LIMIT_HIGHEST_W if power_w is None else power_w,
     )
 
 

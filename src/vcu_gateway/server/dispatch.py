@@ -17,9 +17,11 @@ from vcu_gateway.server.commands import CommandHandlers
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.rate_limit import LogRateLimit
 from vcu_gateway.server.service import Caller, Reply
+from vcu_gateway.server.shared_request import SharedRequest
 from vcu_gateway.server.stop_requests import STOPS
 
 RELOAD = "config.reload"
+DEMAND = "demand.set"
 
 
 class Dispatcher:
@@ -30,6 +32,8 @@ class Dispatcher:
         self._work_queue = context.loop.work_queue
         self._commands = CommandHandlers(context)
         self._log_limit = LogRateLimit()
+        self._drivers: set[int] = set()
+        self._stops = {method: self._shared_stop(method) for method in STOPS}
 
     def handle(
         self,
@@ -56,8 +60,12 @@ class Dispatcher:
         caller: Caller,
         reply: Callable[[Reply], None],
     ) -> None:
-        if method not in STOPS:
-            self._check_capacity()
+        if method in STOPS:
+            self._stops[method].ask(caller, reply)
+            return
+        self._check_capacity()
+        if method == DEMAND:
+            self._drivers.add(caller.connection)
 
         def execute() -> None:
             try:
@@ -66,6 +74,15 @@ class Dispatcher:
                 reply(failure)
 
         self._work_queue.post(execute)
+
+    def _shared_stop(self, method: str) -> SharedRequest:
+        def execute(caller: Caller) -> Reply:
+            try:
+                return self._commands.execute(method, methods.Nothing(), caller)
+            except RequestError as failure:
+                return failure
+
+        return SharedRequest(execute, self._work_queue.post)
 
     def _check_capacity(self) -> None:
         self._context.latest()
@@ -111,5 +128,7 @@ class Dispatcher:
         self._work_queue.post(lambda: self._context.loop.event_log.emit(event))
 
     def end_demands(self, caller: Caller) -> None:
-        """End the demands of a connection that has ended."""
-        self._work_queue.post(lambda: self._commands.end_demands_of(caller))
+        """End the demands of a connection that has ended; of most there was none."""
+        if caller.connection in self._drivers:
+            self._drivers.remove(caller.connection)
+            self._work_queue.post(lambda: self._commands.end_demands_of(caller))

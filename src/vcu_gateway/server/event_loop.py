@@ -14,35 +14,46 @@ One turn, `run_once`:
 
 1. wait in epoll until a socket or a reply is ready, or a timeout is due;
 2. handle the sockets' events: end of a peer first, then output, then one chunk of input;
-3. accept one connection;
+3. accept what waits, without a place yet, and read what each has sent;
 4. send the replies that have come;
-5. serve one request of each session, and before each of them those of all drivers;
-6. send a few updates of subscriptions, the longest due first;
-7. close the sessions that have to end, and compute the next timeout.
+5. carry out every stop that was read;
+6. give some of those that wait for one a place, the user with fewest places first;
+7. serve one request of each session with a place, and before each those of all drivers;
+8. send a few updates of subscriptions, the longest due first;
+9. close the sessions that have to end, and compute the next timeout.
+
+Stops. `estop` and `disarm` pass over what waits, on their own connection too: what has come is
+read also behind requests that wait, and each whole line that may name a stop is looked at before
+anything else is served, eight a turn, or one of each session. A stop needs no place. What waits on
+that connection then, before or behind the stop, is overtaken: `arm`, `reset` and `demand.set` are
+refused, the rest is served. Stops that wait for the ticking thread together are one to it.
 
 Fairness. A session has one request a turn, whatever it has sent. A session that has made a demand
 is a driver: it is read and served between all the others, because its demand expires in some
 100 ms and a flood of others must not use that time up.
 
-Bounds. The number of sessions and the rate of accepting; of each session the rate of requests,
-the requests without a reply, the length of a line, the time for it to end, and unread output.
-A session beyond its rate, its pending requests or its output is not read, so the kernel's buffer
-holds its sender up. The end of a peer is seen even then (EPOLLRDHUP): a demand must not outlive
-its connection. A slow reader loses updates; one that does not read at all is closed.
+Bounds. The number of sessions; of each session the rate of requests, the requests without a reply,
+the length of a line, the time for it to end, the requests that wait, and unread output.
+A session beyond its rate, its pending requests or its output is not served, and not read where
+256 KiB wait, so the kernel's buffer holds its sender up. The end of a peer is seen even then
+(EPOLLRDHUP): a demand must not outlive its connection. A slow reader loses updates; one that does
+not read at all is closed.
 
 Places. Where all are taken, the longest idle session is evicted for the new one; a user with more
 than half of the places makes room among its own. Some places are reserved for peers that may do
-more than read. A session that owns a fresh demand is never evicted, and whatever a session had
-sent before is carried out first. So nobody can be kept from `estop` and `disarm` by others, short
-of demands in every place, and these two are carried out even where they are malformed.
+more than read. A session that owns a fresh demand is never evicted; a stop and the first request
+that a session had sent before are carried out first. So nobody can be kept from `estop` and
+`disarm` by others, short of demands in every place, and these two are carried out even where they
+are malformed.
 """
 
 import contextlib
 import select
 import time
+from collections import Counter
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts, may_only_read
+from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts, has_left, may_only_read
 from vcu_gateway.server.counters import Counters
 from vcu_gateway.server.reply_queue import ReplyQueue
 from vcu_gateway.server.request_handler import RequestHandler
@@ -53,6 +64,9 @@ from vcu_gateway.server.tick_gaps import TickGaps
 from vcu_gateway.units import NS_PER_S
 
 _UPDATES_PER_TURN = 4
+_MAX_UNSEATED = 256
+_SEATED_PER_TURN = 8
+_LOOKED_AT_PER_TURN = 8
 _LINGER_CHECK_S = 0.005
 
 
@@ -94,7 +108,11 @@ class EventLoop:
         if self._replies.fd in events:
             self._replies.clear_wakeup()
         self._send_replies()
-        for session in list(self._sessions.values()):
+        waiting = [session for session in self._sessions.values() if session.lines.has_line]
+        for session in waiting:
+            self._serve_stops(session, max(1, _LOOKED_AT_PER_TURN // len(waiting)))
+        self._seat()
+        for session in self._seated():
             self._serve_drivers()
             self._serve(session)
         self._send_updates()
@@ -143,25 +161,69 @@ class EventLoop:
             self._receive(session, now_ns)
 
     def _accept(self) -> None:
-        session = self._acceptor.accept(self._connection_counts(), self._evict_one, self._now_ns())
-        if session is not None:
-            self._sessions[session.sock.fileno()] = session
-            self._counters.clients += 1
+        """Take all that wait, without a place yet, and carry out their stops."""
+        for _ in range(_MAX_UNSEATED):
+            now_ns = self._now_ns()
+            sock = self._acceptor.next_socket(now_ns)
+            if sock is None:
+                return
+            self._counters.accepted += 1
+            if has_left(sock):
+                sock.close()
+                continue
+            session = self._acceptor.session(sock, now_ns)
+            self._sessions[sock.fileno()] = session
+            self._receive(session, now_ns)
+            self._serve_stops(session)
 
-    def _connection_counts(self) -> ConnectionCounts:
-        callers = [session.caller for session in self._sessions.values()]
+    def _seat(self) -> None:
+        """Give some of those without a place one, first those whose user has fewest."""
+        for _ in range(_SEATED_PER_TURN):
+            waiting = self._unseated()
+            if not waiting:
+                break
+            seated, gave_way = self._seated(), self._counters.gave_way
+            of_user = Counter(one.caller.peer.uid for one in seated)
+            self._seat_one(min(waiting, key=lambda one: of_user[one.caller.peer.uid]))
+            if self._counters.gave_way > gave_way and not any(one.peer_is_lost for one in seated):
+                break  # of those that are in some may leave by themselves
+        while len(waiting := self._unseated()) > _MAX_UNSEATED:
+            most = Counter(one.caller.peer.uid for one in waiting).most_common(1)[0][0]
+            self._turn_away(next(one for one in waiting if one.caller.peer.uid == most))
+
+    def _seat_one(self, session: Session) -> None:
+        if not self._acceptor.has_place(session.caller, self._places_taken(), self._evict_one):
+            self._turn_away(session)
+            return
+        session.is_seated = True
+        self._counters.clients += 1
+
+    def _turn_away(self, session: Session) -> None:
+        self._now_ns()
+        self._acceptor.turn_away(session.sock)
+        self._close(session, "")
+
+    def _seated(self) -> list[Session]:
+        return [session for session in self._sessions.values() if session.is_seated]
+
+    def _unseated(self) -> list[Session]:
+        """Connections without a place, the first come first."""
+        return [session for session in self._sessions.values() if not session.is_seated]
+
+    def _places_taken(self) -> ConnectionCounts:
+        callers = [session.caller for session in self._seated()]
         return ConnectionCounts(len(callers), sum(map(may_only_read, callers)))
 
     def _evict_one(self, caller: Caller, must_be_reader: bool) -> bool:
         """Close the longest idle session without a fresh demand; False where there is none.
 
-        A user with more than half of the places makes room among its own: a flood of
-        connections does not push out those of others.
+        One whose peer is lost goes first. A user with more than half of the places makes room among
+        its own: a flood of connections does not push out those of others.
         """
-        sessions = list(self._sessions.values())
+        sessions = self._seated()
         own = [one for one in sessions if one.caller.peer.uid == caller.peer.uid]
         candidates = own if 2 * len(own) > len(sessions) else sessions
-        for session in sorted(candidates, key=lambda one: one.active_ns):
+        for session in sorted(candidates, key=lambda one: (not one.peer_is_lost, one.active_ns)):
             is_allowed = not must_be_reader or may_only_read(session.caller)
             if is_allowed and not self._service.owns_demand(session.caller):
                 self._evict(session)
@@ -169,10 +231,11 @@ class EventLoop:
         return False
 
     def _evict(self, session: Session) -> None:
-        """Carry out what was sent before, which may be an emergency stop, and close."""
-        self._receive(session, self._now_ns())
-        while session.has_request and time.monotonic_ns() >= session.rate.ready_ns:
-            self._serve(session)
+        """Carry out a stop and the first request that were sent before, and close."""
+        while self._receive(session, self._now_ns()):
+            pass
+        self._serve_stops(session)
+        self._serve(session)
         self._counters.gave_way += 1
         self._close(session, EVICTED)
 
@@ -182,6 +245,15 @@ class EventLoop:
                 if session.caller.connection == queued.connection:
                     self._handler.reply(session, queued.number, queued.reply, self._now_ns())
 
+    def _serve_stops(self, session: Session, most_lines: int = _LOOKED_AT_PER_TURN) -> None:
+        """Carry out the stops that it has sent; so many lines that may name one are looked at."""
+        for _ in range(most_lines):
+            line = session.lines.next_marked() if session.may_stop else None
+            if line is None:
+                return
+            self._handler.handle_marked(session, line, self._now_ns())
+            self._send_replies()
+
     def _serve_drivers(self) -> None:
         """Serve one request of every session that makes demands: these expire."""
         for session in [one for one in self._sessions.values() if one.is_driver]:
@@ -190,10 +262,10 @@ class EventLoop:
 
     def _serve(self, session: Session) -> None:
         """Serve one request of this session, if it may have one now."""
+        if session.peer_ended:
+            self._receive(session, self._now_ns())  # epoll reports nothing more of it
         if session.has_request:
             self._serve_line(session, self._now_ns())
-        elif session.peer_ended:
-            self._receive(session, self._now_ns())  # epoll reports nothing more of it
 
     def _serve_line(self, session: Session, now_ns: int) -> None:
         if now_ns < session.rate.ready_ns:
@@ -202,15 +274,18 @@ class EventLoop:
         session.rate.take(now_ns)
         self._counters.delayed += session.is_delayed
         session.is_delayed = False
-        self._handler.handle(session, session.take_line(now_ns), now_ns)
+        self._handler.handle_next(session, now_ns)
         self._handler.check_line_length(session, now_ns)
         self._send_replies()
 
-    def _receive(self, session: Session, now_ns: int) -> None:
-        if session.wants_input:
-            session.receive(now_ns)
-            self._end_demands_if_ended(session)
-            self._handler.check_line_length(session, now_ns)
+    def _receive(self, session: Session, now_ns: int) -> bool:
+        """Read one chunk where it may be; True where more may have come."""
+        if not session.wants_input:
+            return False
+        has_more = session.receive(now_ns)
+        self._end_demands_if_ended(session)
+        self._handler.check_line_length(session, now_ns)
+        return has_more
 
     def _send_updates(self) -> None:
         """Send some of the updates that are due, the longest due first."""
@@ -230,6 +305,7 @@ class EventLoop:
         accepts = now_ns >= self._acceptor.ready_ns
         self._watch(self._acceptor.sock.fileno(), select.EPOLLIN if accepts else 0)
         timeouts.append(None if accepts else self._acceptor.ready_ns)
+        timeouts.append(now_ns if self._unseated() else None)
         self._next_check_ns = min((one for one in timeouts if one is not None), default=None)
 
     def _check_session(self, session: Session, now_ns: int) -> int | None:
@@ -263,7 +339,7 @@ class EventLoop:
         self._watch(session.sock.fileno(), 0)
         del self._watched_events[session.sock.fileno()]
         del self._sessions[session.sock.fileno()]
-        self._counters.clients -= 1
+        self._counters.clients -= session.is_seated
         session.peer_ended = True
         with session.sock:  # closed last: a peer that sees the end finds it counted
             self._end_demands_if_ended(session)

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import METHODS, ControllerParams, Params
 from vcu_gateway.errors import nearest as nearest_word
-from vcu_gateway.server.stop_requests import stop_named
+from vcu_gateway.server.stop_requests import STOPS, stop_named
 
 MAX_DEPTH = 16
 MAX_VALUES = 512
@@ -65,6 +65,13 @@ def parse(line: bytes) -> Request | RefusedRequest:
     if isinstance(parsed, RefusedRequest) and (stop := stop_named(line)) is not None:
         return parsed._replace(stop=stop, is_answered=True)
     return parsed
+
+
+def stop_of(request: Request | RefusedRequest) -> str | None:
+    """Stop that is to be carried out for this line; None for everything else."""
+    if isinstance(request, RefusedRequest):
+        return request.stop
+    return request.method if request.method in STOPS else None
 
 
 def _parse(line: bytes) -> Request | RefusedRequest:

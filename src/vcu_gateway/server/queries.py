@@ -14,14 +14,13 @@ from vcu_gateway.server.context import ServerContext
 def state(context: ServerContext, messages: list[str] | None) -> results.State:
     """Current state; RequestError for a message that the gateway does not receive."""
     latest = context.latest()
-    snapshot = context.loop.gateway.snapshot(time.monotonic_ns())
-    known = [message.name for message in snapshot.messages]
+    gateway, now_ns = context.loop.gateway, time.monotonic_ns()
+    known = [message.name for message in gateway.snapshot(now_ns).messages] if messages else []
     for name in messages or ():
         if name not in known:
             sentence = f"the gateway receives no message {name[:64]}; it knows {', '.join(known)}"
             raise RequestError(ErrorCode.INVALID_PARAMS, sentence)
-    demand = context.loop.gateway.requests.arbiter.current
-    return views.state(snapshot, latest, demand, messages)
+    return views.state(gateway, latest, now_ns, messages)
 
 
 def _state(context: ServerContext, params: methods.StateParams) -> results.State:

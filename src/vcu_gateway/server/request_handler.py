@@ -17,14 +17,15 @@ from vcu_gateway.api.results import Subscribed, Update
 from vcu_gateway.core.demand import Refusal
 from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.line_buffer import MAX_LINE_BYTES
 from vcu_gateway.server.service import Caller, Reply, RequestService
 from vcu_gateway.server.session import (
     LINE_TOO_LONG,
-    MAX_LINE_BYTES,
     ReplyTo,
     Session,
     SubscriptionState,
 )
+from vcu_gateway.server.stop_requests import OVERTAKEN, OVERTAKEN_WORD, STOPS
 
 MAX_SUBSCRIPTIONS = 4
 """Of one connection."""
@@ -51,14 +52,33 @@ class RequestHandler:
             self._send(session, None, error, now_ns)
             session.end_after_output(LINE_TOO_LONG)
 
-    def handle(self, session: Session, line: bytes, now_ns: int) -> None:
-        """Handle the request in this line."""
-        self._counters.requests += 1
+    def handle_next(self, session: Session, now_ns: int) -> None:
+        """Handle the request in the next line."""
+        is_overtaken = session.lines.is_overtaken
+        request = jsonrpc.parse(session.take_line(now_ns))
+        self._handle(session, request, now_ns, is_overtaken=is_overtaken)
+
+    def handle_marked(self, session: Session, line: bytes, now_ns: int) -> None:
+        """Handle this line before all others where it is a stop; else it waits for its turn."""
         request = jsonrpc.parse(line)
+        if jsonrpc.stop_of(request) is not None:
+            session.lines.take_marked()
+            self._handle(session, request, now_ns)
+
+    def _handle(
+        self,
+        session: Session,
+        request: jsonrpc.Request | jsonrpc.RefusedRequest,
+        now_ns: int,
+        *,
+        is_overtaken: bool = False,
+    ) -> None:
+        self._counters.requests += 1
         if isinstance(request, jsonrpc.RefusedRequest):
             self._refuse(session, request, now_ns)
             return
         try:
+            self._check(session, request, is_overtaken=is_overtaken)
             result = self._result(session, request, now_ns)
         except RequestError as error:
             # Without its traceback, or it would keep itself alive through this frame.
@@ -111,14 +131,10 @@ class RequestHandler:
 
     def _result(self, session: Session, request: jsonrpc.Request, now_ns: int) -> Reply | None:
         """Result; None where the service will reply. RequestError where it is refused."""
-        self._check_right(session.caller, request)
         if isinstance(request.params, SubscribeParams):
             return self._subscribe(session, request.params, now_ns)
         if isinstance(request.params, UnsubscribeParams):
             return _unsubscribe(session, request.params)
-        if request.method == "demand.set" and session.peer_ended:
-            what = "this connection has ended, and a demand ends with its connection"
-            raise RequestError(ErrorCode.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
         addressee = None if request.id is None else ReplyTo(request.id)
         self._call_service(session, request.method, request.params, addressee)
         return None
@@ -128,9 +144,21 @@ class RequestHandler:
     ) -> None:
         caller, number = session.caller, next(self._numbers)
         session.is_driver = session.is_driver or method == "demand.set"
+        if method in STOPS:
+            session.overtake()
         session.pending[number] = addressee
         reply = functools.partial(self._reply, caller.connection, number)
         self._service.handle(method, params, caller, reply)
+
+    def _check(self, session: Session, request: jsonrpc.Request, *, is_overtaken: bool) -> None:
+        """RequestError where the request is refused before the service sees it."""
+        self._check_right(session.caller, request)
+        if is_overtaken and request.method in OVERTAKEN:
+            what = f"an estop or a disarm of this connection passed over this {request.method}"
+            raise RequestError(ErrorCode.REFUSED, what, refusal=OVERTAKEN_WORD)
+        if request.method == "demand.set" and session.peer_ended:
+            what = "this connection has ended, and a demand ends with its connection"
+            raise RequestError(ErrorCode.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
 
     def _check_right(self, caller: Caller, request: jsonrpc.Request) -> None:
         needed = right_needed(request.method, request.params)

@@ -1,20 +1,26 @@
 """Session of one connection: buffers, pending requests, subscriptions and timeouts."""
 
+import fcntl
 import select
 import socket
+import struct
+import termios
 from typing import NamedTuple
 
 from vcu_gateway.api.errors import RequestError
 from vcu_gateway.server.jsonrpc import RequestId
+from vcu_gateway.server.line_buffer import LineBuffer
 from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.units import NS_PER_S
 
-MAX_LINE_BYTES = 65_536
-"""Longest line, without its newline."""
+MAX_WAITING_BYTES = 262_144
+"""Requests that wait are read up to here, and one chunk more: a stop among them is found."""
 
-_CHUNK_BYTES = 16_384
+_UNSEATED_BYTES = 16_384
+_CHUNK_BYTES = 65_536
+_INT = struct.Struct("i")
 
 LINE_TOO_LONG = "line too long"
 LINE_LATE = "line not finished in time"
@@ -33,58 +39,6 @@ class ReplyTo(NamedTuple):
 
     id: RequestId | None
     error: RequestError | None = None
-
-
-class LineBuffer:
-    """Received bytes, cut into lines of bounded length; at most one chunk more than a line."""
-
-    def __init__(self, max_line_bytes: int = MAX_LINE_BYTES) -> None:
-        self._max_line_bytes = max_line_bytes
-        self._buffer = bytearray()
-        self._searched_bytes = 0
-        self._newline_at = -1
-
-    def __len__(self) -> int:
-        return len(self._buffer)
-
-    @property
-    def has_line(self) -> bool:
-        """True while a whole line of permitted length can be taken."""
-        return 0 <= self._newline_at <= self._max_line_bytes
-
-    @property
-    def is_partial(self) -> bool:
-        """True while a line has begun and not ended."""
-        return self._newline_at < 0 and bool(self._buffer)
-
-    @property
-    def is_too_long(self) -> bool:
-        """True from the moment the next line exceeds the length; it stays so."""
-        end = self._newline_at if self._newline_at >= 0 else len(self._buffer)
-        return end > self._max_line_bytes
-
-    def feed(self, chunk: bytes) -> None:
-        """Append received bytes."""
-        self._buffer += chunk
-        self._search()
-
-    def end(self) -> None:
-        """End the stream: buffered bytes are the last line."""
-        if self.is_partial:
-            self.feed(b"\n")
-
-    def take(self) -> bytes:
-        """Remove and return the next line without its newline; only while `has_line`."""
-        line = bytes(self._buffer[: self._newline_at])
-        del self._buffer[: self._newline_at + 1]
-        self._newline_at, self._searched_bytes = -1, 0
-        self._search()
-        return line
-
-    def _search(self) -> None:
-        if self._newline_at < 0:
-            self._newline_at = self._buffer.find(b"\n", self._searched_bytes)
-            self._searched_bytes = len(self._buffer)
 
 
 class SubscriptionState:
@@ -123,6 +77,7 @@ class Session:
         peer_ended: the peer sends no more; `peer_is_lost`: nor does it read.
         has_ended_demands: the service was asked to end its demands.
         is_driver: it has made a demand; it is served between all the others.
+        is_seated: it has a place; until then only a stop of it is served.
         is_delayed: the next request was held up by the rate.
         active_ns: time of the connection, of its last request or of the last output to it.
     """
@@ -137,7 +92,7 @@ class Session:
         self.pending: dict[int, ReplyTo | None] = {}
         self.subscriptions: dict[int, SubscriptionState] = {}
         self.peer_ended = self.peer_is_lost = self.has_ended_demands = False
-        self.is_delayed = self.is_driver = False
+        self.is_delayed = self.is_driver = self.is_seated = False
         self.active_ns = now_ns
         self._limits = limits
         self._output = bytearray()
@@ -168,8 +123,14 @@ class Session:
 
     @property
     def wants_input(self) -> bool:
-        """True where more is to be read."""
-        return self._takes_requests and not self._is_read_to_end and not self.lines.has_line
+        """True where more is to be read: also behind what waits, for a stop may be there."""
+        is_full = len(self.lines) >= (MAX_WAITING_BYTES if self.is_seated else _UNSEATED_BYTES)
+        return not (self._is_read_to_end or self.is_ending or is_full)
+
+    @property
+    def may_stop(self) -> bool:
+        """True where a stop may pass over what waits; one that comes too often does not."""
+        return not self.is_ending and len(self.pending) < 2 * self._limits.pending_requests
 
     @property
     def _takes_requests(self) -> bool:
@@ -187,8 +148,8 @@ class Session:
             events |= select.EPOLLRDHUP | (select.EPOLLIN if self.wants_input else 0)
         return events
 
-    def receive(self, now_ns: int) -> None:
-        """Read one chunk, or the end of the stream."""
+    def receive(self, now_ns: int) -> bool:
+        """Read one chunk, or the end of the stream; True where more may have come."""
         if not self.lines.is_partial:
             self._start_timeout(now_ns)
         chunk = self._receive_chunk()
@@ -197,6 +158,11 @@ class Session:
         elif chunk is not None:
             self.lines.end()
             self._is_read_to_end = self.peer_ended = True
+        return chunk is not None and len(chunk) == _CHUNK_BYTES
+
+    def overtake(self) -> None:
+        """Mark every request that waits here or in the socket as overtaken by a stop."""
+        self.lines.overtake(_unread_bytes(self.sock))
 
     def _receive_chunk(self) -> bytes | None:
         """Chunk read; empty at the end, None where nothing has arrived."""
@@ -269,18 +235,18 @@ class Session:
     def next_check_ns(self, now_ns: int) -> int | None:
         """Time of the next check without an event; None where only events matter."""
         times_ns = [subscription.due_ns for subscription in self.live_subscriptions]
+        if self.peer_ended and self.wants_input:
+            times_ns.append(now_ns)  # epoll reports nothing more of it
         if self._output:
             times_ns.append(self._progress_ns + self._limits.timeout_ns)
         elif self.has_request:
             times_ns.append(self.rate.ready_ns)
-        elif self.peer_ended and self.wants_input:
-            times_ns.append(now_ns)  # epoll reports nothing more of it
         elif self._awaits_input:
             times_ns.append(self._began_ns + self._limits.timeout_ns)
         return min(times_ns, default=None)
 
     def _is_done(self, now_ns: int) -> bool:
-        if self.peer_is_lost and self._has_to_wait(now_ns):
+        if self.peer_is_lost and (not self.is_seated or self._has_to_wait(now_ns)):
             return True  # nobody would read the replies
         has_replied = self.peer_is_lost or not self.pending
         return self._is_read_to_end and not self.lines.has_line and has_replied
@@ -301,4 +267,13 @@ class Session:
     @property
     def _awaits_input(self) -> bool:
         """True while the peer has to send the rest of a line."""
-        return self.wants_input and self.lines.is_partial
+        is_read = self._takes_requests and not self._is_read_to_end
+        return is_read and self.lines.is_partial
+
+
+def _unread_bytes(sock: socket.socket) -> int:
+    """Bytes that wait in the socket."""
+    try:
+        return int(_INT.unpack(fcntl.ioctl(sock, termios.FIONREAD, bytes(_INT.size)))[0])
+    except OSError:
+        return 0

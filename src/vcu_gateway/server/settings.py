@@ -37,7 +37,6 @@ class SessionLimits(NamedTuple):
 
     clients: int = 16
     reserved_clients: int = 4
-    accepts_per_s: int = 100
     rate_per_s: int = 200
     burst: int = 50
     pending_requests: int = 16

@@ -11,7 +11,7 @@ from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.server.settings import ServerSettings
 
 _MAX_PATH_BYTES = 107
-_BACKLOG = 64
+_BACKLOG = 256
 _UNCHANGED = -1  # chown leaves this owner or group as it is
 _REMEDIES = {
     errno.ENOENT: "create the folder {folder}; a service gets it from RuntimeDirectory=",

@@ -1,4 +1,4 @@
-"""Malformed requests to stop the vehicle: carried out if they name `estop` or `disarm`."""
+"""Requests to stop the vehicle: which they are, also malformed, and what they overtake."""
 
 import json
 from typing import Any
@@ -6,7 +6,14 @@ from typing import Any
 STOPS = frozenset({"estop", "disarm"})
 """Methods that are never refused to a peer."""
 
-_MARKS = (*(name.encode() for name in STOPS), b"\\u")
+OVERTAKEN = frozenset({"arm", "reset", "demand.set"})
+"""Methods that are refused where a stop passed over them on their connection,"""
+
+OVERTAKEN_WORD = "overtaken"
+"""with this word as `data.refusal`."""
+
+MARKS = (*(name.encode() for name in sorted(STOPS)), b"\\u")
+"""One of these stands in every line that names a stop."""
 
 
 def stop_named(line: bytes) -> str | None:
@@ -15,7 +22,7 @@ def stop_named(line: bytes) -> str | None:
     A JSON object, alone or alone in a list, whose every member `method` is the same one of `STOPS`,
     however wrong the rest.
     """
-    if not any(mark in line for mark in _MARKS):  # costs a hundredth of reading
+    if not any(mark in line for mark in MARKS):  # costs a hundredth of reading
         return None
     try:
         members = json.loads(

@@ -7,9 +7,10 @@ from vcu_gateway.api import results
 from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.demand import Demand
-from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.snapshot import Reading, Snapshot
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
+from vcu_gateway.core.stop import Stop
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.units import NS_PER_MS
@@ -18,23 +19,26 @@ _CONTROLLERS: tuple[results.ControllerName, ...] = get_args(results.ControllerNa
 
 
 def state(
-    snapshot: Snapshot,
+    gateway: Gateway,
     latest: LastTick,
-    demand: Demand | None,
+    now_ns: int,
     names: Iterable[str] | None = None,
 ) -> results.State:
-    """Messages at the snapshot's instant, demand, and the commands of the last tick.
+    """Messages and what was sent at this instant; demand, commands and stop of the last tick.
 
-    `demand` is the latest, fresh or not. `names` are the messages to report, None all; KeyError
-    for one that the store does not keep.
+    From any thread. `names` are the messages to report, None all; KeyError for one that the store
+    does not keep.
     """
+    snapshot = gateway.snapshot(now_ns)
+    demand = gateway.requests.arbiter.current
     fresh_demand = demand if latest.why.demand_fresh else None
     return {
         "monotonic_ns": snapshot.now_ns,
         "mode": mode_name(latest.why.mode),
         "messages": messages(snapshot, names),
-        "commands": commands(latest.result),
+        "commands": _commands(gateway, latest, now_ns),
         "demanded": {} if fresh_demand is None else _demanded(fresh_demand),
+        "stop": None if latest.stop is None else _stop(latest.stop, now_ns),
     }
 
 
@@ -76,13 +80,15 @@ def _signal(reading: Reading) -> results.Signal:
     return signal
 
 
-def commands(result: TickResult) -> dict[results.ControllerName, results.SentCommand]:
-    """Command to each controller in this tick."""
-    frames = {frame.controller: frame for frame in result.frames}
-    sent: dict[results.ControllerName, results.SentCommand] = {}
+def _commands(
+    gateway: Gateway, latest: LastTick, now_ns: int
+) -> dict[results.ControllerName, results.ControllerCommand]:
+    """Command to each controller in the last tick, and the last frames that left for it."""
+    decided = {one.controller: _candump(one.can_id, one.data) for one in latest.result.frames}
+    commands: dict[results.ControllerName, results.ControllerCommand] = {}
     for name in _CONTROLLERS:
-        command, frame = result.commands[name], frames.get(name)
-        sent[name] = {
+        command = latest.result.commands[name]
+        commands[name] = {
             "throttle_pct": command.throttle_pct,
             "brake_pct": command.brake_pct,
             "power_mode": cast(results.PowerModeName, command.power_mode.name.lower()),
@@ -91,9 +97,54 @@ def commands(result: TickResult) -> dict[results.ControllerName, results.SentCom
             "power_cut": command.power_cut,
             "speed_limit_rpm": command.speed_limit_rpm,
             "power_limit_w": command.power_limit_w,
-            "frame": f"{frame.can_id:08X}#{frame.data.hex().upper()}" if frame else None,
+            "decided": decided.get(name),
+            "sent": _sent(gateway, name, now_ns),
+            "echoed": _echoed(gateway, name, now_ns),
         }
-    return sent
+    return commands
+
+
+def _sent(gateway: Gateway, controller: str, now_ns: int) -> results.CarriedFrame | None:
+    taken = gateway.taken.get(controller)
+    if taken is None:
+        return None
+    frame = _candump(taken.frame.can_id, taken.frame.data)
+    return {"frame": frame, "age_ms": _since(now_ns, taken.at_ns)}
+
+
+def _echoed(gateway: Gateway, controller: str, now_ns: int) -> results.CarriedFrame | None:
+    echo = gateway.echoes.get(controller)
+    if echo is None:
+        return None
+    return {"frame": _candump(echo.can_id, echo.data), "age_ms": _since(now_ns, echo.arrival_ns)}
+
+
+def _candump(can_id: int, data: bytes | bytearray) -> str:
+    return f"{can_id:08X}#{data.hex().upper()}"
+
+
+def _stop(stop: Stop, now_ns: int) -> results.StopState:
+    """What is known of a stop; ages are those at this instant."""
+    return {
+        "latched_ms": _since(now_ns, stop.latched_ns),
+        "reason": stop.reason,
+        "stage": stop.stage.value,
+        "sentence": stop.sentence(),
+        "controllers": {name: _controller_stop(stop, name, now_ns) for name in _CONTROLLERS},
+    }
+
+
+def _controller_stop(stop: Stop, controller: str, now_ns: int) -> results.ControllerStopState:
+    one = stop.controllers[controller]
+    return {
+        "sent_ms": _age(now_ns, one.sent_ns),
+        "echoed_ms": _age(now_ns, one.echoed_ns),
+        "obeyed": one.obeyed,
+        "judged_ms": _age(now_ns, one.judged_ns),
+        "power_cut": one.power_cut,
+        "throttle_pct": one.throttle_pct,
+        "missing": stop.missing(controller),
+    }
 
 
 def why(explained: explanation.Explanation) -> results.Why:
@@ -148,7 +199,12 @@ def milliseconds(duration_ns: int | None) -> float | None:
 
 
 def _since(now_ns: int, since_ns: int) -> float:
-    return round((now_ns - since_ns) / NS_PER_MS, 3)
+    """Age in milliseconds; never below 0, where something came after `now_ns` was read."""
+    return round(max(0, now_ns - since_ns) / NS_PER_MS, 3)
+
+
+def _age(now_ns: int, since_ns: int | None) -> float | None:
+    return None if since_ns is None else _since(now_ns, since_ns)
 
 
 def counters(gateway: Gateway) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from rich.text import Text
 
-from vcu_gateway.api.results import ControllerName, SentCommand, Signal, State
-from vcu_gateway.watch.formatting import ABSENT, cell, line, number
+from vcu_gateway.api.results import CarriedFrame, ControllerCommand, ControllerName, Signal, State
+from vcu_gateway.watch.formatting import ABSENT, cell, duration, line, number
 from vcu_gateway.watch.quality import marked
 
 COLUMNS = 74
@@ -14,6 +14,7 @@ COLUMNS = 74
 
 _LABEL_COLUMNS = 10
 _CELL_COLUMNS = 16
+_OLD_MS = 150.0
 _NAMES: tuple[ControllerName, ControllerName] = ("PCU1", "PCU2")
 
 
@@ -53,7 +54,7 @@ class ControllerRow(NamedTuple):
     """One row of the table: label, text of the command, text of the report."""
 
     label: str
-    commanded: Callable[[SentCommand], str]
+    commanded: Callable[[ControllerCommand], str]
     reported: Callable[[ControllerReports], Text]
 
 
@@ -63,13 +64,13 @@ def _reported_mode(reports: ControllerReports) -> Text:
     return line(reports.word("PowerMode"), " ", reports.word("MotorReverse"))
 
 
-def _commanded_mode(command: SentCommand) -> str:
+def _commanded_mode(command: ControllerCommand) -> str:
     if command["power_cut"]:
         return "POWER CUT"
     return f"{command['power_mode']} {'reverse' if command['motor_reverse'] else 'forward'}"
 
 
-def _commanded_brake(command: SentCommand) -> str:
+def _commanded_brake(command: ControllerCommand) -> str:
     return f"{'regen ' if command['regen_brake'] else ''}{command['brake_pct']:.1f}"
 
 
@@ -100,7 +101,7 @@ def _temperatures(reports: ControllerReports) -> Text:
     return line(controller, " / ", reports.figure("Status1", "MotorTemperature"))
 
 
-def _nothing(_: SentCommand) -> str:
+def _nothing(_: ControllerCommand) -> str:
     return ""
 
 
@@ -153,10 +154,17 @@ def _line(row: ControllerRow, state: State | None) -> Text:
 
 
 def _frames(state: State | None) -> Text:
-    """The bytes that were sent, as candump writes them."""
+    """The bytes that the kernel took last, as candump writes them."""
     cells = [cell("frame", _LABEL_COLUMNS, "dim")]
     for name in _NAMES:
         command = state["commands"].get(name) if state else None
-        frame = command["frame"] or "silent" if command else ABSENT
+        frame = _sent(command["sent"]) if command else ABSENT
         cells.append(cell(frame, 2 * _CELL_COLUMNS, align=">"))
     return line(*cells)
+
+
+def _sent(frame: CarriedFrame | None) -> str:
+    if frame is None:
+        return "nothing sent"
+    is_old = frame["age_ms"] > _OLD_MS
+    return f"{frame['frame']} {duration(frame['age_ms'])}" if is_old else frame["frame"]

@@ -14,6 +14,10 @@ MODE_STYLES = {
 }
 
 
+_STOP_LINES = 2
+_STOP_STYLES = {"cut": "green", "not obeyed": "bold reverse red"}
+
+
 def title_line(title: str, view: ViewModel, width: int, paused: bool = False) -> Text:
     """Title, bus and process; whether the view is paused."""
     right = Text("PAUSED, space resumes", "reverse bold") if paused else _process(view)
@@ -42,6 +46,16 @@ def mode_lines(view: ViewModel, width: int, max_lines: int, sentence: str = "") 
     first, *rest = wrapped(sentence or own, width, max_lines, len(block) + 1)
     lines = [line(Text(block, f"bold reverse {style}"), " ", first)]
     return lines + [line(words) for words in rest]
+
+
+def stop_lines(view: ViewModel, width: int) -> list[Text]:
+    """What is known of a latched stop, in two lines at most; none where none is, or it is old."""
+    stop = view.state["stop"] if view.state is not None and view.problem is None else None
+    if stop is None:
+        return []
+    style = _STOP_STYLES.get(stop["stage"], "bold yellow")
+    words = wrapped(stop["sentence"], width, _STOP_LINES)
+    return [line(Text(one, style)) for one in words]
 
 
 def _mode_and_sentence(view: ViewModel) -> tuple[str, str, str]:

@@ -20,7 +20,7 @@ _PANEL_LINES = 13
 def upper_lines(
     title: str, view: ViewModel, width: int, height: int, paused: bool = False
 ) -> list[Text]:
-    """Header, reasons, controllers and bus: 19 lines at most in 80 x 24."""
+    """Header, reasons, controllers and bus: 20 lines at most in 80 x 24."""
     tall = height >= TALL_LINES
     gap = [Text()] if tall else []
     return [
@@ -37,14 +37,16 @@ def _explanation(view: ViewModel, width: int, tall: bool) -> list[Text]:
     why = view.why
     if why is None or view.problem is not None:
         return header.mode_lines(view, width, _SENTENCE_LINES)
-    reasons = reason_lines(why, width, _REASON_LINES_TALL if tall else _REASON_LINES)
+    stop = header.stop_lines(view, width)
+    most = (_REASON_LINES_TALL if tall else _REASON_LINES) - len(stop[1:])
+    reasons = reason_lines(why, width, most)
     if not reasons:
-        return header.mode_lines(view, width, _SENTENCE_LINES)
+        return header.mode_lines(view, width, _SENTENCE_LINES) + stop
     if not tall:
         sentence = f"next: {why['next_step']}"
-        return header.mode_lines(view, width, _SENTENCE_LINES, sentence) + reasons
+        return header.mode_lines(view, width, _SENTENCE_LINES, sentence) + stop + reasons
     mode = header.mode_lines(view, width, _SENTENCE_LINES_TALL)
-    return [*mode, Text(), *reasons, *next_lines(why, width)]
+    return [*mode, *stop, Text(), *reasons, *next_lines(why, width)]
 
 
 def _figures(view: ViewModel, width: int, tall: bool) -> list[Text]:

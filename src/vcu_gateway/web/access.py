@@ -1,13 +1,17 @@
 """Who asks: the session's user and role, signing in and signing out."""
 
 import asyncio
+import contextlib
 import time
+from collections import Counter
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from starlette.requests import Request
 from starlette.responses import Response
 
 from vcu_gateway.api.rights import Right
+from vcu_gateway.web.connections import has_session
 from vcu_gateway.web.events import WebEvents
 from vcu_gateway.web.login_limit import LoginLimit
 from vcu_gateway.web.roles import UserRole
@@ -15,7 +19,9 @@ from vcu_gateway.web.sessions import Sessions, now_s
 from vcu_gateway.web.settings import WebSettings
 from vcu_gateway.web.users import MOST_PASSWORD_CHARACTERS, NOBODY, is_name
 
-_WAITING = 4
+_WAITING = 16
+_WAITING_OF_NAME = 2
+_WAITING_OF_ADDRESS = 4
 
 
 class Visitor(NamedTuple):
@@ -23,14 +29,12 @@ class Visitor(NamedTuple):
 
     Attributes:
         user: empty where there are no users.
-        expires_s: when the session ends, by `sessions.now_s`; None where there are none.
         looks: False for a session that has ended and may only stop the vehicle.
     """
 
     user: str
     role: UserRole
     address: str
-    expires_s: float | None
     looks: bool
 
     def may(self, right: Right) -> bool:
@@ -55,7 +59,8 @@ class Access:
         self._sessions = Sessions(settings.session_lifetime_s, settings.state_file)
         self._limit = LoginLimit()
         self._one_at_a_time = asyncio.Semaphore(1)
-        self._waiting = 0
+        self._names_waiting: Counter[str] = Counter()
+        self._addresses_waiting: Counter[str] = Counter()
         # Browsers take the first name from this host alone, and over TLS alone.
         self.cookie = "__Host-vcu-session" if settings.tls else "vcu-session"
 
@@ -68,22 +73,24 @@ class Access:
         """Who asks; None for whoever has never signed in, or whose user is gone."""
         address = request.client.host if request.client else ""
         if not self.has_users:
-            return Visitor("", self._settings.local_role, address, None, looks=True)
+            has_session(request.scope)
+            return Visitor("", self._settings.local_role, address, looks=True)
         session = self._sessions.find(request.cookies.get(self.cookie, ""))
         user = self._settings.users.get(session.user) if session else None
         if session is None or user is None or not session.may_stop(now_s()):
             return None
+        has_session(request.scope)
         looks = session.is_open(now_s())
-        return Visitor(user.name, user.role, address, session.expires_s, looks)
+        return Visitor(user.name, user.role, address, looks)
 
     async def sign_in(self, name: str, password: str, address: str) -> tuple[str, UserRole]:
         """Token and role of a new session; SignInError where it is refused."""
         wait_s = self._limit.wait_s(address, name, time.monotonic_ns())
-        if wait_s > 0 or self._waiting >= _WAITING:
+        if wait_s > 0 or self._too_many_wait(name, address):
             self._events.tell("sign_in_limited", "warning", user=_told(name), address=address)
             wait_s = max(1, wait_s)
             raise SignInError(429, f"too many attempts: try again in {wait_s} s", wait_s)
-        if not await self._is_right(name, password):
+        if not await self._is_right(name, password, address):
             self._limit.failed(address, name, time.monotonic_ns())
             self._events.tell("sign_in_failed", "warning", user=_told(name), address=address)
             raise SignInError(401, "name or password is wrong")
@@ -92,17 +99,22 @@ class Access:
         self._events.tell("signed_in", "info", user=name, role=role.value, address=address)
         return self._sessions.open(name, now_s()), role
 
-    async def _is_right(self, name: str, password: str) -> bool:
+    def _too_many_wait(self, name: str, address: str) -> bool:
+        """Each name and each address has a part of the room, so that none keeps others out."""
+        return (
+            self._names_waiting.total() >= _WAITING
+            or self._names_waiting[name] >= _WAITING_OF_NAME
+            or self._addresses_waiting[address] >= _WAITING_OF_ADDRESS
+        )
+
+    async def _is_right(self, name: str, password: str, address: str) -> bool:
         if len(password) > MOST_PASSWORD_CHARACTERS:
             return False
         user = self._settings.users.get(name)
         hashed = user.password if user else NOBODY
-        self._waiting += 1
-        try:
+        with _counted(self._names_waiting, name), _counted(self._addresses_waiting, address):
             async with self._one_at_a_time:
                 matches = await asyncio.to_thread(hashed.matches, password)
-        finally:
-            self._waiting -= 1
         return matches and user is not None
 
     def sign_out(self, request: Request) -> None:
@@ -123,6 +135,17 @@ class Access:
             httponly=True,
             samesite="strict",
         )
+
+
+@contextlib.contextmanager
+def _counted(counts: Counter[str], key: str) -> Iterator[None]:
+    counts[key] += 1
+    try:
+        yield
+    finally:
+        counts[key] -= 1
+        if not counts[key]:
+            del counts[key]
 
 
 def _told(name: str) -> str:

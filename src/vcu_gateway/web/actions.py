@@ -1,23 +1,23 @@
 """What the page may ask of the gateway: stop, disarm, arm, reset; never a demand.
 
-The emergency stop is asked for again and again until the gateway has answered, and confirmed by
-what the gateway then sends to the controllers.
+The emergency stop is asked for again and again until the gateway has answered. What became of it
+on the bus and at the controllers is no part of the answer: every state tells it.
 """
 
 import asyncio
+import functools
 import time
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Any, TypedDict
 
-from vcu_gateway.api.results import Granted
+from vcu_gateway.api.results import Granted, ModeName
 from vcu_gateway.client import ApiError, AsyncClient, ClientError
 from vcu_gateway.client.calls import Call, arm, disarm, estop, reset
-from vcu_gateway.web.gateway_link import GatewayLink
+from vcu_gateway.web.merged_call import MergedCall
 
 _TRY_TIMEOUT_S = 0.3
 _TRIES_FOR_S = 0.9
 _AGAIN_S = 0.05
-_CUT_WITHIN_S = 0.6
 _ASK_TIMEOUT_S = 1.0
 
 
@@ -25,17 +25,14 @@ class Answer(TypedDict):
     """The answer to an action.
 
     Attributes:
-        answered: the gateway has; granted: and has done it.
-        confirmed: of the emergency stop: mode fault and POWER_CUT in both frames were seen.
-        frames: the command frames that show it, as candump writes them.
+        answered: the gateway has; granted: and will do it.
+        mode: when it was granted; None where it was not, or where that is not known.
     """
 
     answered: bool
     granted: bool
-    confirmed: bool
-    mode: str | None
+    mode: ModeName | None
     sentence: str
-    frames: dict[str, str | None]
 
 
 CALLS: dict[str, Call[Granted]] = {
@@ -49,41 +46,33 @@ CALLS: dict[str, Call[Granted]] = {
 class Actions:
     """Actions on the gateway, on connections of their own: a stop waits for nothing else."""
 
-    def __init__(self, socket_path: Path, link: GatewayLink) -> None:
-        self._link = link
+    def __init__(self, socket_path: Path) -> None:
         self._stopping = AsyncClient(socket_path, _TRY_TIMEOUT_S)
         self._asking = AsyncClient(socket_path, _ASK_TIMEOUT_S)
+        self._merged_stop = MergedCall(self._ask_to_stop)
+        self._merged_disarm = MergedCall(functools.partial(self._ask, "disarm"))
 
     async def act(self, name: str) -> Answer:
         """Carry out an action of `roles.ACTION_RIGHTS`."""
         if name == "estop":
-            return await self._stop()
+            return await self._merged_stop()
+        return await (self._merged_disarm() if name == "disarm" else self._ask(name))
+
+    async def _ask(self, name: str) -> Answer:
         client = self._stopping if name == "disarm" else self._asking
         try:
-            granted = await client.call(CALLS[name])
+            return _granted(await client.call(CALLS[name]))
         except ApiError as error:
             return _answer(answered=True, sentence=error.sentence)
         except ClientError as error:
             return _answer(answered=False, sentence=str(error))
-        return _answer(answered=True, granted=True, mode=granted["mode"])
-
-    async def _stop(self) -> Answer:
-        asked_ns = time.monotonic_ns()
-        answer = await self._ask_to_stop()
-        confirmed = await self._link.until_cut(asked_ns, _CUT_WITHIN_S if answer["granted"] else 0)
-        latest = self._link.latest
-        if confirmed and latest is not None:
-            answer["mode"] = latest["mode"]
-            answer["frames"] = {name: one["frame"] for name, one in latest["commands"].items()}
-        answer["confirmed"] = confirmed
-        return answer
 
     async def _ask_to_stop(self) -> Answer:
         """Ask until it has answered, for 0.9 s; the browser asks again after that."""
         end_s = time.monotonic() + _TRIES_FOR_S
         while True:
             try:
-                granted = await self._stopping.call(estop())
+                return _granted(await self._stopping.call(estop()))
             except ApiError as error:
                 # The gateway stops also where a request is wrong in form, and says so.
                 return _answer(answered=True, granted=True, sentence=error.sentence)
@@ -91,8 +80,6 @@ class Actions:
                 if time.monotonic() >= end_s:
                     return _answer(answered=False, sentence=str(error))
                 await asyncio.sleep(_AGAIN_S)
-            else:
-                return _answer(answered=True, granted=True, mode=granted["mode"])
 
     async def close(self) -> None:
         """Close the connections."""
@@ -100,18 +87,13 @@ class Actions:
         await self._asking.close()
 
 
+def _granted(granted: Any) -> Answer:
+    """The answer for one that a gateway of any version granted."""
+    mode = granted.get("mode") if isinstance(granted, dict) else None
+    return _answer(answered=True, granted=True, mode=mode)
+
+
 def _answer(
-    *,
-    answered: bool,
-    granted: bool = False,
-    mode: Literal["starting", "standby", "active", "fault", "stopping"] | None = None,
-    sentence: str = "",
+    *, answered: bool, granted: bool = False, mode: ModeName | None = None, sentence: str = ""
 ) -> Answer:
-    return {
-        "answered": answered,
-        "granted": granted,
-        "confirmed": False,
-        "mode": mode,
-        "sentence": sentence,
-        "frames": {},
-    }
+    return {"answered": answered, "granted": granted, "mode": mode, "sentence": sentence}

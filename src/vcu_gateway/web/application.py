@@ -10,6 +10,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
+from vcu_gateway.web import certificate
 from vcu_gateway.web.access import Access
 from vcu_gateway.web.actions import Actions
 from vcu_gateway.web.broadcast import Broadcast
@@ -27,21 +28,21 @@ def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
     """The whole application; its lifespan follows the gateway."""
     broadcast = Broadcast()
     link = GatewayLink(settings.socket_path, broadcast, events)
-    events.on_change = link.note_event
-    actions = Actions(settings.socket_path, link)
+    events.on_change = link.answers.note_event
+    actions = Actions(settings.socket_path)
     access = Access(settings, events)
     api = Routes(access, link, actions, Streams(broadcast), events)
     recordings = RecordingRoutes(settings.recordings, events)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        following = asyncio.create_task(link.run())
+        tasks = [asyncio.create_task(link.run()), *_certificate_watch(settings, link)]
         try:
             yield
         finally:
-            following.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await following
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
             await actions.close()
             await link.close()
 
@@ -49,6 +50,15 @@ def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
     starlette = Starlette(routes=routes, lifespan=lifespan)
     starlette.router.redirect_slashes = False  # a path is one of the routes, or none
     return Guard(starlette, settings)
+
+
+def _certificate_watch(settings: WebSettings, link: GatewayLink) -> list[asyncio.Task[None]]:
+    if settings.tls is None:
+        return []
+    with contextlib.suppress(OSError, ValueError):  # TLS itself has taken it, or said why not
+        end = certificate.end_of(settings.tls.certificate)
+        return [asyncio.create_task(certificate.watch(end, link.tell_certificate))]
+    return []
 
 
 def _api_routes(api: Routes, recordings: RecordingRoutes) -> list[Route]:

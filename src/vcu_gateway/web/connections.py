@@ -1,72 +1,213 @@
-"""Connections with limits that uvicorn has not: on their number, and on a slow beginning."""
+"""Connections with limits that uvicorn has not: on their number, and on a slow beginning.
+
+A new connection always finds a place: whoever wants to stop the vehicle gets in. Where all are
+taken, or all of its address, another one gives way: first those that no session was seen on, then
+those with one, then streams, of each the longest idle. One on which a stop is asked for stays.
+Where an address makes others give way again and again its connections are parked: a stop and
+signing in are carried out there, everything else waits for a place. What is more than may be parked
+is closed unread, a second later: so whoever connects again at once does that once a second.
+"""
 
 import asyncio
 import contextlib
 import socket
-from collections import Counter
+import time
+from collections import deque
+from collections.abc import Collection, Iterator
 from typing import Any, ClassVar
 
 import h11
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from vcu_gateway.web.cost_limit import CostLimit
+
 MOST_CONNECTIONS = 256
-MOST_PER_ADDRESS = 128
+MOST_PER_ADDRESS = 64
+MOST_PARKED = 128
+MOST_PARKED_PER_ADDRESS = 64
+MOST_REFUSED = 512
 REQUEST_WITHIN_S = 10.0
 
+_EVICTIONS_AT_ONCE, _EVICTIONS_PER_S = 8, 20
+_CLOSED_AT_ONCE = 32
+_REFUSED_S = 1.0
+_PARKED_S = 1 / _EVICTIONS_PER_S
 
 TRANSPORT = "vcu_gateway.transport"
 """Extension of the scope: the connection itself, for a stream that writes without a task."""
 
+STOPS = frozenset({"/api/actions/estop", "/api/actions/disarm"})
+SESSION = "/api/session"
+STREAM = "/api/stream"
+
+_PLACE = "vcu_gateway.place"
+
+
+class Place:
+    """Place of one connection: what decides whether it gives way.
+
+    Attributes:
+        has_session: somebody who is signed in has asked on it.
+        path: of the request that is in work; empty where none is.
+        active_s: monotonic time at which it came, or a request of it began or ended.
+        is_parked: it has none yet; all but a stop and signing in waits for it.
+    """
+
+    def __init__(self, address: str, now_s: float) -> None:
+        self.address = address
+        self.has_session = self.is_parked = False
+        self._is_taken = asyncio.Event()
+        self.path = ""
+        self.active_s = now_s
+
+    def unpark(self) -> None:
+        """It has a place from now on."""
+        self.is_parked, self.active_s = False, time.monotonic()
+        self._is_taken.set()
+
+    async def wait_for(self, path: str) -> None:
+        """Wait for the place, unless this is the path of a stop or of signing in."""
+        if self.is_parked and path not in STOPS and path != SESSION:
+            await self._is_taken.wait()
+
+    @property
+    def rank(self) -> tuple[bool, bool, float]:
+        """The least one gives way."""
+        return self.has_session, self.path == STREAM, self.active_s
+
+    @contextlib.contextmanager
+    def asked(self, path: str) -> Iterator[None]:
+        """A request is in work for as long as the block."""
+        self.path, self.active_s = path, time.monotonic()
+        try:
+            yield
+        finally:
+            self.path, self.active_s = "", time.monotonic()
+
+
+def gives_way(places: Collection[Place], address: str) -> Place | None:
+    """Place that a new connection of this address takes; None where it needs none of them."""
+    own = [place for place in places if place.address == address]
+    if len(own) < MOST_PER_ADDRESS and len(places) < MOST_CONNECTIONS:
+        return None
+    candidates = own if len(own) >= MOST_PER_ADDRESS else places
+    idle = [place for place in candidates if place.path not in STOPS]
+    return min(idle, key=lambda place: place.rank, default=None)
+
+
+def has_session(scope: Scope) -> None:
+    """Note that somebody who is signed in asks on this connection."""
+    place = (scope.get("extensions") or {}).get(_PLACE)
+    if place is not None:
+        place.has_session = True
+
 
 class LimitedListener(socket.socket):
-    """Listening socket that closes a connection at once where there are too many.
+    """Listening socket that ends or parks connections where there are too many.
 
-    It counts what it accepted, whether TLS has begun on it or not. The limit on one address keeps
-    room for others: whoever wants to stop the vehicle gets in.
+    It counts what it accepted, whether TLS has begun on it or not.
     """
 
     def __init__(self, family: socket.AddressFamily) -> None:
         super().__init__(family, socket.SOCK_STREAM)
-        self._by_address: Counter[str] = Counter()
+        self._open: dict[Place, socket.socket] = {}
+        self._parked: dict[Place, socket.socket] = {}
+        self._refused: deque[socket.socket] = deque()
+        self._evictions = CostLimit(_EVICTIONS_AT_ONCE, _EVICTIONS_PER_S)
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection; ConnectionAbortedError for one that was too many."""
-        connection, peer = super().accept()
-        address = str(peer[0])
-        of_address = self._by_address[address]
-        if self._by_address.total() >= MOST_CONNECTIONS or of_address >= MOST_PER_ADDRESS:
+        """The next connection; some that are not even parked are closed until then."""
+        for _ in range(_CLOSED_AT_ONCE):
+            connection, peer = super().accept()
+            place = Place(str(peer[0]), time.monotonic())
+            place.is_parked = not self._takes_place(place)
+            if not place.is_parked or self._may_park(place.address):
+                return self._accepted(connection, place, peer), peer
+            self._refuse(connection)
+        raise ConnectionAbortedError("too many connections")
+
+    def _accepted(self, connection: socket.socket, place: Place, peer: Any) -> socket.socket:
+        places = self._parked if place.is_parked else self._open
+        accepted = places[place] = _PlacedSocket(connection, (self._open, self._parked), place)
+        if place.is_parked:
+            asyncio.get_running_loop().call_later(_PARKED_S, self._unpark, place.address)
+        LimitedProtocol.await_beginning(peer, accepted)
+        return accepted
+
+    def _takes_place(self, place: Place) -> bool:
+        """Make room for it; False where its address has done that too often."""
+        leaves, now_ns = gives_way(self._open.keys(), place.address), time.monotonic_ns()
+        if leaves is None:
+            return True
+        if self._evictions.wait_ns(place.address, 1, now_ns):
+            return False
+        self._evictions.take(place.address, 1, now_ns)
+        _end(self._open.pop(leaves))
+        return True
+
+    def _refuse(self, connection: socket.socket) -> None:
+        """Close it a second later, or at once where too many wait for that."""
+        if len(self._refused) < MOST_REFUSED:
+            self._refused.append(connection)
+            asyncio.get_running_loop().call_later(_REFUSED_S, self._close_refused)
+        else:
             connection.close()
-            raise ConnectionAbortedError("too many connections")
-        counted = _CountedSocket(connection, self._by_address, address)
-        LimitedProtocol.await_beginning(peer, counted)
-        return counted, peer
+
+    def _close_refused(self) -> None:
+        self._refused.popleft().close()
+
+    def _may_park(self, address: str) -> bool:
+        own = sum(place.address == address for place in self._parked)
+        return len(self._parked) < MOST_PARKED and own < MOST_PARKED_PER_ADDRESS
+
+    def _unpark(self, address: str) -> None:
+        """Give the first one of this address a place, if that may be now; else look again."""
+        own = [place for place in self._parked if place.address == address]
+        if not own:
+            return
+        if self._takes_place(own[0]):
+            self._open[own[0]] = self._parked.pop(own[0])
+            own[0].unpark()
+        if len(own) > 1 or own[0].is_parked:
+            asyncio.get_running_loop().call_later(_PARKED_S, self._unpark, address)
 
 
-class _CountedSocket(socket.socket):
-    """Accepted connection, counted until it is closed."""
+class _PlacedSocket(socket.socket):
+    """Accepted connection, which has a place until it is closed or gave way."""
 
-    def __init__(self, accepted: socket.socket, counts: Counter[str], address: str) -> None:
+    def __init__(
+        self,
+        accepted: socket.socket,
+        registers: tuple[dict[Place, socket.socket], ...],
+        place: Place,
+    ) -> None:
         family, kind, protocol = accepted.family, accepted.type, accepted.proto
         super().__init__(family, kind, protocol, fileno=accepted.detach())
-        self._counts: Counter[str] | None = counts
-        self._address = address
-        counts[address] += 1
+        self._registers = registers
+        self.place = place
 
     def close(self) -> None:
         """Close it, and make room."""
-        counts, self._counts = self._counts, None
-        if counts is not None:
-            counts[self._address] -= 1
-            if not counts[self._address]:
-                del counts[self._address]
+        for register in self._registers:
+            register.pop(self.place, None)
         super().close()
 
 
-def _with_transport(app: ASGIApp, transport: asyncio.Transport) -> ASGIApp:
+def _end(accepted: socket.socket) -> None:
+    """End a connection; asyncio sees that and closes it."""
+    with contextlib.suppress(OSError):  # it has ended by itself
+        accepted.shutdown(socket.SHUT_RDWR)
+
+
+def _placed(app: ASGIApp, transport: asyncio.Transport, place: Place) -> ASGIApp:
     async def wrapped(scope: Scope, receive: Receive, send: Send) -> None:
-        scope["extensions"] = {**(scope.get("extensions") or {}), TRANSPORT: transport}
-        await app(scope, receive, send)
+        own = {TRANSPORT: transport, _PLACE: place}
+        scope["extensions"] = {**(scope.get("extensions") or {}), **own}
+        path = scope.get("path", "")
+        await place.wait_for(path)
+        with place.asked(path):
+            await app(scope, receive, send)
 
     return wrapped
 
@@ -74,27 +215,28 @@ def _with_transport(app: ASGIApp, transport: asyncio.Transport) -> ASGIApp:
 class LimitedProtocol(H11Protocol):
     """HTTP/1.1 connection that is closed where no handshake or no request comes."""
 
-    _beginning: ClassVar[dict[Any, socket.socket]] = {}
+    _beginning: ClassVar[dict[Any, _PlacedSocket]] = {}
     _timer: asyncio.TimerHandle | None = None
 
     @classmethod
-    def await_beginning(cls, peer: Any, accepted: socket.socket) -> None:
+    def await_beginning(cls, peer: Any, accepted: _PlacedSocket) -> None:
         """Close this connection where its TLS has not begun in time."""
         cls._beginning[peer] = accepted
         asyncio.get_running_loop().call_later(REQUEST_WITHIN_S, cls._give_up, peer, accepted)
 
     @classmethod
-    def _give_up(cls, peer: Any, accepted: socket.socket) -> None:
+    def _give_up(cls, peer: Any, accepted: _PlacedSocket) -> None:
         if cls._beginning.get(peer) is accepted:
             del cls._beginning[peer]
-            with contextlib.suppress(OSError):  # it has ended by itself
-                accepted.shutdown(socket.SHUT_RDWR)
+            _end(accepted)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take it, and watch over its beginning."""
-        self._beginning.pop(transport.get_extra_info("peername"), None)
+        accepted = self._beginning.pop(transport.get_extra_info("peername"), None)
         super().connection_made(transport)
-        self.app = _with_transport(self.app, transport)
+        # One that has just been given up has no place any more.
+        place = accepted.place if accepted is not None else Place("", time.monotonic())
+        self.app = _placed(self.app, transport, place)
         self._seen_cycle = self.cycle
         self._watch(transport)
 

@@ -7,11 +7,13 @@ anything done by that, nor read anything (docs/web.md).
 import json
 import re
 from collections.abc import Mapping
+from http import HTTPStatus
 from typing import NamedTuple
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from vcu_gateway.web.settings import WebSettings
+from vcu_gateway.web.question_limit import QuestionLimit
+from vcu_gateway.web.settings import WebSettings, without_port
 
 MOST_BODY_BYTES = 256 * 1024
 
@@ -47,26 +49,30 @@ class Guard:
 
     def __init__(self, app: ASGIApp, settings: WebSettings) -> None:
         self._app = app
+        self._limit = QuestionLimit()
         self._hosts = settings.known_hosts
         self._scheme = "https" if settings.tls else "http"
         headers = {**_HEADERS, **(_TLS_HEADERS if settings.tls else {})}
         self._headers = [(name.encode(), value.encode()) for name, value in headers.items()]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
+        """Pass a request on, at its turn, or refuse it."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        guarded = self._with_headers(send)
+        guarded = self._with_headers(scope, send)
         refusal = self._refusal(scope)
+        if refusal is None and not await self._limit.has_turn(scope):
+            refusal = HttpRefusal(429, "too many questions: try again in a second")
         if refusal is not None:
             await _refuse(guarded, refusal)
             return
         await self._app(scope, receive, guarded)
 
-    def _with_headers(self, send: Send) -> Send:
+    def _with_headers(self, scope: Scope, send: Send) -> Send:
         async def guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
+                await self._limit.hold_answer(scope)
                 message = {**message, "headers": [*message.get("headers", ()), *self._headers]}
             await send(message)
 
@@ -79,7 +85,7 @@ class Guard:
             return HttpRefusal(400, "a header is there twice")
         if scope["method"] not in _KNOWN_METHODS:
             return HttpRefusal(405, "no such method here")
-        if _without_port(headers.get("host", "").lower()) not in self._hosts:
+        if without_port(headers.get("host", "").lower()) not in self._hosts:
             return HttpRefusal(421, "this host is not known by that name (--host-name)")
         reads = scope["method"] in _READING
         if not (reads and scope["path"] == "/") and headers.get("sec-fetch-site") in _FOREIGN_SITES:
@@ -110,16 +116,13 @@ def _single(scope: Scope) -> Mapping[str, str] | None:
     return headers
 
 
-def _without_port(host: str) -> str:
-    name, colon, port = host.rpartition(":")
-    return name if colon and port.isascii() and port.isdecimal() else host
-
-
 async def _refuse(send: Send, refusal: HttpRefusal) -> None:
     body = json.dumps({"sentence": refusal.sentence}).encode()
     headers: list[tuple[bytes, bytes]] = [
         (b"content-type", b"application/json"),
         (b"content-length", str(len(body)).encode()),
     ]
+    if refusal.status == HTTPStatus.TOO_MANY_REQUESTS:
+        headers.append((b"retry-after", b"1"))
     await send({"type": "http.response.start", "status": refusal.status, "headers": headers})
     await send({"type": "http.response.body", "body": body})

@@ -3,10 +3,10 @@
 import math
 from array import array
 from collections.abc import Iterable, Iterator
-from typing import TypedDict
+from typing import Any, TypedDict
 
-from vcu_gateway.api.results import Signal, State
 from vcu_gateway.units import NS_PER_MS
+from vcu_gateway.web.state_row import is_number
 
 KEPT_S = 600
 RATE_HZ = 10
@@ -14,7 +14,10 @@ CAPACITY = KEPT_S * RATE_HZ
 MOST_SIGNALS = 8
 
 _NAN = float("nan")
-_LEAST_GAP_MS = 0.9 * 1000 / RATE_HZ
+_PERIOD_MS = 1000 / RATE_HZ
+_LEAST_APART_MS = 0.9 * _PERIOD_MS
+_MOST_APART_MS = 3 * _PERIOD_MS
+_LIVE = ("good", "out of range", "saturated")
 _COMMANDED = ("throttle_pct", "brake_pct", "speed_limit_rpm", "power_limit_w")
 
 
@@ -36,15 +39,25 @@ class History:
         self._columns: dict[str, array[float]] = {}
         self._count = 0
 
-    def add(self, state: State) -> None:
-        """One sample, unless the last one is younger than a tenth of a second."""
+    def add(self, state: Any) -> None:
+        """One sample, unless the last one is younger than a tenth of a second.
+
+        Where none came for three periods, one without values stands between: a gap.
+        """
         time_ms = state["monotonic_ns"] / NS_PER_MS
-        if self._count and time_ms - self._times_ms[(self._count - 1) % CAPACITY] < _LEAST_GAP_MS:
-            return
+        if self._count:
+            last_ms = self._times_ms[(self._count - 1) % CAPACITY]
+            if time_ms - last_ms < _LEAST_APART_MS:
+                return
+            if time_ms - last_ms > _MOST_APART_MS:
+                self._put(last_ms + _PERIOD_MS, ())
+        self._put(time_ms, _values(state))
+
+    def _put(self, time_ms: float, values: Iterable[tuple[str, float]]) -> None:
         at = self._count % CAPACITY
         for column in self._columns.values():
             column[at] = _NAN
-        for name, value in _values(state):
+        for name, value in values:
             self._column(name)[at] = value
         self._times_ms[at] = time_ms
         self._count += 1
@@ -63,15 +76,28 @@ class History:
     def read(self, names: Iterable[str], points: int) -> Samples:
         """The samples of these signals, thinned to about so many points.
 
-        The least and the greatest value of each stretch stay, so that no peak is lost.
+        The least and the greatest value of each stretch stay, so that no peak is lost; where a gap
+        begins or ends every sample stays.
         """
+        names = tuple(names)
         order = range(max(0, self._count - CAPACITY), self._count)
         size = max(1, -(-2 * len(order) // points))
-        stretches = [order[at : at + size] for at in range(0, len(order), size)]
+        stretches = [
+            part
+            for at in range(0, len(order), size)
+            for part in self._without_gap_inside(order[at : at + size], names)
+        ]
         return {
             "times_ms": [round(time) for time in self._stretch_times_ms(stretches)],
             "values": {name: self._thinned(name, stretches) for name in names},
         }
+
+    def _without_gap_inside(self, stretch: range, names: Iterable[str]) -> list[range]:
+        """The stretch, or its samples one by one where a gap of one signal begins or ends in it."""
+        columns = [self._columns[name] for name in names]
+        gaps = ({math.isnan(column[at % CAPACITY]) for at in stretch} for column in columns)
+        is_mixed = any(len(kinds) > 1 for kinds in gaps)
+        return [stretch[at : at + 1] for at in range(len(stretch))] if is_mixed else [stretch]
 
     def _stretch_times_ms(self, stretches: list[range]) -> Iterator[float]:
         for stretch in stretches:
@@ -99,15 +125,26 @@ def _extremes(values: list[float]) -> list[float | None]:
     return [float(f"{value:.6g}") for value in ends[: len(values)]]
 
 
-def _values(state: State) -> Iterator[tuple[str, float]]:
-    for message_name, message in state["messages"].items():
-        for name, signal in message["signals"].items():
+def _values(state: Any) -> Iterator[tuple[str, float]]:
+    """Whatever is not as it should be is a gap."""
+    for message_name, message in _items(state, "messages"):
+        for name, signal in _items(message, "signals"):
             yield f"{message_name}.{name}", _live(signal)
-    for controller, command in state["commands"].items():
+    for controller, command in _items(state, "commands"):
         for key in _COMMANDED:
-            yield f"{controller}.commanded.{key}", float(command[key])  # type: ignore[literal-required]
+            yield f"{controller}.commanded.{key}", _float(command, key)
 
 
-def _live(signal: Signal) -> float:
-    is_live = signal["value"] is not None and signal["quality"] not in ("stale", "never")
-    return float(signal["value"] or 0.0) if is_live else _NAN
+def _items(value: Any, key: str) -> Iterable[tuple[str, Any]]:
+    inner = value.get(key) if isinstance(value, dict) else None
+    return inner.items() if isinstance(inner, dict) else ()
+
+
+def _live(signal: Any) -> float:
+    is_live = isinstance(signal, dict) and signal.get("quality") in _LIVE
+    return _float(signal, "value") if is_live else _NAN
+
+
+def _float(value: Any, key: str) -> float:
+    inner = value.get(key) if isinstance(value, dict) else None
+    return float(inner) if is_number(inner) else _NAN

@@ -15,6 +15,7 @@ from vcu_gateway.web.actions import Actions
 from vcu_gateway.web.events import WebEvents
 from vcu_gateway.web.gateway_link import GatewayLink, now_ms
 from vcu_gateway.web.history import MOST_SIGNALS
+from vcu_gateway.web.prepared_samples import PreparedSamples
 from vcu_gateway.web.roles import ACTION_RIGHTS
 from vcu_gateway.web.stream import Streams
 
@@ -42,6 +43,7 @@ class Routes:
         self._actions = actions
         self._streams = streams
         self._events = events
+        self._samples = PreparedSamples(link.answers.history.read)
 
     def for_visitors(self, handler: Handler) -> Callable[[Request], Awaitable[Response]]:
         """The handler for whoever may look; 401 for everybody else."""
@@ -102,9 +104,12 @@ class Routes:
 
     async def stream(self, request: Request, visitor: Visitor) -> Response:
         """Everything that the page shows live."""
-        del request
-        room = self._streams.response(visitor)
+        room = self._streams.response(visitor.address, lambda: self._looks(request))
         return room or problem(503, "too many browsers look already")
+
+    def _looks(self, request: Request) -> bool:
+        visitor = self._access.visitor(request)
+        return visitor is not None and visitor.looks
 
     async def act(self, request: Request) -> Response:
         """Stop, disarm, arm or reset; a session that has ended may still stop."""
@@ -138,7 +143,7 @@ class Routes:
     async def history(self, request: Request, visitor: Visitor) -> Response:
         """Samples of signals over the last ten minutes, for the plots."""
         del visitor
-        known = set(self._link.history.names)
+        known = set(self._link.answers.history.names)
         names = [name for name in request.query_params.get("signals", "").split(",") if name]
         unknown = [name for name in names if name not in known]
         if unknown or not 0 < len(names) <= MOST_SIGNALS:
@@ -146,7 +151,11 @@ class Routes:
         points = _number(request.query_params.get("points", "1200"))
         if points not in _POINTS:
             return problem(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
-        return answer(self._link.history.read(names, points))
+        encoded = await self._samples.encoded(tuple(names), points)
+        headers, content = {**_NO_STORE, "vary": "accept-encoding"}, encoded.plain
+        if "gzip" in request.headers.get("accept-encoding", ""):
+            headers["content-encoding"], content = "gzip", encoded.packed
+        return Response(content, headers=headers, media_type="application/json")
 
 
 def clock() -> dict[str, float]:

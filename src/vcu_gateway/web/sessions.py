@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 _TOKEN_BYTES = 32
-_SESSIONS = 256
+SESSIONS_PER_USER = 16
 _STOPS_FOR_S = 24 * 3600
 _STEP_S = 1.0
 
@@ -44,7 +44,7 @@ class BrowserSession(NamedTuple):
 
 
 class Sessions:
-    """Sessions by the hash of their token; the oldest gives way where there are 256.
+    """Sessions by the hash of their token; of one user's 17 the oldest ends, and nobody else's.
 
     Args:
         lifetime_s: how long one lasts.
@@ -68,10 +68,9 @@ class Sessions:
     def open(self, user: str, now_s: float) -> str:
         """A new session; the token is for the browser's cookie and kept nowhere."""
         token = secrets.token_urlsafe(_TOKEN_BYTES)
-        while len(self._sessions) >= _SESSIONS:
-            del self._sessions[next(iter(self._sessions))]
-        self._sessions[_key(token)] = BrowserSession(user, now_s, now_s + self._lifetime_s)
         self._forget_ended(now_s)
+        self._make_room(user)
+        self._sessions[_key(token)] = BrowserSession(user, now_s, now_s + self._lifetime_s)
         self._save()
         return token
 
@@ -85,6 +84,11 @@ class Sessions:
         """End a session at once, its right to stop too."""
         if self._sessions.pop(_key(token), None) is not None:
             self._save()
+
+    def _make_room(self, user: str) -> None:
+        own = [key for key, one in self._sessions.items() if one.user == user]
+        for key in own[: max(0, len(own) + 1 - SESSIONS_PER_USER)]:
+            del self._sessions[key]
 
     def _forget_ended(self, now_s: float) -> None:
         kept = {key: one for key, one in self._sessions.items() if one.may_stop(now_s)}

@@ -50,7 +50,7 @@ class WebSettings(NamedTuple):
     @property
     def known_hosts(self) -> frozenset[str]:
         """Names that a request's Host may have, without the port; others are refused."""
-        names = {name.lower() for name in self.host_names}
+        names = {without_port(name.lower()) for name in self.host_names}
         own = f"[{self.address}]" if ":" in self.address else self.address
         return frozenset(names | {own.lower()}) | (_LOCAL_NAMES if self.is_local else frozenset())
 
@@ -93,6 +93,13 @@ class WebSettings(NamedTuple):
             key = str(self.tls.key)
             problems.append(Problem("others may read this key", key, f"chmod o= {key}"))
         return problems
+
+
+def without_port(host: str) -> str:
+    """Name or address of a Host; an IPv6 address with a port stands in brackets."""
+    name, colon, port = host.rpartition(":")
+    has_port = colon and port.isascii() and port.isdecimal()
+    return name if has_port and (":" not in name or name.endswith("]")) else host
 
 
 def _is_address(text: str) -> bool:

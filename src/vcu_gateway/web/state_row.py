@@ -1,74 +1,116 @@
-"""State as a browser gets it twenty times a second: numbers in the protocol's order, no names."""
+"""State as a browser gets it twenty times a second: numbers in the definition's order, no names.
 
-from vcu_gateway.api.results import Message, Protocol, QualityName, State
+A part that is not as it should be is null, or the worst of its kind, and the others stay.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeGuard
+
+from vcu_gateway.api.results import SignalDefinition
 from vcu_gateway.units import NS_PER_MS
+from vcu_gateway.web.shape import misfits
 
-QUALITY_LETTERS: dict[QualityName, str] = {
+_QUALITY_LETTERS: dict[str, str] = {
     "good": "g",
     "out of range": "r",
     "saturated": "s",
     "stale": "o",
     "never": "n",
 }
+_UNKNOWN_QUALITY = "n"
 
 Row = list[object]
 """Age in ms, observed period in ms, stale (0, 1), frames, values, a letter for each quality."""
 
+SignalOrder = dict[str, tuple[str, ...]]
+"""Names of the signals of each message, in the order in which a row has them."""
 
-def state_row(state: State, received_ms: float) -> dict[str, object]:
+_OF_SIGNAL = ("name", "unit", "minimum", "maximum", "factor", "names", "comment")
+
+
+def state_row(
+    state: Mapping[str, Any], order: SignalOrder, received_ms: float
+) -> dict[str, object]:
     """One state, small; `received_ms` is when it got here, on the clock of `t`."""
+    messages = state.get("messages")
+    messages = messages if isinstance(messages, dict) else {}
     return {
         "t": state["monotonic_ns"] / NS_PER_MS,
         "received": received_ms,
-        "mode": state["mode"],
-        "messages": {name: _row(message) for name, message in state["messages"].items()},
-        "commands": state["commands"],
-        "demanded": state["demanded"],
+        "mode": state.get("mode"),
+        "messages": {name: _row(one, order.get(name, ())) for name, one in messages.items()},
+        "commands": state.get("commands"),
+        "demanded": state.get("demanded"),
+        "stop": state.get("stop"),
     }
 
 
-def _row(message: Message) -> Row:
-    signals = message["signals"].values()
+def _row(message: Any, names: Sequence[str]) -> Row | None:
+    """None for a message that is none."""
+    if not isinstance(message, dict):
+        return None
+    signals = message.get("signals")
+    signals = signals if isinstance(signals, dict) else {}
+    parts = [_signal(signals.get(name)) for name in names]
     return [
-        message["age_ms"],
-        message["period_ms"],
-        int(message["stale"]),
-        message["frame_count"],
-        [_short(signal["value"]) for signal in signals],
-        "".join(QUALITY_LETTERS[signal["quality"]] for signal in signals),
+        _number(message.get("age_ms")),
+        _number(message.get("period_ms")),
+        int(message.get("stale") is not False),
+        _number(message.get("frame_count")),
+        [value for value, _ in parts],
+        "".join(letter for _, letter in parts),
     ]
 
 
-def _short(value: float | None) -> float | None:
-    """Without the digits that no signal of 16 bits has."""
+def _signal(signal: Any) -> tuple[float | None, str]:
+    if not isinstance(signal, dict):
+        return None, _UNKNOWN_QUALITY
+    value, quality = _number(signal.get("value")), signal.get("quality")
+    letter = _QUALITY_LETTERS.get(quality) if isinstance(quality, str) else None
+    return value, letter or _UNKNOWN_QUALITY
+
+
+def _number(value: object) -> float | None:
+    """Without the digits that no signal of 16 bits has; None for what is no number."""
+    if not is_number(value):
+        return None
     return round(value, 4) if isinstance(value, float) else value
 
 
-def definition(protocol: Protocol, received: list[str]) -> dict[str, object]:
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether JSON has it as a number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def definition(protocol: Any, received: Sequence[str]) -> dict[str, Any]:
     """What the page needs to name the numbers: messages in the state's order."""
-    known = {message["name"]: message for message in protocol["messages"]}
+    listed = protocol.get("messages") if isinstance(protocol, dict) else None
+    known = {one["name"]: one for one in (listed or ()) if _has_name(one)}
     return {
-        "digest": protocol["digest"],
-        "messages": [
-            {
-                "name": name,
-                "sender": known[name]["sender"],
-                "id": known[name]["can_id"],
-                "period_ms": known[name]["period_ms"],
-                "signals": [
-                    {
-                        "name": signal["name"],
-                        "unit": signal["unit"],
-                        "minimum": signal["minimum"],
-                        "maximum": signal["maximum"],
-                        "factor": signal["factor"],
-                        "names": signal["names"],
-                        "comment": signal["comment"],
-                    }
-                    for signal in known[name]["signals"]
-                ],
-            }
-            for name in received
-            if name in known
-        ],
+        "digest": protocol.get("digest") if isinstance(protocol, dict) else None,
+        "messages": [_message(known[name]) for name in received if name in known],
     }
+
+
+def _has_name(message: Any) -> bool:
+    return isinstance(message, dict) and isinstance(message.get("name"), str)
+
+
+def _message(message: Any) -> dict[str, object]:
+    """One message with those of its signals that have everything."""
+    signals = message.get("signals")
+    signals = signals if isinstance(signals, list) else []
+    whole = [one for one in signals if not any(misfits(one, SignalDefinition, ""))]
+    return {
+        "name": message["name"],
+        "sender": message.get("sender"),
+        "id": message.get("can_id"),
+        "period_ms": message.get("period_ms"),
+        "signals": [{key: one[key] for key in _OF_SIGNAL} for one in whole],
+    }
+
+
+def signal_order(told: Mapping[str, Any], received: Sequence[str]) -> SignalOrder:
+    """Order of the signals in the rows, by what the browsers were told."""
+    names = {one["name"]: tuple(s["name"] for s in one["signals"]) for one in told["messages"]}
+    return {name: names.get(name, ()) for name in received}

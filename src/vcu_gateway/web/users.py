@@ -95,8 +95,9 @@ def read(path: Path) -> Users:
         lines = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise MissingInputError(Problem(f"cannot read the users: {error}", str(path))) from error
-    if mode & (stat.S_IROTH | stat.S_IWOTH):
-        raise ConfigError(Problem("others may read it", str(path), f"chmod o= {path}"))
+    if mode & (stat.S_IWGRP | stat.S_IROTH | stat.S_IWOTH):
+        what = "others may read it, or change it"
+        raise ConfigError(Problem(what, str(path), f"chmod g-w,o= {path}"))
     return parse(lines, str(path))
 
 

@@ -14,11 +14,12 @@ from tests.faults import reference_ticks
 from tests.faults.conftest import Seen
 from tests.faults.driving import MS, BusStand, Driving
 from tests.vcan.conftest import wait_until
+from vcu_gateway.api.results import StopState
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.transmit import OutFrame
 
 # A busy machine has what is measured taken once more.
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.ci, pytest.mark.timeout(300)]
 
 Disturb = Callable[[str], None]
 WHOLE = "steps: []\n"
@@ -257,3 +258,21 @@ class Filled(NamedTuple):
             f"fault within {self.fault_ms:.0f} ms; {self.refused} frames refused, {self.skipped} "
             f"ticks skipped, {self.stalls} by a bystander, {self.calm} before"
         )
+
+
+def test_a_stop_that_leads_nowhere_is_sent_and_never_on_the_bus(driving: Driving, disturb: Disturb):
+    disturb("netem loss 100%")
+    lost_ns = time.time_ns()
+    driving.client.estop()
+    stops = [one for _ in range(20) if (one := stop_soon(driving))]
+    assert driving.commands(lost_ns + 10 * MS) == []
+    assert {one["stage"] for one in stops} <= {"latched", "sent"}
+    assert stops[-1]["sentence"] == "Stop sent; not seen on the bus for PCU1 and PCU2"
+    for known in stops[-1]["controllers"].values():
+        assert known["sent_ms"] is not None
+        assert (known["echoed_ms"], known["obeyed"]) == (None, None)
+
+
+def stop_soon(driving: Driving) -> StopState | None:
+    time.sleep(0.05)
+    return driving.client.state(())["stop"]

@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -135,6 +136,7 @@ class Abused(NamedTuple):
         return f"{self.missed} of {self.done} ticks skipped, memory +{self.grown_kb} kB"
 
 
+@pytest.mark.clock
 def test_f68_an_abused_api_is_bounded_and_no_tick_is_late_by_it(tmp_path, seen: Seen):
     with bystander(tmp_path) as other, driven(tmp_path) as whole, moving(whole) as driver:
         schedule = whole.loop.schedule
@@ -179,12 +181,19 @@ with socket.socket(socket.AF_UNIX) as one:
 """
 
 
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """Every user reaches it. tmp_path is closed to them by each pytest that starts meanwhile."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+@pytest.mark.clock
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
-def test_f69_a_stranger_may_read_and_stop_and_nothing_else(tmp_path, seen: Seen):
-    for parent in (tmp_path, *tmp_path.parents[:2]):
-        parent.chmod(0o755)
+def test_f69_a_stranger_may_read_and_stop_and_nothing_else(open_folder, seen: Seen):
     methods = ("why", "arm", "reset", "demand.set", "config.reload", "disarm")
-    with driven(tmp_path) as whole, moving(whole) as driver:
+    with driven(open_folder) as whole, moving(whole) as driver:
         whole.socket_path.chmod(0o666)
 
         def mode_after_a_stranger() -> str:
@@ -257,6 +266,7 @@ class ManualDriver:
         return max(self._whole.throttles(), default=0) > 0
 
 
+@pytest.mark.clock
 def test_f70_a_driver_who_falls_silent_has_no_throttle_after_its_time_to_live(tmp_path, seen: Seen):
     with driven(tmp_path) as whole:
         whole.until_ready()
@@ -284,6 +294,7 @@ def test_f70_a_driver_who_falls_silent_has_no_throttle_after_its_time_to_live(tm
     )
 
 
+@pytest.mark.clock
 def test_f71_a_second_driver_is_refused_while_the_first_is_fresh(tmp_path, seen: Seen):
     refusals = []
     with driven(tmp_path) as whole, moving(whole) as driver, LineClient(whole.socket_path) as other:
@@ -312,6 +323,7 @@ def test_f71_a_second_driver_is_refused_while_the_first_is_fresh(tmp_path, seen:
     )
 
 
+@pytest.mark.clock
 def test_f72_an_old_command_is_refused_and_renews_nothing(tmp_path, seen: Seen):
     with driven(tmp_path) as whole:
         whole.until_ready()

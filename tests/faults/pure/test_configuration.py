@@ -181,6 +181,7 @@ class Reloaded(NamedTuple):
         )
 
 
+@pytest.mark.clock
 def test_f61_an_invalid_reload_changes_nothing_and_leaves_no_gap(tmp_path, seen: Seen):
     with bystander(tmp_path) as other, driven(tmp_path) as whole, moving(whole) as driver:
         before = driver.result("config.get")
@@ -229,6 +230,7 @@ class Taken(NamedTuple):
     modes: set[str]
 
 
+@pytest.mark.clock
 def test_f62_a_reload_while_armed_takes_stricter_limits_and_nothing_else(tmp_path, seen: Seen):
     folders = iter([tmp_path / "first", tmp_path / "second"])
 

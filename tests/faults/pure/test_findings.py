@@ -21,6 +21,7 @@ def test_a_restart_while_rolling_backwards_keeps_the_direction():
     assert {frame[0] & 0x10 for frame in drive.commands} == {0x10}
 
 
+@pytest.mark.clock
 def test_a_reload_that_cannot_be_started_does_not_end_the_gateway(tmp_path, monkeypatch):
     """No memory, or no more threads: the vehicle must not stop for a reload."""
     start = threading.Thread.start

@@ -112,8 +112,8 @@ def _sent_through_the_connection(whole) -> dict[str, int]:
     """FD frames, and eight bytes under every length code above 8."""
     import can
 
-    whole.until_ready()
     receiver = whole.loop.gateway.receiver
+    whole.until(lambda: "BMS_Temperatures" in receiver.store._latest, "the vehicle")
     message: dict[str, Any] = {"arbitration_id": ID_OF["BMS_Temperatures"], "is_extended_id": True}
     temperatures = receiver.store._latest["BMS_Temperatures"]
     for length in (12, 64):

@@ -152,6 +152,7 @@ def next_commands(whole: Driven, count: int) -> list[bytes]:
     return frames
 
 
+@pytest.mark.clock
 def test_f53_a_decoder_that_raises_costs_its_frame_and_a_reader_that_is_gone_the_torque(
     tmp_path, seen: Seen
 ):
@@ -190,6 +191,7 @@ def test_f53_a_decoder_that_raises_costs_its_frame_and_a_reader_that_is_gone_the
     )
 
 
+@pytest.mark.clock
 def test_f54_a_tick_that_hangs_sends_nothing_and_the_next_one_is_zero_torque_and_no_burst(
     tmp_path, seen: Seen
 ):
@@ -239,6 +241,7 @@ class Hogged(NamedTuple):
         )
 
 
+@pytest.mark.clock
 def test_f58_a_thread_that_never_yields_leaves_the_cadence(tmp_path, seen: Seen):
     """Worse than anything in the program: it computes without a pause, in this very process."""
     with (
@@ -389,6 +392,7 @@ def end_of_a_run(folder: Path) -> float:
         return one.end()
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("stream", [full_pipe, pipe_without_reader, stopped_terminal])
 def test_f65_a_log_that_nobody_reads_delays_no_tick_and_no_end(stream, tmp_path, seen: Seen):
     stderr = stream()
@@ -398,6 +402,7 @@ def test_f65_a_log_that_nobody_reads_delays_no_tick_and_no_end(stream, tmp_path,
         os.close(stderr)
 
 
+@pytest.mark.clock
 def test_f65_closed_standard_streams_leave_their_numbers_to_nobody(tmp_path, seen: Seen):
     """Else the bus's socket would get number 2, and a message of the C library the bus."""
 
@@ -442,6 +447,7 @@ def test_f65_a_reader_of_our_output_that_has_gone_is_no_failure(seen: Seen):
     seen(f"{len(VERBS)} verbs end with 0 and without a word; a wrong verb with 2")
 
 
+@pytest.mark.clock
 def test_f64_a_full_disk_under_the_log_costs_lines_and_no_tick(tmp_path, seen: Seen):
     full = os.open("/dev/full", os.O_WRONLY)
     try:
@@ -507,6 +513,7 @@ def no_descriptors() -> Iterator[None]:
             os.close(one)
 
 
+@pytest.mark.clock
 def test_f66_without_descriptors_the_bus_goes_on_and_the_api_recovers(tmp_path, seen: Seen):
     with bystander(tmp_path) as other, driven(tmp_path) as whole, moving(whole) as driver:
         schedule = whole.loop.schedule
@@ -537,6 +544,7 @@ def test_f66_without_descriptors_the_bus_goes_on_and_the_api_recovers(tmp_path, 
     )
 
 
+@pytest.mark.clock
 def test_f66_descriptors_above_1023_are_as_good_as_any(tmp_path, seen: Seen):
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, hard), hard))

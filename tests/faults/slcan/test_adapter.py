@@ -27,27 +27,6 @@ RETURN_MS = 1000
 TICK_MS = 50 + 5
 
 
-def test_f37_the_controllers_states_are_told_and_passive_stops_after_a_second(
-    driving: Adapted, adapter: Adapter, seen: Seen
-):
-    def stop_ms() -> float:
-        try:
-            adapter.report("w096000")
-            driving.until_link("error warning")
-            passive_ns = adapter.report("p128000")
-            driving.until_mode("fault")
-            assert driving.link() == "error passive"
-            found_ms = stopped_within_ms(driving, passive_ns)
-            assert found_ms > 1000
-            return found_ms
-        finally:
-            adapter.report("a000000")
-            driving.until_link("up")
-
-    found = measured(driving, 1000 + 2 * TICK_MS, stop_ms)
-    seen(f"warning told; zero torque {told(found)} after passive", reaction_ms=found[-1])
-
-
 def test_f38_bus_off_is_known_though_sending_succeeds_and_the_bus_is_safe_when_it_is_back(
     driving: Adapted, adapter: Adapter, seen: Seen
 ):
@@ -223,16 +202,39 @@ def test_f77_a_stuck_bus_goes_passive_then_off_and_stops_the_motors(
     seen(f"fault after {told(found)}", reaction_ms=found[-1])
 
 
+# Passive counts for five seconds: after it none waits for throttle on this gateway.
+def test_f37_the_controllers_states_are_told_and_passive_stops_after_a_second(
+    driving: Adapted, adapter: Adapter, seen: Seen
+):
+    def stop_ms() -> float:
+        try:
+            adapter.report("w096000")
+            driving.until_link("error warning")
+            passive_ns = adapter.report("p128000")
+            driving.until_mode("fault")
+            assert driving.link() == "error passive"
+            found_ms = stopped_within_ms(driving, passive_ns)
+            assert found_ms > 1000
+            return found_ms
+        finally:
+            adapter.report("a000000")
+            driving.until_link("up")
+
+    found = measured(driving, 1000 + 2 * TICK_MS, stop_ms)
+    seen(f"warning told; zero torque {told(found)} after passive", reaction_ms=found[-1])
+
+
 def test_a_long_queue_is_told_with_the_command_that_mends_it_and_an_unproven_echo(
-    driving: Adapted, adapter: Adapter
+    shared: Adapted, adapter: Adapter
 ):
     adapter.unplug()
-    driving.until_link("lost")
+    shared.until_link("lost")
     adapter.plug()
     adapter.up(queue_frames=10)
-    wait_until(lambda: driving.events("tx_queue_long") != [], "the caution")
-    caution = driving.events("tx_queue_long")[-1]
+    wait_until(lambda: shared.events("tx_queue_long") != [], "the caution")
+    caution = shared.events("tx_queue_long")[-1]
     assert caution["frames"] == 10
     assert caution["command"] == f"ip link set {adapter.name} txqueuelen 4"
     # slcan sends our frames back before they left.
-    wait_until(lambda: driving.events("echo_unproven") != [], "the unproven echo")
+    wait_until(lambda: shared.events("echo_unproven") != [], "the unproven echo")
+    shared.check()

@@ -122,7 +122,11 @@ def ready(
 
 
 @pytest.mark.parametrize(
-    "duration_s", [5, pytest.param(60, marks=[pytest.mark.slow, pytest.mark.timeout(400)])]
+    "duration_s",
+    [
+        pytest.param(5, marks=pytest.mark.ci),
+        pytest.param(60, marks=[pytest.mark.slow, pytest.mark.timeout(400)]),
+    ],
 )
 def test_f34_a_full_bus_costs_no_tick_and_every_dropped_frame_is_counted(
     flooded: Driving, seen: Seen, duration_s: int
@@ -153,12 +157,13 @@ def test_f34_a_full_bus_costs_no_tick_and_every_dropped_frame_is_counted(
     assert undisturbed_by_it, seen.sentences
 
 
+@pytest.mark.parametrize("duration_s", [2, pytest.param(4, marks=pytest.mark.ci)])
 def test_f34_what_is_for_us_and_more_than_can_be_read_is_dropped_and_counted_exactly(
-    flooded: Driving, seen: Seen
+    flooded: Driving, seen: Seen, duration_s: int
 ):
     counts_path = flooded.stand.folder / "counts"
-    pour = functools.partial(Flood(OWN, 8000, 4).pour, counts_path)
-    flooded_spell = ready(flooded, 4, FLOOD_BUSY_S, pour)
+    pour = functools.partial(Flood(OWN, 8000, duration_s).pour, counts_path)
+    flooded_spell = ready(flooded, duration_s, FLOOD_BUSY_S, pour)
     begun_s = time.monotonic()
     full = flooded_spell()
     counts = poured(counts_path)
@@ -239,8 +244,10 @@ def test_f35_what_waited_in_a_socket_whose_link_went_down_is_counted_as_dropped(
 
 @pytest.mark.parametrize(
     ("classes", "bits", "rate_hz"),
-    [(0x088, 0x00, 10_000), (0x004, 0x08, 2_000)],
-    ids=["bus errors", "warnings"],
+    [
+        pytest.param(0x088, 0x00, 10_000, id="bus errors"),
+        pytest.param(0x004, 0x08, 2_000, id="warnings", marks=pytest.mark.ci),
+    ],
 )
 def test_f36_a_flood_of_error_frames_neither_hides_data_nor_fills_the_log(
     driving: Driving, seen: Seen, classes: int, bits: int, rate_hz: int

@@ -15,7 +15,7 @@ SLOW_S = int(os.environ.get("VCU_SOAK_S", "600"))
 @pytest.mark.parametrize(
     "seconds",
     [
-        pytest.param(15, marks=pytest.mark.timeout(300)),
+        pytest.param(15, marks=[pytest.mark.ci, pytest.mark.timeout(300)]),
         pytest.param(SLOW_S, marks=[pytest.mark.slow, pytest.mark.timeout(2 * SLOW_S)]),
     ],
 )

@@ -88,6 +88,7 @@ def clock() -> Iterator[Clock]:
     set_distance(right_ns)
 
 
+@pytest.mark.ci
 def test_f55_steps_of_the_wall_clock_change_neither_cadence_nor_torque(
     alone: BusStand, clock: Clock, seen: Seen
 ):

@@ -77,7 +77,7 @@ def test_every_view_and_the_stop_beside_the_real_programs_on_vcan0(stand: Stand,
         assert seen.errors == []
         before = len(recording.commands())
         page.evaluate("document.getElementById('stop').click()")
-        page.wait_for_selector("#stop-outcome[data-state=confirmed]")
+        page.wait_for_selector("#stop-outcome[data-stage=cut]")
         after = recording.commands()[before:]
         cut = {frame.can_id for frame in after if frame.data[0] & POWER_CUT}
         assert cut == set(COMMANDS)

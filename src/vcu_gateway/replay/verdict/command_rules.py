@@ -32,6 +32,7 @@ class TickFacts(NamedTuple):
         effects: every effect that counts.
         slow: both motors are known to turn below the change speed.
         regenerates: both are known to turn fast enough.
+        released: the throttle of the last command to each controller was below 5 %.
         cut: a CUT stands or is latched.
         holds: reasons for a throttle of 0.
         elapsed_ns: since the tick before, at most a period.
@@ -42,6 +43,7 @@ class TickFacts(NamedTuple):
     effects: set[str]
     slow: bool
     regenerates: bool
+    released: bool
     cut: bool
     holds: set[str]
     ramps: LimitRamps
@@ -76,6 +78,7 @@ def broken(one: Judged, facts: TickFacts) -> Broken:
             yield "I2 zero torque outside ACTIVE", _seen(one.command)
         return
     yield from _effects(one, facts)
+    yield from _power_mode(one, facts)
     yield from _throttle(one, facts)
     yield from _ramps(one, facts)
     if one.demanded is not None:
@@ -142,6 +145,14 @@ def _effects(one: Judged, facts: TickFacts) -> Broken:
     if command.regenerates and not facts.regenerates:
         least_rpm = facts.limits.regen_min_rpm
         yield "I10 regeneration", f"with a motor unknown or below {least_rpm:g} rpm"
+
+
+def _power_mode(one: Judged, facts: TickFacts) -> Broken:
+    if one.before is None or facts.released:
+        return
+    mode, then = one.command.power_mode, one.before.command.power_mode
+    if mode != SAFETY_MODE and (then == SAFETY_MODE or mode > then):
+        yield "gate PowerMode rise", f"from {then} to {mode} while a throttle is not below 5 %"
 
 
 def _throttle(one: Judged, facts: TickFacts) -> Broken:

@@ -69,6 +69,7 @@ class Judge:
         self._regenerates = not complete
         self._complete = complete
         self._emergency = False
+        self._restart_state_kept = True
         self._tick = tick
 
     # What comes in.
@@ -117,11 +118,17 @@ class Judge:
         released_ns = demands.released_for_ns(now_ns)
         if self._held.blocking:
             reason = "a violation stands"
+        elif not self._restart_state_kept:
+            reason = "the restart state was not kept"
         elif demands.known and not demands.fresh(now_ns):
             reason = "there is no fresh demand"
         elif self._complete and (released_ns is None or released_ns < 200 * MS):
             reason = "the throttle was not 0 for 200 ms"
         self.requests.armed(self._tick, now_ns, reason)
+
+    def restart_state(self, *, kept: bool) -> None:
+        """Keeping the restart state was tried."""
+        self._restart_state_kept = kept
 
     def reset(self, now_ns: int, *, service: bool) -> None:
         """`reset` was granted."""
@@ -209,6 +216,7 @@ class Judge:
             effects=self._held.effects,
             slow=slow,
             regenerates=self._regenerates,
+            released=all(one.command.released for one in self._before.values()),
             cut=self.requests.cut_latched,
             holds=self._holds(now_ns) if self._demands.known else set(),
             ramps=self._ramps,

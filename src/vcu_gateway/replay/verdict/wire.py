@@ -7,6 +7,7 @@ MS = 1_000_000
 CONTROLLERS = ("PCU1", "PCU2")
 PERCENT_PER_BIT = 0.39
 SAFETY_MODE = 3
+_RELEASED_RAW = 12
 
 COMMAND_IDS: Mapping[str, int] = {"PCU1": 0x0008A7D0, "PCU2": 0x0008A8D0}
 _RECEIVED_IDS: Mapping[int, str] = {
@@ -66,6 +67,11 @@ class CommandBytes(NamedTuple):
         """ZERO_TORQUE or POWER_CUT, in either direction."""
         torque = self.throttle_raw or self.brake_raw or self.power_limit_w or self.regenerates
         return not torque and self.power_mode == SAFETY_MODE
+
+    @property
+    def released(self) -> bool:
+        """The throttle is below 5 %."""
+        return self.throttle_raw <= _RELEASED_RAW
 
 
 def command_bytes(data: bytes) -> CommandBytes:

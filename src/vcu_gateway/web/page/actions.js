@@ -1,32 +1,23 @@
-// Acting: stop, disarm, arm, reset. There is no way here to ask for motion.
+// Acting: disarm, arm, reset; the stop is apart. There is no way here to ask for motion.
 
-import { byId, h, setData, setHidden, setText } from "/dom.js";
-import { clockTime } from "/format.js";
+import { byId, setData, setText } from "/dom.js";
 import { model } from "/model.js";
 import { request, sentence } from "/requests.js";
 
 const HOLD_MS = 1000;
-const STOP_TIMEOUT_MS = 1800;
-const STOP_AGAIN_MS = 150;
-const NOT_CONFIRMED_AFTER_MS = 1000;
-const MANY_TRIES = 40; // then every second, for as long as the page is open
-
-let stopping = null;
 
 export function startActions() {
-  byId("stop").addEventListener("click", stop);
   byId("disarm").addEventListener("click", () => act("disarm", "Disarmed"));
   holdToArm(byId("arm"));
   startReset();
 }
 
-/** What can be asked for now; the stop and disarming always can. */
+/** What can be asked for now; disarming always can. */
 export function renderActions() {
   const mode = model.old ? null : model.state?.mode;
   const operates = model.rights.has("operate");
   setDisabled(byId("arm"), !(operates && mode === "standby"));
   setDisabled(byId("reset"), !(operates && mode === "fault"));
-  if (stopping?.state === "confirmed" && mode && mode !== "fault") finishStop();
 }
 
 function setDisabled(button, disabled) {
@@ -39,75 +30,11 @@ async function act(name, done, options) {
   setText(said, "…");
   try {
     const answer = await request("POST", `/api/actions/${name}`, { timeout: 3000, ...options });
-    setText(said, `${done}: mode ${answer.mode}`);
+    setText(said, `${done}: mode ${answer?.mode ?? "not known"}`);
   } catch (error) {
     setData(said, "kind", "refused");
     setText(said, `${name.replace("-", " ")}: ${sentence(error)}`);
   }
-}
-
-// Emergency stop.
-
-function stop() {
-  if (stopping && stopping.state !== "confirmed") return; // it repeats itself
-  stopping = { state: "sent", begun: performance.now(), at: new Date(), tries: 0, reason: "" };
-  const mine = stopping;
-  setTimeout(() => fail(mine), NOT_CONFIRMED_AFTER_MS);
-  showStop();
-  repeatStop(mine);
-}
-
-async function repeatStop(mine) {
-  while (mine.state !== "confirmed") {
-    mine.tries += 1;
-    try {
-      const options = { timeout: STOP_TIMEOUT_MS };
-      const answer = await request("POST", "/api/actions/estop", options);
-      mine.answered = true;
-      mine.reason = answer.sentence;
-      if (answer.confirmed) confirm(mine, answer);
-    } catch (error) {
-      mine.reason = sentence(error);
-      if (error.status === 401) mine.reason = "this browser is not signed in";
-    }
-    if (mine.state === "confirmed") return;
-    showStop();
-    await new Promise((done) => setTimeout(done, mine.tries < MANY_TRIES ? STOP_AGAIN_MS : 1000));
-  }
-}
-
-function confirm(mine, answer) {
-  mine.state = "confirmed";
-  mine.took = performance.now() - mine.begun;
-  mine.answer = answer;
-  showStop();
-}
-
-function fail(mine) {
-  if (mine.state !== "sent") return;
-  mine.state = "failed";
-  showStop();
-}
-
-function finishStop() {
-  stopping = null;
-  setHidden(byId("stop-outcome"), true);
-}
-
-function showStop() {
-  const box = byId("stop-outcome");
-  const { state, at, took, tries, reason, answer } = stopping;
-  setData(box, "state", state);
-  const sent = `SENT ${clockTime(at, true)}`;
-  const lines = {
-    sent: ["SENT", `${sent}: waiting for the gateway`],
-    failed: ["NOT CONFIRMED: use the contactor", `${sent}, tried ${tries === 1 ? "once" : `${tries} times`}: ${reason || "no answer yet"}`],
-    confirmed: ["CONFIRMED: power is cut", `${sent} → CONFIRMED after ${Math.round(took ?? 0)} ms, mode ${answer?.mode}`],
-  }[state];
-  const frames = Object.entries(answer?.frames ?? {});
-  const shown = frames.map(([name, frame]) => h("p", {}, `${name} `, h("span.bytes", {}, frame ?? "silent")));
-  box.replaceChildren(h("strong", {}, lines[0]), h("p", {}, lines[1]), ...shown);
-  setHidden(box, false);
 }
 
 // Arm by holding for one second, with a pointer or a key.

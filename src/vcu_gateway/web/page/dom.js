@@ -16,7 +16,9 @@ export function h(what, attributes = {}, ...children) {
   return element;
 }
 
-export function setText(element, text) {
+/** What is no text or number is not known. */
+export function setText(element, value) {
+  const text = typeof value === "string" || typeof value === "number" ? String(value) : "–";
   const node = element.firstChild;
   if (node && node.nodeType === Node.TEXT_NODE && !node.nextSibling) {
     if (node.data !== text) node.data = text;

@@ -6,6 +6,7 @@ export const UNITS = { degC: "°C", "m/s2": "m/s²", deg: "°", "deg/s": "°/s" 
 export const unitText = (unit) => UNITS[unit] ?? unit;
 
 export function fixed(value, decimals) {
+  if (typeof value !== "number") return "–";
   const text = Math.abs(value).toFixed(decimals);
   const isNegative = value < 0 && Number(text) !== 0;
   return (isNegative ? MINUS : "") + text;
@@ -17,7 +18,7 @@ export function decimalsOf(factor) {
 }
 
 export function age(ms) {
-  if (ms == null) return "never";
+  if (typeof ms !== "number" || Number.isNaN(ms)) return "never";
   if (ms < 1000) return `${Math.round(ms)} ms`;
   if (ms < 120_000) return `${(ms / 1000).toFixed(1)} s`;
   const minutes = ms / 60_000;
@@ -32,7 +33,7 @@ export function clockTime(date, milliseconds = false) {
 }
 
 export function bytes(count) {
-  if (count == null) return "–";
+  if (typeof count !== "number") return "–";
   const units = ["B", "kB", "MB", "GB"];
   let size = count;
   let unit = 0;
@@ -43,4 +44,4 @@ export function bytes(count) {
   return `${size.toFixed(unit && size < 100 ? 1 : 0)} ${units[unit]}`;
 }
 
-export const count = (number) => (number == null ? "–" : number.toLocaleString("en").replaceAll(",", " "));
+export const count = (number) => (typeof number !== "number" ? "–" : number.toLocaleString("en").replaceAll(",", " "));

@@ -1,11 +1,13 @@
 // The page: header, the mark of old values, and which view is shown.
 
 import { renderActions, startActions } from "/actions.js";
+import { renderAlarm, startAlarm } from "/alarm.js";
 import { byId, setData, setHidden, setText } from "/dom.js";
 import { clockTime } from "/format.js";
-import { OLD_AFTER_MS, model, stateAge, wallOf } from "/model.js";
+import { OLD_AFTER_MS, failures, model, safely, stateAge, wallOf } from "/model.js";
 import { checkSession, startSession } from "/session.js";
 import { onSection, restart, start } from "/stream.js";
+import { STAGE_WORDS, renderStop, startStop } from "/stop.js";
 import * as bus from "/view-bus.js";
 import * as events from "/view-events.js";
 import * as now from "/view-now.js";
@@ -29,7 +31,7 @@ function show() {
     if (link.hash === `#${name}`) link.setAttribute("aria-current", "page");
     else link.removeAttribute("aria-current");
   }
-  views[name].show?.();
+  safely(name, () => views[name].show?.());
   draw();
 }
 
@@ -72,11 +74,23 @@ function header() {
   const mode = model.state?.mode ?? "";
   setText(byId("mode"), mode || "–");
   setData(byId("mode"), "mode", mode);
-  const commands = Object.values(model.state?.commands ?? {});
-  setHidden(byId("cut"), !commands.some((command) => command.power_cut));
+  const stage = model.state?.stop?.stage;
+  setHidden(byId("cut"), !model.state?.stop);
+  setText(byId("cut"), STAGE_WORDS[stage] ?? "stop");
   const pulse = byId("pulse");
   setData(pulse, "live", model.old ? "no" : "yes");
   setText(byId("pulse-text"), model.old ? "not live" : "live");
+}
+
+/** What of the gateway is not understood, what failed in this page, and what its server has to say. */
+function notes() {
+  const { certificate, not_understood: parts = [], versions = {} } = model.link ?? {};
+  const lines = [];
+  if (parts.length) lines.push(`Not understood of the gateway's answers: ${parts.join(", ")}. The page is of version ${versions.page}, the gateway of ${versions.gateway ?? "an unknown one"}.`);
+  if (certificate) lines.push(certificate);
+  for (const [part, error] of failures) lines.push(`A part of this page failed (${part}): ${error}`);
+  setText(byId("notes"), lines.join("\n"));
+  setHidden(byId("notes"), !lines.length);
 }
 
 function want() {
@@ -91,9 +105,9 @@ function want() {
 function draw() {
   drawn = performance.now();
   decide();
-  header();
-  renderActions();
-  if (current) views[current].draw();
+  const parts = { header, notes, stop: renderStop, alarm: renderAlarm, actions: renderActions };
+  for (const [name, draw] of Object.entries(parts)) safely(name, draw);
+  if (current) safely(current, views[current].draw);
 }
 
 async function checkAgain() {
@@ -104,16 +118,18 @@ async function checkAgain() {
   }
 }
 
-for (const [name, view] of Object.entries(views)) view.build(byId(`view-${name}`));
+startStop();
+startAlarm();
 startActions();
+for (const [name, view] of Object.entries(views)) safely(name, () => view.build(byId(`view-${name}`)));
 startSession(() => {
   restart();
-  views[current].show?.();
+  safely(current, () => views[current].show?.());
   want();
 });
 onSection((section) => {
   if (section === "state") check();
-  for (const view of Object.values(views)) view.hear?.(section);
+  for (const [name, view] of Object.entries(views)) safely(name, () => view.hear?.(section));
   want();
 });
 new Worker("/ticker.js").onmessage = check;

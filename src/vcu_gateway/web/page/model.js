@@ -1,6 +1,7 @@
 // What the gateway last said, and how old each part of it is now.
 
 import { decimalsOf, fixed, unitText } from "/format.js";
+import { readSection } from "/sections.js";
 
 /** A state older than this is not shown as live. The stream brings one every 50 ms. */
 export const OLD_AFTER_MS = 400;
@@ -21,6 +22,21 @@ export const model = {
   rights: new Set(),
   old: true,
 };
+
+/** What failed in this page itself, by its part: nothing of it stops another part. */
+export const failures = new Map();
+
+/** Take a step; false where it fails, which the page says. */
+export function safely(part, step) {
+  try {
+    step();
+    return true;
+  } catch (error) {
+    if (!failures.has(part)) console.warn(part, error);
+    failures.set(part, String(error));
+    return false;
+  }
+}
 
 const signals = new Map(); // "Message.Signal" -> its definition and place
 const clock = { offset: null, roundTrip: Infinity, at: 0, wall: 0 };
@@ -46,10 +62,17 @@ export const isClockDoubtful = () => model.old || (model.state !== null && model
 export const monotonicNow = () => performance.now() + (clock.offset ?? 0);
 export const wallOf = (monotonic) => new Date(monotonic + clock.wall);
 
+/** The server's time; this machine's where that is not known yet. */
+export const timeNow = () => (hasClock() ? wallOf(monotonicNow()) : new Date());
+
 export function take(section, value) {
-  if (section === "definition") define(value);
-  if (section === "state") arrived = performance.now();
-  model[section] = value;
+  const read = readSection(section, value);
+  if (section === "definition") define(read);
+  if (section === "state") {
+    if (read.t === null) return;
+    arrived = performance.now();
+  }
+  model[section] = read;
 }
 
 /** How long ago the gateway made the latest state. What waited in a buffer is as old as it is. */
@@ -82,7 +105,7 @@ export const signalKeys = () => [...signals.keys()];
 /** A message's age now, in ms; null where none has come. */
 export function messageAge(name) {
   const row = model.state?.messages[name];
-  return !row || row[0] == null ? null : row[0] + Math.min(stateAge(), 1e12);
+  return !row || typeof row[0] !== "number" ? null : row[0] + Math.min(stateAge(), 1e12);
 }
 
 /** One signal as it is to be shown: text, and how far it may be believed. */
@@ -91,16 +114,17 @@ export function reading(key) {
   const row = signal && model.state?.messages[signal.message.name];
   if (!row) return { signal, value: null, text: "–", quality: "never", age: null };
   const [, period, stale, , values, letters] = row;
-  const value = values[signal.index];
+  const value = values?.[signal.index] ?? null;
   const age = messageAge(signal.message.name);
-  const text = value == null ? "–" : signal.names[value] ?? fixed(value, signal.decimals);
-  return { signal, value, text, age, quality: quality(letters[signal.index], stale, period, age) };
+  const word = signal.names[value]?.replaceAll("_", " ");
+  const text = value == null ? "–" : word ?? fixed(value, signal.decimals);
+  return { signal, value, text, age, quality: quality(letters?.[signal.index], stale, period, age) };
 }
 
 function quality(letter, stale, period, age) {
   const known = QUALITIES[letter];
-  if (known === "never") return known;
-  if (model.old || stale) return "stale";
+  if (known === "never" || known === undefined) return "never";
+  if (model.old || stale || age == null) return "stale";
   if (known !== "live") return known;
   return age > Math.max(LEAST_AGING_MS, (period ?? 0) * AGING_PERIODS) ? "aging" : "live";
 }

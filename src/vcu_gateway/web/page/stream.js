@@ -1,9 +1,9 @@
 // One stream for all tabs of a browser: it allows six connections to a host, and a tab takes one.
 // The tab that holds the lock has the stream and passes on what comes; if it hangs, another takes over.
 
-import { isClockDoubtful, setClock, take } from "/model.js";
+import { isClockDoubtful, safely, setClock, take } from "/model.js";
+import { SECTIONS } from "/sections.js";
 
-const SECTIONS = ["definition", "state", "why", "health", "events", "link"];
 const SILENT_AFTER_MS = 2000;
 const AGAIN_MS = 500;
 const CLOCK_EVERY_MS = 10_000;
@@ -74,11 +74,11 @@ function open() {
   };
 }
 
-function hear(section, data) {
+export function hear(section, data) {
   heard = performance.now();
   latest.set(section, data);
-  take(section, JSON.parse(data));
-  for (const listener of listeners) listener(section);
+  if (!safely(section, () => take(section, JSON.parse(data)))) return;
+  for (const listener of listeners) safely(section, () => listener(section));
 }
 
 function hearTab(message) {

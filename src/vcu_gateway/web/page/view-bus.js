@@ -1,7 +1,7 @@
 // Bus and ticks: the interface, frames, lateness, the API, the process.
 
 import { h, setData, setStyle, setText } from "/dom.js";
-import { age, bytes, count } from "/format.js";
+import { age, bytes, count, fixed } from "/format.js";
 import { model, monotonicNow } from "/model.js";
 
 const panels = [];
@@ -34,9 +34,18 @@ function figures(grid, title, rows) {
   grid.append(panel);
   panels.push((health) => {
     setText(ages, `age ${age(Math.max(0, monotonicNow() - health.t))}`);
-    fill(lines, rows(health));
-    if (title === "Ticks") drawHistogram(health.ticks.lateness_histogram);
+    fill(lines, understood(() => rows(health)));
+    if (title === "Ticks") drawHistogram(health.ticks?.lateness_histogram);
   });
+}
+
+/** A part that is not there costs its own panel; the notes say which it is. */
+function understood(rows) {
+  try {
+    return rows();
+  } catch {
+    return [["Not understood", "–", true]];
+  }
 }
 
 function fill(lines, rows) {
@@ -49,7 +58,8 @@ function fill(lines, rows) {
   });
 }
 
-function drawHistogram(bins) {
+function drawHistogram(told) {
+  const bins = Array.isArray(told) ? told.filter((bin) => typeof bin?.ticks === "number") : [];
   const most = Math.max(1, ...bins.map((bin) => bin.ticks));
   while (histogram.children.length < bins.length) histogram.append(h("i"));
   bins.forEach((bin, index) => {
@@ -60,7 +70,7 @@ function drawHistogram(bins) {
   if (histogram.getAttribute("aria-label") !== text) histogram.setAttribute("aria-label", text);
 }
 
-const us = (value) => (value == null ? "–" : value < 1000 ? `${Math.round(value)} µs` : `${(value / 1000).toFixed(1)} ms`);
+const us = (value) => (typeof value !== "number" ? "–" : value < 1000 ? `${Math.round(value)} µs` : `${(value / 1000).toFixed(1)} ms`);
 const reasons = (counts, name) => Object.entries(counts).map(([reason, number]) => [`${name}: ${reason}`, count(number), number > 0]);
 
 function bus({ link }) {
@@ -115,7 +125,7 @@ function process({ process: now, ...health }) {
     ["Runs for", age(health.uptime_ms)],
     ["Starts since boot", count(health.starts)],
     ["Unexpected restarts", count(health.unexpected_restarts), health.unexpected_restarts > 0],
-    ["Processor time", `${now.cpu_time_s.toFixed(1)} s`],
+    ["Processor time", `${fixed(now.cpu_time_s, 1)} s`],
     ["Memory", bytes(now.resident_memory_bytes)],
     ["Open files", `${count(now.open_fds)} of ${count(now.max_fds)}`],
     ["Log lines dropped", count(health.log_lines_dropped), health.log_lines_dropped > 0],

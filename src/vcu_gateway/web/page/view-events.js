@@ -2,7 +2,7 @@
 
 import { h, setText } from "/dom.js";
 import { clockTime } from "/format.js";
-import { model } from "/model.js";
+import { model, timeNow } from "/model.js";
 
 let body, search, found;
 let shown = null;
@@ -23,7 +23,7 @@ function redraw() {
   shown = model.events;
   if (!shown) return;
   const all = [
-    ...shown.gateway.map((one) => ({ ...one, time: one.last_time, of: "gateway" })),
+    ...shown.gateway.map((one) => ({ ...one, of: "gateway" })),
     ...shown.page.map((one) => ({ ...one, count: 1, of: "page" })),
   ].sort((a, b) => new Date(b.time) - new Date(a.time));
   const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -37,8 +37,13 @@ function redraw() {
 
 function row(event) {
   const date = new Date(event.time);
-  const today = date.toDateString() === new Date().toDateString();
+  if (Number.isNaN(date.getTime())) return rowOf(event, "–");
+  const today = date.toDateString() === timeNow().toDateString();
   const time = `${today ? "" : `${date.toLocaleDateString()} `}${clockTime(date, true)}`;
+  return rowOf(event, time);
+}
+
+function rowOf(event, time) {
   const fields = Object.entries(event.fields).map(([name, value]) => `${name}: ${typeof value === "object" ? JSON.stringify(value) : value}`);
-  return h("tr", { "data-severity": event.severity }, h("td.time", {}, time), h("td.name", {}, event.name), h("td", {}, event.of), h("td.n", {}, `${event.count}×`), h("td.fields", {}, fields.join(" · ")));
+  return h("tr", { "data-severity": event.severity }, h("td.time", {}, time), h("td.name", {}, event.name), h("td", {}, event.of), h("td.n", {}, `${event.count ?? "–"}×`), h("td.fields", {}, fields.join(" · ")));
 }

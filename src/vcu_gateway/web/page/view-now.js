@@ -2,7 +2,7 @@
 
 import { h, setData, setHidden, setStyle, setText } from "/dom.js";
 import { age, fixed } from "/format.js";
-import { hasClock, messageAge, model, monotonicNow, reading, stateAge } from "/model.js";
+import { hasClock, messageAge, model, monotonicNow, reading, safely, stateAge } from "/model.js";
 import { barOf, valueOf } from "/values.js";
 
 const drawers = [];
@@ -14,7 +14,7 @@ export function build(root) {
 }
 
 export function draw() {
-  for (const one of drawers) one();
+  for (const one of drawers) safely("now", one);
 }
 
 function panel(name, title, messages, ...children) {
@@ -34,18 +34,25 @@ function why() {
   let meaning = "";
   const next = h("span");
   const nextLine = h("p.next", { hidden: true }, h("b", {}, "Next: "), next);
+  const line = h("p.why-line", { hidden: true });
   const causes = h("ul.causes");
   const demand = h("p.demand");
-  const element = h("section.panel.why", { "aria-label": "Why" }, h("h2", {}, "Why"), sentence, spoken, nextLine, causes, demand);
+  const element = h("section.panel.why", { "aria-label": "Why" }, h("h2", {}, "Why"), sentence, spoken, h("div.reasons", {}, line, nextLine, causes, demand));
   drawers.push(() => {
     const now = model.why;
+    const stop = model.state?.stop;
+    if (stop) setText(sentence, stop.sentence);
     if (!now) return;
-    setData(element, "old", isOld(now) ? "" : null);
-    setText(sentence, heading(now));
+    // A stop is told by the state, and is as old as that.
+    setData(element, "old", isOld(now) ? (stop ? "reasons" : "all") : null);
+    if (!stop) setText(sentence, heading(now));
+    setText(line, heading(now));
+    setHidden(line, !stop);
     // Read aloud where its words change, not its numbers.
-    if (now.sentence.replace(/[\d.]+/g, "") !== meaning) {
-      meaning = now.sentence.replace(/[\d.]+/g, "");
-      setText(spoken, now.sentence);
+    const said = stop ? stop.sentence : now.sentence;
+    if (said.replace(/[\d.]+/g, "") !== meaning) {
+      meaning = said.replace(/[\d.]+/g, "");
+      setText(spoken, said);
     }
     setText(next, now.next_step);
     setHidden(nextLine, !now.next_step);
@@ -108,9 +115,9 @@ function controller(name) {
   percent("Throttle", "throttle_pct", "Throttle");
   percent("Brake", "brake_pct", "Brake");
   word("Mode", "PowerMode", (one) => one.power_mode);
-  word("Direction", "MotorReverse", (one) => (one.motor_reverse ? "reverse" : "forward"));
-  word("Regeneration", "RegenBrake", (one) => (one.regen_brake ? "on" : "off"));
-  word("Power", "PowerCut", (one) => (one.power_cut ? "cut" : "normal"));
+  word("Direction", "MotorReverse", (one) => either(one.motor_reverse, "reverse", "forward"));
+  word("Regeneration", "RegenBrake", (one) => either(one.regen_brake, "on", "off"));
+  word("Power", "PowerCut", (one) => either(one.power_cut, "cut", "normal"));
   limit("Speed", "speed_limit_rpm", status2("MotorSpeed"), "rpm");
   body.append(power(name, command));
   const more = rows(
@@ -119,11 +126,23 @@ function controller(name) {
     ["Controller, motor", status1("ControllerTemperature"), status1("MotorTemperature")],
     ["Protection", status1("TemperatureProtectLevel"), status1("VoltageLevel")],
   );
-  const frame = h("span.bytes");
-  drawers.push(() => setText(frame, command()?.frame ?? "silent"));
+  const frames = h("p.muted.frames");
+  drawers.push(() => setText(frames, framesText(command())));
   const head = h("tr", {}, ...["", "Commanded", "Actual", "Deviation"].map((text, index) => h(index ? "th.n" : "td", index ? { scope: "col" } : {}, text)), h("td.bar-cell"));
-  return panel("controller", name, [`${name}_Status1`, `${name}_Status2`], h("table", {}, h("thead", {}, head), body), more, h("p.muted", {}, "Sent ", frame));
+  return panel("controller", name, [`${name}_Status1`, `${name}_Status2`], h("table", {}, h("thead", {}, head), body), more, frames);
 }
+
+const either = (value, yes, no) => (value == null ? null : value ? yes : no);
+
+/** The frame that the kernel took last, and whether it was back from the bus; old ones get older. */
+function framesText(command) {
+  if (!command?.sent) return command?.decided ? `Not sent: ${command.decided}` : "Nothing sent";
+  const { sent, echoed } = command;
+  const back = !echoed ? "never back from the bus" : `back from the bus ${agoText(echoed)}${echoed.frame === sent.frame ? "" : `: ${echoed.frame}`}`;
+  return `Sent ${agoText(sent)}: ${sent.frame}, ${back}`;
+}
+
+const agoText = (frame) => `${age(frame.age_ms + stateAge())} ago`;
 
 function compared(label, key, unit, commanded, text, full, deviates) {
   const actual = valueOf(key, { unit: false });
@@ -169,7 +188,8 @@ function power(name, command) {
     const known = voltage.value != null && current.value != null;
     setText(actual, known ? fixed(voltage.value * current.value, 0) : "–");
     setData(actual, "q", voltage.quality === "live" ? current.quality : voltage.quality);
-    setText(wanted, command() ? `≤ ${fixed(command().power_limit_w, 0)}` : "–");
+    const limit_w = command()?.power_limit_w;
+    setText(wanted, limit_w == null ? "–" : `≤ ${fixed(limit_w, 0)}`);
   });
   return row("Power W", wanted, actual, h("td.n"), "");
 }

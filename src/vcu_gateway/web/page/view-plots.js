@@ -7,6 +7,8 @@ import { request, sentence } from "/requests.js";
 
 const MOST = 8;
 const STEP_MS = 100;
+const GAP_STEPS = 3;
+const LONGEST_STEP_MS = 2000; // a slow network brings fewer states
 const TRY_AGAIN_MS = 2000;
 const COLOURS = ["#5aa9ff", "#ff9f57", "#45d69a", "#e57bd8", "#d9c24a", "#8f8cff", "#ff7a74", "#4fd4d8"];
 const COMMANDED = { throttle_pct: "%", brake_pct: "%", speed_limit_rpm: "rpm", power_limit_w: "W" };
@@ -15,6 +17,7 @@ const FIRST = ["PCU1.commanded.throttle_pct", "PCU1_Status1.Throttle", "PCU1_Sta
 let chosen = read();
 let minutes = 1;
 let times = []; // monotonic, ms
+let step = STEP_MS; // between two states, lately
 const columns = new Map();
 let loaded = "";
 let isLoading = false;
@@ -133,8 +136,9 @@ export function hear(section) {
   if (section !== "state" || !columns.size || !state) return;
   const last = times.at(-1) ?? 0;
   if (state.t - last < STEP_MS) return;
-  const isGap = state.t - last > 10 * STEP_MS && times.length;
-  if (isGap) push(last + STEP_MS, () => null);
+  const apart = state.t - last;
+  if (times.length && apart > GAP_STEPS * step) push(last + step, () => null);
+  if (apart < LONGEST_STEP_MS) step = Math.max(STEP_MS, 0.8 * step + 0.2 * apart);
   push(state.t, live);
   const begin = state.t - 600_000;
   let drop = 0;

@@ -1,0 +1,89 @@
+"""Spans of causes: from when until when each one counted, from the events of a drive."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from vcu_gateway.core.causes import Finding, HeldCause
+
+
+class CauseKey(NamedTuple):
+    """What makes a cause one, as in the core: two causes may have the same subject and effect."""
+
+    cause: str
+    subject: str
+    effect: str
+
+    def __str__(self) -> str:
+        return f"{self.subject} ({self.cause}): {self.effect}"
+
+
+@dataclass
+class CauseSpan:
+    """Time for which a cause counted.
+
+    Attributes:
+        detail: its value when it began; ended_ns: None where it still counts at the end.
+    """
+
+    key: CauseKey
+    detail: str
+    began_ns: int
+    ended_ns: int | None = None
+
+
+class CauseSpans:
+    """Builds the spans of one recording, or of one side of a comparison.
+
+    Attributes:
+        spans: in the order of their beginning, the first `most` of them.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
+        self.spans: list[CauseSpan] = []
+        self._most = most
+        self._open: dict[CauseKey, CauseSpan] = {}
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Every effect that counts now."""
+        return frozenset(key.effect for key in self._open)
+
+    def stand(self, held: Iterable[HeldCause], now_ns: int) -> None:
+        """At a checkpoint these causes count: those that did go on, all others have ended."""
+        details = {_key(one.finding): one.finding.detail for one in held}
+        for key in self._open.keys() - details.keys():
+            self._end(key, now_ns)
+        for key, detail in details.items():
+            self._begin(key, detail, now_ns)
+
+    def event(self, name: str, fields: Mapping[str, object], now_ns: int) -> None:
+        """Take in an event; those of other names than a cause's change nothing."""
+        if name not in ("cause_began", "cause_ended"):
+            return
+        key = CauseKey(*(str(fields.get(part, "")) for part in CauseKey._fields))
+        if name == "cause_began":
+            self._begin(key, str(fields.get("detail", "")), now_ns)
+        else:
+            self._end(key, now_ns)
+
+    def end(self, now_ns: int) -> None:
+        """Nothing is known of what follows: every cause ends here."""
+        for key in tuple(self._open):
+            self._end(key, now_ns)
+
+    def _begin(self, key: CauseKey, detail: str, now_ns: int) -> None:
+        if key in self._open:
+            return
+        span = self._open[key] = CauseSpan(key, detail, now_ns)
+        if self._most is None or len(self.spans) < self._most:
+            self.spans.append(span)
+
+    def _end(self, key: CauseKey, now_ns: int) -> None:
+        span = self._open.pop(key, None)
+        if span is not None:
+            span.ended_ns = now_ns
+
+
+def _key(finding: Finding) -> CauseKey:
+    return CauseKey(finding.cause, finding.subject, finding.effect.value)
