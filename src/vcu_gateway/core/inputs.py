@@ -212,4 +212,4 @@ CoreInput = (
     | TickInput
     | SentInput
 )
-"""One call; the order of the members is that of docs/recordings.md."""
+"""One call; the order of the members is that of docs/recordings-format.md."""

@@ -1,4 +1,4 @@
-"""Core lines read: a line of JSON to its record; the keys are in docs/recordings.md."""
+"""Core lines read: a line of JSON to its record; the keys are in docs/recordings-format.md."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping

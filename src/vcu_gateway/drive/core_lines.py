@@ -4,7 +4,7 @@
     {"f":9,"tick":1001000000000,"frames":[["PCU1","0008A7D0","0c000000e02e0000"],...],"ok":[true,true]}
 
 `f` is the number of frames of the segment before the call. The table of the keys is in
-docs/recordings.md; `core_line_parser` reads them.
+docs/recordings-format.md; `core_line_parser` reads them.
 """
 
 import json
