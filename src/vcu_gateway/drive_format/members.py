@@ -4,18 +4,24 @@ A member is an ordinary one for zcat and every gzip library. Its header's extra 
 2.3.1.1), subfield `VR`, adds what a reader of a damaged file needs: how many lines of the file
 stand before it, how many it has, its size in bytes, and a checksum of the header. So a reader
 finds the next whole member after torn, zeroed or damaged bytes, and knows how many lines are
-missing between two.
+missing between two. A second subfield, `VL`, is its link: the SHA-256 of the member that was
+written before it, so that all members of a drive are one chain (`chain`).
 
     0   1f 8b 08 04   gzip, deflate, extra field
     4   seconds       when its lines were gathered, wall clock; 32 bits, little endian
     8   00 ff         nothing of the compression, unknown system
-    10  14 00         length of the extra field: 20
+    10  38 00         length of the extra field: 56; without a link 20 (14 00)
     12  56 52 10 00   `VR`, 16 bytes follow
     16  lines before, lines, size of the member, CRC-32 of the 28 bytes before; 32 bits each
-    32  deflate data, CRC-32 and length of the lines
+    32  56 4c 20 00   `VL`, 32 bytes follow
+    36  link
+    68  deflate data, CRC-32 and length of the lines; without a link from byte 32
 """
 
+import errno
+import hashlib
 import os
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -25,8 +31,15 @@ from typing import NamedTuple
 _HEADER = struct.Struct("<4sI2sH2sHIIII")
 _MAGIC = b"\x1f\x8b\x08\x04"
 _SIGNATURE = b"\x00\xff\x14\x00VR\x10\x00"
+_LINKED_SIGNATURE = b"\x00\xff\x38\x00VR\x10\x00"
+_SIGNATURES = (_LINKED_SIGNATURE, _SIGNATURE)
 _SIGNATURE_OFFSET = 8
 _CHECKED_BYTES = 28
+_LINK_BEGIN = b"VL\x20\x00"
+LINK_BYTES = 32
+_LINKED_HEADER_BYTES = _HEADER.size + len(_LINK_BEGIN) + LINK_BYTES
+NO_LINK = bytes(LINK_BYTES)
+"""Link of a drive's first member: there is none before it."""
 _TRAILER = struct.Struct("<II")
 _GZIP = b"\x1f\x8b\x08"
 _RAW_DEFLATE = -15
@@ -37,7 +50,7 @@ _MEMORY_LEVEL = 8
 _32_BITS = 0xFFFF_FFFF
 _SEARCH_BYTES = 1 << 16
 MAX_MEMBER_BYTES = 1 << 26
-"""Of the lines of one member; more is damage, or an attack on the reader's memory."""
+"""Of one member, and of its lines; more is damage, or an attack on the reader's memory."""
 
 
 class Member(NamedTuple):
@@ -48,7 +61,9 @@ class Member(NamedTuple):
         first_line: lines of the file before it, those of lost members included.
         lines: how many it has.
         wall_s: when its lines were gathered, seconds since 1970; 0 where it is not known.
-        data: its lines, each with its end.
+        data: its lines, each with its end; empty where they were not asked for.
+        link: digest of the member written before it; None where it is not chained.
+        digest: SHA-256 of its bytes; None for a member of another program.
     """
 
     offset: int
@@ -57,6 +72,8 @@ class Member(NamedTuple):
     lines: int
     wall_s: int
     data: bytes
+    link: bytes | None = None
+    digest: bytes | None = None
 
 
 class MemberDamage(NamedTuple):
@@ -74,7 +91,23 @@ class MemberDamage(NamedTuple):
     what: str
 
 
-def packed(data: bytes, first_line: int, wall_s: int) -> bytes:
+class _Header(NamedTuple):
+    """What the header of a member of ours says; `body`: where its deflate data begins."""
+
+    wall_s: int
+    first_line: int
+    lines: int
+    size: int
+    body: int
+    link: bytes | None
+
+
+def digest_of(member: bytes) -> bytes:
+    """What the link of the member that is written next names."""
+    return hashlib.sha256(member).digest()
+
+
+def packed(data: bytes, first_line: int, wall_s: int, link: bytes | None = None) -> bytes:
     """One member of whole lines, each with its end; `first_line` lines stand before it.
 
     Filtered: among stamps of nanoseconds most short matches cost more than they save.
@@ -82,54 +115,75 @@ def packed(data: bytes, first_line: int, wall_s: int) -> bytes:
     level = _LEVEL if len(data) < _MUCH_BYTES else _LEVEL_OF_MUCH
     deflate = zlib.compressobj(level, zlib.DEFLATED, _RAW_DEFLATE, _MEMORY_LEVEL, zlib.Z_FILTERED)
     body = deflate.compress(data) + deflate.flush()
-    size = _HEADER.size + len(body) + _TRAILER.size
-    fields = (_MAGIC, wall_s & _32_BITS, b"\x00\xff", 20, b"VR", 16)
+    linked = b"" if link is None else _LINK_BEGIN + link
+    size = _HEADER.size + len(linked) + len(body) + _TRAILER.size
+    fields = (_MAGIC, wall_s & _32_BITS, b"\x00\xff", 20 + len(linked), b"VR", 16)
     numbers = (first_line, data.count(b"\n"), size)
     checked = _HEADER.pack(*fields, *numbers, 0)[:_CHECKED_BYTES]
     crc = zlib.crc32(checked).to_bytes(4, "little")
-    return b"".join((checked, crc, body, _TRAILER.pack(zlib.crc32(data), len(data) & _32_BITS)))
+    trailer = _TRAILER.pack(zlib.crc32(data), len(data) & _32_BITS)
+    return b"".join((checked, crc, linked, body, trailer))
 
 
-def read_members(path: Path) -> Iterator[Member | MemberDamage]:
+def read_members(
+    path: Path, lines_too: bool = True, end: int | None = None
+) -> Iterator[Member | MemberDamage]:
     """Every readable member in order, and between them what is damaged; OSError as `open` has it.
 
-    A file that is being written ends, for this reader, where it ended when it was opened. Members
-    of other programs are read as well; an ordinary gzip file is one member.
+    Without `lines_too` those of ours are not inflated: headers are read and bytes hashed. `end` is
+    where the file ends for this reader; None: where it ended when it was opened. Members of other
+    programs are read as well; an ordinary gzip file is one member. What is no regular file is an
+    OSError, and nothing waits for it.
     """
-    with path.open("rb") as file:
-        descriptor = file.fileno()
-        end = os.fstat(descriptor).st_size
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "is no regular file", str(path))
+        end = status.st_size if end is None else min(end, status.st_size)
         offset = lines = 0
         while offset < end:
-            part = _part_at(descriptor, offset, end, lines)
+            part = _part_at(descriptor, offset, end, lines, lines_too)
             yield part
             offset += part.size
             if isinstance(part, Member):
                 lines = part.first_line + part.lines
+    finally:
+        os.close(descriptor)
 
 
-def _part_at(descriptor: int, offset: int, end: int, lines: int) -> Member | MemberDamage:
-    header = _header(os.pread(descriptor, _HEADER.size, offset))
+def _part_at(
+    descriptor: int, offset: int, end: int, lines: int, lines_too: bool
+) -> Member | MemberDamage:
+    header = _header(os.pread(descriptor, _LINKED_HEADER_BYTES, offset))
     if header is None:
         return _foreign_or_damaged(descriptor, offset, end, lines)
-    wall_s, first_line, count, size = header
-    if offset + size > end:
+    if offset + header.size > end:
         return _damage(descriptor, offset, end, "the last member is cut off")
-    body = os.pread(descriptor, size - _HEADER.size, offset + _HEADER.size)
-    data = _inflated(body)
-    if data is None or data.count(b"\n") != count:
-        return _damage(descriptor, offset, end, f"{count} lines cannot be read")
-    return Member(offset, size, first_line, count, wall_s, data)
+    member = os.pread(descriptor, header.size, offset)
+    data = _inflated(member[header.body :]) if lines_too else b""
+    if data is None or (lines_too and data.count(b"\n") != header.lines):
+        return _damage(descriptor, offset, end, f"{header.lines} lines cannot be read")
+    _, first_line, count, size, _, link = header
+    return Member(offset, size, first_line, count, header.wall_s, data, link, digest_of(member))
 
 
-def _header(data: bytes) -> tuple[int, int, int, int] | None:
-    """Second, lines before, lines and size of a member of ours; None for anything else."""
+def _header(data: bytes) -> _Header | None:
+    """Header of a member of ours; None for anything else."""
     if len(data) < _HEADER.size or not data.startswith(_MAGIC):
         return None
-    _, wall_s, *_, first_line, count, size, crc = _HEADER.unpack(data)
-    if data[_SIGNATURE_OFFSET:16] != _SIGNATURE or zlib.crc32(data[:_CHECKED_BYTES]) != crc:
+    _, wall_s, *_, first_line, count, size, crc = _HEADER.unpack_from(data)
+    signature = data[_SIGNATURE_OFFSET:16]
+    if signature not in _SIGNATURES or zlib.crc32(data[:_CHECKED_BYTES]) != crc:
         return None
-    return (wall_s, first_line, count, size) if size > _HEADER.size + _TRAILER.size else None
+    body, link = _HEADER.size, None
+    if signature == _LINKED_SIGNATURE:
+        body, link = _LINKED_HEADER_BYTES, data[_HEADER.size + len(_LINK_BEGIN) :]
+        if len(data) < body or data[_HEADER.size : body - LINK_BYTES] != _LINK_BEGIN:
+            return None
+    if not body + _TRAILER.size < size <= MAX_MEMBER_BYTES:
+        return None
+    return _Header(wall_s, first_line, count, size, body, link)
 
 
 def _inflated(body: bytes) -> bytes | None:
@@ -150,7 +204,7 @@ def _foreign_or_damaged(
 ) -> Member | MemberDamage:
     """A member of another program, or damaged bytes."""
     start = os.pread(descriptor, _HEADER.size, offset)
-    if start.startswith(_GZIP) and start[_SIGNATURE_OFFSET:16] != _SIGNATURE:
+    if start.startswith(_GZIP) and start[_SIGNATURE_OFFSET:16] not in _SIGNATURES:
         inflate = zlib.decompressobj(_ANY_GZIP)
         read = _inflated_in_pieces(descriptor, offset, inflate)
         if read is not None:
@@ -192,7 +246,7 @@ def _next_member(descriptor: int, start: int, end: int) -> int:
         piece = os.pread(descriptor, _SEARCH_BYTES, place)
         found = piece.find(_MAGIC)
         while found >= 0:
-            if _header(os.pread(descriptor, _HEADER.size, place + found)) is not None:
+            if _header(os.pread(descriptor, _LINKED_HEADER_BYTES, place + found)) is not None:
                 return place + found
             found = piece.find(_MAGIC, found + 1)
         if len(piece) < _SEARCH_BYTES:
