@@ -4,6 +4,8 @@ import hashlib
 import os
 import random
 import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +13,7 @@ from vcu_gateway.drive_format import chain, layout
 from vcu_gateway.drive_format.chain import Break, BreakKind, Linked
 from vcu_gateway.drive_format.members import NO_LINK, digest_of, packed, read_members
 
+ROOT = Path(__file__).resolve().parents[2]
 SEGMENTS, SECONDS = 3, 6
 
 
@@ -211,3 +214,25 @@ def test_a_description_has_the_digest_of_everything_else_in_it():
     described = {"b": {"c": None}, "a": [1, "\u00e4"]}
     assert chain.description_digest(described) == digest
     assert chain.description_digest({**described, "digest": digest}) == digest
+
+
+def checked_by_the_pages_program(folder):
+    """What the program on the page of the format says of a drive, and its exit code."""
+    page = (ROOT / "docs" / "recordings-format.md").read_text()
+    program = page.split("```python\n")[1].split("```")[0]
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_reader_made_from_the_page_alone_finds_what_this_one_finds(drive):
+    last = chain.end(drive).member.digest.hex()
+    assert checked_by_the_pages_program(drive) == (0, f"chained, up to {last}\n")
+    with (drive / layout.frames_name(2)).open("ab") as file:
+        file.write(packed(b"never whole\n", 25, 0, NO_LINK)[:40])
+    code, said = checked_by_the_pages_program(drive)
+    assert (code, "there is no whole member" in said) == (0, True)
+    change(drive / layout.core_name(2), 1)
+    code, said = checked_by_the_pages_program(drive)
+    assert code == 1
+    assert "0002.core.jsonl.gz: the chain is broken" in said

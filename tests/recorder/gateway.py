@@ -13,7 +13,8 @@ import time
 import uuid
 from pathlib import Path
 
-from vcu_gateway.drive_format import datagram, layout
+from vcu_gateway.drive_format import chain, datagram, layout
+from vcu_gateway.drive_format.chain import Break, BreakKind
 from vcu_gateway.drive_format.datagram import TickHeader
 from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
 
@@ -249,8 +250,16 @@ def recorded_frames(segment):
     return sum(one.lines for one in members(segment.frames))
 
 
+def breaks(folder):
+    return [part for part in chain.walk(folder) if isinstance(part, Break)]
+
+
 def account(folder):
-    """Frames of a drive: recorded, told as gaps; each segment goes on where the last one ended."""
+    """Frames of a drive: recorded, told as gaps; each segment goes on where the last one ended.
+
+    All members are one chain, whatever ended the recorder meanwhile: a torn end is outside of it.
+    """
+    assert not [one for one in breaks(folder) if one.kind is not BreakKind.TORN]
     recorded = lost = expected = 0
     for segment in layout.segments(folder):
         lines = core_lines(segment)

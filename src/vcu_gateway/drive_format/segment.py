@@ -22,12 +22,13 @@ class MemberFile:
         self.path = path
         self.lines = self.size = 0
 
-    def append(self, data: bytes, wall_s: int) -> None:
-        """Write whole lines as one member; OSError leaves the file without any of it."""
-        member = members.packed(data, self.lines, wall_s)
+    def append(self, data: bytes, wall_s: int, link: bytes | None = None) -> bytes:
+        """Write whole lines as one member, and give its digest; OSError leaves none of it."""
+        member = members.packed(data, self.lines, wall_s, link)
         self._write(member)
         self.size += len(member)
         self.lines += data.count(b"\n")
+        return members.digest_of(member)
 
     def _write(self, member: bytes) -> None:
         written = 0
@@ -64,13 +65,15 @@ class SegmentWriter:
 
     Attributes:
         number: of the segment.
+        link: digest of the last member written to the drive; None: members are not chained.
         frames: how many it was given; the `f` of the next core line.
         waiting: characters that no member has yet.
     """
 
-    def __init__(self, folder: Path, number: int) -> None:
+    def __init__(self, folder: Path, number: int, link: bytes | None = None) -> None:
         """Make both files; FileExistsError where there is one, else OSError as the disk has it."""
         self.number = number
+        self.link = link
         self.frames = self.waiting = 0
         self._frame_text: list[str] = []
         self._core_text: list[str] = []
@@ -114,7 +117,8 @@ class SegmentWriter:
         for file, waiting in self._files():
             text = "".join(waiting).encode()
             if text:
-                file.append(text, wall_s)
+                digest = file.append(text, wall_s, self.link)
+                self.link = digest if self.link is not None else None
             waiting.clear()
         self.waiting = 0
 

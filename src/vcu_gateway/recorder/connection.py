@@ -20,6 +20,7 @@ class GatewayConnection:
     Attributes:
         hello: what it said of itself; None before that.
         begin_again: it is to be closed, so that its gateway connects again and begins a segment.
+        ended_by_gateway: its gateway has closed it.
         frames: that it handed on so far, lost ones counted, since the gateway started.
         since_wall_ns, last_wall_ns: when it began, and when the latest datagram came.
     """
@@ -28,7 +29,7 @@ class GatewayConnection:
         self._sock = sock
         self._hello_text = HelloText()
         self.hello: Mapping[str, Any] | None = None
-        self.begin_again = False
+        self.begin_again = self.ended_by_gateway = False
         self.frames = 0
         self.since_wall_ns = self.last_wall_ns = time.time_ns()
 

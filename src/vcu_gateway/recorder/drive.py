@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway import __version__
-from vcu_gateway.drive_format import layout, lock
+from vcu_gateway.drive_format import chain, layout, lock
 from vcu_gateway.drive_format.candump import CandumpLines
 from vcu_gateway.drive_format.datagram import TickParts
+from vcu_gateway.drive_format.members import NO_LINK
 from vcu_gateway.drive_format.segment import SegmentWriter
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recorder import resume
@@ -53,6 +54,8 @@ class DriveRecorder:
         self._clock_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
         self._hold: int | None = None
         self._next_segment = 1
+        self._link = NO_LINK
+        self._files_beside: Mapping[str, str] = {}
         self._next_sequence = self._frames_not_handed_on = 0
         self._begin_position = self._position = Position()
         self._waiting_ticks = self._segment_ticks = 0
@@ -86,11 +89,11 @@ class DriveRecorder:
         self.end("the next segment begins")
         self._open_folder()
         number, self._next_segment = self._next_segment, self._next_segment + 1
-        segment = SegmentWriter(self.folder, number)
+        segment = SegmentWriter(self.folder, number, self._link)
         checkpoint, line_end, rest = tick.lines.partition(b"\n")
         begins = Position(tick.header.frames - tick.frame_count, _ticks_so_far(checkpoint))
         head = (checkpoint + line_end).decode(errors="replace")
-        segment.add([], head + self._begin_lines(begins, tick.header.frames_lost))
+        segment.add([], head + self._begin_lines(number, begins, tick.header.frames_lost))
         self.segment, self._end_stands = segment, False
         self._begin_position = self._position = begins
         self._segment_ticks = self._waiting_ticks = 0
@@ -99,7 +102,7 @@ class DriveRecorder:
         self._totals.bytes += segment.size
         return rest
 
-    def _begin_lines(self, begins: Position, not_handed_on: int) -> str:
+    def _begin_lines(self, number: int, begins: Position, not_handed_on: int) -> str:
         """What came before this segment, and what of it is missing."""
         frames = max(0, begins.frames - self._position.frames)
         ticks = max(0, begins.ticks - self._position.ticks)
@@ -119,6 +122,8 @@ class DriveRecorder:
             "wall_ns": time.time_ns(),
             "recorder": __version__,
             "lost": self._lost._asdict(),
+            "segment": number,
+            "files": self._files_beside,
         }
         return _line({"f": 0, "begin": begin}) + gap
 
@@ -132,6 +137,7 @@ class DriveRecorder:
             self._resume()
         if not os.path.isdir(self.folder):
             layout.create_folder(self.folder, self._files())
+        self._files_beside = chain.file_digests(self.folder)
         self._hold = lock.hold(self.folder)
 
     def _found_own_folder(self) -> bool:
@@ -149,7 +155,7 @@ class DriveRecorder:
     def _resume(self) -> None:
         found = resume.recorded(self.folder)
         if self._next_segment == 1:
-            self._position, self._lost = found.position, found.lost
+            self._position, self._lost, self._link = found.position, found.lost, found.link
             self._missing_because = "the recorder had ended"
         self._next_segment = max(self._next_segment, found.next_segment)
 
@@ -193,12 +199,16 @@ class DriveRecorder:
             what = "somebody removed what was being written"
             raise FileNotFoundError(errno.ENOENT, what, str(self.folder))
 
-    def end(self, why: str) -> None:
-        """End the segment in order; OSError leaves it as it is, to be tried again."""
+    def end(self, why: str, closes: bool = False) -> None:
+        """End the segment in order; OSError leaves it as it is, to be tried again.
+
+        `closes`: nothing need follow, since the gateway itself has ended the drive.
+        """
         if self.segment is None:
             return
         if not self._end_stands:
-            told = {"frames": self.segment.frames, "why": why}
+            ticks = self._segment_ticks + self._waiting_ticks
+            told = {"frames": self.segment.frames, "ticks": ticks, "closes": closes, "why": why}
             self.segment.add([], _line({"f": self.segment.frames, "end": told}))
             self._end_stands = True
         self.flush()
@@ -219,12 +229,14 @@ class DriveRecorder:
         self._position = Position(
             begins.frames + self.segment.recorded_frames, begins.ticks + self._segment_ticks
         )
-        number, self.segment = self.segment.number, None
-        self._segment_ended(self.folder, number)
+        segment, self.segment = self.segment, None
+        self._segment_ended(self.folder, segment.number)
+        if segment.link is not None and segment.link != self._link:
+            self._link = segment.link
 
-    def close(self, why: str) -> None:
-        """End the drive, until its gateway connects again; OSError as `end`."""
-        self.end(why)
+    def close(self, why: str, closes: bool = False) -> None:
+        """End the drive, until its gateway connects again; OSError and `closes` as `end`."""
+        self.end(why, closes)
         self._missing_because = self._missing_because or "the gateway was not connected"
         self._release()
 

@@ -104,7 +104,8 @@ class DatagramReceiver:
                 self._say(f"a connection is closed: {error}")
                 self._end(connection)
                 return
-            except (OSError, EOFError):
+            except (OSError, EOFError) as error:
+                connection.ended_by_gateway = isinstance(error, EOFError)
                 self._end(connection)
                 return
             if tick is not None:

@@ -1,15 +1,16 @@
 """How far a drive is recorded: read from its last segments, after a recorder ended."""
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format import chain, layout
 from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.members import Member, read_members
+from vcu_gateway.drive_format.members import NO_LINK, Member, read_members
 
-_TICK = b',"tick":'
+_TICK = re.compile(rb'^\{"f":\d+,"tick":', re.MULTILINE)
 
 
 class Position(NamedTuple):
@@ -32,22 +33,25 @@ class Lost(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A drive's end on the disk."""
+    """A drive's end on the disk; `link`: what its next member names."""
 
     position: Position
     lost: Lost
     next_segment: int
+    link: bytes
 
 
 def ticks_of(core_lines: bytes) -> int:
     """How many of these core lines are ticks."""
-    return core_lines.count(_TICK)
+    return sum(1 for _ in _TICK.finditer(core_lines))
 
 
 def recorded(folder: Path) -> Recorded:
     """How far this drive is recorded; OSError where it cannot be read."""
     segments = layout.segments(folder)
     next_segment = segments[-1].number + 1 if segments else 1
+    end = chain.end(folder)
+    link = (end and end.member.digest) or NO_LINK
     frames = ticks = 0
     for segment in reversed(segments):
         frames += sum(member.lines for member in _members(segment.frames))
@@ -55,8 +59,8 @@ def recorded(folder: Path) -> Recorded:
         begin = _begin(segment)
         if begin is not None:
             position = Position(begin["frames"] + frames, begin["ticks"] + ticks)
-            return Recorded(position, _lost(begin), next_segment)
-    return Recorded(Position(frames, ticks), Lost(), next_segment)
+            return Recorded(position, _lost(begin), next_segment, link)
+    return Recorded(Position(frames, ticks), Lost(), next_segment, link)
 
 
 def _members(path: Path | None) -> Iterator[Member]:
@@ -71,10 +75,11 @@ def _begin(segment: SegmentFiles) -> Mapping[str, Any] | None:
     try:
         begin = json.loads(lines[1])["begin"]
         return begin if isinstance(begin["frames"] + begin["ticks"], int) else None
-    except (ValueError, KeyError, IndexError, TypeError):
+    except (ValueError, KeyError, IndexError, TypeError, RecursionError):
         return None
 
 
 def _lost(begin: Mapping[str, Any]) -> Lost:
-    lost = begin.get("lost", {})
-    return Lost(*(int(lost.get(key, 0)) for key in Lost._fields))
+    lost = begin.get("lost")
+    counts = [lost.get(key) if isinstance(lost, dict) else 0 for key in Lost._fields]
+    return Lost(*(count if isinstance(count, int) else 0 for count in counts))

@@ -206,7 +206,7 @@ class Writer:
         drive = self.drives.get(connection)
         if drive is not None:
             with self._abandoning(drive):
-                drive.close("the connection ended")
+                drive.close("the connection ended", closes=connection.ended_by_gateway)
             del self.drives[connection]
 
     @contextlib.contextmanager
