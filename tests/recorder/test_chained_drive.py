@@ -6,12 +6,21 @@ import itertools
 import json
 import os
 import socket
+import subprocess
 from typing import Any
 
 import pytest
 
-from tests.recorder.gateway import breaks, core_lines, members, recorded_frames
-from vcu_gateway.drive_format import chain, datagram, layout
+from tests.recorder.gateway import (
+    account,
+    breaks,
+    core_lines,
+    drives,
+    incidents,
+    members,
+    recorded_frames,
+)
+from vcu_gateway.drive_format import chain, datagram, layout, signature
 from vcu_gateway.drive_format.chain import BreakKind, Linked
 from vcu_gateway.drive_format.datagram import TickHeader
 from vcu_gateway.drive_format.members import NO_LINK, packed
@@ -20,6 +29,8 @@ from vcu_gateway.recorder.backlog import Backlog
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.receiver import DatagramReceiver
+from vcu_gateway.recorder.ring import Ring
+from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.totals import Totals
 
 HELLO: dict[str, Any] = {
@@ -41,15 +52,16 @@ class Drive:
         frames, ticks: handed on so far.
     """
 
-    def __init__(self, folder):
+    def __init__(self, folder, signer=None):
         self.drives = folder / layout.DRIVES
         self.sequence = itertools.count(1)
         self.frames = self.ticks = self.in_segment = 0
+        self.signer = signer
         self.start_recorder()
 
     def start_recorder(self):
         """Another process: it knows what is on the disk."""
-        self.recorder = DriveRecorder(self.drives, 1, HELLO, Totals(), lambda *_: None)
+        self.recorder = DriveRecorder(self.drives, 1, HELLO, Totals(), lambda *_: None, self.signer)
 
     @property
     def folder(self):
@@ -119,6 +131,7 @@ def test_a_segment_says_its_number_and_the_digests_of_the_files_beside_it(drive)
     assert set(digests) == {"drive.json", "config.yaml", "vcu.dbc"}
     assert first["files"] == second["files"] == digests
     assert (first["segment"], second["segment"]) == (1, 2)
+    assert "signer" not in first
 
 
 def test_only_the_gateways_own_end_closes_the_drive(drive):
@@ -244,3 +257,85 @@ def test_the_recorder_knows_who_ended_a_connection(by_gateway, tmp_path):
     listener.close()
     for one in (gateway, wake_up, awake):
         one.close()
+
+
+@pytest.fixture
+def key(tmp_path):
+    """A key without a passphrase."""
+    command = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", tmp_path / "key"]
+    subprocess.run(command, check=True)
+    return tmp_path / "key"
+
+
+def signing(tmp_path, key):
+    said = []
+    return Signer(key, tmp_path / layout.INCIDENTS, said.append), said
+
+
+def test_each_segment_that_ended_is_signed_and_says_by_which_key(tmp_path, key):
+    signer, said = signing(tmp_path, key)
+    drive = Drive(tmp_path, signer)
+    drive.second(begins=True)
+    drive.second(begins=True)
+    drive.recorder.close("the connection ended", closes=True)
+    signer.stop(10)
+    assert said == []
+    assert (signer.signed, signer.failures) == (2, 0)
+    assert {one["signer"] for one in begins(drive.folder)} == {signer.fingerprint}
+    for number in (1, 2):
+        last = [one for one in linked(drive.folder) if one.segment == number][-1]
+        text = signature.link_text(HELLO["run"], number, last.member.digest)
+        path = drive.folder / signature.link_name(number)
+        assert path.read_bytes() == text
+        made = path.with_name(path.name + signature.SUFFIX)
+        assert signature.verify(text, made).fingerprint == signer.fingerprint
+    Ring(drive.drives).make_room(1 << 30)
+    assert not drive.folder.exists()
+
+
+def test_an_incident_is_signed_and_gets_the_signatures_of_its_segments(tmp_path, key):
+    signer, _ = signing(tmp_path, key)
+    drive = Drive(tmp_path, signer)
+    drive.second(begins=True)
+    drive.second(begins=True)
+    incident = tmp_path / layout.INCIDENTS / "20261123T180612Z-x"
+    files = [path for one in layout.segments(drive.folder) for path in one.paths]
+    layout.create_folder(incident, {layout.INCIDENT_FILE: json.dumps({"a": 1}).encode()}, files)
+    signer.incident_made(incident, drive.folder)
+    drive.second(begins=True)  # the second segment ends after the incident was made
+    drive.recorder.close("the connection ended", closes=True)
+    signer.stop(10)
+    names = {path.name for path in incident.iterdir() if "gz" not in path.name}
+    links = {f"000{number}.link{suffix}" for number in (1, 2) for suffix in ("", ".sig")}
+    assert names == {"incident.json", "incident.json.sig"} | links
+    text = (incident / layout.INCIDENT_FILE).read_bytes()
+    assert signature.verify(text, incident / "incident.json.sig").fingerprint == signer.fingerprint
+
+
+def test_a_key_that_cannot_sign_is_said_once_and_counted_and_recording_goes_on(tmp_path):
+    signer, said = signing(tmp_path, tmp_path / "no-such-key")
+    drive = Drive(tmp_path, signer)
+    drive.second(begins=True)
+    drive.second(begins=True)
+    drive.recorder.close("the connection ended", closes=True)
+    signer.stop(10)
+    assert breaks(drive.folder) == []
+    assert (signer.signed, signer.failures) == (0, 3)
+    (sentence,) = said
+    assert sentence.startswith("a recording is not signed: ")
+    assert not list(drive.folder.glob("*.link*"))
+
+
+def test_the_program_signs_drive_and_incident_with_its_key(recorder, gateway, tmp_path, key):
+    process = recorder("--sign-key", key)
+    vehicle = gateway()
+    vehicle.drive(0.2)
+    vehicle.latch()
+    vehicle.close()
+    assert process.stop() == 0, process.errors
+    (drive,), (incident,) = drives(tmp_path), incidents(tmp_path)
+    assert account(drive) == (vehicle.frames, 0)
+    assert ends(drive)[0]["closes"] is True
+    for text in (drive / "0001.link", incident / "0001.link", incident / "incident.json"):
+        made = text.with_name(text.name + signature.SUFFIX)
+        assert signature.verify(text.read_bytes(), made).fingerprint == signature.fingerprint(key)

@@ -74,6 +74,12 @@ def _seconds_option(name: str, parameter: str, default: float, text: str) -> _Op
     metavar="FILE",
     help="Tell once a second how it goes, in this file; on a tmpfs.",
 )
+@click.option(
+    "--sign-key",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Sign each segment and incident with this private key of OpenSSH, without a passphrase.",
+)
 def command(**options: Any) -> None:
     """Record what the gateways of this machine receive, decide and send.
 

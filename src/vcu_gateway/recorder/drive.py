@@ -18,6 +18,7 @@ from vcu_gateway.drive_format.segment import SegmentWriter
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recorder import resume
 from vcu_gateway.recorder.resume import Lost, Position
+from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.units import NS_PER_S
 
@@ -41,6 +42,7 @@ class DriveRecorder:
         hello: Mapping[str, Any],
         totals: Totals,
         segment_ended: Callable[[Path, int], None],
+        signer: Signer | None = None,
     ) -> None:
         name = layout.drive_name(hello["clock"]["wall_ns"], hello["run"])
         self.folder = drives / name
@@ -49,6 +51,7 @@ class DriveRecorder:
         self._number = number
         self._totals = totals
         self._segment_ended = segment_ended
+        self._signer = signer
         self._lost = Lost()
         self._candump = CandumpLines(hello["channel"])
         self._clock_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
@@ -125,6 +128,8 @@ class DriveRecorder:
             "segment": number,
             "files": self._files_beside,
         }
+        if self._signer is not None and self._signer.fingerprint is not None:
+            begin["signer"] = self._signer.fingerprint
         return _line({"f": 0, "begin": begin}) + gap
 
     def _open_folder(self) -> None:
@@ -233,6 +238,9 @@ class DriveRecorder:
         self._segment_ended(self.folder, segment.number)
         if segment.link is not None and segment.link != self._link:
             self._link = segment.link
+            if self._signer is not None:
+                run = self.hello["run"]
+                self._signer.segment_ended(self.folder, run, segment.number, self._link)
 
     def close(self, why: str, closes: bool = False) -> None:
         """End the drive, until its gateway connects again; OSError and `closes` as `end`."""

@@ -17,6 +17,7 @@ from vcu_gateway.drive_format import layout
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import Ring
+from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import RESTARTED_UNEXPECTEDLY, Trigger
 from vcu_gateway.units import NS_PER_S
 
@@ -50,10 +51,11 @@ class Incidents:
         removed: how many this process removed for want of room.
     """
 
-    def __init__(self, options: RecorderOptions, ring: Ring) -> None:
+    def __init__(self, options: RecorderOptions, ring: Ring, signer: Signer | None = None) -> None:
         self._options = options
         self._parent = options.folder / layout.INCIDENTS
         self._ring = ring
+        self._signer = signer
         self._open: list[OpenIncident] = []
         self.size = self.count = self.removed = 0
         self._measure()
@@ -117,6 +119,8 @@ class Incidents:
         described = {layout.INCIDENT_FILE: self._description(trigger, drive, drive.name)}
         described |= {name: (drive / name).read_bytes() for name in _COPIES}
         layout.create_folder(folder, described, files)
+        if self._signer is not None:
+            self._signer.incident_made(folder, drive)
         self.keep_budget(newest=folder)
         return folder
 

@@ -21,6 +21,7 @@ class RecorderOptions(NamedTuple):
         memory_bytes: of what waits for the disk.
         before_s, after_s: what an incident keeps around its reason.
         status_path: file that says once a second how it goes; None: there is none.
+        sign_key: private key of OpenSSH, without a passphrase, that signs; None: nothing is signed.
     """
 
     folder: Path = DEFAULT_FOLDER
@@ -32,6 +33,7 @@ class RecorderOptions(NamedTuple):
     before_s: float = 60.0
     after_s: float = 30.0
     status_path: Path | None = None
+    sign_key: Path | None = None
 
 
 _UNITS = {"": 1, "k": _KIB, "m": _MIB, "g": _GIB, "t": 1 << 40}

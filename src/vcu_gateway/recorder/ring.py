@@ -6,7 +6,7 @@ from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format import layout, signature
 
 KEPT_WITHOUT_ROOM = 2
 """Ended segments that stay however full the disk is: the minute before an incident."""
@@ -104,8 +104,11 @@ def total_bytes(folder: Path) -> int:
     return found.f_blocks * found.f_frsize
 
 
-def _paths(folder: Path, number: int) -> tuple[Path, Path]:
-    return folder / layout.frames_name(number), folder / layout.core_name(number)
+def _paths(folder: Path, number: int) -> tuple[Path, ...]:
+    """Its files; those of its signature are not always there."""
+    link = signature.link_name(number)
+    names = (layout.frames_name(number), layout.core_name(number), link, link + signature.SUFFIX)
+    return tuple(folder / name for name in names)
 
 
 def _size(path: Path) -> int:

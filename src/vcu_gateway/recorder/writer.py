@@ -17,6 +17,7 @@ from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, free_bytes
+from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.recorder.triggers import Trigger
 
@@ -27,6 +28,7 @@ _SYNC_AFTER_LATCH_S = 0.1
 _AFTER_LATCH_S = 2.0
 _MOST_WAITING = 1 << 20
 _MOST_SEGMENT_BYTES = 16 << 20
+_SIGN_WITHIN_S = 2.5
 _MOST_PENDING = 100
 _NO_LINKS = (errno.EXDEV, errno.EPERM, errno.EOPNOTSUPP, errno.EMLINK)
 """What a file system answers that has no hard links, or is another one."""
@@ -55,7 +57,9 @@ class Writer:
         """Find what is recorded already; OSError where the folder cannot be read."""
         self.totals = Totals()
         self.ring = Ring(options.folder / layout.DRIVES)
-        self.incidents = Incidents(options, self.ring)
+        key, incidents = options.sign_key, options.folder / layout.INCIDENTS
+        self.signer = None if key is None else Signer(key, incidents, say)
+        self.incidents = Incidents(options, self.ring, self.signer)
         self.drives: dict[GatewayConnection, DriveRecorder] = {}
         self._options = options
         self._backlog = backlog
@@ -87,6 +91,8 @@ class Writer:
         self._stopping = True
         self._wake.set()
         self._thread.join(timeout_s)
+        if self.signer is not None:
+            self.signer.stop(_SIGN_WITHIN_S)
         return not self._thread.is_alive()
 
     @property
@@ -196,7 +202,9 @@ class Writer:
         if run not in self._runs:
             number, self.ring.next_drive = self.ring.next_drive, self.ring.next_drive + 1
             drives = self._options.folder / layout.DRIVES
-            self._runs[run] = DriveRecorder(drives, number, hello, self.totals, self.ring.ended)
+            self._runs[run] = DriveRecorder(
+                drives, number, hello, self.totals, self.ring.ended, self.signer
+            )
             written = self.drives.values()
             for old in [one for one in self._runs if self._runs[one] not in written][:-_MOST_RUNS]:
                 del self._runs[old]

@@ -1,0 +1,110 @@
+"""Signer: has ssh-keygen sign each segment's end and each incident, in a thread of its own.
+
+Nothing waits for it: what cannot be signed is recorded all the same, said once and counted.
+"""
+
+import contextlib
+import os
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from vcu_gateway.drive_format import layout, signature
+from vcu_gateway.drive_format.signature import SignatureError
+
+_MOST_WAITING = 100
+
+
+class Signer:
+    """Signs with one key; `segment_ended`, `incident_made` and `stop` are the writer's.
+
+    Attributes:
+        fingerprint: of the key; None where it could not be read at the start.
+        signed, failures: how many signatures there are, and how many there should be as well.
+    """
+
+    def __init__(self, key: Path, incidents: Path, say: Callable[[str], None]) -> None:
+        self.fingerprint: str | None = None
+        self.signed = self.failures = 0
+        self._key = key
+        self._incidents = incidents
+        self._say = say
+        self._waiting: queue.Queue[Callable[[], None] | None] = queue.Queue(_MOST_WAITING)
+        try:
+            self.fingerprint = signature.fingerprint(key)
+        except SignatureError as error:
+            self._failed(error)
+        self._thread = threading.Thread(target=self._run, name="signer", daemon=True)
+        self._thread.start()
+
+    def segment_ended(self, drive: Path, run: str, number: int, link: bytes) -> None:
+        """Sign what the chain has come to; `link`: digest of the segment's last member."""
+        self._put(lambda: self._sign_segment(drive, run, number, link))
+
+    def incident_made(self, incident: Path, drive: Path) -> None:
+        """Sign its description, and give it what is signed of its segments."""
+        self._put(lambda: self._sign_incident(incident, drive))
+
+    def stop(self, timeout_s: float) -> None:
+        """Sign what waits, for at most this time."""
+        self._put(None)
+        self._thread.join(timeout_s)
+
+    def _put(self, job: Callable[[], None] | None) -> None:
+        try:
+            self._waiting.put_nowait(job)
+        except queue.Full:
+            self._failed(SignatureError("too much waits to be signed"))
+
+    def _run(self) -> None:
+        while (job := self._waiting.get()) is not None:
+            try:
+                job()
+            except FileNotFoundError:
+                pass  # somebody removed it meanwhile, or the recorder did for room
+            except (OSError, SignatureError) as error:
+                self._failed(error)
+
+    def _failed(self, error: Exception) -> None:
+        self.failures += 1
+        if self.failures == 1:
+            self._say(f"a recording is not signed: {error}; recording goes on")
+
+    def _sign_segment(self, drive: Path, run: str, number: int, link: bytes) -> None:
+        path = drive / signature.link_name(number)
+        self._sign(path, signature.link_text(run, number, link))
+        core = layout.core_name(number)
+        for incident in layout.recorded_folders(self._incidents):
+            if _is_same(incident / core, drive / core):
+                _link_signature(path, incident)
+
+    def _sign_incident(self, incident: Path, drive: Path) -> None:
+        path = incident / layout.INCIDENT_FILE
+        made = signature.sign(path.read_bytes(), self._key)
+        layout.write_new(Path(f"{path}{signature.SUFFIX}"), made)
+        self.signed += 1
+        for segment in layout.segments(incident):
+            with contextlib.suppress(FileNotFoundError):  # none yet, or none at all
+                _link_signature(drive / signature.link_name(segment.number), incident)
+
+    def _sign(self, path: Path, text: bytes) -> None:
+        """Both files; the text alone, without a signature, is never there for long."""
+        made = signature.sign(text, self._key)
+        layout.write_new(path, text)
+        layout.write_new(Path(f"{path}{signature.SUFFIX}"), made)
+        layout.sync_folder(path.parent)
+        self.signed += 1
+
+
+def _link_signature(path: Path, incident: Path) -> None:
+    for one in (path, Path(f"{path}{signature.SUFFIX}")):
+        with contextlib.suppress(FileExistsError):
+            os.link(one, incident / one.name)
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except OSError:
+        return False
