@@ -6,12 +6,16 @@ from typing import Any
 
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.candump import CandumpLines
+from vcu_gateway.drive_format.chain import file_digests
 from vcu_gateway.drive_format.datagram import EXTENDED
+from vcu_gateway.drive_format.members import NO_LINK
 from vcu_gateway.drive_format.segment import SegmentWriter
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 START_S = 1_763_920_000  # 2025-11-23T17:46:40Z
 FRAMES_A_SECOND = 20
+COMMAND_ID = 0x0008A7D0
+_CHANGED_PLACE = 4
 SECONDS = 3  # of a segment
 FRAMES = FRAMES_A_SECOND * SECONDS
 _DESCRIPTION = {
@@ -24,14 +28,14 @@ _DESCRIPTION = {
 
 
 class WrittenDrive:
-    """A drive that grows by segments; each has 60 frames in 3 s.
+    """A drive that grows by segments; each has 60 frames in 3 s, and each frame is an echo.
 
     Attributes:
         folder: of all recordings.
         path: of the drive.
     """
 
-    def __init__(self, folder: Path, start_s: int = START_S) -> None:
+    def __init__(self, folder: Path, start_s: int = START_S, chained: bool = True) -> None:
         self.folder = folder
         self.path = folder / layout.DRIVES / layout.drive_name(start_s * NS_PER_S, "1f3a9c2e-0000")
         files = {
@@ -42,36 +46,56 @@ class WrittenDrive:
         layout.create_folder(self.path, files)
         self._lines = CandumpLines("can0")
         self._second = start_s
-        self._number = self._handed_on = 0
+        self._number = self._handed_on = self._ticks = 0
+        self._other = ""
         self._lost = {"frames": 0, "ticks": 0, "gaps": 0}
+        self._link: bytes | None = NO_LINK if chained else None
 
     @property
     def name(self) -> str:
         return self.path.name
 
-    def segment(self, gap_frames: int = 0, ended: bool = True, silently: int = 0) -> Path:
-        """The next segment, after a gap that it tells and one that it does not; its core file."""
+    def segment(
+        self,
+        gap_frames: int = 0,
+        ended: bool = True,
+        silently: int = 0,
+        ticks_silently: int = 0,
+        closes: bool = True,
+        other: str = "",
+    ) -> Path:
+        """The next segment, after a gap that it tells and one that it does not; its core file.
+
+        `other`: which copy of its fifth command is not as it was: "sent", "echo" or "both".
+        """
         self._number += 1
         self._handed_on += gap_frames + silently
-        writer = SegmentWriter(self.path, self._number)
+        self._ticks += gap_frames + silently + ticks_silently
+        self._other = other
+        writer = SegmentWriter(self.path, self._number, self._link)
         writer.add([], self._begin(gap_frames))
         for _ in range(SECONDS):
             self._one_second(writer)
         if ended:
-            writer.add([], _line({"f": writer.frames, "end": {"frames": writer.frames}}))
+            end = {"frames": writer.frames, "ticks": writer.frames, "closes": closes, "why": "end"}
+            writer.add([], _line({"f": writer.frames, "end": end}))
             writer.flush(self._second)
+        self._link = writer.link
         self._handed_on += writer.frames
+        self._ticks += writer.frames
         writer.close()
         return self.path / layout.core_name(self._number)
 
     def _begin(self, gap_frames: int) -> str:
         begin = {
             "frames": self._handed_on,
-            "ticks": self._handed_on,
+            "ticks": self._ticks,
             "wall_ns": self._second * NS_PER_S,
             "recorder": "0",
             "lost": self._lost,
         }
+        if self._link is not None:
+            begin |= {"segment": self._number, "files": file_digests(self.path)}
         gap = ""
         if gap_frames:
             one = {"frames": gap_frames, "ticks": gap_frames, "gaps": 1}
@@ -84,10 +108,18 @@ class WrittenDrive:
     def _one_second(self, writer: SegmentWriter) -> None:
         for frame in range(FRAMES_A_SECOND):
             wall_ns = self._second * NS_PER_S + frame * 50 * NS_PER_MS
-            line = self._lines.line(wall_ns, EXTENDED | 0x40AD079, bytes(8), False)
-            writer.add([line], _line({"f": writer.frames + 1, "tick": wall_ns}))
+            echo = self._command("echo", writer.frames)
+            line = self._lines.line(wall_ns, EXTENDED | COMMAND_ID, echo, True)
+            sent = self._command("sent", writer.frames).hex()
+            command = ["PCU1", f"{COMMAND_ID:08X}", sent]
+            writer.add([], _line({"f": writer.frames, "tick": wall_ns, "frames": [command]}))
+            writer.add([line], "")
         writer.flush(self._second)
         self._second += 1
+
+    def _command(self, copy: str, place: int) -> bytes:
+        changed = self._other in (copy, "both") and place == _CHANGED_PLACE
+        return bytes([changed, *bytes(7)])
 
 
 def _line(values: dict[str, Any]) -> str:

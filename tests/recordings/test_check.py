@@ -1,13 +1,19 @@
 """Received = recorded + gaps, and every member can be read."""
 
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests.recordings.recorded import FRAMES, FRAMES_A_SECOND, WrittenDrive, torn, zeroed
-from vcu_gateway.drive_format import layout, lock
+from vcu_gateway.drive_format import chain, layout, lock, signature
+from vcu_gateway.drive_format.chain import Linked
+from vcu_gateway.drive_format.members import Member, packed, read_members
+from vcu_gateway.drive_format.signature import fingerprint, link_text
 from vcu_gateway.errors import MissingInputError
 from vcu_gateway.recordings import CheckedRecording, RecordingFolder, check_recording
+from vcu_gateway.recordings.check import State
 
 
 @pytest.fixture
@@ -55,31 +61,152 @@ def test_more_frames_than_were_handed_on_are_a_fault(drive):
     assert "5 frames more are recorded" in faults(drive)[0][1]
 
 
-def test_a_ring_that_has_dropped_the_beginning_leaves_a_whole_drive(drive):
+def test_a_drive_whose_first_segments_are_gone_is_incomplete_and_the_rest_is_read(drive):
     for path in layout.segments(drive.path)[0].paths:
         path.unlink()
     found = checked(drive)
-    assert found.is_whole
+    assert found.state is State.INCOMPLETE
+    assert [fault.what for fault in found.faults] == [
+        "segments before 2 are not there: removed for room, or by somebody"
+    ]
     assert found.frames == 2 * FRAMES
+
+
+def test_a_drive_whose_last_segment_is_gone_is_incomplete(drive):
+    goes_on(drive)
+    drive.segment()
+    assert checked(drive).is_whole
+    for path in layout.segments(drive.path)[-1].paths:
+        path.unlink()
+    found = checked(drive)
+    assert (found.state, found.is_cut_off) == (State.INCOMPLETE, True)
+    assert "nothing comes after it" in found.faults[0].what
+
+
+def goes_on(drive: WrittenDrive) -> None:
+    drive.segment(closes=False)
+
+
+@pytest.mark.parametrize("file", [layout.core_name, layout.frames_name])
+@pytest.mark.parametrize("segment", [1, 2, 3])
+def test_a_last_member_that_is_cut_off_in_order_is_missing(drive, segment, file):
+    path = drive.path / file(segment)
+    members = [part for part in read_members(path) if isinstance(part, Member)]
+    os.truncate(path, members[-1].offset)
+    found = checked(drive)
+    assert not found.is_whole
+    (fault,) = found.faults
+    assert f"{segment:04d}" in fault.file or f"the end of segment {segment} is miss" in fault.what
+
+
+@pytest.mark.parametrize("name", ["drive.json", "config.yaml", "vcu.dbc"])
+def test_a_file_beside_the_members_that_was_changed_is_named(drive, name):
+    path = drive.path / name
+    path.write_bytes(path.read_bytes().replace(b" ", b"  ") + b"\n")
+    found = checked(drive)
+    assert found.state is State.CHANGED
+    assert {fault.file for fault in found.faults} == {name}
+
+
+def test_a_segment_that_has_another_ones_number_is_changed(drive):
+    for segment in (3, 2):
+        for name in (layout.core_name, layout.frames_name):
+            (drive.path / name(segment)).rename(drive.path / name(segment + 5))
+    assert checked(drive).state is State.CHANGED
+
+
+def test_ticks_are_counted_as_frames_are(tmp_path):
+    drive = WrittenDrive(tmp_path)
+    drive.segment()
+    drive.segment(ticks_silently=3)
+    found = checked(drive)
+    assert (found.state, found.missing_ticks) == (State.INCOMPLETE, 3)
+    assert found.missing_frames == 0
+
+
+@pytest.mark.parametrize("copy", ["sent", "echo"])
+def test_a_command_that_is_not_its_echo_is_changed_although_the_chain_was_made_anew(tmp_path, copy):
+    drive = WrittenDrive(tmp_path)
+    drive.segment(other=copy)
+    found = checked(drive)
+    assert found.is_chained
+    assert found.state is State.CHANGED
+    assert "is no command that was sent" in found.faults[0].what
+
+
+def test_an_older_recording_is_readable_and_not_chained(tmp_path):
+    drive = WrittenDrive(tmp_path, chained=False)
+    drive.segment()
+    found = checked(drive)
+    assert (found.state, found.is_chained) == (State.WHOLE, False)
+
+
+def test_a_chain_that_was_made_anew_is_unsigned_and_one_that_was_signed_is_found(tmp_path):
+    key = make_key(tmp_path / "key")
+    drive = WrittenDrive(tmp_path)
+    drive.segment()
+    assert checked(drive).signatures.signers == ()
+    sign(drive, key)
+    found = checked(drive)
+    assert found.is_whole, found
+    assert (found.signatures.signers, found.signatures.segments) == ((fingerprint(key),), 1)
+    other = WrittenDrive(tmp_path / "again")
+    other.segment(other="both")
+    for path in drive.path.glob("*.link*"):
+        (other.path / path.name).write_bytes(path.read_bytes())
+    found = checked(other)
+    assert found.state is State.CHANGED
+    assert "the signature is none of segment 1 as it is here" in found.faults[0].what
+
+
+def test_with_allowed_signers_only_what_one_of_them_signed_is_whole(tmp_path):
+    key, stranger = make_key(tmp_path / "key"), make_key(tmp_path / "stranger")
+    allowed = tmp_path / "allowed"
+    allowed.write_text(f"recorder {key.with_suffix('.pub').read_text()}")
+    drive = WrittenDrive(tmp_path)
+    drive.segment()
+    recording = RecordingFolder(drive.folder).named(drive.name)
+    assert check_recording(recording, lambda _: None, allowed).state is State.CHANGED
+    sign(drive, stranger)
+    assert check_recording(recording, lambda _: None).is_whole
+    assert check_recording(recording, lambda _: None, allowed).state is State.CHANGED
+    sign(drive, key)
+    found = check_recording(recording, lambda _: None, allowed)
+    assert found.is_whole, found
+    assert found.signatures.signers == (f"{fingerprint(key)} (recorder)",)
+
+
+def make_key(path: Path) -> Path:
+    make = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(path)]
+    subprocess.run(make, check=True, stdin=subprocess.DEVNULL)
+    return path
+
+
+def sign(drive: WrittenDrive, key: Path) -> None:
+    """As the recorder does at the end of the first segment."""
+    for part in chain.walk(drive.path):
+        assert isinstance(part, Linked)
+        link = part.member.digest
+    text = link_text("1f3a9c2e-0000", 1, link or b"")
+    (drive.path / "0001.link").write_bytes(text)
+    (drive.path / "0001.link.sig").write_bytes(signature.sign(text, key))
 
 
 def test_a_segment_that_is_gone_from_the_middle_is_a_fault(drive):
     for path in layout.segments(drive.path)[1].paths:
         path.unlink()
     assert not checked(drive).is_whole
-    assert faults(drive) == [(layout.frames_name(3), "segments between 1 and 3 are missing")]
+    assert (layout.frames_name(3), "segments between 1 and 3 are missing") in faults(drive)
 
 
 def test_a_torn_end_is_told_and_the_rest_is_read(drive):
     drive.segment(ended=False)
     torn(drive.path / layout.frames_name(4))
     found = checked(drive)
-    assert found.is_whole
-    assert found.is_cut_off
+    assert (found.state, found.is_cut_off) == (State.INCOMPLETE, True)
     assert found.frames == 4 * FRAMES - FRAMES_A_SECOND
-    (fault,) = found.faults
-    assert fault.at_end
-    assert "the last member is cut off" in fault.what
+    assert any("the last member is cut off" in fault.what for fault in found.faults)
+    assert any("without a closing record" in fault.what for fault in found.faults)
 
 
 def test_a_torn_file_of_a_segment_that_was_ended_is_missing(drive):
@@ -105,11 +232,12 @@ def test_damage_in_the_middle_is_told_with_its_lines_and_the_rest_is_read(drive)
     assert (layout.frames_name(2), f"{FRAMES_A_SECOND} lines are lost") in faults(drive)
 
 
-def test_a_recorder_that_was_killed_between_two_members_left_no_fault(drive):
+def test_a_drive_whose_recorder_was_killed_says_so_and_nothing_was_changed(drive):
     drive.segment(ended=False)
     found = checked(drive)
-    assert found.is_whole
-    assert found.is_cut_off
+    assert (found.state, found.is_cut_off) == (State.INCOMPLETE, True)
+    (fault,) = found.faults
+    assert "the recorder was killed" in fault.what
 
 
 def test_frames_that_the_last_segment_counts_and_does_not_have_are_missing(drive):
@@ -128,16 +256,14 @@ def test_a_file_that_is_gone_is_a_fault(drive, name):
 @pytest.mark.parametrize(
     ("before", "after", "told"),
     [
-        (b'{"f": 5,', b'{"g": 5,', "line 7 has no number of frames before it"),
-        (b'{"f": 5,', b'{"f": 3,', "line 7 counts 3 frames after 4"),
-        (b'{"f": 5,', b'{"f": 5 ', "line 7 is no JSON"),
+        (b'{"f": 5,', b'{"g": 5,', "line 8 has no number of frames before it"),
+        (b'{"f": 5,', b'{"f": 3,', "line 8 counts 3 frames after 4"),
+        (b'{"f": 5,', b'{"f": 5 ', "line 8 is no JSON"),
         (b'{"checkpoint"', b'{"checkpaint"', "does not begin with a checkpoint"),
         (b'"wall_ns"', b'"ball_ns"', "has no usable begin or gap"),
     ],
 )
 def test_a_core_line_that_is_wrong_is_named(drive, before, after, told):
-    from vcu_gateway.drive_format.members import Member, packed, read_members
-
     path = drive.path / layout.core_name(1)
     members = [part for part in read_members(path) if isinstance(part, Member)]
     first = members[0].data.replace(before, after)

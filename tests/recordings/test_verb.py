@@ -1,5 +1,6 @@
 """`vcu-gateway recordings`, as it is typed."""
 
+import hashlib
 import json
 import os
 import pty
@@ -48,11 +49,11 @@ def incident(drive: WrittenDrive, reason: str = "undervoltage") -> Path:
     """Of the drive's first segment."""
     path = drive.folder / layout.INCIDENTS / "20251123T174641Z-fault_latched"
     described = {"format": 1, "reason": "fault_latched", "kind": reason, "what": reason}
-    own = (drive.path / layout.DRIVE_FILE).read_bytes()
-    files = {
-        layout.INCIDENT_FILE: layout.description_bytes(described),
-        layout.DRIVE_FILE: own,
-    }
+    text = json.dumps(described, sort_keys=True, separators=(",", ":")).encode()
+    described["digest"] = hashlib.sha256(text).hexdigest()
+    names = (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE)
+    files = {name: (drive.path / name).read_bytes() for name in names}
+    files[layout.INCIDENT_FILE] = layout.description_bytes(described)
     layout.create_folder(path, files, layout.segments(drive.path)[0].paths)
     return path
 
@@ -102,26 +103,35 @@ def test_a_link_among_the_drives_is_no_drive(drive, tmp_path):
 def test_a_whole_recording_is_whole(drive):
     (line,) = said(drive, "check").stdout.splitlines()
     assert line == (
-        f"{drive.name}: whole; 2 segments, {2 * FRAMES + 7} frames received = "
+        f"{drive.name}: whole, chained, unsigned; 2 segments, {2 * FRAMES + 7} frames received = "
         f"{2 * FRAMES} recorded + 7 in 1 gap"
     )
 
 
-def test_what_is_torn_is_told_and_what_is_missing_ends_with_1(drive):
+def test_what_is_cut_off_before_the_end_ends_with_65(drive):
     torn(drive.path / layout.frames_name(1))
-    done = said(drive, "check", drive.name, code=1)
-    assert "NOT WHOLE" in done.stdout
+    done = said(drive, "check", drive.name, code=65)
+    assert "CHANGED OR DAMAGED" in done.stdout
     assert "20 missing" in done.stdout
     assert f"  {layout.frames_name(1)}: " in done.stdout
 
 
 def test_the_check_as_json_has_every_fault(drive):
     torn(drive.path / layout.frames_name(1))
-    found = json.loads(said(drive, "check", "--json", code=1).stdout)
+    found = json.loads(said(drive, "check", "--json", code=65).stdout)
     assert found["whole"] is False
     (one,) = found["recordings"]
     assert (one["missing_frames"], one["frames"]) == (20, 2 * FRAMES - 20)
-    assert one["faults"][0]["at_end"] is True
+    assert one["state"] == "changed"
+    assert [fault["kind"] for fault in one["faults"]] == ["changed"]
+
+
+def test_what_is_missing_at_the_end_ends_with_3(drive):
+    for path in layout.segments(drive.path)[-1].paths:
+        path.unlink()
+    drive.path.joinpath(layout.core_name(1))
+    drive.segment(ended=False)
+    assert "INCOMPLETE" in said(drive, "check", drive.name, code=3).stdout
 
 
 def test_what_is_kept_stays_until_somebody_removes_it(drive):

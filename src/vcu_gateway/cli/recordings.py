@@ -11,6 +11,7 @@ from vcu_gateway.cli import recordings_text as text
 from vcu_gateway.cli.recording_names import DEFAULT_FOLDER
 from vcu_gateway.drive_format.layout import plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH, read_status
+from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.recordings import (
     CheckedRecording,
     RecordingFolder,
@@ -71,18 +72,30 @@ def list_command(folder_path: Path, as_json: bool) -> None:
 @command.command("check")
 @click.argument("names", metavar="[NAME]...", nargs=-1)
 @folder_option
+@click.option(
+    "--allowed-signers",
+    metavar="FILE",
+    type=click.Path(path_type=Path, readable=False),
+    help="Keys (ssh-keygen(1), ALLOWED SIGNERS) of which one has to have signed every segment.",
+)
 @json_option
-def check_command(names: tuple[str, ...], folder_path: Path, as_json: bool) -> None:
-    """Read recordings whole: is received = recorded + gaps, and can every member be read?
+def check_command(
+    names: tuple[str, ...], folder_path: Path, allowed_signers: Path | None, as_json: bool
+) -> None:
+    """Read recordings whole: is each piece there, and what the recorder wrote?
 
-    Without NAME all of them. What is torn, damaged or missing is told with its file and place, and
-    the rest is read. Exit code 1 where something is damaged, or missing and in no gap; a torn end,
-    which a kill or a power cut leaves, is told and no failure.
+    Without NAME all of them. The chain is followed from the first member to the closing record,
+    the files beside it are compared with their digests, each command with its echo, and received =
+    recorded + gaps. What is torn, damaged, changed or missing is shown with its file and place, and
+    the rest is read. Exit code 3 where something is missing, 65 where something is changed or
+    damaged. A chain shows no change by somebody who made all of it anew: signatures do.
     """
     folder = _opened(folder_path)
     chosen = [folder.named(name) for name in names] or folder.recordings()
+    if allowed_signers is not None:
+        allowed_signers = _readable(allowed_signers)
     results = []
-    for result in _checked(chosen):
+    for result in _checked(chosen, allowed_signers):
         results.append(result)
         if not as_json:
             click.echo("\n".join(text.check_lines(result)))
@@ -90,16 +103,27 @@ def check_command(names: tuple[str, ...], folder_path: Path, as_json: bool) -> N
         whole = all(result.is_whole for result in results)
         document = {"whole": whole, "recordings": [text.check_json(one) for one in results]}
         click.echo(json.dumps(document))
-    if not all(result.is_whole for result in results):
-        sys.exit(1)
+    sys.exit(max((result.exit_code for result in results), default=0))
 
 
-def _checked(chosen: list[RecordingPath]) -> Iterator[CheckedRecording]:
+def _readable(path: Path) -> Path:
+    try:
+        path.read_bytes()
+    except OSError as error:
+        what = f"cannot be read: {error.strerror}"
+        raise MissingInputError(Problem(what, str(path), "a line for each: NAME KEY")) from error
+    return path.resolve()
+
+
+def _checked(
+    chosen: list[RecordingPath], allowed_signers: Path | None
+) -> Iterator[CheckedRecording]:
     """Each in turn, with a line of progress where a person waits."""
     shown = sys.stderr.isatty()
     for number, recording in enumerate(chosen, 1):
         where = f"{recording.name} ({number} of {len(chosen)})"
-        yield check_recording(recording, _progress(where) if shown else lambda _: None)
+        progress = _progress(where) if shown else lambda _: None
+        yield check_recording(recording, progress, allowed_signers)
         if shown:
             click.echo("\r\033[K", nl=False, err=True)
 

@@ -11,6 +11,7 @@ from vcu_gateway.units import NS_PER_S
 _MINUTE_S, _HOUR_S = 60, 3600
 _UNITS = ("kB", "MB", "GB", "TB")
 _NONE = "-"
+_MOST_FAULTS = 100
 
 
 def size(size_bytes: float) -> str:
@@ -81,17 +82,23 @@ def summary_json(one: RecordingSummary) -> dict[str, Any]:
 
 
 def check_lines(found: CheckedRecording) -> Iterator[str]:
-    """The verdict, the sum, and every fault."""
-    yield f"{found.name}: {_verdict(found)}; {_sum(found)}"
-    yield from (f"  {fault.file}: {fault.what}" for fault in found.faults)
+    """The state, who proves it, the sum, and every fault."""
+    yield f"{found.name}: {check_headline(found)}; {_sum(found)}"
+    for fault in found.faults[:_MOST_FAULTS]:
+        yield f"  {fault.file}: {fault.what}" if fault.file else f"  {fault.what}"
+    if len(found.faults) > _MOST_FAULTS:
+        yield f"  and {len(found.faults) - _MOST_FAULTS} more"
 
 
-def _verdict(found: CheckedRecording) -> str:
-    if not found.is_whole:
-        return "NOT WHOLE"
-    if found.is_written:
-        return "whole, and being written"
-    return "whole up to its end, which is cut off" if found.is_cut_off else "whole"
+def check_headline(found: CheckedRecording) -> str:
+    """The state, and what proves it."""
+    if not found.is_chained:
+        return f"{found.state.value}, not chained: nothing shows whether it was changed"
+    signed = found.signatures
+    if not signed.signers:
+        return f"{found.state.value}, chained, unsigned"
+    part = "" if signed.segments == found.segments else f" {signed.segments} segments"
+    return f"{found.state.value}, chained, signed{part} by {', '.join(signed.signers)}"
 
 
 def _sum(found: CheckedRecording) -> str:
@@ -99,17 +106,22 @@ def _sum(found: CheckedRecording) -> str:
     received = found.frames + gaps.frames + found.missing_frames
     in_gaps = f" + {gaps.frames} in {gaps.gaps} gap{'' if gaps.gaps == 1 else 's'}"
     missing = f" + {found.missing_frames} missing" if found.missing_frames else ""
+    ticks = f", {found.missing_ticks} ticks missing" if found.missing_ticks else ""
     frames = f"{received} frames received = {found.frames} recorded{in_gaps}{missing}"
-    return f"{found.segments} segment{'' if found.segments == 1 else 's'}, {frames}"
+    return f"{found.segments} segment{'' if found.segments == 1 else 's'}, {frames}{ticks}"
 
 
 def check_json(found: CheckedRecording) -> dict[str, Any]:
     """What the check found."""
+    signatures = found.signatures._asdict()
+    del signatures["faults"]
     return {
         **found._asdict(),
+        "state": found.state.name.lower(),
         "is_whole": found.is_whole,
         "gaps": found.gaps._asdict(),
-        "faults": [fault._asdict() for fault in found.faults],
+        "signatures": signatures,
+        "faults": [{**one._asdict(), "kind": one.kind.value} for one in found.faults],
     }
 
 

@@ -74,22 +74,28 @@ def _info(folder: Path) -> DriveInfo:
             run=described["run"],
             channel=described["channel"],
             versions=dict(described["versions"]),
-            clock=ClockPair(int(clock["monotonic_ns"]), int(clock["wall_ns"])),
+            clock=ClockPair(_stamp(clock["monotonic_ns"]), _stamp(clock["wall_ns"])),
             settings=settings_of(described["settings"]),
             config=_text(folder / layout.CONFIG_FILE),
             config_digest=str(described.get("config_digest", "")),
             dbc=_text(folder / layout.DBC_FILE),
             described=described,
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         version = described.get("versions", {})
         what = f"cannot be used ({type(error).__name__}: {error}); written by {version}"
         raise DataError(Problem(what, str(path))) from error
 
 
+def _stamp(value: object) -> int:
+    if type(value) is not int or not 0 <= value < 1 << 63:
+        raise ValueError("a clock is no number of nanoseconds")
+    return value
+
+
 def _text(path: Path) -> str:
     try:
-        return path.read_bytes().decode()
+        return layout.read_small(path).decode()
     except (OSError, UnicodeDecodeError) as error:
         raise MissingInputError(Problem(f"cannot be read: {error}", str(path))) from error
 

@@ -13,10 +13,12 @@ Files and folders are made once: nothing is written again, and nothing is rename
 """
 
 import contextlib
+import errno
 import json
 import os
 import re
 import shutil
+import stat
 import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -36,6 +38,8 @@ KEEP_FILE = "keep"
 REASON_FILE = ".reason"
 """In the folder of incidents: why somebody asks the recorder for one of this moment."""
 REASON_MAX_LENGTH = 200
+MAX_SMALL_BYTES = 4 << 20
+"""Of a file beside the members; a larger one is no recorder's."""
 FRAMES_SUFFIX = ".frames.log.gz"
 CORE_SUFFIX = ".core.jsonl.gz"
 
@@ -126,17 +130,29 @@ def incident_files(folder: Path) -> list[Path]:
     return [folder / name for name in sorted(names, key=lambda name: (len(name), name))]
 
 
+def read_small(path: Path) -> bytes:
+    """A file beside the members; OSError also where it is a link, no regular file, or too large."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW)
+    with os.fdopen(descriptor, "rb") as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "is no regular file", str(path))
+        data = file.read(MAX_SMALL_BYTES + 1)
+    if len(data) > MAX_SMALL_BYTES:
+        raise OSError(errno.EFBIG, f"is larger than {MAX_SMALL_BYTES >> 20} MiB", str(path))
+    return data
+
+
 def read_description(path: Path) -> dict[str, Any]:
     """A drive.json or incident.json; MissingInputError or DataError where it cannot be used."""
     try:
-        described = json.loads(path.read_bytes())
+        described = json.loads(read_small(path))
     except OSError as error:
         what = f"cannot be read: {error.strerror}"
         remedy = "give the folder of a drive or an incident"
         raise MissingInputError(Problem(what, str(path), remedy)) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(Problem(f"is no JSON: {error}", str(path))) from error
-    if not isinstance(described, dict) or not isinstance(described.get("format"), int):
+    if not isinstance(described, dict) or type(described.get("format")) is not int:
         raise DataError(Problem("has no format number", str(path)))
     if described["format"] > FORMAT:
         what = f"has format {described['format']}, and this version reads up to {FORMAT}"

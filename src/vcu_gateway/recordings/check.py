@@ -1,97 +1,179 @@
-"""Check of a recording: every member is read, and received = recorded + gaps.
+"""Check of a recording: is each piece of it there, and what the recorder wrote?
 
-Before each segment the recorder notes how many frames the gateway had handed on, and what of them
-it did not get. So between the beginnings of two segments each frame is in a file, or in a gap, or
-it is missing.
+Every member is read, and the chain is followed from the first to the closing record: a member that
+was changed, removed or added breaks it, and the files beside the members are named in it. Who made
+a whole chain anew is found by a signature only; without one the recording is unsigned.
+
+What a chain cannot show is counted: received = recorded + gaps. Before each segment the recorder
+notes how many frames and ticks the gateway had handed on, and what of them it did not get. So
+between the beginnings of two segments each is in a file, or in a gap, or it is missing. And each
+command is there twice, as it was sent and as the bus gave it back.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
 from typing import NamedTuple
 
 from vcu_gateway.drive_format import layout, lock
 from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.errors import GatewayError
-from vcu_gateway.recordings.checked_segment import CheckedSegment, FileFault, check_segment
+from vcu_gateway.recordings.bus_commands import EchoCheck
+from vcu_gateway.recordings.chained import chain_of
+from vcu_gateway.recordings.checked_segment import (
+    CheckedSegment,
+    FaultKind,
+    FileFault,
+    check_segment,
+)
+from vcu_gateway.recordings.descriptions import description_faults, digest_faults, incident_faults
 from vcu_gateway.recordings.folder import RecordingPath, read_error
 from vcu_gateway.recordings.segment_lines import Losses
+from vcu_gateway.recordings.signatures import Signatures, check_signatures
+
+EX_INCOMPLETE, EX_CHANGED = 3, 65
+
+
+class State(Enum):
+    """What a recording is, as far as its files show; the worst that was found."""
+
+    WHOLE = "whole"
+    WRITTEN = "being written, whole so far"
+    INCOMPLETE = "INCOMPLETE"
+    CHANGED = "CHANGED OR DAMAGED"
 
 
 class CheckedRecording(NamedTuple):
     """What a check found.
 
     Attributes:
-        frames: recorded and readable.
+        frames, ticks: recorded and readable.
         gaps: what the recorder did not get, as it says itself.
-        missing_frames: received, and neither recorded nor in a gap.
-        is_cut_off: it ends without an end: a kill, or a power cut.
+        missing_frames, missing_ticks: received, and neither recorded nor in a gap.
+        is_cut_off: it ends without a closing record.
         is_written: a recorder is writing it; then its end is not judged.
-        faults: what is torn, damaged, missing or wrong, a torn end included.
+        is_chained: False for one of an older recorder: nothing shows whether it was changed.
+        signatures: who signed it, and how far.
+        faults: what is torn, missing or changed.
     """
 
     name: str
     segments: int
     frames: int
+    ticks: int
     gaps: Losses
     missing_frames: int
+    missing_ticks: int
     is_cut_off: bool
     is_written: bool
+    is_chained: bool
+    signatures: Signatures
     faults: tuple[FileFault, ...]
 
     @property
+    def state(self) -> State:
+        """The worst of what was found; a torn end, behind which the recorder went on, is none."""
+        kinds = {fault.kind for fault in self.faults}
+        if FaultKind.CHANGED in kinds:
+            return State.CHANGED
+        if FaultKind.MISSING in kinds or self.missing_frames or self.missing_ticks:
+            return State.INCOMPLETE
+        return State.WRITTEN if self.is_written else State.WHOLE
+
+    @property
     def is_whole(self) -> bool:
-        """False where something is damaged, or missing and in no gap; torn ends are neither."""
-        return not self.missing_frames and all(fault.at_end for fault in self.faults)
+        """True where nothing is missing, changed or damaged."""
+        return self.state in (State.WHOLE, State.WRITTEN)
+
+    @property
+    def exit_code(self) -> int:
+        """0 whole, 3 incomplete, 65 changed or damaged."""
+        return {State.INCOMPLETE: EX_INCOMPLETE, State.CHANGED: EX_CHANGED}.get(self.state, 0)
 
 
 def check_recording(
-    recording: RecordingPath, progress: Callable[[int], object]
+    recording: RecordingPath,
+    progress: Callable[[int], object],
+    allowed_signers: Path | None = None,
 ) -> CheckedRecording:
     """Read it whole; `progress` is called with the bytes of each segment.
 
-    What cannot be read of a file is a fault of the result; NotPermittedError or MissingInputError
-    where the folder cannot be read.
+    With allowed signers, what none of them has signed is a fault. What cannot be read of a file is
+    a fault of the result; NotPermittedError or MissingInputError where the folder cannot be read,
+    UnavailableError where there are signatures and no ssh-keygen.
     """
     try:
-        return _checked(recording, progress)
+        return _checked(recording, progress, allowed_signers)
     except OSError as error:
         raise read_error(error, recording.path) from error
 
 
-def _checked(recording: RecordingPath, progress: Callable[[int], object]) -> CheckedRecording:
+def _checked(
+    recording: RecordingPath, progress: Callable[[int], object], allowed_signers: Path | None
+) -> CheckedRecording:
     is_written = lock.is_held(recording.path)
     segments = layout.segments(recording.path)
     sums = _Sums()
-    sums.faults += _description_faults(recording)
+    sums.faults += description_faults(recording)
+    # Before the members are read: of a drive that is being written, more come meanwhile.
+    chain = chain_of(recording.path, segments, is_part=recording.kind == "incident")
     for segment in segments:
         checked = check_segment(segment)
         is_open = is_written and segment is segments[-1]
         sums.add(checked._replace(faults=()) if is_open else checked)
+        sums.faults += digest_faults(recording.path, checked)
         progress(_size_bytes(segment))
+    sums.faults = _with_breaks(sums.faults, chain.faults, is_written, sums.last)
     if not is_written:
-        sums.end()
+        sums.end(recording)
+    if recording.kind == "incident":
+        sums.faults += incident_faults(recording.path, segments, sums.last, chain.is_chained)
+    signatures = check_signatures(recording.path, chain, sums.run_signer, allowed_signers)
+    sums.faults += signatures.faults
     return CheckedRecording(
         recording.name,
         len(segments),
         sums.frames,
+        sums.ticks,
         sums.gaps,
         sums.missing_frames,
-        not is_written and not (sums.last and sums.last.ended),
+        sums.missing_ticks,
+        sums.is_cut_off,
         is_written,
+        chain.is_chained,
+        signatures,
         tuple(sums.faults),
     )
 
 
-def _description_faults(recording: RecordingPath) -> Iterator[FileFault]:
-    files = [recording.path / layout.DRIVE_FILE, *layout.incident_files(recording.path)]
-    for path in files:
-        try:
-            layout.read_description(path)
-        except GatewayError as error:
-            yield FileFault(path.name, error.problems[0].what)
+def _with_breaks(
+    known: list[FileFault],
+    breaks: tuple[FileFault, ...],
+    is_written: bool,
+    last: CheckedSegment | None,
+) -> list[FileFault]:
+    """Faults, and those of the chain in files of which nothing worse is known.
+
+    What only looked torn is what the chain says: something went on behind it. A power cut may
+    leave the later one of two members, but only in a last segment that was not ended.
+    """
+    unended: tuple[str, ...] = ()
+    if last is not None and last.end is None:
+        unended = (layout.core_name(last.number), layout.frames_name(last.number))
+    faults = list(known)
+    for one in breaks:
+        of_file = [number for number, fault in enumerate(faults) if fault.file == one.file]
+        torn = [number for number in of_file if faults[number].kind is FaultKind.TORN]
+        if one.kind is not FaultKind.TORN and torn:
+            faults[torn[0]] = faults[torn[0]]._replace(
+                kind=FaultKind.MISSING if one.file in unended else one.kind
+            )
+        elif not of_file and not (is_written and one.kind is FaultKind.TORN):
+            faults.append(one)
+    return faults
 
 
 def _size_bytes(segment: SegmentFiles) -> int:
-    return sum(path.stat().st_size for path in segment.paths)
+    return sum(path.lstat().st_size for path in segment.paths)
 
 
 class _Sums:
@@ -99,43 +181,74 @@ class _Sums:
 
     def __init__(self) -> None:
         self.last: CheckedSegment | None = None
-        self.frames = self.missing_frames = 0
+        self.frames = self.ticks = self.missing_frames = self.missing_ticks = 0
         self.gaps = Losses()
         self.faults: list[FileFault] = []
+        self.is_cut_off = False
+        self.run_signer: str | None = None
+        self._echoes = EchoCheck()
 
     def add(self, one: CheckedSegment) -> None:
         """Take the next segment, and compare its begin with the one before."""
         if self.last is not None:
             self._compare(self.last, one)
+        before = self.last
+        follows = before is not None and one.number == before.number + 1 and not before.faults
         if one.begin is not None:
             self.gaps += one.begin.gap
+            follows &= not one.begin.gap.gaps
+            self.run_signer = one.begin.signer or self.run_signer
+        for echo in self._echoes.segment(one.commands, one.echoes, follows):
+            what = f"line {echo.place + 1}: {echo.identifier}#{echo.data} is no command that was"
+            what += " sent"
+            self.faults.append(FileFault(layout.frames_name(one.number), what, FaultKind.CHANGED))
         self.frames += one.frames
+        self.ticks += one.ticks
         self.faults += one.faults
         self.last = one
 
     def _compare(self, before: CheckedSegment, one: CheckedSegment) -> None:
         if one.number != before.number + 1:
             what = f"segments between {before.number} and {one.number} are missing"
-            self.faults.append(FileFault(layout.frames_name(one.number), what))
+            self.faults.append(FileFault(layout.frames_name(one.number), what, FaultKind.MISSING))
         elif before.begin is None or one.begin is None:
             self.missing_frames += max(0, before.counted_frames - before.frames)
         else:
-            handed_on = one.begin.frames - before.begin.frames
-            self._missing(one, handed_on - before.frames - one.begin.gap.frames)
+            frames = one.begin.frames - before.begin.frames - before.frames - one.begin.gap.frames
+            self.missing_frames += self._missing(one, frames, "frames")
+            if before.begin.segment is not None and one.begin.segment is not None:
+                ticks = one.begin.ticks - before.begin.ticks - before.ticks - one.begin.gap.ticks
+                self.missing_ticks += self._missing(one, ticks, "ticks")
 
-    def _missing(self, one: CheckedSegment, frames: int) -> None:
-        """More than was handed on is as wrong as less."""
-        if frames < 0:
-            what = f"{-frames} frames more are recorded before it than the gateway handed on"
-            self.faults.append(FileFault(layout.core_name(one.number), what))
-        self.missing_frames += max(0, frames)
+    def _missing(self, one: CheckedSegment, count: int, unit: str) -> int:
+        """How many are missing; more than was handed on is as wrong as less."""
+        if count < 0:
+            what = f"{-count} {unit} more are recorded before it than the gateway handed on"
+            self.faults.append(FileFault(layout.core_name(one.number), what, FaultKind.CHANGED))
+        return max(0, count)
 
-    def end(self) -> None:
-        """Judge the last segment by what its own lines count; a torn end tells no number.
+    def end(self, recording: RecordingPath) -> None:
+        """Judge the end: what its own lines count has to be there, and a closing record.
 
-        One that the recorder ended has no torn end: what its last line counts was there.
+        Of one that was not ended, a torn end tells no number.
         """
         last = self.last
-        if last is None or (not last.ended and any(fault.at_end for fault in last.faults)):
+        if last is None:
+            self.faults.append(FileFault("", "has no segment", FaultKind.MISSING))
             return
-        self.missing_frames += max(0, last.counted_frames - last.frames)
+        is_torn = any(fault.kind is FaultKind.TORN for fault in last.faults)
+        if last.end is not None or not is_torn:
+            self.missing_frames += max(0, last.counted_frames - last.frames)
+        self.is_cut_off = not (last.end and last.end.closes)
+        if self.is_cut_off and recording.kind == "drive":
+            what = _why_cut_off(last)
+            self.faults.append(FileFault(layout.core_name(last.number), what, FaultKind.MISSING))
+
+
+def _why_cut_off(last: CheckedSegment) -> str:
+    if last.end is None:
+        return (
+            "ends without a closing record: the recorder was killed, the power failed, or its end"
+            " was removed"
+        )
+    return f"nothing comes after it, and it does not close the drive: {last.end.why}"

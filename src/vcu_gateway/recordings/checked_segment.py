@@ -1,28 +1,51 @@
 """Check of one segment: every member of both files, every core line."""
 
+import itertools
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
-from vcu_gateway.recordings.segment_lines import CoreLineError, SegmentBegin, begin_of, parsed_line
+from vcu_gateway.recordings.bus_commands import BusCommand, commands_in, echoes_in, texts
+from vcu_gateway.recordings.segment_lines import (
+    CoreLineError,
+    SegmentBegin,
+    SegmentEnd,
+    begin_of,
+    end_of,
+    parsed_line,
+)
 
 _LINES_OF_BEGIN = 4
+_MOST_COMMANDS = 1 << 17
+"""Of a segment, which has a minute; more are an attack on the reader's memory."""
+
+
+class FaultKind(Enum):
+    """What is wrong with a recording.
+
+    Attributes:
+        TORN: the last bytes of a file are no member: a kill, a power cut or a full disk.
+        MISSING: something that was recorded, or a whole file, is not there.
+        CHANGED: something is not what the recorder wrote.
+    """
+
+    TORN = "torn"
+    MISSING = "missing"
+    CHANGED = "changed"
 
 
 class FileFault(NamedTuple):
-    """What is wrong with a file.
-
-    Attributes:
-        at_end: its last bytes are torn, and nothing else: a kill, a power cut or a full disk.
-    """
+    """What is wrong with a file, or with the whole recording where the name is empty."""
 
     file: str
     what: str
-    at_end: bool = False
+    kind: FaultKind
 
 
 class CheckedSegment(NamedTuple):
@@ -31,15 +54,20 @@ class CheckedSegment(NamedTuple):
     Attributes:
         begin: None where that line cannot be read.
         frames: readable ones.
-        counted_frames: that core lines count, up to the last readable one.
-        ended: the recorder ended it in order.
+        counted_frames, ticks: that core lines count, up to the last readable one.
+        end: the recorder's; None where it did not end it in order.
+        commands: frames that the gateway gave to the bus.
+        echoes: frames that the bus gave back; only those before which every command is known.
     """
 
     number: int
     begin: SegmentBegin | None
     frames: int
     counted_frames: int
-    ended: bool
+    ticks: int
+    end: SegmentEnd | None
+    commands: tuple[BusCommand, ...]
+    echoes: tuple[BusCommand, ...]
     faults: tuple[FileFault, ...]
 
 
@@ -50,40 +78,69 @@ def check_segment(segment: SegmentFiles) -> CheckedSegment:
     """
     core = _CoreLines(layout.core_name(segment.number))
     if segment.core is None:
-        core.faults.append(FileFault(core.file, "is missing"))
+        core.faults.append(FileFault(core.file, "is missing", FaultKind.MISSING))
     else:
         core.read(segment.core)
-    frames, faults = _read_frames(segment)
+    is_core_whole = not core.faults
+    frames, echoes, faults = _read_frames(segment)
+    if core.end is not None and core.end.ticks not in (None, core.ticks):
+        what = f"ends with {core.end.ticks} ticks, and has {core.ticks}"
+        core.faults.append(FileFault(core.file, what, FaultKind.CHANGED))
     return CheckedSegment(
         segment.number,
         core.begin,
         frames,
         core.frames,
-        core.ended,
+        core.ticks,
+        core.end,
+        tuple(core.commands),
+        tuple(one for one in echoes if is_core_whole and one.place < core.frames),
         (*faults, *core.faults),
     )
 
 
-def _read_frames(segment: SegmentFiles) -> tuple[int, list[FileFault]]:
+def _read_frames(segment: SegmentFiles) -> tuple[int, list[BusCommand], list[FileFault]]:
+    """How many frames there are, those that are echoes, and what is wrong."""
     file, faults = layout.frames_name(segment.number), list[FileFault]()
+    echoes: list[BusCommand] = []
     if segment.frames is None:
-        return 0, [FileFault(file, "is missing")]
-    parts = _readable(segment.frames, file, faults)
-    return sum(part.lines for part in parts), faults
+        return 0, echoes, [FileFault(file, "is missing", FaultKind.MISSING)]
+    frames = 0
+    for part in _readable(segment.frames, file, faults):
+        frames += part.lines
+        echoes += itertools.islice(
+            echoes_in(part.data, part.first_line), _MOST_COMMANDS - len(echoes)
+        )
+    return frames, echoes, faults
 
 
 def _readable(path: Path, file: str, faults: list[FileFault]) -> Iterator[Member]:
     """The readable members; what is between them becomes faults."""
     lines = 0
-    for part in read_members(path):
+    for part in members_or_fault(path, file, faults):
         if isinstance(part, MemberDamage):
             place = f"{part.size} bytes from byte {part.offset} on: {part.what}"
-            faults.append(FileFault(file, place, part.torn))
+            kind = FaultKind.TORN if part.torn else FaultKind.CHANGED
+            faults.append(FileFault(file, place, kind))
             continue
         if part.first_line > lines:
-            faults.append(FileFault(file, f"{part.first_line - lines} lines are lost"))
+            what = f"{part.first_line - lines} lines are lost"
+            faults.append(FileFault(file, what, FaultKind.MISSING))
         lines = part.first_line + part.lines
         yield part
+
+
+def members_or_fault(
+    path: Path, file: str, faults: list[FileFault]
+) -> Iterator[Member | MemberDamage]:
+    """Members and damage; what is no file of a recording, such as a link or a pipe, is a fault."""
+    try:
+        yield from read_members(path)
+    except PermissionError:
+        raise
+    except OSError as error:
+        what = f"cannot be read: {error.strerror or error}"
+        faults.append(FileFault(file, what, FaultKind.CHANGED))
 
 
 @dataclass
@@ -91,13 +148,15 @@ class _CoreLines:
     """Core lines of one file, as they are read.
 
     Attributes:
-        frames: that they count so far.
+        frames, ticks: that they count so far.
     """
 
     file: str
     begin: SegmentBegin | None = None
     frames: int = 0
-    ended: bool = False
+    ticks: int = 0
+    end: SegmentEnd | None = None
+    commands: list[BusCommand] = field(default_factory=list)
     faults: list[FileFault] = field(default_factory=list)
 
     def read(self, path: Path) -> None:
@@ -106,27 +165,35 @@ class _CoreLines:
             for part in _readable(path, self.file, self.faults):
                 self._take(part)
         except CoreLineError as error:
-            self.faults.append(FileFault(self.file, str(error)))
+            self.faults.append(FileFault(self.file, str(error), FaultKind.CHANGED))
 
     def _take(self, part: Member) -> None:
-        lines = [self._line(part, number, text) for number, text in enumerate(_texts(part))]
+        lines = (self._line(part, number, text) for number, text in enumerate(texts(part.data)))
         if part.first_line == 0:
-            if "checkpoint" not in lines[0]:
+            first = list(itertools.islice(lines, _LINES_OF_BEGIN))
+            if not first or "checkpoint" not in first[0]:
                 raise CoreLineError("does not begin with a checkpoint")
-            self.begin = begin_of(lines[:_LINES_OF_BEGIN])
+            self.begin = begin_of(first)
+        deque(lines, maxlen=0)
 
     def _line(self, part: Member, number: int, text: bytes) -> dict[str, Any]:
         where = f"line {part.first_line + number + 1}"
         try:
             line = parsed_line(text)
+            self._count(line)
         except CoreLineError as error:
             raise CoreLineError(f"{where} {error}") from error
-        if line["f"] < self.frames:
-            raise CoreLineError(f"{where} counts {line['f']} frames after {self.frames}")
-        self.frames = line["f"]
-        self.ended = "end" in line
         return line
 
-
-def _texts(part: Member) -> list[bytes]:
-    return part.data.splitlines()
+    def _count(self, line: dict[str, Any]) -> None:
+        if line["f"] < self.frames:
+            raise CoreLineError(f"counts {line['f']} frames after {self.frames}")
+        self.frames = line["f"]
+        self.ticks += "tick" in line
+        self.end = end_of(line) if "end" in line else None
+        try:
+            self.commands += commands_in(line)
+        except (TypeError, ValueError, AttributeError) as error:
+            raise CoreLineError(f"has no usable frames: {error}") from error
+        if len(self.commands) > _MOST_COMMANDS:
+            raise CoreLineError(f"is the {_MOST_COMMANDS}th command of one minute")

@@ -1,13 +1,18 @@
 """The recorder's own lines of a segment: how it begins, what is missing before it, how it ends."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
 
 _LINES_OF_BEGIN = 4
+MAX_LINE_BYTES = 1 << 22
+"""Of a core line; a longer one is damage, or an attack on the reader's memory."""
+_GOES_ON = "the next segment begins"
+_NUMBERS = range(1 << 63)
+"""What counters and stamps can be."""
 
 
 class Losses(NamedTuple):
@@ -32,6 +37,9 @@ class SegmentBegin(NamedTuple):
         wall_ns: when it began.
         lost: of the whole drive up to here.
         gap: of these, what is missing right before this segment.
+        segment: its number; None where its recorder wrote no chain.
+        files: SHA-256 of the files beside the members, by name.
+        signer: fingerprint of the key that its recorder signed with; None without one.
     """
 
     frames: int
@@ -39,6 +47,22 @@ class SegmentBegin(NamedTuple):
     wall_ns: int
     lost: Losses
     gap: Losses
+    segment: int | None = None
+    files: Mapping[str, str] = {}
+    signer: str | None = None
+
+
+class SegmentEnd(NamedTuple):
+    """How the recorder ended a segment.
+
+    Attributes:
+        ticks: that it has; None where an older recorder ended it.
+        closes: nothing need follow, since the gateway itself has ended its connection.
+    """
+
+    ticks: int | None
+    closes: bool
+    why: str
 
 
 class CoreLineError(ValueError):
@@ -47,13 +71,19 @@ class CoreLineError(ValueError):
 
 def parsed_line(line: bytes) -> dict[str, Any]:
     """A core line as its object; CoreLineError where it is none."""
+    if len(line) > MAX_LINE_BYTES:
+        raise CoreLineError(f"is longer than {MAX_LINE_BYTES >> 20} MiB")
     try:
         found = json.loads(line)
     except (ValueError, RecursionError) as error:
         raise CoreLineError(f"is no JSON: {error}") from error
-    if not isinstance(found, dict) or not isinstance(found.get("f"), int):
+    if not isinstance(found, dict) or not _is_number(found.get("f")):
         raise CoreLineError("has no number of frames before it")
     return found
+
+
+def _is_number(value: object) -> bool:
+    return type(value) is int and value in _NUMBERS
 
 
 def read_begin(core: Path) -> SegmentBegin | None:
@@ -75,11 +105,39 @@ def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
     if begin is None:
         return None
     try:
-        gap = sum((Losses(one["frames"] or 0, one["ticks"] or 0, 1) for one in gaps), Losses())
-        told = Losses(**begin["lost"])
-        return SegmentBegin(begin["frames"], begin["ticks"], begin["wall_ns"], told, gap)
-    except (KeyError, TypeError) as error:
+        gap = sum((_gap(one) for one in gaps), Losses())
+        lost = Losses(*_numbers(begin["lost"], Losses._fields))
+        frames, ticks, wall_ns = _numbers(begin, ("frames", "ticks", "wall_ns"))
+        segment, files = begin.get("segment"), dict(begin.get("files") or {})
+        signer = begin.get("signer")
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise CoreLineError(f"has no usable begin or gap: {error}") from error
+    return SegmentBegin(frames, ticks, wall_ns, lost, gap, segment, files, signer)
+
+
+def _gap(values: Mapping[str, Any]) -> Losses:
+    frames, ticks = _numbers(values, ("frames", "ticks"))
+    return Losses(frames, ticks, 1)
+
+
+def _numbers(values: Mapping[str, Any], keys: tuple[str, ...]) -> list[int]:
+    """These counts, 0 where one is null; ValueError where one is no such number."""
+    found = [values[key] or 0 for key in keys]
+    if not all(map(_is_number, found)):
+        raise ValueError(f"{', '.join(keys)} are no numbers")
+    return found
+
+
+def end_of(line: Mapping[str, Any]) -> SegmentEnd:
+    """How this last line of a segment ends it; CoreLineError where it is wrong.
+
+    An older recorder did not say whether it closes the drive: any why but the next segment does.
+    """
+    end = line["end"]
+    if not isinstance(end, dict) or not _is_number(end.get("ticks", 0)):
+        raise CoreLineError("has no usable end")
+    why = str(end.get("why", ""))
+    return SegmentEnd(end.get("ticks"), end.get("closes", why != _GOES_ON) is True, why)
 
 
 def last_second(path: Path) -> int | None:

@@ -57,13 +57,15 @@ def _summarise(recording: RecordingPath) -> RecordingSummary:
     return RecordingSummary(
         recording.kind,
         recording.name,
-        described.get("channel"),
+        _channel(described),
         first and first.wall_ns,
         _duration_s(first, cores),
         len(segments),
         _size_bytes(path),
         last and last.lost,
-        tuple(str(one.get("what") or one.get("reason")) for one in reasons if one),
+        tuple(
+            layout.plain_reason(str(one.get("what") or one.get("reason"))) for one in reasons if one
+        ),
         (path / layout.KEEP_FILE).exists(),
         lock.is_held(path),
         tuple(problems),
@@ -76,6 +78,11 @@ def _described(path: Path, problems: list[str]) -> dict[str, Any]:
     except GatewayError as error:
         problems.append(str(error))
         return {}
+
+
+def _channel(described: dict[str, Any]) -> str | None:
+    channel = described.get("channel")
+    return layout.plain_reason(channel) if isinstance(channel, str) else None
 
 
 def _duration_s(first: SegmentBegin | None, cores: list[Path]) -> float | None:
