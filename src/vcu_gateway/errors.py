@@ -5,7 +5,8 @@ Exit codes follow sysexits.h and are part of the interface:
     0   done
     1   a check answered no (`dbc --check`, `status --check`, `doctor`, `estop`, ...)
     2   the command line is wrong
-    65  a file's contents are wrong (EX_DATAERR)
+    3   a recording is incomplete
+    65  a file's contents are wrong, or a recording was changed or damaged (EX_DATAERR)
     66  a file cannot be read (EX_NOINPUT)
     69  the bus or something else outside is not there (EX_UNAVAILABLE)
     70  a bug in this program (EX_SOFTWARE)

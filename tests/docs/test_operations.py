@@ -22,8 +22,8 @@ from tests.docs.pages import (
     section,
     text,
 )
+from vcu_gateway import cli, errors
 from vcu_gateway import config as configuration
-from vcu_gateway import errors
 from vcu_gateway.core.causes import Causes, Effect, Finding
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.supervisor import Stimulus, Supervisor
@@ -176,6 +176,11 @@ def test_every_exit_code_of_the_program_is_on_the_page_and_no_other():
     documented = set(re.findall(r"^ {4}(\d+) ", errors.__doc__ or "", re.MULTILINE))
     raised = {str(kind.exit_code) for kind in errors.GatewayError.__subclasses__()}
     assert set(EXITS) == documented | raised | {"128 + n"}
+
+
+def test_the_help_names_every_exit_code():
+    codes_of_help = set(re.findall(r"\b(\d+) ", cli.group.epilog or ""))
+    assert codes_of_help == set(EXITS) - {"128 + n"}
 
 
 def test_the_page_says_which_exit_codes_are_started_again_as_the_unit_does():

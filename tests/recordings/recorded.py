@@ -112,8 +112,11 @@ class WrittenDrive:
             line = self._lines.line(wall_ns, EXTENDED | COMMAND_ID, echo, True)
             sent = self._command("sent", writer.frames).hex()
             command = ["PCU1", f"{COMMAND_ID:08X}", sent]
-            writer.add([], _line({"f": writer.frames, "tick": wall_ns, "frames": [command]}))
+            tick = {"f": writer.frames, "tick": wall_ns, "frames": [command], "ok": [True]}
+            writer.add([], _line(tick))
             writer.add([line], "")
+        why = f"active; {self._second % 60} s"
+        writer.add([], _line({"f": writer.frames, "why": why, "now": wall_ns}))
         writer.flush(self._second)
         self._second += 1
 

@@ -1,16 +1,15 @@
 """Received = recorded + gaps, and every member can be read."""
 
 import os
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from tests.recordings.recorded import FRAMES, FRAMES_A_SECOND, WrittenDrive, torn, zeroed
-from vcu_gateway.drive_format import chain, layout, lock, signature
-from vcu_gateway.drive_format.chain import Linked
+from tests.recordings.signed import make_key, sign
+from vcu_gateway.drive_format import layout, lock
 from vcu_gateway.drive_format.members import Member, packed, read_members
-from vcu_gateway.drive_format.signature import fingerprint, link_text
+from vcu_gateway.drive_format.signature import fingerprint
 from vcu_gateway.errors import MissingInputError
 from vcu_gateway.recordings import CheckedRecording, RecordingFolder, check_recording
 from vcu_gateway.recordings.check import State
@@ -146,7 +145,7 @@ def test_a_chain_that_was_made_anew_is_unsigned_and_one_that_was_signed_is_found
     drive = WrittenDrive(tmp_path)
     drive.segment()
     assert checked(drive).signatures.signers == ()
-    sign(drive, key)
+    sign(drive.path, key)
     found = checked(drive)
     assert found.is_whole, found
     assert (found.signatures.signers, found.signatures.segments) == ((fingerprint(key),), 1)
@@ -167,29 +166,13 @@ def test_with_allowed_signers_only_what_one_of_them_signed_is_whole(tmp_path):
     drive.segment()
     recording = RecordingFolder(drive.folder).named(drive.name)
     assert check_recording(recording, lambda _: None, allowed).state is State.CHANGED
-    sign(drive, stranger)
+    sign(drive.path, stranger)
     assert check_recording(recording, lambda _: None).is_whole
     assert check_recording(recording, lambda _: None, allowed).state is State.CHANGED
-    sign(drive, key)
+    sign(drive.path, key)
     found = check_recording(recording, lambda _: None, allowed)
     assert found.is_whole, found
     assert found.signatures.signers == (f"{fingerprint(key)} (recorder)",)
-
-
-def make_key(path: Path) -> Path:
-    make = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(path)]
-    subprocess.run(make, check=True, stdin=subprocess.DEVNULL)
-    return path
-
-
-def sign(drive: WrittenDrive, key: Path) -> None:
-    """As the recorder does at the end of the first segment."""
-    for part in chain.walk(drive.path):
-        assert isinstance(part, Linked)
-        link = part.member.digest
-    text = link_text("1f3a9c2e-0000", 1, link or b"")
-    (drive.path / "0001.link").write_bytes(text)
-    (drive.path / "0001.link.sig").write_bytes(signature.sign(text, key))
 
 
 def test_a_segment_that_is_gone_from_the_middle_is_a_fault(drive):

@@ -48,9 +48,10 @@ _VERBS = {
 _OPERATOR_VERBS = {"arm", "disarm", "reset", "reload", "why", "events"}
 
 _EPILOG = """\b
-Exit codes: 0 done, 1 a check answered no, 2 wrong command line, 65 wrong file contents,
-66 unreadable file, 69 bus, gateway or part not available, 70 bug in this program, 75 refused
-or not answered in time, 77 not permitted, 78 wrong configuration.
+Exit codes: 0 done, 1 a check answered no, 2 wrong command line, 3 a recording is incomplete,
+65 wrong, changed or damaged file contents, 66 unreadable file, 69 bus, gateway or part not
+available, 70 bug in this program, 75 refused or not answered in time, 77 not permitted,
+78 wrong configuration.
 A first look: vcu-gateway demo"""
 
 
@@ -130,8 +131,18 @@ def main() -> None:
         sys.exit(error.exit_code)
     except _BrokenOutputError:
         sys.exit(0)  # no reader is left
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is ours
+        _echo_error(functools.partial(_show_bug, error))
+        sys.exit(os.EX_SOFTWARE)
     finally:
         streams.flush()
+
+
+def _show_bug(error: Exception) -> None:
+    sys.excepthook(type(error), error, error.__traceback__)
+    if sys.excepthook is sys.__excepthook__:  # the gateway logs its own
+        name = type(error).__name__
+        click.echo(f"error: a bug in this program ({name}): report it with these lines", err=True)
 
 
 def recorder() -> None:

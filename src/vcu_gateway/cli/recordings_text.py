@@ -84,10 +84,15 @@ def summary_json(one: RecordingSummary) -> dict[str, Any]:
 def check_lines(found: CheckedRecording) -> Iterator[str]:
     """The state, who proves it, the sum, and every fault."""
     yield f"{found.name}: {check_headline(found)}; {_sum(found)}"
-    for fault in found.faults[:_MOST_FAULTS]:
+    yield from fault_lines(found, _MOST_FAULTS)
+
+
+def fault_lines(found: CheckedRecording, most: int) -> Iterator[str]:
+    """The first faults, a line each, and how many there are more."""
+    for fault in found.faults[:most]:
         yield f"  {fault.file}: {fault.what}" if fault.file else f"  {fault.what}"
-    if len(found.faults) > _MOST_FAULTS:
-        yield f"  and {len(found.faults) - _MOST_FAULTS} more"
+    if len(found.faults) > most:
+        yield f"  and {len(found.faults) - most} more"
 
 
 def check_headline(found: CheckedRecording) -> str:

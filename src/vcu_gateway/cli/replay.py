@@ -34,7 +34,8 @@ vcu-gateway replay drive.log [--demand PCT]
 --from and --to name a part: seconds since the beginning, a time of day or a date with it. It begins
 with the segment in which that time lies.
 
-Times are UTC. The exit code is 0 where nothing differs and the verdict holds, else 1.
+Times are UTC. The exit code is 0 where nothing differs and the verdict holds, 1 where something
+differs, 3 where nothing does and the recording is incomplete, 65 where it was changed or damaged.
 """
 
 
@@ -75,7 +76,7 @@ Times are UTC. The exit code is 0 where nothing differs and the verdict holds, e
 )
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing; the exit code tells.")
 def command(**options: Any) -> None:
-    """Replay, print, and exit with 1 where something differs."""
+    """Replay, print, and exit with what was found."""
     asked = ReplayOptions(**options)
     gc.disable()  # next to no garbage in a replay has cycles, and looking for it takes a tenth
     found = recorded_path(asked.recording)
@@ -85,5 +86,4 @@ def command(**options: Any) -> None:
     elif not asked.quiet:
         for line in report.lines:
             click.echo(line)
-    if not report.same:
-        sys.exit(1)
+    sys.exit(report.exit_code)

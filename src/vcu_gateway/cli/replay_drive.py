@@ -9,12 +9,16 @@ import click
 
 from vcu_gateway import __version__
 from vcu_gateway.cli.beside import beside
+from vcu_gateway.cli.recordings_text import check_headline, check_json, fault_lines
 from vcu_gateway.cli.replay_html import write_html
 from vcu_gateway.cli.replay_options import Record, ReplayOptions, ReplayReport, watched
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.drive.checkpoint import StateError
 from vcu_gateway.drive.reader import Drive, open_drive
+from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.recordings import RecordingPath, check_recording
+from vcu_gateway.recordings.check import State
 from vcu_gateway.replay import drive_records, equality_text, what_if_text
 from vcu_gateway.replay.closed_loop import ClosedLoop
 from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
@@ -28,6 +32,7 @@ from vcu_gateway.replay.verdict import DriveVerdict
 from vcu_gateway.replay.what_if_values import what_if_values
 from vcu_gateway.strict_yaml import file_text
 
+_MOST_FAULTS = 10
 _CLOSED_LOOP = (
     "closed loop: the recorded demands and requests drive a simulated vehicle, which stands still"
     " at the beginning and knows nothing of what was wrong with the recorded one; both sides are"
@@ -63,6 +68,9 @@ class _DriveReplay:
         self._clock = TimeOfDay(drive.info.clock.distance_ns)
         self._protocol = drive_records.protocol_of(drive)
         self._window = asked.window
+        is_incident = bool(layout.incident_files(drive.folder))
+        recording = RecordingPath("incident" if is_incident else "drive", drive.folder)
+        self._checked = check_recording(recording, lambda _: None)
 
     def _replay(self, note: Callable[[Record], None]) -> None:
         shown = watched(self._records(), len(self._drive.segments), self._asked.quiet)
@@ -106,6 +114,7 @@ class _DriveReplay:
             verdict = judged()
         lines = [
             self._title(),
+            *self._recording_lines(),
             *equality_text.equality_lines(equality, clock),
             *equality_text.verdict_lines(verdict, clock),
         ]
@@ -114,8 +123,22 @@ class _DriveReplay:
             "verdict": equality_text.verdict_values(verdict, clock),
         }
         if self._asked.html_path is not None:
-            write_html(self._asked, str(self._path), lines[1:3], lines[1])
-        return ReplayReport(lines, values, equality.equal and verdict.holds)
+            head = list(equality_text.equality_lines(equality, clock))
+            write_html(self._asked, str(self._path), head[:2], head[0])
+        return ReplayReport(lines, values, self._exit_code(equality.equal and verdict.holds))
+
+    def _recording_lines(self) -> Iterator[str]:
+        """What a check of the recording found."""
+        found = self._checked
+        yield f"recording: {check_headline(found)}"
+        yield from fault_lines(found, _MOST_FAULTS)
+
+    def _exit_code(self, same: bool) -> int:
+        """Changed or damaged, else different, else incomplete; the first and last of a chain."""
+        found = self._checked
+        if found.is_chained and (same or found.state is State.CHANGED):
+            return found.exit_code
+        return 0 if same else 1
 
     def open_loop(self) -> ReplayReport:
         """With the given configuration, on the recorded inputs."""
@@ -171,7 +194,7 @@ class _DriveReplay:
     ) -> ReplayReport:
         clock = self._clock
         self._check_ticks(result.ticks, result.ended_ns)
-        lines = [self._title(), *_given_lines(self._asked), *notes, ""]
+        lines = [self._title(), *self._recording_lines(), *_given_lines(self._asked), *notes, ""]
         lines += what_if_text.what_if_lines(result, clock)
         values = self._values() | {
             "what_if": {
@@ -191,7 +214,7 @@ class _DriveReplay:
                 (result, clock, series),
                 only_changes=kind == "open loop",
             )
-        return ReplayReport(lines, values, result.same)
+        return ReplayReport(lines, values, self._exit_code(result.same))
 
     def _given(self) -> GivenConfiguration:
         path = self._asked.config_path
@@ -232,6 +255,7 @@ class _DriveReplay:
             "channel": info.channel,
             "recorded_by": info.versions,
             "replayed_by": __version__,
+            "check": check_json(self._checked),
         }
 
 

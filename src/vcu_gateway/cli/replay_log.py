@@ -74,7 +74,7 @@ def report(asked: ReplayOptions) -> ReplayReport:
         values["what_if"] = what_if_values(result, clock)
     headline = what_if_text.headline(result, clock)
     write_html(asked, asked.recording, notes, headline, (result, clock, series))
-    return ReplayReport(lines, values, result.same)
+    return ReplayReport(lines, values, 0 if result.same else 1)
 
 
 def _within(recording: Recording, window: Window) -> Iterator[RecordedFrame]:

@@ -45,11 +45,11 @@ class ReplayOptions(NamedTuple):
 
 
 class ReplayReport(NamedTuple):
-    """Answer: as lines for a terminal, as values for JSON; `same` decides the exit code."""
+    """Answer: as lines for a terminal, as values for JSON, and the exit code."""
 
     lines: list[str]
     values: dict[str, Any]
-    same: bool
+    exit_code: int
 
 
 def window_of(begin: str | None, end: str | None) -> Window:

@@ -7,6 +7,7 @@
 Memory does not grow with the drive. What is missing is a `Gap`; after it a checkpoint follows.
 """
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from vcu_gateway.drive.frame_lines import frame_of
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord
 from vcu_gateway.drive.segment_reader import SegmentReader
 from vcu_gateway.drive.settings_json import settings_of
-from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format import chain, layout
 from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.drive_format.members import Member, read_members
 from vcu_gateway.errors import DataError, MissingInputError, Problem
@@ -51,7 +52,9 @@ class DriveInfo(NamedTuple):
 def open_drive(path: Path) -> "Drive":
     """A drive's or an incident's folder, or one file of a segment in it.
 
-    Raises MissingInputError or DataError, with the file and what to do.
+    Raises MissingInputError or DataError, with the file and what to do; DataError also where a
+    file beside the members is not the one that the recorder wrote: what it says would be of
+    another drive.
     """
     folder, only = path, None
     if path.is_file() and (number := layout.segment_number(path.name)) is not None:
@@ -61,8 +64,34 @@ def open_drive(path: Path) -> "Drive":
         remedy = "give a drive's or an incident's folder, or a segment's file in it"
         raise MissingInputError(Problem(what, str(path), remedy))
     info = _info(folder)
-    files = [one for one in layout.segments(folder) if only in (None, one.number)]
+    segments = layout.segments(folder)
+    _compare_with_digests(folder, segments)
+    files = [one for one in segments if only in (None, one.number)]
     return Drive(folder, info, tuple(files))
+
+
+def _compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
+    """DataError where the first segment's begin names other digests; older ones name none."""
+    begin = next((line for files in segments for line in _lines_of_begin(files)), b"")
+    try:
+        named = dict(json.loads(begin)["begin"]["files"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return
+    found = chain.file_digests(folder)
+    for name in (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE):
+        if found.get(name) != named.get(name):
+            what = "is not the file that the recorder wrote: the recording names another SHA-256"
+            remedy = "vcu-gateway recordings check says what else was changed"
+            raise DataError(Problem(what, str(folder / name), remedy))
+
+
+def _lines_of_begin(files: SegmentFiles) -> list[bytes]:
+    """The second line of a segment; empty where it cannot be read."""
+    try:
+        first = None if files.core is None else next(read_members(files.core), None)
+    except OSError:
+        return []
+    return first.data.split(b"\n", 2)[1:2] if isinstance(first, Member) else []
 
 
 def _info(folder: Path) -> DriveInfo:
@@ -149,5 +178,5 @@ class Drive:
             for part in () if files.frames is None else read_members(files.frames):
                 for line in part.data.splitlines() if isinstance(part, Member) else ():
                     number += 1
-                    frame = frame_of(line.decode())
+                    frame = frame_of(line.decode(errors="replace"))
                     yield RecordedFrame(frame, self.info.channel, number, len(frame.data) > 8)

@@ -1,5 +1,6 @@
 """Reader of one segment: frames and core lines of its two files, put into one order."""
 
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -43,8 +44,9 @@ class _SegmentMembers:
 
 
 def _lines(member: Member) -> Iterator[_Line]:
-    for number, text in enumerate(member.data.decode().splitlines(), member.first_line + 1):
-        yield _Line(text, number)
+    text = member.data.decode(errors="replace")  # a list of its lines may not fit into memory
+    for number, line in enumerate(io.StringIO(text, newline="\n"), member.first_line + 1):
+        yield _Line(line.removesuffix("\n"), number)
 
 
 class _FrameSource:
@@ -72,7 +74,7 @@ class _FrameSource:
             yield self._frames(member)
 
     def _frames(self, member: Member) -> list[Frame]:
-        frames = frames_of(member.data.decode(), self._distance_ns)
+        frames = frames_of(member.data.decode(errors="replace"), self._distance_ns)
         if frames is not None:
             return frames
         return [self._frame(line) for line in _lines(member)]

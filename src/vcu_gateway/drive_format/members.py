@@ -49,7 +49,8 @@ _MUCH_BYTES = 100_000
 _MEMORY_LEVEL = 8
 _32_BITS = 0xFFFF_FFFF
 _SEARCH_BYTES = 1 << 16
-MAX_MEMBER_BYTES = 1 << 26
+_NO_FILE_OF_OURS = (errno.EISDIR, errno.ELOOP, errno.ENXIO, errno.ENOTDIR)
+MAX_MEMBER_BYTES = 1 << 24
 """Of one member, and of its lines; more is damage, or an attack on the reader's memory."""
 
 
@@ -132,15 +133,19 @@ def read_members(
 
     Without `lines_too` those of ours are not inflated: headers are read and bytes hashed. `end` is
     where the file ends for this reader; None: where it ended when it was opened. Members of other
-    programs are read as well; an ordinary gzip file is one member. What is no regular file is an
-    OSError, and nothing waits for it.
+    programs are read as well; an ordinary gzip file is one member. What is no regular file is
+    damage, and nothing waits for it.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, "is no regular file", str(path))
-        end = status.st_size if end is None else min(end, status.st_size)
+        descriptor = _opened(path)
+    except OSError as error:
+        if error.errno not in _NO_FILE_OF_OURS and not path.is_symlink():
+            raise
+        yield MemberDamage(0, 0, False, f"cannot be read: {error.strerror}")
+        return
+    try:
+        size = os.fstat(descriptor).st_size
+        end = size if end is None else min(end, size)
         offset = lines = 0
         while offset < end:
             part = _part_at(descriptor, offset, end, lines, lines_too)
@@ -150,6 +155,14 @@ def read_members(
                 lines = part.first_line + part.lines
     finally:
         os.close(descriptor)
+
+
+def _opened(path: Path) -> int:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EISDIR, "is no regular file", str(path))
+    return descriptor
 
 
 def _part_at(

@@ -7,10 +7,12 @@ Every echo has to be one of the commands that were sent before it, in their orde
 without an echo is none of this: a bus that took no frame gave none back.
 """
 
+import re
 from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
+_ECHO = re.compile(rb" ([0-9A-Fa-f]{1,8})#([!-~]{0,200}) T$", re.MULTILINE)
 _KEPT_FROM_BEFORE = 100
 _NOT_JUDGED = 2
 """Echoes at the begin of what was recorded: their commands may stand before it."""
@@ -50,10 +52,11 @@ def commands_in(line: Mapping[str, Any]) -> Iterator[BusCommand]:
 
 def echoes_in(data: bytes, first_line: int) -> Iterator[BusCommand]:
     """Echoes among these frames' lines."""
-    for place, line in enumerate(texts(data), first_line):
-        if line.endswith(b" T"):
-            identifier, _, payload = line.split(b" ")[-2].decode(errors="replace").partition("#")
-            yield BusCommand(place, identifier.upper(), payload.upper())
+    place, counted = first_line, 0
+    for found in _ECHO.finditer(data):
+        place += data.count(b"\n", counted, found.start())
+        counted = found.start()
+        yield BusCommand(place, found[1].decode().upper(), found[2].decode().upper())
 
 
 class EchoCheck:

@@ -81,11 +81,15 @@ def check_segment(segment: SegmentFiles) -> CheckedSegment:
         core.faults.append(FileFault(core.file, "is missing", FaultKind.MISSING))
     else:
         core.read(segment.core)
+    if core.end is not None:  # nothing was written behind it
+        core.faults = [fault._replace(kind=_ended(fault.kind)) for fault in core.faults]
     is_core_whole = not core.faults
     frames, echoes, faults = _read_frames(segment)
     if core.end is not None and core.end.ticks not in (None, core.ticks):
         what = f"ends with {core.end.ticks} ticks, and has {core.ticks}"
         core.faults.append(FileFault(core.file, what, FaultKind.CHANGED))
+    if core.end is not None:
+        faults = [fault._replace(kind=_ended(fault.kind)) for fault in faults]
     return CheckedSegment(
         segment.number,
         core.begin,
@@ -97,6 +101,11 @@ def check_segment(segment: SegmentFiles) -> CheckedSegment:
         tuple(one for one in echoes if is_core_whole and one.place < core.frames),
         (*faults, *core.faults),
     )
+
+
+def _ended(kind: FaultKind) -> FaultKind:
+    """A recorder that ended a segment left no torn end."""
+    return FaultKind.CHANGED if kind is FaultKind.TORN else kind
 
 
 def _read_frames(segment: SegmentFiles) -> tuple[int, list[BusCommand], list[FileFault]]:
@@ -117,9 +126,10 @@ def _read_frames(segment: SegmentFiles) -> tuple[int, list[BusCommand], list[Fil
 def _readable(path: Path, file: str, faults: list[FileFault]) -> Iterator[Member]:
     """The readable members; what is between them becomes faults."""
     lines = 0
-    for part in members_or_fault(path, file, faults):
+    for part in read_members(path):
         if isinstance(part, MemberDamage):
             place = f"{part.size} bytes from byte {part.offset} on: {part.what}"
+            place = place if part.size else part.what
             kind = FaultKind.TORN if part.torn else FaultKind.CHANGED
             faults.append(FileFault(file, place, kind))
             continue
@@ -128,19 +138,6 @@ def _readable(path: Path, file: str, faults: list[FileFault]) -> Iterator[Member
             faults.append(FileFault(file, what, FaultKind.MISSING))
         lines = part.first_line + part.lines
         yield part
-
-
-def members_or_fault(
-    path: Path, file: str, faults: list[FileFault]
-) -> Iterator[Member | MemberDamage]:
-    """Members and damage; what is no file of a recording, such as a link or a pipe, is a fault."""
-    try:
-        yield from read_members(path)
-    except PermissionError:
-        raise
-    except OSError as error:
-        what = f"cannot be read: {error.strerror or error}"
-        faults.append(FileFault(file, what, FaultKind.CHANGED))
 
 
 @dataclass

@@ -1,13 +1,12 @@
 """Files beside the members of a recording: are they there, and what the recorder wrote?"""
 
 import hashlib
-import json
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format import chain, layout
 from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.errors import DataError, GatewayError
 from vcu_gateway.recordings.checked_segment import CheckedSegment, FaultKind, FileFault
@@ -79,9 +78,7 @@ def incident_faults(
         described = layout.description_if_any(path)
         if not described or not ("digest" in described or is_chained):
             continue
-        told = {key: value for key, value in described.items() if key != "digest"}
-        text = json.dumps(told, sort_keys=True, separators=(",", ":")).encode()
-        if described.get("digest") != hashlib.sha256(text).hexdigest():
+        if described.get("digest") != chain.description_digest(described):
             what = "was changed: its digest is not that of what it says"
             yield FileFault(path.name, what, FaultKind.CHANGED)
             continue
