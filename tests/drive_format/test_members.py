@@ -135,6 +135,13 @@ def test_a_member_that_would_fill_the_memory_is_damage(tmp_path, monkeypatch):
         assert damage.size == len(data)
 
 
+def test_a_header_that_claims_too_much_is_damage_and_not_read(tmp_path, monkeypatch):
+    path = tmp_path / "claim.gz"
+    path.write_bytes(members.packed(random.Random(1).randbytes(1000), 0, 0))
+    monkeypatch.setattr(members, "MAX_MEMBER_BYTES", 500)
+    assert [type(one) for one in read_members(path, lines_too=False)] == [MemberDamage]
+
+
 def test_an_empty_file_has_no_member_and_no_damage(tmp_path):
     (tmp_path / "empty.gz").touch()
     assert read(tmp_path / "empty.gz") == ([], [])
