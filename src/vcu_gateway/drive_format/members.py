@@ -48,7 +48,7 @@ _LEVEL, _LEVEL_OF_MUCH = 7, 4
 _MUCH_BYTES = 100_000
 _MEMORY_LEVEL = 8
 _32_BITS = 0xFFFF_FFFF
-_SEARCH_BYTES = 1 << 16
+_SEARCH_BYTES = 1 << 14
 MAX_MEMBER_BYTES = 1 << 26
 """Of one member, and of its lines; more is damage, or an attack on the reader's memory."""
 
@@ -160,6 +160,9 @@ def _part_at(
         return _foreign_or_damaged(descriptor, offset, end, lines)
     if offset + header.size > end:
         return _damage(descriptor, offset, end, "the last member is cut off")
+    is_large = header.size > _SEARCH_BYTES
+    if lines_too and is_large and not _begins_well(descriptor, offset + header.body):
+        return _damage(descriptor, offset, end, f"{header.lines} lines cannot be read")
     member = os.pread(descriptor, header.size, offset)
     data = _inflated(member[header.body :]) if lines_too else b""
     if data is None or (lines_too and data.count(b"\n") != header.lines):
@@ -184,6 +187,16 @@ def _header(data: bytes) -> _Header | None:
     if not body + _TRAILER.size < size <= MAX_MEMBER_BYTES:
         return None
     return _Header(wall_s, first_line, count, size, body, link)
+
+
+def _begins_well(descriptor: int, body: int) -> bool:
+    """False where deflate data is damaged at its begin: what claims to be large is not read."""
+    piece = os.pread(descriptor, _SEARCH_BYTES, body)
+    try:
+        zlib.decompressobj(_RAW_DEFLATE).decompress(piece, MAX_MEMBER_BYTES)
+    except zlib.error:
+        return False
+    return True
 
 
 def _inflated(body: bytes) -> bytes | None:
