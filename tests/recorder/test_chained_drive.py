@@ -330,6 +330,18 @@ def test_a_key_that_cannot_sign_is_said_once_and_counted_and_recording_goes_on(t
     assert not list(drive.folder.glob("*.link*"))
 
 
+def test_the_program_says_once_that_it_cannot_sign_and_records(recorder, gateway, tmp_path):
+    process = recorder("--sign-key", tmp_path / "no-such-key")
+    vehicle = gateway()
+    vehicle.drive(0.2)
+    vehicle.close()
+    assert process.stop() == 0, process.errors
+    (drive,) = drives(tmp_path)
+    assert account(drive) == (vehicle.frames, 0)
+    assert process.errors.count("a recording is not signed: ") == 1
+    assert process.status["totals"]["signing_failures"] == 2
+
+
 def test_the_program_signs_drive_and_incident_with_its_key(recorder, gateway, tmp_path, key):
     process = recorder("--sign-key", key)
     vehicle = gateway()
@@ -337,6 +349,7 @@ def test_the_program_signs_drive_and_incident_with_its_key(recorder, gateway, tm
     vehicle.latch()
     vehicle.close()
     assert process.stop() == 0, process.errors
+    assert process.status["totals"]["signing_failures"] == 0
     (drive,), (incident,) = drives(tmp_path), incidents(tmp_path)
     assert account(drive) == (vehicle.frames, 0)
     assert ends(drive)[0]["closes"] is True
