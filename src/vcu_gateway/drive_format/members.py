@@ -37,6 +37,7 @@ _SIGNATURE_OFFSET = 8
 _CHECKED_BYTES = 28
 _LINK_BEGIN = b"VL\x20\x00"
 LINK_BYTES = 32
+_TRIED_BYTES = 1 << 14
 _LINKED_HEADER_BYTES = _HEADER.size + len(_LINK_BEGIN) + LINK_BYTES
 NO_LINK = bytes(LINK_BYTES)
 """Link of a drive's first member: there is none before it."""
@@ -48,7 +49,7 @@ _LEVEL, _LEVEL_OF_MUCH = 7, 4
 _MUCH_BYTES = 100_000
 _MEMORY_LEVEL = 8
 _32_BITS = 0xFFFF_FFFF
-_SEARCH_BYTES = 1 << 14
+_SEARCH_BYTES = 1 << 16
 MAX_MEMBER_BYTES = 1 << 26
 """Of one member, and of its lines; more is damage, or an attack on the reader's memory."""
 
@@ -160,7 +161,7 @@ def _part_at(
         return _foreign_or_damaged(descriptor, offset, end, lines)
     if offset + header.size > end:
         return _damage(descriptor, offset, end, "the last member is cut off")
-    is_large = header.size > _SEARCH_BYTES
+    is_large = header.size > _TRIED_BYTES
     if lines_too and is_large and not _begins_well(descriptor, offset + header.body):
         return _damage(descriptor, offset, end, f"{header.lines} lines cannot be read")
     member = os.pread(descriptor, header.size, offset)
@@ -191,7 +192,7 @@ def _header(data: bytes) -> _Header | None:
 
 def _begins_well(descriptor: int, body: int) -> bool:
     """False where deflate data is damaged at its begin: what claims to be large is not read."""
-    piece = os.pread(descriptor, _SEARCH_BYTES, body)
+    piece = os.pread(descriptor, _TRIED_BYTES, body)
     try:
         zlib.decompressobj(_RAW_DEFLATE).decompress(piece, MAX_MEMBER_BYTES)
     except zlib.error:
