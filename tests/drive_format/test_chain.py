@@ -17,13 +17,13 @@ ROOT = Path(__file__).resolve().parents[2]
 SEGMENTS, SECONDS = 3, 6
 
 
-def write(folder, order, first_link=NO_LINK):
+def write(folder, order, first_link=NO_LINK, seconds=range(99)):
     """Members of `(segment, name, lines)` in this order, chained; a link of None: not chained."""
     link, lines = first_link, {}
     for place, (segment, name, count) in enumerate(order):
         path = folder / name(segment)
         data = b"".join(b"%d %d\n" % (place, line) for line in range(count))
-        member = packed(data, lines.get(path, 0), place, link)
+        member = packed(data, lines.get(path, 0), seconds[place], link)
         lines[path] = lines.get(path, 0) + count
         with path.open("ab") as file:
             file.write(member)
@@ -118,6 +118,31 @@ def test_a_member_missing_in_the_middle_is_told_with_its_lines(drive, name):
     (found,) = breaks(drive)
     assert (found.kind, found.path, found.offset) == (BreakKind.MISSING, path, offset)
     assert "lines before it are missing" in found.what
+
+
+def test_the_rest_is_in_order_where_members_of_the_same_second_are_missing(tmp_path):
+    write(tmp_path, drive_order(), seconds=[7] * 99)
+    order = [one.member.digest for one in linked(tmp_path)]
+    cut(tmp_path / layout.frames_name(2), 0, 2)
+    assert {one.kind for one in breaks(tmp_path)} == {BreakKind.MISSING}
+    left = [one.member.digest for one in linked(tmp_path)]
+    assert left == [digest for digest in order if digest in left]
+
+
+def test_a_flush_between_two_looks_at_the_sizes_breaks_nothing(tmp_path, monkeypatch):
+    order, stat = list(drive_order()), Path.stat
+    link = write(tmp_path, order[:1])
+    (tmp_path / layout.frames_name(1)).touch()
+    looks = []
+
+    def stat_while_it_is_written(path, **how):
+        looks.append(path)
+        if len(looks) == 2:  # after that at the frames, before that at the core lines
+            write(tmp_path, order[1:3], link)
+        return stat(path, **how)
+
+    monkeypatch.setattr(Path, "stat", stat_while_it_is_written)
+    assert breaks(tmp_path) == []
 
 
 def test_an_end_that_is_missing_in_a_middle_segment_is_told(drive):

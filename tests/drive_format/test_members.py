@@ -1,6 +1,7 @@
 """Members: what is read of whole, torn and damaged files."""
 
 import gzip
+import os
 import random
 import subprocess
 import zlib
@@ -133,6 +134,33 @@ def test_a_member_that_would_fill_the_memory_is_damage(tmp_path, monkeypatch):
         whole, (damage,) = read(path)
         assert whole == []
         assert damage.size == len(data)
+
+
+def test_a_header_that_claims_too_much_is_damage_and_not_read(tmp_path, monkeypatch):
+    path = tmp_path / "claim.gz"
+    path.write_bytes(members.packed(random.Random(1).randbytes(1000), 0, 0))
+    monkeypatch.setattr(members, "MAX_MEMBER_BYTES", 500)
+    assert [type(one) for one in read_members(path, lines_too=False)] == [MemberDamage]
+
+
+def test_headers_that_all_claim_the_rest_of_the_file_are_read_once(tmp_path, monkeypatch):
+    chance, count, step = random.Random(3), 3000, 100
+    data = bytearray(chance.randbytes(count * step))
+    for offset in range(0, len(data), step):
+        size = len(data) - offset
+        header = members.packed(b"x\n", 0, 0)[:24] + size.to_bytes(4, "little")
+        data[offset : offset + 32] = header + zlib.crc32(header).to_bytes(4, "little")
+    path, pread, read_bytes = tmp_path / "claims.gz", os.pread, []
+
+    def counted(*arguments):
+        found = pread(*arguments)
+        read_bytes.append(len(found))
+        return found
+
+    path.write_bytes(data)
+    monkeypatch.setattr(os, "pread", counted)
+    assert not [one for one in read_members(path) if isinstance(one, Member)]
+    assert sum(read_bytes) < count * 90_000  # 450 MB, were each read wholly
 
 
 def test_an_empty_file_has_no_member_and_no_damage(tmp_path):

@@ -138,9 +138,10 @@ def test_only_the_gateways_own_end_closes_the_drive(drive):
     drive.second(begins=True)
     drive.recorder.close("the connection ended", closes=False)
     drive.second(begins=True)
+    drive.tick()
     drive.recorder.close("the connection ended", closes=True)
     told = [(one["ticks"], one["frames"], one["closes"]) for one in ends(drive.folder)]
-    assert told == [(9, 9 * FRAMES, False), (3, 3 * FRAMES, False), (3, 3 * FRAMES, True)]
+    assert told == [(9, 9 * FRAMES, False), (3, 3 * FRAMES, False), (4, 4 * FRAMES, True)]
 
 
 @pytest.mark.parametrize("tears", ["nothing", "core", "frames", "both"])
@@ -237,8 +238,8 @@ def test_what_a_begin_line_says_of_losses_is_a_number_or_nothing():
     assert resume._lost({"lost": {"frames": 3, "ticks": 2, "gaps": 1}}) == (3, 2, 1)
 
 
-@pytest.mark.parametrize("by_gateway", [True, False])
-def test_the_recorder_knows_who_ended_a_connection(by_gateway, tmp_path):
+@pytest.mark.parametrize("ended_by", ["gateway", "recorder", "error"])
+def test_the_recorder_knows_who_ended_a_connection(ended_by, tmp_path):
     wake_up, awake = socket.socketpair()
     listener = TapListener(tmp_path / "tap.sock", {}, os.getpid())
     receiver = DatagramReceiver(listener, wake_up, Backlog(1 << 20), lambda: None, lambda _: None)
@@ -246,13 +247,16 @@ def test_the_recorder_knows_who_ended_a_connection(by_gateway, tmp_path):
     gateway.connect(str(tmp_path / "tap.sock"))
     receiver.look()
     (connection,) = receiver.connections
-    if by_gateway:
+    if ended_by == "gateway":
+        gateway.close()
+    elif ended_by == "error":
+        connection._sock.send(b"unread: the kernel answers with ECONNRESET")
         gateway.close()
     else:
         gateway.send(b"\x07 is no datagram of a gateway")
     receiver.look()
     assert receiver.connections == []
-    assert connection.ended_by_gateway is by_gateway
+    assert connection.ended_by_gateway is (ended_by == "gateway")
     receiver.close()
     listener.close()
     for one in (gateway, wake_up, awake):
@@ -326,6 +330,18 @@ def test_a_key_that_cannot_sign_is_said_once_and_counted_and_recording_goes_on(t
     assert not list(drive.folder.glob("*.link*"))
 
 
+def test_the_program_says_once_that_it_cannot_sign_and_records(recorder, gateway, tmp_path):
+    process = recorder("--sign-key", tmp_path / "no-such-key")
+    vehicle = gateway()
+    vehicle.drive(0.2)
+    vehicle.close()
+    assert process.stop() == 0, process.errors
+    (drive,) = drives(tmp_path)
+    assert account(drive) == (vehicle.frames, 0)
+    assert process.errors.count("a recording is not signed: ") == 1
+    assert process.status["totals"]["signing_failures"] == 2
+
+
 def test_the_program_signs_drive_and_incident_with_its_key(recorder, gateway, tmp_path, key):
     process = recorder("--sign-key", key)
     vehicle = gateway()
@@ -333,6 +349,7 @@ def test_the_program_signs_drive_and_incident_with_its_key(recorder, gateway, tm
     vehicle.latch()
     vehicle.close()
     assert process.stop() == 0, process.errors
+    assert process.status["totals"]["signing_failures"] == 0
     (drive,), (incident,) = drives(tmp_path), incidents(tmp_path)
     assert account(drive) == (vehicle.frames, 0)
     assert ends(drive)[0]["closes"] is True

@@ -31,6 +31,7 @@ STATUS = RecorderStatus(
     ticks_lost=0,
     syncs=2500,
     sync_failures=0,
+    signing_failures=0,
     removed_segments=0,
     removed_incidents=0,
     connections=(RecordedConnection("can0", "1f3a9c2e", "20251123T174640Z-1f3a9c2e"),),

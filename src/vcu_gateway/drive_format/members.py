@@ -37,6 +37,7 @@ _SIGNATURE_OFFSET = 8
 _CHECKED_BYTES = 28
 _LINK_BEGIN = b"VL\x20\x00"
 LINK_BYTES = 32
+_TRIED_BYTES = 1 << 14
 _LINKED_HEADER_BYTES = _HEADER.size + len(_LINK_BEGIN) + LINK_BYTES
 NO_LINK = bytes(LINK_BYTES)
 """Link of a drive's first member: there is none before it."""
@@ -173,6 +174,9 @@ def _part_at(
         return _foreign_or_damaged(descriptor, offset, end, lines)
     if offset + header.size > end:
         return _damage(descriptor, offset, end, "the last member is cut off")
+    is_large = header.size > _TRIED_BYTES
+    if lines_too and is_large and not _begins_well(descriptor, offset + header.body):
+        return _damage(descriptor, offset, end, f"{header.lines} lines cannot be read")
     member = os.pread(descriptor, header.size, offset)
     data = _inflated(member[header.body :]) if lines_too else b""
     if data is None or (lines_too and data.count(b"\n") != header.lines):
@@ -197,6 +201,16 @@ def _header(data: bytes) -> _Header | None:
     if not body + _TRAILER.size < size <= MAX_MEMBER_BYTES:
         return None
     return _Header(wall_s, first_line, count, size, body, link)
+
+
+def _begins_well(descriptor: int, body: int) -> bool:
+    """False where deflate data is damaged at its begin: what claims to be large is not read."""
+    piece = os.pread(descriptor, _TRIED_BYTES, body)
+    try:
+        zlib.decompressobj(_RAW_DEFLATE).decompress(piece, MAX_MEMBER_BYTES)
+    except zlib.error:
+        return False
+    return True
 
 
 def _inflated(body: bytes) -> bytes | None:

@@ -51,6 +51,7 @@ class RecorderStatus(NamedTuple):
         frames, ticks: recorded.
         gaps, frames_lost, ticks_lost: told in the recordings.
         syncs, sync_failures: calls of fdatasync.
+        signing_failures: signatures that could not be made.
         removed_segments, removed_incidents: gone for want of room.
         connections: the gateways.
     """
@@ -83,6 +84,7 @@ class RecorderStatus(NamedTuple):
     ticks_lost: int
     syncs: int
     sync_failures: int
+    signing_failures: int
     removed_segments: int
     removed_incidents: int
     connections: tuple[RecordedConnection, ...]

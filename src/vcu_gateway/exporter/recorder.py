@@ -59,6 +59,11 @@ FAMILIES: tuple[Family, ...] = (
     _count("ticks_lost", "Ticks in gaps: not recorded.", lambda status: status.ticks_lost),
     _count("syncs", "Calls of fdatasync.", lambda status: status.syncs),
     _count("sync_failures", "Calls of fdatasync that failed.", lambda status: status.sync_failures),
+    _count(
+        "signing_failures",
+        "Signatures of recordings that could not be made.",
+        lambda status: status.signing_failures,
+    ),
     _gauge(
         "sync_seconds",
         "Longest fdatasync of the last minute; absent before the first.",

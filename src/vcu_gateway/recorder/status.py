@@ -86,6 +86,7 @@ class StatusFile:
             "ticks_lost": totals.ticks_lost,
             "syncs": totals.syncs,
             "sync_failures": totals.sync_failures,
+            "signing_failures": 0 if writer.signer is None else writer.signer.failures,
             "removed_segments": writer.ring.removed,
             "removed_incidents": writer.incidents.removed,
         }
