@@ -113,7 +113,7 @@ class Settings:
             "limits",
             Reload.SMALLER,
             "PowerLimit while a cause limits the power (the battery is low, a controller protects"
-            " itself).",
+            " itself). It has an effect below limits.power_limit_max_w only.",
         ),
     ] = 10_000
     regen_limit_pct: Annotated[

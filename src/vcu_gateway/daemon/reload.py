@@ -11,8 +11,9 @@ from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import KEYS, Reload, Settings
 from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.errors import ConfigError
+from vcu_gateway.errors import GatewayError
 
 
 class ReloadOutcome(NamedTuple):
@@ -79,7 +80,7 @@ class Reloader:
     def _loaded(self) -> tuple[Config | None, tuple[str, ...]]:
         try:
             new = configuration.load(Path(self._in_effect.config.source.file))
-        except ConfigError as error:
+        except GatewayError as error:
             return None, tuple(map(str, error.problems))
         return new, tuple(map(str, configuration.check_against(new, self._protocol)))
 
@@ -100,6 +101,7 @@ class Reloader:
 
     def _reported(self, outcome: ReloadOutcome) -> ReloadOutcome:
         if outcome.taken:
+            report_effect(self._in_effect.config, self._loop.event_log)
             digest = configuration.digest(self._in_effect.config)
             fields: Mapping[str, object] = {"changed": list(outcome.changed), "digest": digest}
             event = Event("config_reloaded", Severity.INFO, fields)
@@ -108,6 +110,12 @@ class Reloader:
             event = Event("config_refused", Severity.ERROR, fields)
         self._loop.event_log.emit(event)
         return outcome
+
+
+def report_effect(config: Config, event_log: EventLog) -> None:
+    """One event where values of the configuration in effect have no effect."""
+    if problems := [str(problem) for problem in configuration.check_effect(config)]:
+        event_log.emit(Event("config_warning", Severity.WARNING, {"problems": problems}))
 
 
 def changed(before: Config, after: Config) -> tuple[str, ...]:
