@@ -220,7 +220,8 @@ def test_every_number_has_its_range_and_unit_in_the_example(name: str, entries) 
     kinds = {entry.get("type")} | {kind.get("type") for kind in entry.get("anyOf", [])}
     unit = next((text for end, text in UNITS.items() if name.endswith(f"_{end}")), None)
     assert FACTS[name].startswith(f"Unit {unit}; ") is (unit is not None)
-    assert ("minimum" in FACTS[name]) is bool(kinds & {"integer", "number", "object"})
+    is_number = bool(kinds & {"integer", "number", "object"}) and "string" not in kinds
+    assert ("minimum" in FACTS[name]) is is_number
 
 
 @pytest.mark.parametrize("name", LEAVES)
@@ -720,7 +721,48 @@ BROKEN = [
         )
         for mode in ("0680", "66", "1660", "rw-")
     ),
+    *(
+        (
+            "log:",
+            f"api: {{socket_mode: {mode}}}\nlog:",
+            (
+                f"26: api.socket_mode: must be three octal digits in quotes, not {mode};"
+                ' such as "0660"'
+            ),
+        )
+        for mode in ("432", "680", "true", "66.0")  # 432 is 0660 to others
+    ),
+    # lists
+    *(
+        (
+            "log:",
+            f"{section}: {{{key}: one}}\nlog:",
+            f'26: {section}.{key}: must be a list, - item in each line, not "one"',
+        )
+        for section, key in (("safety", "required_messages"), ("api", "operator_users"))
+    ),
 ]
+
+
+@pytest.mark.parametrize("value", ["5", "one", "[5]", "{a: [b]}", "true", "", "1.5", "[[1], {}]"])
+@pytest.mark.parametrize("name", [name for name in LEAVES if not name.startswith("bench")])
+def test_no_wrong_value_is_answered_in_a_librarys_words(name: str, value: str) -> None:
+    section, key = name.split(".")
+    for error in errors(f"{section}: {{{key}: {value}}}"):
+        assert not re.search("Input should|tuple|validation|instance|dictionary", error), error
+
+
+@pytest.mark.parametrize("written", ['"0660"', "'660'", "0660", "660"])
+def test_a_mode_is_read_as_the_documents_write_it_and_as_the_schema_has_it(written: str) -> None:
+    mode = parse(f"api: {{socket_mode: {written}}}", "").api.socket_mode
+    assert (type(mode), int(mode, 8)) == (str, 0o660)
+    entry = schema()["$defs"]["ApiSection"]["properties"]["socket_mode"]
+    kinds = {kind["type"]: kind for kind in entry["anyOf"]}
+    read = yaml.safe_load(written)  # as an editor reads it: 0660 is 432
+    if isinstance(read, str):
+        assert re.search(kinds["string"]["pattern"], read)
+    else:
+        assert kinds["integer"]["exclusiveMinimum"] < read < kinds["integer"]["exclusiveMaximum"]
 
 
 @pytest.mark.parametrize(("line", "replacement", "expected"), BROKEN)
@@ -1184,9 +1226,10 @@ def test_a_required_message_that_the_gateway_does_not_receive_is_refused(
 
 
 def test_the_default_required_messages_cannot_be_left_out() -> None:
-    assert errors("safety: {required_messages: [BMS_Status, PCU1_Status2]}") == [
+    assert errors("safety: {required_messages: [IMU_Attitude, BMS_Status]}") == [
         (
-            "gateway.yaml:1: safety.required_messages: must name BMS_Status, PCU1_Status2,"
-            " PCU2_Status2, not a list; add PCU2_Status2"
+            "gateway.yaml:1: safety.required_messages: must hold BMS_Status, PCU1_Status2,"
+            " PCU2_Status2, without which nothing ever moves;"
+            " write [BMS_Status, PCU1_Status2, PCU2_Status2], and others after them"
         )
     ]

@@ -179,8 +179,8 @@ class Settings:
         Key(
             "safety",
             Reload.LIVE,
-            "Messages without which nothing moves. The three defaults always belong; others are"
-            " added.",
+            "Messages without which nothing moves. The list must hold the three defaults; others"
+            " may be added.",
         ),
     ] = REQUIRED_MESSAGES
     listen_before_talk_ms: Annotated[

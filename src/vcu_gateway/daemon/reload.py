@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.settings import KEYS, Reload, Settings
+from vcu_gateway.core.settings import KEYS, Reload, Settings, loosened
 from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import GatewayError
@@ -93,9 +94,12 @@ class Reloader:
             return ReloadOutcome(
                 False, problems=tuple(f"{name} needs a restart" for name in restart)
             )
-        answer = self._loop.gateway.reload(self._settings(new))
+        gateway, settings = self._loop.gateway, self._settings(new)
+        answer = gateway.reload(settings)
         if not answer.granted:
-            return ReloadOutcome(False, problems=(answer.sentence,))
+            looser = loosened(gateway.settings, settings) if gateway.mode is Mode.ACTIVE else ()
+            problems = tuple(map(_in_a_drive, looser)) or (answer.sentence,)
+            return ReloadOutcome(False, problems=problems)
         self._in_effect.config = new
         return ReloadOutcome(True, changed=names)
 
@@ -110,6 +114,15 @@ class Reloader:
             event = Event("config_refused", Severity.ERROR, fields)
         self._loop.event_log.emit(event)
         return outcome
+
+
+def _in_a_drive(name: str) -> str:
+    """Which way this setting may change while the vehicle can move, if any."""
+    key = KEYS[name]
+    direction = {Reload.SMALLER: "smaller", Reload.LARGER: "larger"}.get(key.reload)
+    if direction is None:
+        return f"{key.section}.{name} cannot change while active; disarm first"
+    return f"{key.section}.{name} may only become {direction} while active"
 
 
 def report_effect(config: Config, event_log: EventLog) -> None:
