@@ -123,7 +123,11 @@ def test_an_old_sequence_number_is_refused_and_does_not_renew(running, raw):
 
 def test_a_demand_that_waited_too_long_on_its_way_is_refused(raw):
     made_ns = time.monotonic_ns() - 201_000_000
-    assert refusal_of(raw.demand(1, made_ns=made_ns)) == "expired"
+    answer = raw.demand(1, made_ns=made_ns)
+    assert refusal_of(answer) == "expired"
+    age_ms, ttl_ms = map(int, re.findall(r"(\d+) ms", answer["error"]["message"]))
+    assert age_ms > ttl_ms == 200, "no age that its own sentence allows"
+    assert "valid for 200 ms (ttl_ms)" in answer["error"]["message"]
     assert refusal_of(raw.demand(2, made_ns=time.monotonic_ns() + 60 * 10**9)) == "from_the_future"
 
 

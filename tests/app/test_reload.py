@@ -111,7 +111,12 @@ def test_while_active_only_stricter_limits_are_taken(fresh):
         client.arm()
         fresh.configure("limits: {throttle_slew_pct_per_s: 200}\n")
         assert problems(client) == (
-            "while active, limits may only become stricter: throttle_slew_pct_per_s",
+            "limits.throttle_slew_pct_per_s may only become smaller while active",
+        )
+        fresh.configure("limits: {power_slew_w_per_s: 50000, regen_min_rpm: 50}\n")
+        assert problems(client) == (
+            "limits.power_slew_w_per_s cannot change while active; disarm first",
+            "limits.regen_min_rpm may only become larger while active",
         )
         fresh.configure("limits: {throttle_slew_pct_per_s: 50}\n")
         assert client.reload()["changed"] == ["limits.throttle_slew_pct_per_s"]

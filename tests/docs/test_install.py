@@ -232,9 +232,9 @@ def test_a_checked_configuration_says_what_the_page_says(driven):
 def test_a_configuration_of_the_page_is_valid(tmp_path, number):
     path = tmp_path / "gateway.yaml"
     path.write_text(blocks(INSTALL, "yaml")[number])
-    command = [sys.executable, "-m", "vcu_gateway", "check-config", "-c", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    command = [sys.executable, "-m", "vcu_gateway", "check-config", "--other-machine"]
+    done = subprocess.run([*command, "-c", str(path)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("page", [*PAGES, SECURITY, RECORDINGS], ids=lambda page: page.name)

@@ -92,6 +92,11 @@ def test_a_static_demand_is_a_warning(path):
     assert not_ok(judge(read(path))) == {"bench": "warning"}
 
 
+def test_a_derated_power_that_lowers_nothing_is_a_warning(path):
+    path.write_text("limits: {power_limit_max_w: 5000}\n")
+    assert not_ok(judge(read(path))) == {"effect": "warning"}
+
+
 def test_without_a_file_the_defaults_are_held_against_the_machine():
     facts = read(None, (Problem("there is no configuration file", "x.yaml", "give one"),))
     assert not_ok(judge(facts)) == {"valid": "wrong"}

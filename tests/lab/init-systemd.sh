@@ -9,13 +9,14 @@
 #   modules    one "path parameters" per line, in loading order
 #   attend     what runs the command, as lab.service; its files are there too
 # The root is below an overlay in memory. What the machine must not do to the command, and what
-# costs time and serves nobody, is masked in the overlay.
+# costs time and serves nobody, is masked in the overlay. So is tmp.mount, which Debian 13 has: it
+# would hide the shared folders below /tmp. The overlay's own /tmp is in memory anyway.
 job=${0%/*}
 masked="getty.target serial-getty@.service console-getty.service modprobe@.service
     proc-sys-fs-binfmt_misc.automount systemd-update-utmp.service
     systemd-update-utmp-runlevel.service systemd-pstore.service systemd-tmpfiles-clean.timer
     systemd-networkd-wait-online.service apt-daily.timer apt-daily-upgrade.timer
-    dpkg-db-backup.timer fstrim.timer e2scrub_reap.service kmod-static-nodes.service"
+    tmp.mount dpkg-db-backup.timer fstrim.timer e2scrub_reap.service kmod-static-nodes.service"
 path=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 
 # By its path: this shell finds its other built-in programs through /proc/self/exe.

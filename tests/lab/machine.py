@@ -22,7 +22,9 @@ SUITES = ("bookworm", "trixie")
 SQUASHFS = b"hsqs"  # its first bytes
 REPOSITORY = Path(__file__).parents[2]
 # Of the guest's own; a folder of the machine must not hide one.
-SYSTEM = ("/", "/bin", "/etc", "/lib", "/lib64", "/mnt", "/sbin", "/usr", "/var")
+SYSTEM = (
+    *("/", "/bin", "/etc", "/lib", "/lib64", "/mnt", "/sbin", "/tmp", "/usr", "/var", "/var/tmp"),
+)
 
 
 def own_suite():

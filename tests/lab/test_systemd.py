@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -146,6 +147,21 @@ def test_output_is_the_commands_and_its_interpreter_the_one_of_venv():
 def test_what_was_written_is_gone_in_the_next_guest(facts):
     assert facts["made"] is None
     assert lab("test", "-e", "/etc/marker", cwd=HERE).returncode == 1
+
+
+@pytest.mark.parametrize("suite", ["bookworm", "trixie"])
+def test_a_command_below_a_temporary_folder_finds_its_folder(suite):
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "here").touch()
+        done = lab("ls", options=["--root", suite], cwd=folder)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "here\n", "")
+
+
+@pytest.mark.parametrize("folder", ["/tmp", "/var/tmp"])
+def test_a_folder_that_the_guest_needs_for_itself_is_no_place_to_start_in(folder):
+    done = lab("true", cwd=folder)
+    assert done.returncode == 125
+    assert done.stderr == f"lab: {folder} cannot be shown to a guest that has its own\n"
 
 
 def test_a_timeout_during_the_boot_ends_the_guest_in_one_line(tmp_path):

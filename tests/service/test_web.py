@@ -6,6 +6,7 @@ import os
 import pwd
 import re
 import signal
+import socket
 import subprocess
 import time
 import urllib.error
@@ -130,3 +131,18 @@ def test_an_address_on_a_network_without_tls_does_not_start(page: None):
         wait_until(lambda: show("ActiveState") == "failed", journal(), PATIENCE_S)
         assert show("ExecMainStatus") == str(os.EX_CONFIG)
     assert "there is no TLS" in journal()
+
+
+def test_a_port_that_another_program_has_is_an_error_and_no_page_about_to_come(page: None):
+    systemctl("stop", SERVICE)
+    try:
+        with socket.create_server(("127.0.0.1", 9465)):
+            systemctl("start", SERVICE)
+            wait_until(lambda: show("ActiveState") == "failed", journal(), PATIENCE_S)
+            assert show("ExecMainStatus") == str(os.EX_UNAVAILABLE)
+            assert show("NRestarts") == "0"
+            assert "cannot listen on 127.0.0.1 port 9465" in journal()
+    finally:
+        systemctl("reset-failed", SERVICE)
+        systemctl("start", SERVICE)
+        wait_until(answers, "the page", PATIENCE_S)

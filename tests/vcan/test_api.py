@@ -378,7 +378,7 @@ def reloaded(drive: Drive, by_request_w: int, by_signal_w: int) -> list[float]:
         drive.gateway.popen.send_signal(signal.SIGHUP)
         drive.commands_when(begun_ns, "SIGHUP's limit", lambda found: are_at(found, by_signal_w))
         drive.stand.configure("limits: {power_limit_max_w: 60000}\n")
-        with pytest.raises(ConfigRefusedError, match="may only become stricter"):
+        with pytest.raises(ConfigRefusedError, match="may only become smaller"):
             client.reload()
         drive.stand.configure("limits: [")
         with pytest.raises(ConfigRefusedError):

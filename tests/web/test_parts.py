@@ -3,18 +3,21 @@
 import asyncio
 import json
 import math
+import socket
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.docs.pages import ROOT, directives
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
-from vcu_gateway.errors import ConfigError
+from vcu_gateway.errors import ConfigError, UnavailableError
 from vcu_gateway.units import NS_PER_S
 from vcu_gateway.web.broadcast import Broadcast, SeenVersions
 from vcu_gateway.web.history import CAPACITY, History
 from vcu_gateway.web.login_limit import LoginLimit
 from vcu_gateway.web.roles import ACTION_RIGHTS, UserRole
+from vcu_gateway.web.serve import listening_socket
 from vcu_gateway.web.sessions import Sessions
 from vcu_gateway.web.settings import TlsFiles, WebSettings
 from vcu_gateway.web.users import PasswordHash, User
@@ -172,6 +175,17 @@ def test_a_network_address_with_tls_and_users_starts(tmp_path):
     tls.key.chmod(0o644)
     with pytest.raises(ConfigError, match="others may read this key"):
         settings(address="192.0.2.1", users=ANNA, tls=tls).check()
+
+
+def test_a_port_that_another_program_has_ends_the_page_for_good_with_its_reason():
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(UnavailableError) as ended:
+            listening_socket(settings(port=port))
+    assert str(ended.value).startswith(f"cannot listen on 127.0.0.1 port {port}: ")
+    assert "ss -ltnp" in str(ended.value)
+    (kept_down,) = directives(ROOT / "systemd/vcu-gateway-web.service")["RestartPreventExitStatus"]
+    assert str(ended.value.exit_code) in kept_down.split()
 
 
 def test_the_names_of_this_machine_are_known_and_no_others():

@@ -54,7 +54,8 @@ def command_line_errors() -> Iterator[None]:
     except ApiError as error:
         raise RequestRefusedError(Problem(error.sentence)) from error
     except UnreachableError as error:
-        raise UnavailableError(Problem(str(error))) from error
+        forbidden = isinstance(error.__cause__, PermissionError)
+        raise (NotPermittedError if forbidden else UnavailableError)(Problem(str(error))) from error
     except ClientError as error:
         raise RequestRefusedError(Problem(str(error))) from error
 

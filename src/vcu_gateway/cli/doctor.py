@@ -12,7 +12,7 @@ import click
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
 from vcu_gateway.doctor.checks import run_checks
-from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.errors import MissingInputError, Problem
 
 _COLOURS = {
     CheckStatus.OK: "green",
@@ -52,7 +52,7 @@ def command(config_path: Path | None, listen: bool, as_json: bool) -> None:
 def _file(given: Path | None) -> tuple[Path | None, tuple[Problem, ...]]:
     try:
         return resolve_config(given), ()
-    except ConfigError as error:
+    except MissingInputError as error:
         return None, error.problems
 
 

@@ -5,23 +5,26 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.protocol import packaged
 
 DEFAULT_CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
+
+ANY_PATH = click.Path(path_type=Path, readable=False)
+"""A path that is looked at when it is opened: click's own look ends with 2 and the usage."""
 
 config_option = click.option(
     "-c",
     "--config",
     "config_path",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=ANY_PATH,
     help=f"Configuration; default: {DEFAULT_CONFIG}.",
 )
 
 
 def resolve_config(given: Path | None, default: Path = DEFAULT_CONFIG) -> Path:
-    """Path of the configuration; ConfigError where none is given and the default is missing."""
+    """Path of the configuration; MissingInputError where none is given and there is no default."""
     if given is not None:
         return given
     if os.path.lexists(default):
@@ -30,7 +33,7 @@ def resolve_config(given: Path | None, default: Path = DEFAULT_CONFIG) -> Path:
         f"give one with -c FILE, or begin with the example:"
         f" sudo install -D -m 644 {packaged('gateway.yaml')} {default}"
     )
-    raise ConfigError(Problem("there is no configuration file", str(default), remedy))
+    raise MissingInputError(Problem("there is no configuration file", str(default), remedy))
 
 
 socket_option = click.option(
@@ -39,6 +42,6 @@ socket_option = click.option(
     metavar="PATH",
     envvar="VCU_GATEWAY_SOCKET",
     show_envvar=True,
-    type=click.Path(path_type=Path),
+    type=ANY_PATH,
     help="The gateway's socket; default: /run/vcu-gateway/control.sock.",
 )

@@ -10,16 +10,16 @@ import click
 from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports asyncio or hashlib
 
 # isort: split
-from vcu_gateway import config as configuration
 from vcu_gateway.app import Application
 from vcu_gateway.cli.options import config_option, resolve_config
-from vcu_gateway.config.protocol import check_protocol, load_protocol
+from vcu_gateway.config.protocol import startable
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon import log, realtime, safe_frames
 from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.daemon.reload import report_effect
 from vcu_gateway.daemon.systemd import SystemdNotifier
-from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
+from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 from vcu_gateway.server import health, views
 
 
@@ -77,19 +77,12 @@ def _run(
     state_path: Path | None,
     lock_memory: bool,
 ) -> None:
-    config = configuration.load(resolve_config(config_path))
-    protocol = load_protocol(config)
-    check_protocol(config, protocol)
-    problems = [
-        *configuration.check_against(config, protocol),
-        *configuration.check_accounts(config),
-    ]
-    if problems:
-        raise ConfigError(*problems)
+    config, protocol = startable(resolve_config(config_path))
     writer = log.configure(config.log.level, config.log.format)
     application = Application(config, protocol, lambda: writer.dropped)
     loop, runtime = application.loop, _runtime_folder()
     loop.event_log.emit(health.started(config))
+    report_effect(config, loop.event_log)
     if runtime is not None:
         safe_frames.forget(runtime)
     loop.connection.acquire_lock()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from vcu_gateway.cli.listen_address import ListenAddress, listen_option
-from vcu_gateway.cli.options import socket_option
+from vcu_gateway.cli.options import ANY_PATH, socket_option
 from vcu_gateway.client import default_socket_path
 from vcu_gateway.errors import Problem, UnavailableError
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 _LIBRARIES = ("starlette", "uvicorn", "h11", "anyio")
 ROLES = ("viewer", "operator", "service")
-_path = click.Path(path_type=Path)
 
 
 class WebOptions(NamedTuple):
@@ -38,7 +37,7 @@ class WebOptions(NamedTuple):
 @click.command("web")
 @socket_option
 @listen_option("127.0.0.1:9465", "Where browsers reach it; from a network only with TLS and users.")
-@click.option("--users", "users_file", metavar="FILE", type=_path, help="Users of the page.")
+@click.option("--users", "users_file", metavar="FILE", type=ANY_PATH, help="Users of the page.")
 @click.option(
     "--local-role",
     type=click.Choice(ROLES),
@@ -46,8 +45,8 @@ class WebOptions(NamedTuple):
     show_default=True,
     help="UserRole of whoever reaches 127.0.0.1, where there are no users.",
 )
-@click.option("--certificate", metavar="FILE", type=_path, help="TLS certificate chain, PEM.")
-@click.option("--key", metavar="FILE", type=_path, help="Its key, PEM.")
+@click.option("--certificate", metavar="FILE", type=ANY_PATH, help="TLS certificate chain, PEM.")
+@click.option("--key", metavar="FILE", type=ANY_PATH, help="Its key, PEM.")
 @click.option(
     "--host-name",
     "host_names",
@@ -55,7 +54,7 @@ class WebOptions(NamedTuple):
     multiple=True,
     help="Further name that browsers know this machine by; may be given again.",
 )
-@click.option("--recordings", metavar="FOLDER", type=_path, help="Folder of the recorder.")
+@click.option("--recordings", metavar="FOLDER", type=ANY_PATH, help="Folder of the recorder.")
 @click.option(
     "--session-hours",
     metavar="HOURS",
@@ -68,7 +67,7 @@ class WebOptions(NamedTuple):
     "--sessions",
     "state_file",
     metavar="FILE",
-    type=_path,
+    type=ANY_PATH,
     help="Where sessions are kept over a restart of this program.",
 )
 def command(**options: Any) -> None:

@@ -1,6 +1,12 @@
 """Configuration file: read whole, or refused with a problem for each mistake."""
 
-from vcu_gateway.config.checks import check_accounts, check_against, group_number, user_number
+from vcu_gateway.config.checks import (
+    check_accounts,
+    check_against,
+    check_effect,
+    group_number,
+    user_number,
+)
 from vcu_gateway.config.core_settings import core_settings
 from vcu_gateway.config.effective import digest, effective, schema, yaml_text
 from vcu_gateway.config.load import load, of_values, parse
@@ -34,6 +40,7 @@ __all__ = [
     "SafetySection",
     "check_accounts",
     "check_against",
+    "check_effect",
     "core_settings",
     "digest",
     "effective",

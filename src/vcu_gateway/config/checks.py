@@ -1,4 +1,4 @@
-"""Checks of a configuration against the protocol and this machine's accounts."""
+"""Checks of a configuration: against the protocol, this machine's accounts, and for effect."""
 
 import grp
 import pwd
@@ -97,6 +97,7 @@ def _nearest(name: str, names: list[str]) -> str:
 
 _USERS = ("operator_users", "service_users", "socket_owner")
 _GROUPS = ("operator_groups", "service_groups", "socket_group")
+_HIGHEST_NUMBER = 2**32 - 2  # of a user or a group; one more means "leave it as it is"
 
 
 def check_accounts(config: Config) -> list[Problem]:
@@ -110,12 +111,18 @@ def check_accounts(config: Config) -> list[Problem]:
 
 def user_number(name: str) -> int:
     """User number of a name, or of a number in digits; KeyError where there is none."""
-    return int(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
+    return _number(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
 
 
 def group_number(name: str) -> int:
     """Group number of a name, or of a number in digits; KeyError where there is none."""
-    return int(name) if name.isdecimal() else grp.getgrnam(name).gr_gid
+    return _number(name) if name.isdecimal() else grp.getgrnam(name).gr_gid
+
+
+def _number(digits: str) -> int:
+    if int(digits) > _HIGHEST_NUMBER:
+        raise KeyError(digits)
+    return int(digits)
 
 
 def _unknown(
@@ -128,5 +135,23 @@ def _unknown(
             try:
                 number_of(name)
             except KeyError:
-                remedy = f"correct it, or create it: sudo add{kind} --system {name}"
+                create = (
+                    "" if name.isdecimal() else f", or create it: sudo add{kind} --system {name}"
+                )
+                remedy = f"correct it{create}"
                 yield FileProblem(("api", key), f"this machine has no {kind} {name}", remedy)
+
+
+def check_effect(config: Config) -> list[Problem]:
+    """Values that are allowed, and have no effect beside another one; they prevent no start."""
+    derated_w, most_w = config.limits.derated_power_w, config.limits.power_limit_max_w
+    if not 0 < most_w <= derated_w:
+        return []
+    given = "derated_power_w" in config.limits.model_fields_set
+    path = ("limits", "derated_power_w" if given else "power_limit_max_w")
+    what = (
+        f"a cause that limits the power does not lower it: limits.derated_power_w is {derated_w} W,"
+        f" limits.power_limit_max_w {most_w} W"
+    )
+    remedy = f"set limits.derated_power_w below it, as in derated_power_w: {most_w // 2}"
+    return [Problem(what, config.source.lines.where(config.source.file, path), remedy)]

@@ -39,7 +39,8 @@ class ConfigSource:
 IDENTIFIER_KEYS = ("protocol", "aliases")
 """The mapping whose keys are identifiers: problems show them in hexadecimal."""
 
-_INTERFACE_NAME = re.compile(r"[^\s/:]{1,15}")
+_INTERFACE_NAME = re.compile(r"[^\s/:]+")
+_INTERFACE_BYTES = 15
 
 
 class BusSection(Section):
@@ -93,11 +94,17 @@ class BusSection(Section):
         interface = info.data.get("interface")
         if interface == "udp_multicast" and not _is_multicast(channel):
             raise refusal("must be a multicast address for udp_multicast", "such as 239.74.163.2")
-        if interface == "socketcan" and not _INTERFACE_NAME.fullmatch(channel):
+        if interface == "socketcan" and not _is_interface_name(channel):
             raise refusal("must be the name of a network interface", "such as can0")
         if not channel:
             raise refusal("must be a name")
         return channel
+
+
+def _is_interface_name(channel: str) -> bool:
+    """As the kernel has it: 15 bytes, no slash, colon or white space."""
+    fits = len(channel.encode(errors="surrogateescape")) <= _INTERFACE_BYTES
+    return fits and channel not in (".", "..") and bool(_INTERFACE_NAME.fullmatch(channel))
 
 
 def _is_multicast(channel: str) -> bool:
@@ -163,7 +170,7 @@ class ApiSection(Section):
         examples=["vcu-gateway"],
     )
     socket_mode: FileMode = Field(
-        default="0660", description="Permissions of the socket, octal digits in quotes."
+        default="0660", description="Permissions of the socket, three octal digits."
     )
     operator_users: tuple[UserName, ...] = Field(
         default=(),

@@ -1,14 +1,35 @@
-"""Protocol that a configuration names: the packaged DBC, or another one that agrees with it."""
+"""Protocol that a configuration names, and every check before a start.
+
+The packaged DBC, or another one that agrees with it.
+"""
 
 import dataclasses
 from pathlib import Path
 
+from vcu_gateway.config.checks import check_accounts, check_against
+from vcu_gateway.config.load import load
 from vcu_gateway.config.model import Config
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.errors import ConfigError, DataError, Problem
 from vcu_gateway.protocol import compatibility, dbc, packaged
 
 _MOST_DIFFERENCES = 20
+
+
+def startable(path: Path, *, on_this_machine: bool = True) -> tuple[Config, ProtocolSpec]:
+    """Configuration and protocol of a start, after every check that a start makes.
+
+    `run` and `check-config` both call it. Without `on_this_machine` the users and groups are not
+    looked up: the file is for another machine. Raises ConfigError, DataError or MissingInputError
+    where the gateway would not start.
+    """
+    config = load(path)
+    protocol = load_protocol(config)
+    check_protocol(config, protocol)
+    found = check_against(config, protocol) + (check_accounts(config) if on_this_machine else [])
+    if found:
+        raise ConfigError(*found)
+    return config, protocol
 
 
 def load_protocol(config: Config) -> ProtocolSpec:

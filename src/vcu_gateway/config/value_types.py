@@ -5,12 +5,21 @@ from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Interval, Len
-from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 from vcu_gateway.core.j1939 import ID_MASK
 from vcu_gateway.strict_yaml.section import refusal
 
 _SOCKET_PATH_BYTES = 107
+_MODE = "^0?[0-7]{3}$"
+_LEAST_MODE = 600  # without quotes: the owner reads and writes
+_MODE_SCHEMA = {
+    "anyOf": [
+        {"type": "string", "pattern": _MODE},
+        # 0660 without quotes is 660 to some editors, and 432 to others.
+        {"type": "integer", "exclusiveMinimum": -1, "exclusiveMaximum": 778},
+    ]
+}
 
 
 def _fits_29_bits(identifier: int) -> int:
@@ -38,10 +47,13 @@ def _absolute(path: str) -> str:
     return path
 
 
-def _octal(mode: str) -> str:
-    if not re.fullmatch(r"0?[0-7]{3}", mode):
-        raise refusal("must be three octal digits", 'such as "0660"')
-    return mode
+def _octal(mode: object) -> object:
+    """As text; 660 without quotes is a whole number, and 432, which others make of 0660, is not."""
+    digits = str(mode) if type(mode) is int and mode >= _LEAST_MODE else mode
+    if not (isinstance(digits, str) and re.fullmatch(_MODE, digits)):
+        quotes = "" if isinstance(mode, str) else " in quotes"
+        raise refusal(f"must be three octal digits{quotes}", 'such as "0660"')
+    return digits
 
 
 Identifier = Annotated[
@@ -54,5 +66,5 @@ StatusCode = Annotated[int, Interval(ge=0, le=0xFFFF)]
 Confirmation = Annotated[bool, BeforeValidator(_confirmed)]
 File = Annotated[Path, Field(strict=False)]
 SocketPath = Annotated[str, AfterValidator(_absolute)]
-FileMode = Annotated[str, AfterValidator(_octal)]
+FileMode = Annotated[str, BeforeValidator(_octal), WithJsonSchema(_MODE_SCHEMA)]
 UserName = Annotated[str, Len(1, 64)]

@@ -26,9 +26,10 @@ class SafetySection(SettingsSection):
     @field_validator("required_messages", check_fields=False)
     @classmethod
     def _keeps_the_defaults(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        missing = [name for name in REQUIRED_MESSAGES if name not in names]
-        if missing:
-            raise refusal(f"must name {', '.join(REQUIRED_MESSAGES)}", f"add {missing[0]}")
+        if any(name not in names for name in REQUIRED_MESSAGES):
+            defaults = ", ".join(REQUIRED_MESSAGES)
+            what = f"must hold {defaults}, without which nothing ever moves"
+            raise refusal(what, f"write [{defaults}], and others after them")
         return names
 
 

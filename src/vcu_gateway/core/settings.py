@@ -113,7 +113,7 @@ class Settings:
             "limits",
             Reload.SMALLER,
             "PowerLimit while a cause limits the power (the battery is low, a controller protects"
-            " itself).",
+            " itself). It has an effect below limits.power_limit_max_w only.",
         ),
     ] = 10_000
     regen_limit_pct: Annotated[
@@ -179,8 +179,8 @@ class Settings:
         Key(
             "safety",
             Reload.LIVE,
-            "Messages without which nothing moves. The three defaults always belong; others are"
-            " added.",
+            "Messages without which nothing moves. The list must hold the three defaults; others"
+            " may be added.",
         ),
     ] = REQUIRED_MESSAGES
     listen_before_talk_ms: Annotated[

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.settings import KEYS, Reload, Settings
+from vcu_gateway.core.settings import KEYS, Reload, Settings, loosened
 from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.errors import ConfigError
+from vcu_gateway.errors import GatewayError
 
 
 class ReloadOutcome(NamedTuple):
@@ -79,7 +81,7 @@ class Reloader:
     def _loaded(self) -> tuple[Config | None, tuple[str, ...]]:
         try:
             new = configuration.load(Path(self._in_effect.config.source.file))
-        except ConfigError as error:
+        except GatewayError as error:
             return None, tuple(map(str, error.problems))
         return new, tuple(map(str, configuration.check_against(new, self._protocol)))
 
@@ -92,14 +94,18 @@ class Reloader:
             return ReloadOutcome(
                 False, problems=tuple(f"{name} needs a restart" for name in restart)
             )
-        answer = self._loop.gateway.reload(self._settings(new))
+        gateway, settings = self._loop.gateway, self._settings(new)
+        answer = gateway.reload(settings)
         if not answer.granted:
-            return ReloadOutcome(False, problems=(answer.sentence,))
+            looser = loosened(gateway.settings, settings) if gateway.mode is Mode.ACTIVE else ()
+            problems = tuple(map(_in_a_drive, looser)) or (answer.sentence,)
+            return ReloadOutcome(False, problems=problems)
         self._in_effect.config = new
         return ReloadOutcome(True, changed=names)
 
     def _reported(self, outcome: ReloadOutcome) -> ReloadOutcome:
         if outcome.taken:
+            report_effect(self._in_effect.config, self._loop.event_log)
             digest = configuration.digest(self._in_effect.config)
             fields: Mapping[str, object] = {"changed": list(outcome.changed), "digest": digest}
             event = Event("config_reloaded", Severity.INFO, fields)
@@ -108,6 +114,21 @@ class Reloader:
             event = Event("config_refused", Severity.ERROR, fields)
         self._loop.event_log.emit(event)
         return outcome
+
+
+def _in_a_drive(name: str) -> str:
+    """Which way this setting may change while the vehicle can move, if any."""
+    key = KEYS[name]
+    direction = {Reload.SMALLER: "smaller", Reload.LARGER: "larger"}.get(key.reload)
+    if direction is None:
+        return f"{key.section}.{name} cannot change while active; disarm first"
+    return f"{key.section}.{name} may only become {direction} while active"
+
+
+def report_effect(config: Config, event_log: EventLog) -> None:
+    """One event where values of the configuration in effect have no effect."""
+    if problems := [str(problem) for problem in configuration.check_effect(config)]:
+        event_log.emit(Event("config_warning", Severity.WARNING, {"problems": problems}))
 
 
 def changed(before: Config, after: Config) -> tuple[str, ...]:

@@ -10,9 +10,9 @@ from vcu_gateway.doctor import (
     bus_traffic,
     clock,
     configuration,
-    exporter,
     interface,
     libraries,
+    other_units,
     permissions,
     process,
     protocol,
@@ -28,7 +28,7 @@ _NETWORKD_RUNS = "/run/systemd/netif/state"
 _PACKAGED_CHANNEL, _PACKAGED_BIT_S = "can0", 250_000
 _ORDER = (
     *("protocol", "interface", "bus", "time", "permissions", "buffers", "process", "service"),
-    *("libraries", "gateway", "recorder", "exporter"),
+    *("libraries", "gateway", "recorder", "exporter", "web"),
 )
 _Check = Callable[[], Iterable[CheckResult]]
 _DEFAULT_SERVICE_USER = "root"  # what systemd takes where a unit names nobody
@@ -97,7 +97,8 @@ def _machine_checks(shared: _SharedFacts) -> dict[str, _Check]:
         "libraries": lambda: libraries.judge(libraries.read()),
         "gateway": lambda: running_gateway.judge(shared.gateway),
         "recorder": lambda: _recorder(shared),
-        "exporter": lambda: exporter.judge(service.read(exporter.UNIT)),
+        "exporter": lambda: _other_unit(other_units.EXPORTER),
+        "web": lambda: _other_unit(other_units.WEB),
     }
 
 
@@ -106,6 +107,10 @@ def _recorder(shared: _SharedFacts) -> Iterable[CheckResult]:
     runs = shared.unit.is_active or isinstance(shared.gateway.answers, tuple)
     socket = service.read(recorder.SOCKET_UNIT)
     return recorder.judge(recorder.read(socket, gateway_runs=runs))
+
+
+def _other_unit(unit: other_units.OtherUnit) -> Iterable[CheckResult]:
+    return other_units.judge(unit, service.read(unit.name))
 
 
 def _guarded(name: str, check: _Check) -> list[CheckResult]:

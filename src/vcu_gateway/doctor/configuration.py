@@ -12,7 +12,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
 from vcu_gateway.doctor.procfs import Unreadable
-from vcu_gateway.errors import ConfigError, Problem
+from vcu_gateway.errors import GatewayError, Problem
 
 SUBJECT = CheckSubject("configuration")
 _OTHERS_WRITE, _GROUP_WRITES = stat.S_IWOTH, stat.S_IWGRP
@@ -80,7 +80,7 @@ def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> ConfigurationF
 def _with_contents(facts: ConfigurationFacts, path: Path) -> ConfigurationFacts:
     try:
         config = configuration.load(path)
-    except ConfigError as error:
+    except GatewayError as error:
         return facts._replace(problems=error.problems)
     return facts._replace(config=config, accounts=tuple(configuration.check_accounts(config)))
 
@@ -112,7 +112,7 @@ def judge(facts: ConfigurationFacts) -> Iterator[CheckResult]:
     if facts.config is not None:
         digest = configuration.digest(facts.config)
         yield SUBJECT.ok("valid", f"{facts.path}: valid, digest {digest}")
-        yield from _bench(facts.path, facts.config)
+        yield from _doubtful(facts.path, facts.config)
     for problem in facts.accounts:
         yield _problem("accounts", problem)
     if facts.path is not None and facts.file is not None:
@@ -124,7 +124,9 @@ def _problem(check: str, problem: Problem) -> CheckResult:
     return SUBJECT.wrong(check, f"{where}{problem.what}", problem.remedy)
 
 
-def _bench(path: Path | None, config: Config) -> Iterator[CheckResult]:
+def _doubtful(path: Path | None, config: Config) -> Iterator[CheckResult]:
+    for problem in configuration.check_effect(config):
+        yield SUBJECT.warning("effect", f"{problem.where}: {problem.what}", problem.remedy)
     if config.bench.demand is None:
         return
     what = f"{path}: a static demand, which never expires: for a test bench only"

@@ -13,6 +13,7 @@ from vcu_gateway.core.demand import (
     PowerMode,
     Refusal,
     RequestResult,
+    refused,
 )
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
@@ -58,7 +59,10 @@ class CommandHandlers:
             sentence = f"another connection is source {params.source}; use a name of your own"
             raise _refused(Refusal.OTHER_OWNER, sentence)
         demand = demand_of(params, self._context.loop.gateway.settings)
-        answer = self._requests.offer(demand, time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        answer = self._requests.offer(demand, now_ns)
+        if answer.refusal is Refusal.EXPIRED:
+            answer = refused(Refusal.EXPIRED, _too_late(demand, now_ns))
         if answer.granted:
             self._sources.claim(params.source, caller.connection)
         return self._granted(answer)
@@ -154,6 +158,13 @@ def _controller_demand(values: methods.ControllerParams, settings: Settings) -> 
         speed_limit_rpm=settings.speed_limit_max_rpm if speed_rpm is None else speed_rpm,
         power_limit_w=POWER_LIMIT_HIGHEST_W if power_w is None else power_w,
     )
+
+
+def _too_late(demand: Demand, now_ns: int) -> str:
+    made_ns = now_ns if demand.made_ns is None else demand.made_ns
+    age_ms = -((made_ns - now_ns) // NS_PER_MS)  # rounded up: more than its time to live
+    valid = f"it is valid for {demand.ttl_ms} ms (ttl_ms)"
+    return f"the demand came {age_ms} ms after it was made (made_ns), and {valid}"
 
 
 def _refused(refusal: Refusal, sentence: str) -> RequestError:

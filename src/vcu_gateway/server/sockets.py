@@ -29,6 +29,8 @@ class UnixListener:
         """Bind and listen; UnavailableError, with what to do, where that cannot be."""
         self._path = os.fspath(settings.socket_path)
         _check_path(self._path)
+        if problem := obstacle(self._path):
+            raise UnavailableError(problem)
         _remove_leftover(self._path)
         self._identity: tuple[int, int] | None = None
         self.sock = _socket()
@@ -72,15 +74,23 @@ def _identity(path: str) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
-def _remove_leftover(path: str) -> None:
-    """Remove the socket that an earlier run left behind; leave everything else alone."""
+def obstacle(path: str) -> Problem | None:
+    """Problem of a path that cannot become a socket now; None where nobody can see one."""
     try:
         kind = os.lstat(path).st_mode
-    except OSError:
-        return  # bind reports what is wrong, if anything is
-    if not stat.S_ISSOCK(kind):
-        what = f"{path} exists and is no socket"
-        raise UnavailableError(Problem(what, remedy="remove it, or choose another path"))
+    except OSError as error:
+        nothing_there = isinstance(error, FileNotFoundError) and os.path.isdir(_folder_of(path))
+        return None if nothing_there else _explain(path, error)
+    if stat.S_ISSOCK(kind):
+        return None
+    what = f"{path} exists and is no socket"
+    return Problem(what, remedy="remove it, or choose another path")
+
+
+def _remove_leftover(path: str) -> None:
+    """Remove the socket that an earlier run left behind."""
+    if not os.path.lexists(path):
+        return
     try:
         with _socket() as probe:
             probe.connect(path)
@@ -111,9 +121,13 @@ def _set_owner(path: str, owner: int | None, group: int | None) -> None:
         os.chown(path, uid, gid)
 
 
+def _folder_of(path: str) -> str:
+    return os.path.dirname(path) or "."
+
+
 def _explain(path: str, error: OSError) -> Problem:
-    folder = os.path.dirname(path) or "."
-    remedy = _REMEDIES.get(error.errno or 0, "look at: ls -ld {folder}").format(folder=folder)
+    remedy = _REMEDIES.get(error.errno or 0, "look at: ls -ld {folder}")
+    remedy = remedy.format(folder=_folder_of(path))
     return Problem(f"cannot listen at {path}: {error.strerror}", remedy=remedy)
 
 

@@ -5,7 +5,7 @@ import errno
 import stat
 from pathlib import Path
 
-from vcu_gateway.errors import ConfigError, GatewayError, Problem
+from vcu_gateway.errors import ConfigError, GatewayError, MissingInputError, Problem
 
 _LARGEST_BYTES = 1 << 20
 _BYTE_ORDER_MARK = "\ufeff"
@@ -21,7 +21,11 @@ _UNREADABLE = {
 
 
 def read(path: Path, error: type[GatewayError] = ConfigError) -> str:
-    """The whole text, without a byte order mark; raises `error` where it cannot be read."""
+    """The whole text, without a byte order mark.
+
+    Raises MissingInputError where there is no file that this user can read, and `error` where its
+    contents are no text, or too much.
+    """
     try:
         return _text(_contents(path), str(path))
     except _NoTextError as no_text:
@@ -40,11 +44,11 @@ def _contents(path: Path) -> bytes:
         if stat.S_ISDIR(mode):
             raise IsADirectoryError(errno.EISDIR, "")
         if not stat.S_ISREG(mode):
-            raise _NoTextError(Problem("is no regular file", str(path)))
+            raise MissingInputError(Problem("is no regular file", str(path)))
         with path.open("rb") as file:
             contents = file.read(_LARGEST_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise _NoTextError(Problem(_why_unreadable(error), str(path))) from error
+        raise MissingInputError(Problem(_why_unreadable(error), str(path))) from error
     if len(contents) > _LARGEST_BYTES:
         raise _NoTextError(Problem("is larger than 1 MiB", str(path)))
     return contents

@@ -32,6 +32,7 @@ _UNITS = {
 }
 _KEY = "[key]"
 _MOST_FINDINGS = 500
+_A_LIST = "must be a list, - item in each line"
 _KEY_AND_VALUE = "write `key: value`, with a space after the colon"
 _SWITCH_WORDS = {"yes": "true", "on": "true", "no": "false", "off": "false"}
 _STARTS_LIKE_NUMBER = re.compile(r"\s*[-+]?\.?[0-9]")
@@ -87,7 +88,8 @@ def _finding(details: ErrorDetails, root: type[Section]) -> FileProblem:
     requirement = _requirement(details, field) if path else root.outline
     if path[-1:] == (_KEY,):
         return FileProblem(path[:-1], f"the key {requirement}", _own_remedy(details))
-    what = f"{requirement}, not {shown(details['input'])}"
+    of_items = kind == REFUSED and isinstance(details["input"], list | tuple)
+    what = requirement if of_items else f"{requirement}, not {shown(details['input'])}"
     return FileProblem(path, what, _own_remedy(details) or _remedy(details, field))
 
 
@@ -146,7 +148,8 @@ def _requirement(details: ErrorDetails, field: FieldInfo | None) -> str:
         "greater_than_equal": lambda: f"must be at least {_number(context['ge'])}{after}",
         "less_than_equal": lambda: f"must be at most {_number(context['le'])}{after}",
         "dict_type": lambda: "must be a mapping, key: value in each line",
-        "list_type": lambda: "must be a list, - item in each line",
+        "list_type": lambda: _A_LIST,
+        "tuple_type": lambda: _A_LIST,
         "model_type": lambda: "must be a section with keys below it",
     }
     return wordings[details["type"]]() if details["type"] in wordings else details["msg"]

@@ -20,7 +20,7 @@ from tests.faults.pure.test_process import commands, moving, next_commands
 from tests.unrecorded import unrecorded
 from vcu_gateway import config as configuration
 from vcu_gateway.config.protocol import load_protocol
-from vcu_gateway.errors import ConfigError
+from vcu_gateway.errors import ConfigError, GatewayError
 from vcu_gateway.protocol import packaged
 
 
@@ -105,9 +105,10 @@ def test_f60_a_wrong_configuration_is_refused_and_nothing_starts(what, tmp_path,
     if what == "unreadable" and os.geteuid() == 0:
         sentence = _refused_to_somebody(path)
     else:
-        with pytest.raises(ConfigError) as refused:
+        with pytest.raises(GatewayError) as refused:
             _loaded(path)
-        assert refused.value.exit_code == os.EX_CONFIG
+        unread = callable(WRONG[what][0])
+        assert refused.value.exit_code == (os.EX_NOINPUT if unread else os.EX_CONFIG)
         sentence = str(refused.value)
     assert re.search(expected, sentence), sentence
     assert str(path) in sentence, "it says which file"
@@ -128,9 +129,9 @@ def _refused_to_somebody(path: Path) -> str:
     code = (
         "import os, sys; sys.path[:0] = sys.argv[2:]; os.setuid(65534)\n"
         "from pathlib import Path; from vcu_gateway.strict_yaml.file_text import read\n"
-        "from vcu_gateway.errors import ConfigError\n"
+        "from vcu_gateway.errors import MissingInputError\n"
         "try: read(Path(sys.argv[1]))\n"
-        "except ConfigError as error: print(error)\n"
+        "except MissingInputError as error: print(error)\n"
     )
     # Imported before the rights are given up: the program may lie where nobody else can read.
     code = code.replace("; os.setuid(65534)", "").replace("try:", "os.setuid(65534)\ntry:")
