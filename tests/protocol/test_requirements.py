@@ -175,6 +175,21 @@ def test_a_message_that_does_not_reach_the_gateway_is_refused(parties):
     assert found[0] == "BMS_Temperatures (0x1809D0F4): must come from another node to VCU"
 
 
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"receivers": ("PCU1",)}, "must go to VCU, which reads nothing else: take it out"),
+        ({"signals": ()}, "has no signal"),
+    ],
+)
+def test_a_further_message_that_gives_the_gateway_nothing_is_refused(changes, what):
+    battery = PROTOCOL.message("BMS_Temperatures")
+    further = replace(battery, name="Own", can_id=0x1806A7F4)
+    assert told(with_message(battery, battery, further)) == []
+    found = told(with_message(battery, battery, replace(further, **changes)))
+    assert found == [f"Own (0x1806A7F4): {what}"]
+
+
 def test_every_message_of_the_table_is_needed_by_its_name():
     for message in PROTOCOL.messages:
         found = told(with_message(message, replace(message, name="Own")))

@@ -9,7 +9,7 @@ from vcu_gateway.protocol.definition import Definition, MessageNote, SignalNote
 _MAY_CHANGE = (
     (
         "messages",
-        "further ones, of any node but VCU",
+        "further ones, from any other node to VCU, with a signal at least",
         "the names of those above",
     ),
     (

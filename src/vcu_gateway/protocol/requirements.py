@@ -71,6 +71,9 @@ SIGNALS: Mapping[str, Mapping[str, str | int]] = {
 """Their signals: the unit of a quantity, or how many codes its bits hold."""
 
 
+_COMMAND_NAMES = tuple(map(commands.message_name, CONTROLLERS))
+
+
 class _Place(NamedTuple):
     """Bits of a signal of the command, from its lowest one, and its scale."""
 
@@ -129,7 +132,7 @@ def hexadecimal(message: MessageSpec) -> str:
 
 
 def _missing(by_name: Mapping[str, MessageSpec]) -> Iterator[Breach]:
-    needed = [*PERIODS_MS, *map(commands.message_name, CONTROLLERS)]
+    needed = (*PERIODS_MS, *_COMMAND_NAMES)
     own = [name for name in by_name if name not in needed]
     for name in needed:
         if name not in by_name:
@@ -218,8 +221,15 @@ def _laid_out(signal: SignalSpec, place: _Place) -> Iterator[str]:
 
 
 def _others(protocol: ProtocolSpec) -> Iterator[Breach]:
-    known = [commands.message_name(controller) for controller in CONTROLLERS]
-    for message in protocol.sent_by(OWN_NODE):
-        if message.name not in known:
+    """Further messages: each comes to the gateway, with something in it."""
+    for message in protocol.messages:
+        if message.name in PERIODS_MS or message.name in _COMMAND_NAMES:
+            continue
+        if message.sender == OWN_NODE:
             what = f"{OWN_NODE} commands {' and '.join(CONTROLLERS)} and sends nothing else"
+            yield Breach(message.name, "", what)
+        elif not message.signals:
+            yield Breach(message.name, "", "has no signal")
+        elif OWN_NODE not in message.receivers:
+            what = f"must go to {OWN_NODE}, which reads nothing else: take it out"
             yield Breach(message.name, "", what)
