@@ -34,20 +34,26 @@ def test_the_packaged_protocol_agrees_with_itself():
 
 
 def test_a_message_that_is_missing_is_named():
-    assert list(differences(with_battery(), PROTOCOL)) == ["there is no message BMS_Status"]
+    assert list(differences(with_battery(), PROTOCOL)) == [
+        "there is no message BMS_Status (0x1808D0F4)"
+    ]
 
 
 def test_a_signal_that_is_missing_is_named():
     rest = tuple(one for one in BATTERY.signals if one is not SOC)
-    assert of_the_battery(signals=rest) == ["BMS_Status has no signal SOC"]
+    assert of_the_battery(signals=rest) == ["BMS_Status (0x1808D0F4): there is no signal SOC"]
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("can_id", 0x1808D0F5), ("sender", "PCU1"), ("period_ms", 499)]
+    ("name", "value", "what"),
+    [
+        ("can_id", 0x1808D0F5, "identifier is 0x1808D0F5, not 0x1808D0F4"),
+        ("sender", "PCU1", "sender is PCU1, not BMS"),
+        ("period_ms", 499, "period_ms is 499, not 500"),
+    ],
 )
-def test_another_value_of_a_message_is_told_with_the_right_one(name, value):
-    right = getattr(BATTERY, name)
-    assert of_the_battery(**{name: value}) == [f"BMS_Status: {name} is {value}, not {right}"]
+def test_another_value_of_a_message_is_told_with_the_right_one(name, value, what):
+    assert of_the_battery(**{name: value}) == [f"BMS_Status (0x1808D0F4): {what}"]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +72,8 @@ def test_another_value_of_a_message_is_told_with_the_right_one(name, value):
 )
 def test_another_value_of_a_signal_is_told_with_the_right_one(name, value):
     right = getattr(SOC, name)
-    assert of_the_soc(**{name: value}) == [f"BMS_Status.SOC: {name} is {value}, not {right}"]
+    what = f"{name} is {value}, not {right}"
+    assert of_the_soc(**{name: value}) == [f"BMS_Status.SOC (0x1808D0F4): {what}"]
 
 
 def test_what_a_dbc_has_besides_is_no_difference():

@@ -338,8 +338,11 @@ def test_a_comment_with_quotes_survives():
 
 
 def test_a_big_endian_signed_definition_survives():
-    text = packaged("vcu.yaml").read_text(encoding="utf-8").replace("little\n", "big\n")
-    defined = definition.parse(text.replace("unit: rpm, minimum: 0, maximum: 6000", "factor: -2"))
+    text = packaged("vcu.yaml").read_text(encoding="utf-8")
+    received, command = text.split('  "VCU_{node}_Command":')
+    received = received.replace("little\n", "big\n")
+    received = received.replace("rpm, minimum: 0, maximum: 6000", "rpm, factor: -2")
+    defined = definition.parse(f'{received}  "VCU_{{node}}_Command":{command}')
     read = cantools_dbc.parse(cantools_dbc.write(defined))
     assert read.messages == defined.spec.messages
     assert read.message("PCU1_Status2").signal("BatteryCurrent") == SignalSpec(
@@ -381,11 +384,17 @@ def test_a_foreign_dbc_without_our_attributes_is_read():
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (["BO_ 291 M: 8 A", ' SG_ S : 0|8@1+ (1,0) [0|255] "" B'], "M has an 11-bit identifier"),
-        (["BO_ 2566844926 M: 4 A", ' SG_ S : 0|8@1+ (1,0) [0|255] "" B'], "M has 4 bytes, not 8"),
+        (
+            ["BO_ 291 M: 8 A", ' SG_ S : 0|8@1+ (1,0) [0|255] "" B'],
+            "M (0x123): has an 11-bit identifier",
+        ),
+        (
+            ["BO_ 2566844926 M: 4 A", ' SG_ S : 0|8@1+ (1,0) [0|255] "" B'],
+            "M (0x18FEF1FE): has 4 bytes, not 8",
+        ),
         (
             ["BO_ 2566844926 M: 8 Vector__XXX", ' SG_ S : 0|8@1+ (1,0) [0|255] "" B'],
-            "M has no sender",
+            "M (0x18FEF1FE): has no sender",
         ),
         (
             [
@@ -393,7 +402,7 @@ def test_a_foreign_dbc_without_our_attributes_is_read():
                 ' SG_ S : 0|32@1- (1,0) [0|0] "" B',
                 "SIG_VALTYPE_ 2566844926 S : 1;",
             ],
-            "M.S is a float or multiplexed signal",
+            "M.S (0x18FEF1FE): is a float or multiplexed signal",
         ),
         (
             [
@@ -401,7 +410,7 @@ def test_a_foreign_dbc_without_our_attributes_is_read():
                 ' SG_ X M : 0|8@1+ (1,0) [0|255] "" B',
                 ' SG_ S m1 : 8|8@1+ (1,0) [0|255] "" B',
             ],
-            "M.S is a float or multiplexed signal",
+            "M.S (0x18FEF1FE): is a float or multiplexed signal",
         ),
         (["BO_ nonsense"], "is no DBC that cantools reads: "),
         (

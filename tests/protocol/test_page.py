@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from vcu_gateway.protocol import definition, docs_page, packaged
+from vcu_gateway.protocol import definition, docs_page, packaged, requirements
 
 TEXT = packaged("vcu.yaml").read_text(encoding="utf-8")
 
@@ -84,3 +84,12 @@ def test_what_the_page_alone_says_of_a_message_follows_its_comment():
                          "controller says it obeys.")  # fmt: skip
     lines = written(('comment: "Attitude. ', 'note: "Alone. '))
     assert lines[lines.index("## IMU_Attitude") + 2].startswith("Alone. The source: ")
+
+
+def test_the_page_says_what_an_own_definition_may_change():
+    lines = written()
+    at = lines.index("## What your own definition may change")
+    assert {one.split(" | ")[0] for one in lines[at:] if one.startswith("| ")} >= {
+        *("| messages", "| signals", "| identifiers", "| periods", "| commands"),
+    }
+    assert f"see docs/protocol.md, {lines[at].removeprefix('## ')}" == requirements.REMEDY

@@ -1,4 +1,4 @@
-"""Clean systems in which the README's commands are run as a newcomer types them.
+"""Clean systems in which the commands of README and docs are run as a newcomer types them.
 
 Each system is a minimal root (mmdebstrap) with an ordinary user who may use sudo, and nothing
 installed but what the README says. What was typed and seen is in build/systems/SYSTEM.log. Where a
@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.packaging.built import RELEASES
 from tests.systems import promises, systems
 from tests.systems.systems import FOLDER, SYSTEMS, CannotError, System
 from tests.systems.terminal import FailedError, Terminal
@@ -23,6 +24,8 @@ from tests.systems.terminal import FailedError, Terminal
 INSTALL_S = 900
 DEMO_S = 900
 TEST_S = 5400
+PACKAGE_S = 900
+COMMAND_S = 120
 LOOK_S = 3  # as long as somebody looks at the live view
 CLONE = f"git clone {systems.BUNDLE} vcu-gateway && cd vcu-gateway"
 # pytest's closing lines, and what failed.
@@ -100,7 +103,7 @@ class Visit:
         return Outcome(0, "; ".join(self.done), found[1] if found else None)
 
     def newcomer(self, terminal: Terminal) -> None:
-        """From nothing: what the README says, and the demo until it drives."""
+        """From nothing: what the README says, the demo until it drives, and the package."""
         words = promises.commands()
         self.run(terminal, words.install, INSTALL_S, answer="y")
         self.clone(terminal)
@@ -111,7 +114,23 @@ class Visit:
         time.sleep(LOOK_S)
         terminal.press("q")
         terminal.end(words.demo, 30)
+        for line in promises.program():
+            terminal.run(line, COMMAND_S)
+        if self.system.suite in RELEASES:
+            self.package(terminal)
         self.tests(terminal, self.test)
+
+    def package(self, terminal: Terminal) -> None:
+        """Build it, install it, and do with it what docs/recordings.md says without a vehicle."""
+        for line in promises.package():
+            self.run(terminal, line, PACKAGE_S, answer="y")
+        terminal.run("cd", COMMAND_S)
+        for line in promises.recordings():
+            # That commands would have differed is an answer too.
+            terminal.run(line, COMMAND_S, ends=("0", "1") if " --set " in line else ("0",))
+        self.done.append("recordings.md")
+        terminal.run("sudo apt purge --yes vcu-gateway", PACKAGE_S)  # the tests look for none
+        terminal.run("cd vcu-gateway", COMMAND_S)
 
     def tools(self, terminal: Terminal, tools: str) -> None:
         try:

@@ -37,20 +37,22 @@ class Terminal:
         self._window.type(line)
         self._commands += 1
 
-    def run(self, line: str, wait_s: float, answer: str = "") -> None:
+    def run(
+        self, line: str, wait_s: float, answer: str = "", ends: tuple[str, ...] = ("0",)
+    ) -> None:
         """Type a command and wait for its end; `answer` is typed to a question ("[Y/n]")."""
         self.begin(line)
         if answer:
             self._wait(lambda: self._is_prompt() or self._asks(), wait_s, f"no end of: {line}")
             if not self._is_prompt():
                 self._window.type(answer)
-        self.end(line, wait_s)
+        self.end(line, wait_s, ends)
 
-    def end(self, line: str, wait_s: float) -> None:
-        """Wait for the command's end, which must be status 0."""
+    def end(self, line: str, wait_s: float, ends: tuple[str, ...] = ("0",)) -> None:
+        """Wait for the command's end, which must be one of these statuses."""
         self._wait(self._is_prompt, wait_s, f"no end of: {line}")
         status = self._statuses()[-1]
-        if status != "0":
+        if status not in ends:
             raise FailedError(f"exit status {status} of: {line}")
 
     def show(self, pattern: str, wait_s: float) -> None:

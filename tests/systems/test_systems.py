@@ -35,6 +35,15 @@ def test_the_readmes_commands_are_targets_that_make_knows() -> None:
         assert re.search(rf"^{re.escape(line.removeprefix('make '))}: ", makefile, re.MULTILINE)
 
 
+def test_the_pages_have_commands_that_need_no_vehicle() -> None:
+    assert promises.package()[0] == "make deb"
+    assert any(line.endswith(" dbc --check") for line in promises.program())
+    verbs = {line.split()[1] for line in promises.recordings()}
+    assert verbs == {"demo", "recordings", "replay", "export"}
+    for line in promises.recordings()[3:]:
+        assert promises.DRIVE in line or "--folder black-box" in line, line
+
+
 def test_what_is_typed_and_seen_is_kept_whole(terminal: Terminal) -> None:
     terminal.run("seq 300", 10)
     terminal.run("printf '%0150d\\n' 7", 10)
@@ -47,6 +56,7 @@ def test_a_command_that_fails_is_told_with_its_status(terminal: Terminal) -> Non
     terminal.run("true", 10)
     with pytest.raises(FailedError, match=r"exit status 3 of: \(exit 3\)"):
         terminal.run("(exit 3)", 10)
+    terminal.run("(exit 3)", 10, ends=("0", "3"))
 
 
 def test_a_command_that_does_not_end_is_told(terminal: Terminal) -> None:

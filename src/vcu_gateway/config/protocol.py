@@ -11,9 +11,9 @@ from vcu_gateway.config.load import load
 from vcu_gateway.config.model import Config
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, DataError, Problem
-from vcu_gateway.protocol import compatibility, dbc, packaged
+from vcu_gateway.protocol import compatibility, dbc, packaged, requirements
 
-_MOST_DIFFERENCES = 20
+_MOST_PROBLEMS = 20
 
 
 def startable(path: Path, *, on_this_machine: bool = True) -> tuple[Config, ProtocolSpec]:
@@ -43,11 +43,17 @@ def dbc_path(config: Config) -> Path:
 
 
 def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
-    """DataError where a DBC contradicts the protocol that the safety rules were written for."""
-    if config.protocol.dbc is None:
-        return
-    found = list(compatibility.differences(protocol, dbc.load(packaged("vcu.dbc"))))
-    if found:
-        remedy = "the safety rules are written for dbc/vcu.yaml; change it, and the rules with it"
-        where = str(config.protocol.dbc)
-        raise DataError(*[Problem(what, where, remedy) for what in found[:_MOST_DIFFERENCES]])
+    """DataError where the gateway cannot run with this protocol.
+
+    A configured DBC must agree with the packaged one besides.
+    """
+    where = str(dbc_path(config))
+    found = [] if config.protocol.dbc is None else _differences(protocol, where)
+    if found := found or requirements.unmet(protocol, lambda *_: where):
+        raise DataError(*found[:_MOST_PROBLEMS])
+
+
+def _differences(protocol: ProtocolSpec, where: str) -> list[Problem]:
+    remedy = f"`protocol.dbc` may add to the packaged DBC, not change it; {requirements.REMEDY}"
+    reference = dbc.load(packaged("vcu.dbc"))
+    return [Problem(what, where, remedy) for what in compatibility.differences(protocol, reference)]

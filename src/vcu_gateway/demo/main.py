@@ -16,7 +16,7 @@ from pathlib import Path
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.app import Application
-from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.config.protocol import check_protocol, load_protocol
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
@@ -43,6 +43,7 @@ def run(wanted: DemoOptions, folder: Path) -> None:
     writer = log.configure("error", "console")
     config = configuration.parse(_config(wanted, folder / "control.sock"), "demo")
     protocol = load_protocol(config)
+    check_protocol(config, protocol)
     application = Application(config, protocol, lambda: writer.dropped)
     loop = application.loop
     loop.connection.acquire_lock()

@@ -39,6 +39,7 @@ class Builder:
         self._addresses = {name: node.address for name, node in file.nodes.items()}
         self.problems: list[Problem] = []
         self.rows: dict[str, tuple[MessageRow, str]] = {}
+        self._keys: dict[str, str] = {}
 
     def build(self) -> ProtocolSpec:
         """The protocol; to be used only if `problems` stays empty."""
@@ -50,7 +51,19 @@ class Builder:
                 self._check_unique(message, messages, key)
                 messages.append(message)
                 self.rows[message.name] = row, node
+                self._keys[message.name] = key
         return ProtocolSpec(tuple(messages), self._addresses, self._aliases(messages))
+
+    def where(self, message: str, signal: str) -> str:
+        """File and line of a signal, or else of its message or of all of them."""
+        if message not in self._keys:
+            return self._lines.where(self._where, ("messages",))
+        (row, _), key = self.rows[message], self._keys[message]
+        for group in row.use:
+            if signal in self._file.signal_groups[group]:
+                return self._lines.where(self._where, ("signal_groups", group, signal))
+        at = ("signals", signal) if signal else ()
+        return self._lines.where(self._where, ("messages", key, *at))
 
     def _refuse(self, what: str, *row: str | int) -> None:
         name = ".".join(map(str, row[1:]))
@@ -100,6 +113,7 @@ class Builder:
         if self._check_parties(message, key) and can_id != _NO_IDENTIFIER:
             self._check_addresses(message, key)
         self._check_overlap(message.signals, key)
+        self._check_reserved(message, key, row)
         return message
 
     def _identifier(self, key: str, row: MessageRow, node: str) -> int:
@@ -156,8 +170,7 @@ class Builder:
     ) -> SignalSpec | None:
         place = parse_bits(row.bits, byte_order)
         if place is None:
-            what = f"{row.bits!r} is not of the form B5, B1-B2, B6[2-3] or B8[7]"
-            self._refuse(what, *at, "bits")
+            self._refuse(_no_bits(row.bits), *at, "bits")
             return None
         if row.factor == 0:
             self._refuse("a factor of 0 loses the value", *at, "factor")
@@ -217,6 +230,18 @@ class Builder:
                 self._refuse(what, "messages", key, "signals", signal.name)
             owner |= dict.fromkeys(bits, signal.name)
 
+    def _check_reserved(self, message: MessageSpec, key: str, row: MessageRow) -> None:
+        for text in row.reserved:
+            place = parse_bits(text, "little")
+            if place is None:
+                self._refuse(_no_bits(text), "messages", key, "reserved", text)
+                continue
+            reserved = set(range(place[0], sum(place)))
+            for signal in message.signals:
+                if reserved & set(signal.bit_positions()):
+                    what = f"lies on {text}, which `reserved` keeps free in 0x{message.can_id:08X}"
+                    self._refuse(what, "messages", key, "signals", signal.name)
+
     def _check_unique(self, message: MessageSpec, others: list[MessageSpec], key: str) -> None:
         for other in others:
             if other.name == message.name:
@@ -242,3 +267,7 @@ class Builder:
             taken.setdefault(key, alias.message)
             aliases[alias.id] = alias.message
         return aliases
+
+
+def _no_bits(text: str) -> str:
+    return f"{text!r} is not of the form B5, B1-B2, B6[2-3] or B8[7]"

@@ -24,6 +24,10 @@ if TYPE_CHECKING:  # the daemon reads a DBC and never the definition
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG"]
 _SATURATED = "VcuSaturatedRaw"
 _NOT_SATURATED = -1
+_READ_HERE = (
+    f"only 29-bit identifiers, {FRAME_LENGTH_BYTES} bytes and whole numbers are read: take the "
+    "message out of this DBC"
+)
 
 _Definitions = OrderedDict[str, Any]
 
@@ -132,7 +136,7 @@ def parse(text: str, where: str = "dbc") -> ProtocolSpec:
         what = f"is no DBC that cantools reads: {' '.join(str(error).split())}"
         raise DataError(Problem(what, where)) from error
     problems = [
-        Problem(what, where, "run `vcu-gateway dbc` to generate it again")
+        Problem(what, where, _READ_HERE)
         for message in database.messages
         for what in _unfit(message)
     ]
@@ -146,14 +150,17 @@ def parse(text: str, where: str = "dbc") -> ProtocolSpec:
 
 def _unfit(message: Any) -> list[str]:
     found = []
-    if not message.is_extended_frame:
-        found.append(f"{message.name} has an 11-bit identifier; only 29-bit ones are used here")
+    is_extended = message.is_extended_frame
+    identifier = f"(0x{message.frame_id:0{8 if is_extended else 3}X})"
+    name = f"{message.name} {identifier}"
+    if not is_extended:
+        found.append(f"{name}: has an 11-bit identifier")
     if message.length != FRAME_LENGTH_BYTES:
-        found.append(f"{message.name} has {message.length} bytes, not {FRAME_LENGTH_BYTES}")
+        found.append(f"{name}: has {message.length} bytes, not {FRAME_LENGTH_BYTES}")
     if not message.senders:
-        found.append(f"{message.name} has no sender")
+        found.append(f"{name}: has no sender")
     found += [
-        f"{message.name}.{signal.name} is a float or multiplexed signal"
+        f"{message.name}.{signal.name} {identifier}: is a float or multiplexed signal"
         for signal in message.signals
         if signal.is_float or signal.multiplexer_ids or signal.is_multiplexer
     ]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import DataError, MissingInputError
+from vcu_gateway.protocol import requirements
 from vcu_gateway.protocol.builder import Builder
 from vcu_gateway.protocol.definition_model import DefinitionFile, MessageRow, SignalRow
 from vcu_gateway.strict_yaml import file_text, parser, validation
@@ -70,8 +71,8 @@ def parse(text: str, where: str = "definition") -> Definition:
         raise DataError(*problems(findings, where, document.lines))
     builder = Builder(file, where, document.lines)
     spec = builder.build()
-    if builder.problems:
-        raise DataError(*builder.problems)
+    if found := builder.problems or requirements.unmet(spec, builder.where):
+        raise DataError(*found)
     return Definition(
         name=file.name,
         version=file.version,

@@ -6,6 +6,53 @@ from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.protocol.definition import Definition, MessageNote, SignalNote
 
+_MAY_CHANGE = (
+    (
+        "messages",
+        "further ones, from any other node to VCU, with a signal at least",
+        "the names of those above",
+    ),
+    (
+        "signals",
+        (
+            "further ones on free bits of a message that is received; where a device uses "
+            "bits of `reserved`, take them out of there"
+        ),
+        "the names of those above, and the unit of a quantity",
+    ),
+    (
+        "identifiers",
+        "all, also of the commands, and the nodes' addresses",
+        "29 bits that end in the sender's address",
+    ),
+    (
+        "layout of what is received",
+        "bits, byte order, factor, offset, range",
+        "of what the rules read as a code: how many codes its bits hold, factor 1, offset 0",
+    ),
+    (
+        "periods",
+        "those of further messages",
+        (
+            "those above: where a device sends at another rate, `freshness` in the "
+            "configuration says when its message is too old"
+        ),
+    ),
+    (
+        "commands",
+        "their identifiers",
+        (
+            "PCU1 and PCU2, one command each and nothing else that VCU sends; every bit, "
+            "factor and range; 50 ms"
+        ),
+    ),
+    (
+        "texts",
+        "comments, names of codes, notes, the usual bit rate",
+        "what a code means: [safety](safety.md) judges its number",
+    ),
+)
+
 
 def write(definition: Definition) -> str:
     """The page, in Markdown, the same text every time."""
@@ -42,6 +89,35 @@ def _lines(definition: Definition) -> Iterator[str]:
     yield from ("", "## Errata and decisions", "")
     for number, (title, decision) in definition.errata.items():
         yield f'- <a id="{number.lower()}"></a>**{number} {title}.** {decision}'
+    yield from _own_definition()
+
+
+def _own_definition() -> Iterator[str]:
+    """What a definition of one's own is free in; `requirements` refuses the rest."""
+    yield from ("", "## What your own definition may change", "")
+    yield (
+        "For a vehicle whose devices differ, change `dbc/vcu.yaml` in the source tree "
+        "and run `vcu-gateway dbc`: it makes the DBC and this page, and refuses by file"
+        " and line what the gateway cannot run with. `demo`, `run`, `check-config` and "
+        "`doctor` refuse a DBC for the same reasons (`protocol/requirements.py`)."
+    )
+    yield from ("", "| | may change | must stay |", "| --- | --- | --- |")
+    for cells in _MAY_CHANGE:
+        yield _row(*cells)
+    yield ""
+    yield (
+        "`protocol.dbc` in the configuration names a DBC that has more messages or "
+        "signals than the packaged one. It may change nothing of what that one has: "
+        "the simulator and this page would not know."
+    )
+    yield ""
+    yield (
+        "The verdict of `replay` and the tests decode by tables of their own, written"
+        " by hand, so that a mistake is not made twice: `replay/verdict/wire.py`, "
+        "`tests/oracle/wire.py` and `tests/protocol/test_dbc.py`. With another "
+        "identifier, place or scaling change them as well. Until then tests fail, and "
+        "the verdict judges a drive as if nothing had changed."
+    )
 
 
 def _source(definition: Definition) -> Iterator[str]:
