@@ -4,6 +4,7 @@ import contextlib
 import functools
 import gc
 import importlib
+import io
 import os
 import signal
 import sys
@@ -116,6 +117,8 @@ def main() -> None:
     """Entry point: every expected failure is a line on stderr and an exit code."""
     gc.disable()  # imports leave next to no garbage, and looking for it delays the first tick
     _fill_standard_descriptors()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a recording may say anything
     try:
         group.main(standalone_mode=False, prog_name="vcu-gateway")
         with _own_broken_pipe():

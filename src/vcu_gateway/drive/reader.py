@@ -8,7 +8,7 @@ Memory does not grow with the drive. What is missing is a `Gap`; after it a chec
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,12 +65,12 @@ def open_drive(path: Path) -> "Drive":
         raise MissingInputError(Problem(what, str(path), remedy))
     info = _info(folder)
     segments = layout.segments(folder)
-    _compare_with_digests(folder, segments)
+    compare_with_digests(folder, segments)
     files = [one for one in segments if only in (None, one.number)]
     return Drive(folder, info, tuple(files))
 
 
-def _compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
+def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
     """DataError where the first segment's begin names other digests; older ones name none."""
     begin = next((line for files in segments for line in _lines_of_begin(files)), b"")
     try:
@@ -98,12 +98,11 @@ def _info(folder: Path) -> DriveInfo:
     path = folder / layout.DRIVE_FILE
     described = layout.read_description(path)
     try:
-        clock = described["clock"]
         return DriveInfo(
             run=described["run"],
-            channel=described["channel"],
+            channel=layout.plain_reason(described["channel"]),
             versions=dict(described["versions"]),
-            clock=ClockPair(_stamp(clock["monotonic_ns"]), _stamp(clock["wall_ns"])),
+            clock=clock_of(described),
             settings=settings_of(described["settings"]),
             config=_text(folder / layout.CONFIG_FILE),
             config_digest=str(described.get("config_digest", "")),
@@ -114,6 +113,12 @@ def _info(folder: Path) -> DriveInfo:
         version = described.get("versions", {})
         what = f"cannot be used ({type(error).__name__}: {error}); written by {version}"
         raise DataError(Problem(what, str(path))) from error
+
+
+def clock_of(described: Mapping[str, Any]) -> ClockPair:
+    """Both clocks of a drive.json; KeyError, TypeError or ValueError where they are none."""
+    clock = described["clock"]
+    return ClockPair(_stamp(clock["monotonic_ns"]), _stamp(clock["wall_ns"]))
 
 
 def _stamp(value: object) -> int:

@@ -27,6 +27,7 @@ NAMESPACE = "vcu-gateway-recording"
 SUFFIX = ".sig"
 _PROGRAM = "ssh-keygen"
 _SIGN_WITHIN_S, _VERIFY_WITHIN_S = 2.0, 10.0
+_LINK = re.compile(r"\d{4,9}\.link", re.ASCII)
 _FINGERPRINT = re.compile(r"SHA256:\S+")
 
 
@@ -44,6 +45,11 @@ class Verified(NamedTuple):
 def link_name(segment: int) -> str:
     """File that names the last member of a segment; its signature has `SUFFIX` behind that."""
     return f"{segment:04d}.link"
+
+
+def is_link(name: str) -> bool:
+    """True for a file that names the last member of a segment."""
+    return _LINK.fullmatch(name) is not None
 
 
 def link_text(run: str, segment: int, link: bytes) -> bytes:

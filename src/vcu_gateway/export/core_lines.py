@@ -1,6 +1,7 @@
 """Core lines of a drive, as decisions of the gateway."""
 
 import contextlib
+import io
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,6 +11,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.events import Event
 from vcu_gateway.drive.checkpoint import StateError, restore
 from vcu_gateway.drive.core_line_parser import LineError, LineParser
+from vcu_gateway.drive.reader import clock_of
 from vcu_gateway.drive.records import (
     Checkpoint,
     CoreRecord,
@@ -22,7 +24,9 @@ from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.export.decisions import DecidedEvent, Decisions
 
 # A tick without a change: nine of ten lines.
-_PLAIN_TICK = re.compile(rb'\{"f":\d+,"tick":(\d+),"frames":\[[^{}]*\](?:,"ok":\[[a-z,]*\])?\}')
+_PLAIN_TICK = re.compile(
+    rb'\{"f":\d+,"tick":(\d{1,18}),"frames":\[[^{}]*\](?:,"ok":\[[a-z,]*\])?\}'
+)
 # Lines of the recorder itself.
 _OF_THE_RECORDER = re.compile(rb'\{"f":\d+,"(?:begin|end)":')
 
@@ -46,14 +50,14 @@ class CoreLines:
         self._parser = LineParser()
         self._latest_ns = 0
         try:
-            clock = description["clock"]
-            self._to_wall_ns = int(clock["wall_ns"]) - int(clock["monotonic_ns"])
+            self._to_wall_ns = clock_of(description).distance_ns
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(Problem("has no pair of clocks", str(where))) from error
 
     def add(self, text: bytes, damaged: Damaged) -> None:
         """Take in whole lines; of each that is none `damaged` is given its number and why."""
-        for number, line in enumerate(text.splitlines(), 1):
+        for number, ended in enumerate(io.BytesIO(text), 1):
+            line = ended.removesuffix(b"\n")
             plain = _PLAIN_TICK.fullmatch(line)
             if plain is not None:
                 self._tick(int(plain[1]), None)

@@ -1,5 +1,6 @@
 """Recording to be exported: a drive, an incident, one of its files, or a foreign log."""
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -7,17 +8,20 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.config import load
 from vcu_gateway.core.codec import Codec
+from vcu_gateway.drive.reader import compare_with_digests
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.members import MemberDamage, read_members
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
 from vcu_gateway.export.core_lines import CoreLines
 from vcu_gateway.export.decisions import Decisions
 from vcu_gateway.export.frame_store import FrameStore
-from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged, requirements
 from vcu_gateway.recording import STANDARD_INPUT, LineProblems, open_recording
 from vcu_gateway.time_window import Window
 
 _FRAMES_BETWEEN_LOOKS = 8192
+_SHORTEST_CORE_LINE, _SHORTEST_FRAME_LINE = len(b'{"f":0}'), len(b"(1.123456789) a 123#R R")
+_MOST_PROBLEMS = 5
 _BLOCK_BYTES = 1 << 22
 
 Report = Callable[[Problem], None]
@@ -112,8 +116,10 @@ def read(name: str, options: ReadOptions) -> Source:
     return source
 
 
-def _codec(path: Path, known: Mapping[int, str]) -> Codec:
+def _codec(path: Path, known: Mapping[int, str], of_drive: bool = False) -> Codec:
     protocol = dbc.load(path)
+    if of_drive and (unmet := requirements.unmet(protocol, lambda *_: str(path))):
+        raise DataError(*unmet[:_MOST_PROBLEMS])
     names = {message.name for message in protocol.messages}
     aliases = {can_id: name for can_id, name in known.items() if name in names}
     return Codec(dataclasses.replace(protocol, aliases=aliases))
@@ -151,8 +157,9 @@ def _read_log(name: str, options: ReadOptions) -> Source:
 def _read_drive(path: Path, options: ReadOptions) -> Source:
     folder = path if path.is_dir() else path.parent
     description = layout.read_description(folder / layout.DRIVE_FILE)
+    compare_with_digests(folder, layout.segments(folder))
     aliases = _aliases_of(folder) if options.aliased else {}
-    codec = _codec(options.dbc_path or folder / layout.DBC_FILE, aliases)
+    codec = _codec(options.dbc_path or folder / layout.DBC_FILE, aliases, of_drive=True)
     store, decisions = FrameStore(codec, options.window), Decisions(options.window)
     segments = layout.segments(folder)
     if not path.is_dir():
@@ -173,7 +180,11 @@ def _attachments(folder: Path) -> dict[str, bytes]:
     """Configuration, DBC and descriptions, as far as they are there."""
     files = [folder / name for name in (layout.CONFIG_FILE, layout.DBC_FILE, layout.DRIVE_FILE)]
     files += layout.incident_files(folder)
-    return {path.name: path.read_bytes() for path in files if path.exists()}
+    found = {}
+    for path in files:
+        with contextlib.suppress(OSError):
+            found[path.name] = layout.read_small(path)
+    return found
 
 
 class _DriveReader:
@@ -184,16 +195,16 @@ class _DriveReader:
         self.unreadable = 0
 
     def read(self, segments: list[layout.SegmentFiles]) -> None:
-        sizes = [sum(path.stat().st_size for path in one.paths) for one in segments]
+        sizes = [sum(path.lstat().st_size for path in one.paths) for one in segments]
         for number, segment in enumerate(segments):
             if number and segment.number != segments[number - 1].number + 1:
                 self._core.gap(f"no segment before {segment.number:04d}")
             if segment.core is not None:
-                for first_line, text in self._texts(segment.core):
+                for first_line, text in self._texts(segment.core, _SHORTEST_CORE_LINE):
                     self._core.add(text, self._damaged(segment.core, first_line))
             if segment.frames is not None:
                 problems = LineProblems(_places(segment.frames), self._options.report)
-                for first_line, text in self._texts(segment.frames):
+                for first_line, text in self._texts(segment.frames, _SHORTEST_FRAME_LINE):
                     self._store.add_lines(text, first_line, problems)
                 self.unreadable += problems.unreadable
             share = sum(sizes[: number + 1]) / max(1, sum(sizes))
@@ -205,12 +216,16 @@ class _DriveReader:
 
         return told
 
-    def _texts(self, path: Path) -> Iterator[tuple[int, bytes]]:
+    def _texts(self, path: Path, shortest_line: int) -> Iterator[tuple[int, bytes]]:
         for member in read_members(path):
             if isinstance(member, MemberDamage):
                 end = "the end of what was written" if member.torn else "read on behind it"
                 where = f"{path}, byte {member.offset}"
                 self._options.report(Problem(f"{member.size} bytes: {member.what}", where, end))
+            elif member.lines * shortest_line > len(member.data):
+                what = f"{member.lines} lines that are too short for any of a recording"
+                self._options.report(Problem(what, f"{path}, byte {member.offset}"))
+                self.unreadable += member.lines
             else:
                 yield member.first_line, member.data
 

@@ -4,7 +4,7 @@ import fcntl
 import os
 from pathlib import Path
 
-from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format import layout, signature
 from vcu_gateway.errors import Problem, RequestRefusedError
 from vcu_gateway.recordings.folder import RecordingPath, write_error
 
@@ -44,9 +44,11 @@ def _refuse_written(descriptor: int, recording: RecordingPath) -> None:
 
 def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
     """What belongs to a recording, its description last, and what does not."""
+    found = os.listdir(descriptor)
     known = {layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE, layout.KEEP_FILE}
     known |= {path.name for segment in layout.segments(folder) for path in segment.paths}
     known |= {path.name for path in layout.incident_files(folder)}
-    found = os.listdir(descriptor)
+    known |= {name for name in found if signature.is_link(name)}
+    known |= {f"{name}{signature.SUFFIX}" for name in known}
     own = sorted(known & set(found), key=lambda name: (name.endswith(".json"), name))
     return own, sorted(set(found) - known)

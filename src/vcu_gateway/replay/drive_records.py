@@ -8,15 +8,24 @@ from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.drive.reader import Drive
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, TickRecord
 from vcu_gateway.drive_format import layout
-from vcu_gateway.protocol import DEFAULT_ALIASES, dbc
+from vcu_gateway.errors import DataError
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, requirements
 from vcu_gateway.replay.time_of_day import TimeOfDay
 from vcu_gateway.strict_yaml import parser
 from vcu_gateway.time_window import Window
 
+_MOST_PROBLEMS = 5
+
 
 def protocol_of(drive: Drive) -> ProtocolSpec:
-    """The DBC that stands beside a drive, with the aliases of its configuration."""
-    protocol = dbc.load(drive.folder / layout.DBC_FILE)
+    """The DBC beside a drive, with the aliases of its configuration.
+
+    DataError where no gateway can drive with it.
+    """
+    path = drive.folder / layout.DBC_FILE
+    protocol = dbc.load(path)
+    if unmet := requirements.unmet(protocol, lambda *_: str(path)):
+        raise DataError(*unmet[:_MOST_PROBLEMS])
     return with_aliases(protocol, recorded_aliases(drive.info.config))
 
 
