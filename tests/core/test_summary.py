@@ -136,9 +136,29 @@ def test_what_is_back_and_held_a_while_is_not_waited_for():
     assert said(drive) == "stopped, waiting for the battery: BMS_Status, since 1.4 s"
     drive.silent.clear()
     drive.run(600)
-    assert said(drive) == "stopped, blocked by the battery: BMS_Status missing, just gone"
+    assert said(drive) == "stopped, waiting a moment after the battery: BMS_Status missing"
     drive.run(1500)
     assert said(drive) == "stopped by the battery: BMS_Status missing, reset first"
+
+
+@pytest.mark.parametrize(
+    ("code", "line"),
+    [
+        ("CellUndervoltage", "limited by the battery: CellUndervoltage 1 (level1), over soon"),
+        (
+            "CellOvervoltage",
+            "limited by the battery: CellOvervoltage 3 (level3), until the restart",
+        ),
+    ],
+)
+def test_a_limit_whose_cause_is_over_says_how_long_it_stays(code, line):
+    drive = active()
+    drive.codes[f"BMS_Status.{code}"] = 1 if code == "CellUndervoltage" else 3
+    drive.run(1500)
+    assert ", since " in said(drive)
+    drive.codes.clear()
+    drive.run(600)
+    assert said(drive) == line
 
 
 def test_a_dead_link_comes_before_the_messages_that_it_keeps_away():

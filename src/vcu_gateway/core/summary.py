@@ -129,14 +129,16 @@ def _in_words(sentence: str) -> list[str]:
 
 
 def _blocked(explained: Explanation, stopped: str = "") -> Iterator[str]:
-    """The cause that blocks, the link before others."""
+    """The cause that blocks, the link before others; where it is over it only counts a while."""
     held = (*_dead_links(explained), *explained.blocks)[0]
-    finding = held.finding
-    if finding.cause in _AWAITED and held.stands(explained.judged_ns):
-        named = f"{WAITING_FOR}{_part(finding.subject, finding.detail)}"
+    finding, others = held.finding, len(_subjects(explained.blocks)) - 1
+    if not held.stands(explained.judged_ns):
+        yield from _shortened(f"{stopped}waiting a moment after {_named(held)}", "")
+    elif finding.cause in _AWAITED:
+        named = f"{stopped}{WAITING_FOR}{_part(finding.subject, finding.detail)}"
+        yield from _since(explained, named, held, others)
     else:
-        named = f"blocked by {_named(held)}"
-    yield from _since(explained, f"{stopped}{named}", held, len(_subjects(explained.blocks)) - 1)
+        yield from _since(explained, f"{stopped}blocked by {_named(held)}", held, others)
 
 
 def _fault(explained: Explanation) -> Iterator[str]:
@@ -167,8 +169,9 @@ def _since(
     """With the count of others and the time, then shorter."""
     since = ""
     if held:
-        is_there = held.stands(explained.judged_ns)
-        since = f", since {_age(explained.now_ns - held.since_ns)}" if is_there else ", just gone"
+        since = f", since {_age(explained.now_ns - held.since_ns)}"
+        if not held.stands(explained.judged_ns):
+            since = ", until the restart" if held.finding.until_restart else ", over soon"
     if others:
         yield f"{named} and {others} more{since}"
     yield from _shortened(named, since)
