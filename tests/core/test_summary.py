@@ -94,6 +94,13 @@ def test_of_two_causes_it_names_the_one_that_why_names_first(mode):
         assert words_of(found.blocks[0].finding) in summary(found)
 
 
+def test_of_two_limits_it_names_the_first_and_counts_the_other():
+    one = Finding("late", "BMS_Status", Effect.POWER_LIMIT, "1101 ms")
+    two = Finding("stale", "PCU1_Status1", Effect.TURBO_OFF, "never received")
+    line = summary(explanation(Mode.ACTIVE, one, two))
+    assert line == "limited by the battery: BMS_Status late and 1 more, since 1.5 s"
+
+
 def test_what_a_start_waits_for_is_the_first_message_that_why_waits_for():
     for silent in itertools.combinations(("BMS_Status", "PCU1_Status2", "PCU2_Status2"), 2):
         drive = Drive()
@@ -250,7 +257,7 @@ def test_a_name_that_has_no_room_is_cut_and_the_part_stays():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "since"), [(1.5, "1.5 s"), (119, "119.0 s"), (180, "3 min"), (9000, "2 h")]
+    ("seconds", "since"), [(1.5, "1.5 s"), (119, "119.0 s"), (120, "2 min"), (9000, "2 h")]
 )
 def test_a_long_time_is_told_in_minutes_and_hours(seconds, since):
     found = explanation(Mode.STANDBY, FINDING)
