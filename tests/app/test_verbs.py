@@ -46,9 +46,22 @@ def test_status_is_a_few_lines_for_a_person(ask):
     assert done.returncode == 0, done.stderr
     first_words = [line.split()[0] for line in done.stdout.splitlines()]
     assert first_words == (
-        ["mode", "why", "demand", "PCU1", "PCU2", "bus", "frames", "ticks", "recorder", "program"]
+        [
+            "mode",
+            "now",
+            "why",
+            "demand",
+            "PCU1",
+            "PCU2",
+            "bus",
+            "frames",
+            "ticks",
+            "recorder",
+            "program",
+        ]
     )
     assert "standby" in done.stdout
+    assert "now      waiting for the pedals or a program: no fresh demand" in done.stdout
 
 
 def test_status_says_whether_it_is_recorded(ask, tmp_path):

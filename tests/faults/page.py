@@ -26,7 +26,7 @@ HEAD = """<!-- Made by `make faults`; do not change it here. -->
 
 {automated} of {all} faults are brought about by a test, {passed} of them passed. A fault has one
 test or several (`tests/faults/`, named with its number); each says what it saw, and the slowest of
-its reactions stands here. Where the fault needs a bus it is a real SocketCAN one, and times are the
+its reactions is shown. Where the fault needs a bus it is a real SocketCAN one, and times are the
 kernel's stamps in another process; elsewhere they are the gateway's own, or simulated. A reaction
 is counted from the cause's frame on the bus to the later of both controllers' safe frames, where
 nothing else is said. Run on {kernels}; the buses are in the lab
@@ -34,7 +34,8 @@ nothing else is said. Run on {kernels}; the buses are in the lab
 machine, its bound for every one. *As a service* is what the installed package shows under a real
 systemd (`tests/service/`, `make test-service`).
 
-| # | fault | injected how | expected | seen | reaction | test |
+"""
+TABLE = """| # | fault | injected how | expected | seen | reaction | test |
 | --- | --- | --- | --- | --- | --- | --- |
 """
 
@@ -124,7 +125,27 @@ def page(all_rows: list[Row]) -> str:
         all=len(all_rows),
         kernels=" and ".join(f"Linux {kernel}" for kernel in kernels) or "no machine yet",
     )
-    return head + "".join(map(_line, all_rows))
+    sections = _sections(all_rows)
+    return head + "".join(map(_contents, sections)) + "".join(map(_section, sections))
+
+
+def _sections(all_rows: list[Row]) -> list[list[Row]]:
+    """The rows in parts; the first fault of a part has its title."""
+    parts: list[list[Row]] = []
+    for row in all_rows:
+        if "section" in row.fault:
+            parts.append([])
+        parts[-1].append(row)
+    return parts
+
+
+def _contents(part: list[Row]) -> str:
+    title, first, last = part[0].fault["section"], part[0].fault["number"], part[-1].fault["number"]
+    return f"- [{title}](#{title.lower().replace(' ', '-')}): {first} to {last}\n"
+
+
+def _section(part: list[Row]) -> str:
+    return f"\n## {part[0].fault['section']}\n\n{TABLE}{''.join(map(_line, part))}"
 
 
 def _line(row: Row) -> str:
@@ -163,7 +184,7 @@ def _reaction(row: Row) -> str:
 
 
 def main(folder: str) -> int:
-    """Write the page; tell what is missing."""
+    """Write the page; say what is missing."""
     all_rows = rows(results(Path(folder)))
     PAGE.write_text(page(all_rows), encoding="utf-8")
     wrong = [row for row in all_rows if row.state in ("failed", "not run")]

@@ -70,9 +70,28 @@ def test_every_view_can_be_shown_in_every_size(make_view, width, height):
 
 
 def test_the_first_lines_say_what_where_mode_and_why():
-    first, second = page(view_models.driving()).splitlines()[:2]
+    first, second, third = page(view_models.driving()).splitlines()[:3]
     assert re.fullmatch(r"vcu-gateway  can0 \(socketcan\) up +pid 812  up 12:44", first)
-    assert second == " ACTIVE  demand of bench; drive; disarm to end"
+    assert second == " ACTIVE  drive: nothing limits it"
+    assert third == "demand of bench; drive; disarm to end"
+
+
+def test_an_older_gateway_without_a_summary_is_shown_with_its_sentence():
+    view = view_models.driving()
+    del view.why["summary"]
+    assert page(view).splitlines()[1] == " ACTIVE  demand of bench; drive; disarm to end"
+    assert plain("vcu-gateway", view).splitlines()[1].startswith("active; demand of bench")
+    view = view_models.faulty()
+    del view.why["summary"]
+    assert page(view).splitlines()[1].startswith(" FAULT  next: first: BMS_Status.Overtemperature")
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40)])
+def test_what_one_waits_for_stands_beside_the_mode(width, height):
+    faulty = page(view_models.faulty(), width, height).splitlines()
+    assert faulty[1] == f" FAULT  {view_models.faulty().why['summary']}"
+    starting = page(view_models.starting(), width, height).splitlines()
+    assert starting[1].startswith(" STARTING  waiting: another sender of our frames")
 
 
 @pytest.mark.parametrize(

@@ -160,6 +160,7 @@ def faulty() -> ViewModel:
     why["limits"] = [cause("power limit", subject="PCU1_Status1", stands=False)]
     why["alarms"] = [cause("alarm", subject="ARD2_SteeringWheel", detail="never received")]
     why["next_step"] = "first: BMS_Status.Overtemperature 2 (level2) stands; then service reset"
+    why["summary"] = "stopped, blocked by the battery: Overtemperature 2, since 3.2 s"
     why["sentence"] = (
         "fault; latched (service): BMS_Status.Overtemperature 2 (level2): cut; blocked by "
         "BMS_Status.Overtemperature 2 (level2): cut (for 4.3 s); limited by PCU1_Status1 1700 ms:"

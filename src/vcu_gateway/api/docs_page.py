@@ -11,7 +11,7 @@ BEGIN, END = "<!-- generated: scripts/api-page -->\n", "<!-- end of what is gene
 _PARAMS_MODELS = {method.params.__name__ for method in METHODS.values()}
 """Described with their methods, so not again among the types."""
 _RIGHTS = {
-    "read": "whoever can open the socket",
+    "read": "everybody who can open the socket",
     "operate": "operators",
     "service": "service",
 }

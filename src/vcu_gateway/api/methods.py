@@ -173,7 +173,7 @@ METHODS: Mapping[str, Method] = {
         Nothing,
         results.Granted,
         Right.READ,
-        "From active to standby. Whoever reaches the socket may stop the vehicle.",
+        "From active to standby. Everybody who reaches the socket may stop it.",
     ),
     "reset": Method(
         ResetParams, results.Granted, Right.OPERATE, "From fault to starting, at a level."

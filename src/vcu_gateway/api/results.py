@@ -171,6 +171,8 @@ class Why(TypedDict):
 
     sentence: str
     """What matters most, in one line of at most 200 characters; the rest here is complete."""
+    summary: NotRequired[str]
+    """The first of it in plain words, at most 69 characters; an older gateway has none."""
     mode: ModeName
     latch: Latch | None
     blocks: list[Cause]

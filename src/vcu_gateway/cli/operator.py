@@ -41,7 +41,7 @@ def disarm(socket_path: Path | None, as_json: bool) -> None:
     help="A cut needs service; `vcu-gateway why` says which.",
 )
 def reset(socket_path: Path | None, as_json: bool, level: Literal["driver", "service"]) -> None:
-    """Leave a latched fault, unarmed; refused, with the reason, while its cause stands."""
+    """Leave a latched fault, unarmed; refused, with the reason, while its cause is there."""
     with connected(socket_path) as client:
         granted = client.reset(level)
     show(granted, as_json, lambda: granted["mode"])

@@ -27,6 +27,7 @@ def _lines(why: results.Why, health: results.Health, state: results.State) -> li
     commands, stop = state["commands"].items(), state.get("stop")
     facts = {
         "mode": why["mode"],
+        **({"now": why["summary"]} if "summary" in why else {}),
         **({} if stop is None else {"stop": stop["sentence"]}),
         "why": why["sentence"],
         "demand": _demand(why["demand"]),

@@ -43,7 +43,7 @@ class WebOptions(NamedTuple):
     type=click.Choice(ROLES),
     default="viewer",
     show_default=True,
-    help="UserRole of whoever reaches 127.0.0.1, where there are no users.",
+    help="Role of everybody who reaches 127.0.0.1, where there are no users.",
 )
 @click.option("--certificate", metavar="FILE", type=ANY_PATH, help="TLS certificate chain, PEM.")
 @click.option("--key", metavar="FILE", type=ANY_PATH, help="Its key, PEM.")

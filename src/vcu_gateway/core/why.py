@@ -37,6 +37,7 @@ class Explanation(NamedTuple):
         demand_age_ns: None without a demand and for the bench demand, which does not age.
         demand_ttl_ms: None for ever, and without a demand.
         next_step: what to do, as a sentence.
+        refusal: why arming or resetting would be refused, or empty.
     """
 
     now_ns: int
@@ -52,6 +53,7 @@ class Explanation(NamedTuple):
     demand_ttl_ms: int | None
     demand_fresh: bool
     next_step: str
+    refusal: str = ""
 
     def sentence(self) -> str:
         """Most important part of it in one line of at most 200 characters."""
@@ -203,6 +205,7 @@ def explained(
         demand_ttl_ms=reasons.demand_ttl_ms,
         demand_fresh=reasons.demand_fresh,
         next_step=next_step(reasons.mode, reasons.latch, reasons.refusal),
+        refusal=reasons.refusal,
     )
 
 

@@ -11,6 +11,7 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.snapshot import Reading, Snapshot
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.core.stop import Stop
+from vcu_gateway.core.summary import summary
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.units import NS_PER_MS
@@ -152,6 +153,7 @@ def why(explained: explanation.Explanation) -> results.Why:
     now_ns, latch = explained.now_ns, explained.latch
     return {
         "sentence": explained.sentence(),
+        "summary": summary(explained),
         "mode": mode_name(explained.mode),
         "latch": None
         if latch is None

@@ -40,10 +40,16 @@ def _process(view: ViewModel) -> Text:
 
 
 def mode_lines(view: ViewModel, width: int, max_lines: int, sentence: str = "") -> list[Text]:
-    """The mode and a sentence, the gateway's own by default, in at most so many lines."""
+    """Mode and summary, below them a sentence, the gateway's own by default, in so many lines.
+
+    Where there is no summary the sentence is beside the mode: the gateway is older, or away.
+    """
     mark, style, own = _mode_and_sentence(view)
     block = f" {mark} "
-    first, *rest = wrapped(sentence or own, width, max_lines, len(block) + 1)
+    summary = view.why.get("summary", "") if view.why and not view.problem else ""
+    first, *rest = wrapped(summary or sentence or own, width, max_lines, len(block) + 1)
+    if summary and (left := max_lines - 1 - len(rest)) > 0:
+        rest += wrapped(sentence or own, width, left)
     lines = [line(Text(block, f"bold reverse {style}"), " ", first)]
     return lines + [line(words) for words in rest]
 

@@ -12,7 +12,7 @@ TALL_LINES = 32
 
 _GAP = 2
 _WIDE_COLUMNS = controllers.COLUMNS + _GAP + bus.PANEL_COLUMNS
-_SENTENCE_LINES, _SENTENCE_LINES_TALL = 2, 5
+_SENTENCE_LINES, _SENTENCE_LINES_TALL = 3, 6
 _REASON_LINES, _REASON_LINES_TALL = 4, 10
 _PANEL_LINES = 13
 
@@ -33,7 +33,7 @@ def upper_lines(
 
 
 def _explanation(view: ViewModel, width: int, tall: bool) -> list[Text]:
-    """Mode and reasons; where room is short, what to do stands for the long sentence."""
+    """Mode, summary and reasons; where room is short, what to do in place of the long sentence."""
     why = view.why
     if why is None or view.problem is not None:
         return header.mode_lines(view, width, _SENTENCE_LINES)
@@ -44,7 +44,9 @@ def _explanation(view: ViewModel, width: int, tall: bool) -> list[Text]:
         return header.mode_lines(view, width, _SENTENCE_LINES) + stop
     if not tall:
         sentence = f"next: {why['next_step']}"
-        return header.mode_lines(view, width, _SENTENCE_LINES, sentence) + stop + reasons
+        mode = header.mode_lines(view, width, _SENTENCE_LINES, sentence)
+        most -= max(0, len(mode) + len(stop) - _SENTENCE_LINES)
+        return mode + stop + reason_lines(why, width, most)
     mode = header.mode_lines(view, width, _SENTENCE_LINES_TALL)
     return [*mode, *stop, Text(), *reasons, *next_lines(why, width)]
 

@@ -33,10 +33,11 @@ def plain(title: str, view: ViewModel) -> str:
 
 
 def _sentence(view: ViewModel) -> list[Text]:
-    """The gateway's own sentence, whole; or why there is none."""
+    """The gateway's summary and its own sentence, whole; or why there is none."""
     if view.why is None or view.problem is not None:
         return header.mode_lines(view, _COLUMNS, _MOST_LINES)
-    return [Text(part) for part in wrapped(view.why["sentence"], _COLUMNS, _MOST_LINES)]
+    sentences = view.why.get("summary"), view.why["sentence"]
+    return [Text(part) for one in sentences if one for part in wrapped(one, _COLUMNS, _MOST_LINES)]
 
 
 def _messages(state: State) -> Iterator[str]:

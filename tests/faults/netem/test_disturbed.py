@@ -104,7 +104,7 @@ def test_f32_with_a_third_of_the_frames_lost_fast_messages_stay_fresh(
     assert others <= {"late", "life_signal", "unconfirmed", "tick_late"}
     seen(
         f"{len(stale)} of the 10 ms messages stale in {DISTURBED_S} s, {stalls} stalls of the "
-        "machine; told, each by its rule: "
+        "machine; reported, each by its rule: "
         f"{', '.join(sorted(set(found) - set(stale))) or 'nothing'}"
     )
     assert len(stale) <= 3 + 3 * stalls, "a stall of the machine at most"

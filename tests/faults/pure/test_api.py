@@ -210,7 +210,10 @@ def test_f69_a_stranger_may_read_and_stop_and_nothing_else(open_folder, seen: Se
     assert {one["method"] for one in refusals} == set(methods) - {"why", "disarm"}
     assert {one["uid"] for one in refusals} == {65534}
     # Whoever reaches the socket may stop the vehicle.
-    seen(f"uid 65534: granted disarm, why; {len(refusals)} refusals told; {', then '.join(modes)}")
+    seen(
+        f"uid 65534: granted disarm, why; {len(refusals)} refusals reported;"
+        f" {', then '.join(modes)}"
+    )
 
 
 def said_by_a_stranger(path: Path, methods: tuple[str, ...]) -> dict[str, dict]:

@@ -14,6 +14,7 @@ def test_the_catalogue_holds_every_fault_once():
     for fault in CATALOGUE:
         assert set(fault) <= {
             "number",
+            "section",
             "fault",
             "injected",
             "expected",
@@ -47,6 +48,15 @@ def test_the_page_names_a_failed_fault_and_one_that_was_not_run():
     assert "**failed**<br>a<br>b\\|c | 12.5 ms |" in next(li for li in lines if "| 1 |" in li)
     assert "**not run**" in next(line for line in lines if line.startswith("| 2 |"))
     assert lines[4].startswith("3 of 4 faults are brought about by a test, 1 of them passed.")
+    assert "- [Frames and messages](#frames-and-messages): 1 to 22" in lines
+
+
+def test_the_contents_of_the_page_lead_to_every_part_of_it():
+    lines = page.PAGE.read_text(encoding="utf-8").splitlines()
+    titles = [fault["section"] for fault in CATALOGUE if "section" in fault]
+    assert [line.removeprefix("## ") for line in lines if line.startswith("## ")] == titles
+    led_to = [line.partition("]")[0].removeprefix("- [") for line in lines if "](#" in line]
+    assert led_to == titles
 
 
 def test_results_of_tests_that_are_no_more_do_not_count(tmp_path):

@@ -177,7 +177,7 @@ class Reloaded(NamedTuple):
 
     def __str__(self) -> str:
         return (
-            f"{self.problems} problems told; {len(self.heard)} command frames,"
+            f"{self.problems} problems named; {len(self.heard)} command frames,"
             f" {self.missed} ticks skipped"
         )
 
@@ -361,7 +361,7 @@ def test_f63_a_dbc_that_changes_under_a_running_gateway_changes_nothing(tmp_path
         one.until_serving()
         another = one.health()["protocol_digest"]
     assert another != digest
-    seen(f"digest {digest} told before and after the change, {another} after a restart")
+    seen(f"digest {digest} shown before and after the change, {another} after a restart")
 
 
 def test_f63_a_throttle_in_another_place_never_leaves_the_gate(tmp_path, seen: Seen):

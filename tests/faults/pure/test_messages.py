@@ -175,7 +175,7 @@ def test_f09_an_identifier_with_flag_bits_is_refused_with_file_and_line(
     decoded = [json.loads(line) for line in done.stdout.splitlines()]
     assert [entry["message"] for entry in decoded] == [STATUS, STATUS]
     assert f"{log}:2: identifier {wrong:08X}" in done.stderr
-    seen(f"0x{wrong:08X}: configuration, definition and recording told with file and line")
+    seen(f"0x{wrong:08X}: configuration, definition and recording named with file and line")
 
 
 def test_f10_a_million_unknown_identifiers_are_counted_and_nothing_grows(seen: Seen):

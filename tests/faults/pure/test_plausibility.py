@@ -78,8 +78,8 @@ def test_f22_a_motor_speed_that_jumps_is_told_and_not_believed_until_three_plaus
     drive.run(200)
     assert (found(drive), drive.mode) == (set(), Mode.ACTIVE)
     seen(
-        f"{controller}: 2000 rpm in 50 ms believed, 2001 told in the tick after the frame; a change"
-        " of direction waited for the third plausible one",
+        f"{controller}: 2000 rpm in 50 ms believed, 2001 reported in the tick after the frame;"
+        " a change of direction waited for the third plausible one",
         50,
     )
 
@@ -115,7 +115,7 @@ def test_f22_a_wheel_speed_that_jumps_is_told(wheel, seen: Seen):
     assert commanded(drive, "Throttle") == [pytest.approx(40, abs=0.3)] * 2
     drive.run(2000)
     assert found(drive) == set()
-    seen(f"{wheel}: 20 km/h believed, 20.001 told in the tick after the frame", 50)
+    seen(f"{wheel}: 20 km/h believed, 20.001 reported in the tick after the frame", 50)
 
 
 # 23: two sources of one thing.
@@ -140,7 +140,7 @@ def test_f23_wheels_that_differ_for_a_second_are_told(faster, seen: Seen):
     drive.codes[faster] = 20_000
     drive.run(1500)
     assert found(drive) == set()
-    seen(f"15.001 km/h: told after {told_ms:.0f} ms; 15 km/h for 3 s: nothing", told_ms)
+    seen(f"15.001 km/h: reported after {told_ms:.0f} ms; 15 km/h for 3 s: nothing", told_ms)
 
 
 def test_f23_wheels_that_agree_again_within_the_second_are_not_told(seen: Seen):
@@ -290,7 +290,10 @@ def test_f30_both_controllers_that_do_not_obey_are_an_alarm_and_why_says_so(seen
     next_frame(drive, "PCU1_Status1")
     drive.run(50)
     assert (drive.mode, drive.commands) == (Mode.FAULT, [ZERO_TORQUE, ZERO_TORQUE])
-    seen("both: alarm, driving on without torque; one of them mended: the other stops the vehicle")
+    seen(
+        "both: alarm, driving on without torque;"
+        " one of them working again: the other stops the vehicle"
+    )
 
 
 def _alarms(drive: Drive):

@@ -193,7 +193,7 @@ def test_f77_a_stuck_bus_goes_passive_then_off_and_stops_the_motors(
         assert "error passive, bus off" in ", ".join(told_states())
         assert not driving.commands(gone_ns - 300 * MS, gone_ns), "nothing left meanwhile"
         seen(
-            f"passive, then bus off: fault; zero torque first when the bus was mended, after "
+            f"passive, then bus off: fault; zero torque first when the bus worked again, after "
             f"{first_ms:.0f} ms"
         )
         return fault_ms
@@ -221,7 +221,7 @@ def test_f37_the_controllers_states_are_told_and_passive_stops_after_a_second(
             driving.until_link("up")
 
     found = measured(driving, 1000 + 2 * TICK_MS, stop_ms)
-    seen(f"warning told; zero torque {told(found)} after passive", reaction_ms=found[-1])
+    seen(f"warning reported; zero torque {told(found)} after passive", reaction_ms=found[-1])
 
 
 def test_a_long_queue_is_told_with_the_command_that_mends_it_and_an_unproven_echo(

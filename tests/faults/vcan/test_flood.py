@@ -239,7 +239,7 @@ def test_f35_what_waited_in_a_socket_whose_link_went_down_is_counted_as_dropped(
     state = accounted_for(driving, poured(counts_path), seen)
     driving.let_go()
     assert state["bus"]["dropped"] >= 1000
-    seen(f"a buffer of {caution['given_bytes']} of {caution['asked_bytes']} bytes was told")
+    seen(f"a buffer of {caution['given_bytes']} of {caution['asked_bytes']} bytes was reported")
 
 
 @pytest.mark.parametrize(

@@ -238,7 +238,7 @@ def test_f48_error_frames_without_data_as_of_a_wrong_bit_rate_arm_nothing(
     after = [entry["after"] for entry in gateway.log() if entry["event"] == "mode_changed"]
     assert set(after) <= {"stopping"}, "never out of starting"
     assert {frame.data for frame in recording.commands()} == {ZERO_TORQUE}
-    seen("'error passive' told, starting for ever, zero torque only")
+    seen("'error passive' reported, starting for ever, zero torque only")
 
 
 @pytest.mark.ci
@@ -365,7 +365,7 @@ def test_f37_passive_for_more_than_a_second_stops_and_warning_is_told(driving: D
         ),
         "the three states in the log",
     )
-    seen(f"warning told; zero torque {told(found)} after passive", reaction_ms=found[-1])
+    seen(f"warning reported; zero torque {told(found)} after passive", reaction_ms=found[-1])
 
 
 def foreign_sender_stops_ms(driving: Driving, frame: tuple[int, bytes]) -> float:

@@ -216,7 +216,7 @@ def test_f04_an_error_frame_is_never_a_message_whatever_its_number(ride: Breakin
     assert "BMS" not in sentence.split("limited")[0], "no code of the battery was read"
     send((ERR | 0x100, bytes(8)))
     ride.until_link("up")
-    seen("0x004 and 0x0F4 of all ones: the link is told bus off, no message changed")
+    seen("0x004 and 0x0F4 of all ones: the link is reported bus off, no message changed")
 
 
 def test_f05_a_can_fd_frame_is_not_seen(ride: Breaking, seen: Seen):
@@ -395,7 +395,7 @@ def test_f17_faults_that_contradict_each_other_both_count(ride: Breaking, seen: 
 
     wanted = {"BMS_Status.CellOvervoltage", "BMS_Status.CellUndervoltage"}
     wait_until(lambda: subjects() == wanted, f"{wanted}, not {subjects()}", PATIENCE_S)
-    seen(f"zero torque in {told}; both are told as causes", reaction_ms)
+    seen(f"zero torque in {told}; both are reported as causes", reaction_ms)
 
 
 def test_f29_a_controllers_answer_may_be_100_ms_late_and_not_300(ride: Breaking, seen: Seen):

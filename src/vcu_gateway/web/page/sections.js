@@ -66,6 +66,7 @@ const demand = (one) => ({ source: text(one.source), age_ms: number(one.age_ms),
 const why = (one) => ({
   t: number(one.t),
   sentence: text(one.sentence),
+  summary: text(one.summary), // an older gateway has none
   mode: text(one.mode),
   latch: isObject(one.latch) ? latch(one.latch) : null,
   blocks: all(one.blocks, cause),

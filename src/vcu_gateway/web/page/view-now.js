@@ -45,11 +45,11 @@ function why() {
     if (!now) return;
     // A stop is told by the state, and is as old as that.
     setData(element, "old", isOld(now) ? (stop ? "reasons" : "all") : null);
-    if (!stop) setText(sentence, heading(now));
+    if (!stop) setText(sentence, now.summary || heading(now));
     setText(line, heading(now));
-    setHidden(line, !stop);
+    setHidden(line, !stop && !now.summary);
     // Read aloud where its words change, not its numbers.
-    const said = stop ? stop.sentence : now.sentence;
+    const said = stop ? stop.sentence : now.summary || now.sentence;
     if (said.replace(/[\d.]+/g, "") !== meaning) {
       meaning = said.replace(/[\d.]+/g, "");
       setText(spoken, said);
