@@ -12,7 +12,7 @@ from vcu_gateway.drive_format.members import Member, packed, read_members
 from vcu_gateway.drive_format.signature import fingerprint
 from vcu_gateway.errors import MissingInputError
 from vcu_gateway.recordings import CheckedRecording, RecordingFolder, check_recording
-from vcu_gateway.recordings.check import State
+from vcu_gateway.recordings.check import RecordingState
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_a_drive_whose_first_segments_are_gone_is_incomplete_and_the_rest_is_rea
     for path in layout.segments(drive.path)[0].paths:
         path.unlink()
     found = checked(drive)
-    assert found.state is State.INCOMPLETE
+    assert found.state is RecordingState.INCOMPLETE
     assert [fault.what for fault in found.faults] == [
         "segments before 2 are not there: removed for room, or by somebody"
     ]
@@ -78,7 +78,7 @@ def test_a_drive_whose_last_segment_is_gone_is_incomplete(drive):
     for path in layout.segments(drive.path)[-1].paths:
         path.unlink()
     found = checked(drive)
-    assert (found.state, found.is_cut_off) == (State.INCOMPLETE, True)
+    assert (found.state, found.is_cut_off) == (RecordingState.INCOMPLETE, True)
     assert "nothing comes after it" in found.faults[0].what
 
 
@@ -103,7 +103,7 @@ def test_a_file_beside_the_members_that_was_changed_is_named(drive, name):
     path = drive.path / name
     path.write_bytes(path.read_bytes().replace(b" ", b"  ") + b"\n")
     found = checked(drive)
-    assert found.state is State.CHANGED
+    assert found.state is RecordingState.CHANGED
     assert {fault.file for fault in found.faults} == {name}
 
 
@@ -111,7 +111,7 @@ def test_a_segment_that_has_another_ones_number_is_changed(drive):
     for segment in (3, 2):
         for name in (layout.core_name, layout.frames_name):
             (drive.path / name(segment)).rename(drive.path / name(segment + 5))
-    assert checked(drive).state is State.CHANGED
+    assert checked(drive).state is RecordingState.CHANGED
 
 
 def test_ticks_are_counted_as_frames_are(tmp_path):
@@ -119,7 +119,7 @@ def test_ticks_are_counted_as_frames_are(tmp_path):
     drive.segment()
     drive.segment(ticks_silently=3)
     found = checked(drive)
-    assert (found.state, found.missing_ticks) == (State.INCOMPLETE, 3)
+    assert (found.state, found.missing_ticks) == (RecordingState.INCOMPLETE, 3)
     assert found.missing_frames == 0
 
 
@@ -129,7 +129,7 @@ def test_a_command_that_is_not_its_echo_is_changed_although_the_chain_was_made_a
     drive.segment(other=copy)
     found = checked(drive)
     assert found.is_chained
-    assert found.state is State.CHANGED
+    assert found.state is RecordingState.CHANGED
     assert "is no command that was sent" in found.faults[0].what
 
 
@@ -137,7 +137,7 @@ def test_an_older_recording_is_readable_and_not_chained(tmp_path):
     drive = WrittenDrive(tmp_path, chained=False)
     drive.segment()
     found = checked(drive)
-    assert (found.state, found.is_chained) == (State.WHOLE, False)
+    assert (found.state, found.is_chained) == (RecordingState.WHOLE, False)
 
 
 def test_a_chain_that_was_made_anew_is_unsigned_and_one_that_was_signed_is_found(tmp_path):
@@ -154,7 +154,7 @@ def test_a_chain_that_was_made_anew_is_unsigned_and_one_that_was_signed_is_found
     for path in drive.path.glob("*.link*"):
         (other.path / path.name).write_bytes(path.read_bytes())
     found = checked(other)
-    assert found.state is State.CHANGED
+    assert found.state is RecordingState.CHANGED
     assert "the signature is none of segment 1 as it is here" in found.faults[0].what
 
 
@@ -165,10 +165,10 @@ def test_with_allowed_signers_only_what_one_of_them_signed_is_whole(tmp_path):
     drive = WrittenDrive(tmp_path)
     drive.segment()
     recording = RecordingFolder(drive.folder).named(drive.name)
-    assert check_recording(recording, lambda _: None, allowed).state is State.CHANGED
+    assert check_recording(recording, lambda _: None, allowed).state is RecordingState.CHANGED
     sign(drive.path, stranger)
     assert check_recording(recording, lambda _: None).is_whole
-    assert check_recording(recording, lambda _: None, allowed).state is State.CHANGED
+    assert check_recording(recording, lambda _: None, allowed).state is RecordingState.CHANGED
     sign(drive.path, key)
     found = check_recording(recording, lambda _: None, allowed)
     assert found.is_whole, found
@@ -186,7 +186,7 @@ def test_a_torn_end_is_told_and_the_rest_is_read(drive):
     drive.segment(ended=False)
     torn(drive.path / layout.frames_name(4))
     found = checked(drive)
-    assert (found.state, found.is_cut_off) == (State.INCOMPLETE, True)
+    assert (found.state, found.is_cut_off) == (RecordingState.INCOMPLETE, True)
     assert found.frames == 4 * FRAMES - FRAMES_A_SECOND
     assert any("the last member is cut off" in fault.what for fault in found.faults)
     assert any("without a closing record" in fault.what for fault in found.faults)
@@ -218,7 +218,7 @@ def test_damage_in_the_middle_is_told_with_its_lines_and_the_rest_is_read(drive)
 def test_a_drive_whose_recorder_was_killed_says_so_and_nothing_was_changed(drive):
     drive.segment(ended=False)
     found = checked(drive)
-    assert (found.state, found.is_cut_off) == (State.INCOMPLETE, True)
+    assert (found.state, found.is_cut_off) == (RecordingState.INCOMPLETE, True)
     (fault,) = found.faults
     assert "the recorder was killed" in fault.what
 

@@ -17,7 +17,7 @@ from vcu_gateway.recordings import (
     check_recording,
     summarise,
 )
-from vcu_gateway.recordings.check import State
+from vcu_gateway.recordings.check import RecordingState
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -65,7 +65,7 @@ def test_after_a_kill_and_a_new_start_all_of_it_adds_up(recorder, gateway, tmp_p
     process.kill()
     found = checked(tmp_path)
     assert found.is_cut_off
-    assert found.state is State.INCOMPLETE
+    assert found.state is RecordingState.INCOMPLETE
     process = recorder()
     vehicle.drive(3)
     vehicle.close()

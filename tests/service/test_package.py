@@ -9,6 +9,7 @@ import grp
 import json
 import os
 import pwd
+import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -233,6 +234,7 @@ def test_an_upgrade_restarts_an_instance_too(revision_1, ready):
     assert show(SERVICE, "ActiveState") == "inactive"
     remove()
     assert show(INSTANCE, "ActiveState") == "inactive"
+    shutil.rmtree("/run/vcu-gateway-second")  # which is kept, as the service's own
 
 
 @pytest.mark.slow

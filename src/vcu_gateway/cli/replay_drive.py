@@ -18,7 +18,7 @@ from vcu_gateway.drive.reader import Drive, open_drive
 from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.recordings import RecordingPath, check_recording
-from vcu_gateway.recordings.check import State
+from vcu_gateway.recordings.check import RecordingState
 from vcu_gateway.replay import drive_records, equality_text, what_if_text
 from vcu_gateway.replay.closed_loop import ClosedLoop
 from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
@@ -136,7 +136,7 @@ class _DriveReplay:
     def _exit_code(self, same: bool) -> int:
         """Changed or damaged, else different, else incomplete; the first and last of a chain."""
         found = self._checked
-        if found.is_chained and (same or found.state is State.CHANGED):
+        if found.is_chained and (same or found.state is RecordingState.CHANGED):
             return found.exit_code
         return 0 if same else 1
 

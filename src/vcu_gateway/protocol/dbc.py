@@ -14,6 +14,8 @@ def load(path: Path) -> ProtocolSpec:
     Raises MissingInputError where it cannot be read, DataError where it is no DBC or holds
     what this gateway cannot decode.
     """
+    if path.exists() and not path.is_file():
+        raise MissingInputError(Problem("is no regular file", str(path)))
     try:
         contents = path.read_bytes()
         text = contents.decode().replace("\r\n", "\n")

@@ -33,7 +33,7 @@ from vcu_gateway.recordings.signatures import Signatures, check_signatures
 EX_INCOMPLETE, EX_CHANGED = 3, 65
 
 
-class State(Enum):
+class RecordingState(Enum):
     """What a recording is, as far as its files show; the worst that was found."""
 
     WHOLE = "whole"
@@ -70,24 +70,26 @@ class CheckedRecording(NamedTuple):
     faults: tuple[FileFault, ...]
 
     @property
-    def state(self) -> State:
+    def state(self) -> RecordingState:
         """The worst of what was found; a torn end, behind which the recorder went on, is none."""
         kinds = {fault.kind for fault in self.faults}
         if FaultKind.CHANGED in kinds:
-            return State.CHANGED
+            return RecordingState.CHANGED
         if FaultKind.MISSING in kinds or self.missing_frames or self.missing_ticks:
-            return State.INCOMPLETE
-        return State.WRITTEN if self.is_written else State.WHOLE
+            return RecordingState.INCOMPLETE
+        return RecordingState.WRITTEN if self.is_written else RecordingState.WHOLE
 
     @property
     def is_whole(self) -> bool:
         """True where nothing is missing, changed or damaged."""
-        return self.state in (State.WHOLE, State.WRITTEN)
+        return self.state in (RecordingState.WHOLE, RecordingState.WRITTEN)
 
     @property
     def exit_code(self) -> int:
         """0 whole, 3 incomplete, 65 changed or damaged."""
-        return {State.INCOMPLETE: EX_INCOMPLETE, State.CHANGED: EX_CHANGED}.get(self.state, 0)
+        return {RecordingState.INCOMPLETE: EX_INCOMPLETE, RecordingState.CHANGED: EX_CHANGED}.get(
+            self.state, 0
+        )
 
 
 def check_recording(
