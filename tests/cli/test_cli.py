@@ -135,8 +135,8 @@ def test_an_account_that_does_not_exist_is_refused_at_the_start(tmp_path):
 
 @pytest.mark.ci
 @pytest.mark.clock
-def test_the_demo_shows_live_values_without_hardware():
-    done = vcu("demo", "--duration", "9")
+def test_the_demo_shows_live_values_without_hardware(tmp_path):
+    done = vcu("demo", "--duration", "9", "--socket", str(tmp_path / "demo.sock"))
     assert done.returncode == 0, done.stderr
     assert "active; demand of bench" in done.stdout
     assert re.search(r"PCU1_Status2 +\d+ +[12]\d\.\d", done.stdout), "20 Hz, on a calm machine"

@@ -34,7 +34,7 @@ def run(line: str, folder: Path, code: int = 0) -> str:
         cwd=folder,
         capture_output=True,
         text=True,
-        env={**os.environ, "LC_ALL": "C.UTF-8"},
+        env={**os.environ, "LC_ALL": "C.UTF-8", "XDG_RUNTIME_DIR": str(folder)},
     )
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout + done.stderr
@@ -45,7 +45,10 @@ def test_three_commands_lead_from_the_demo_to_a_what_if_report(folder: Path):
     demo, replay, what_if = LINES
     said = run(demo, folder)
     assert re.search(r"recorded in black-box/drives/\S+; next:", said)
-    assert len(re.findall(r"^  vcu-gateway (?:recordings|replay) ", said, re.MULTILINE)) == 3
+    next_lines = re.findall(
+        r"^  (\.venv/bin/vcu-gateway (?:recordings check|replay) .*)$", said, re.MULTILINE
+    )
+    assert len(next_lines) == 3
     assert "equal" in run(replay, folder)
     differing = run(what_if, folder, code=1)
     assert "what if: limits.throttle_slew_pct_per_s=10" in differing
@@ -54,5 +57,4 @@ def test_three_commands_lead_from_the_demo_to_a_what_if_report(folder: Path):
     assert page.startswith("<!doctype html>")
     assert len(page) > 50_000
     assert not re.search(r"(?:src|href)=.?https?:", page)
-    check = re.findall(r"^  vcu-gateway (recordings check .*)$", said, re.MULTILINE)
-    assert "whole" in run(f".venv/bin/vcu-gateway {check[0]}", folder)
+    assert "whole" in run(next_lines[0], folder)

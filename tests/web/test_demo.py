@@ -5,8 +5,10 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import urllib.request
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -17,9 +19,11 @@ WAIT_S = 60
 def demo() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Starts it; whatever goes on after the test is ended."""
     started: list[subprocess.Popen[str]] = []
+    folder = Path(tempfile.mkdtemp(prefix="vcu."))
 
     def start(*options: str) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "vcu_gateway", "demo", "--web", *options]
+        command += ["--socket", str(folder / f"{len(started)}.sock")]
         pipe = subprocess.PIPE
         started.append(subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True))
         return started[-1]
@@ -29,6 +33,7 @@ def demo() -> Iterator[Callable[..., subprocess.Popen[str]]]:
         if process.poll() is None:
             process.terminate()
             process.communicate(timeout=WAIT_S)
+    folder.rmdir()
 
 
 def address(process: subprocess.Popen[str]) -> str:
@@ -43,6 +48,9 @@ def test_it_says_where_the_page_is_and_a_signal_ends_it_with_a_summary(demo, num
     process = demo()
     with urllib.request.urlopen(address(process), timeout=WAIT_S) as answer:
         assert b"vcu-gateway" in answer.read()
+    assert process.stdout is not None
+    assert process.stdout.readline() == "in another terminal:\n"
+    assert process.stdout.readline().startswith("  export VCU_GATEWAY_SOCKET=/")
     process.send_signal(number)
     output, errors = process.communicate(timeout=WAIT_S)
     assert (process.returncode, errors) == (0, "")

@@ -3,12 +3,16 @@
 import contextlib
 import os
 import shlex
+import shutil
 import signal
+import sys
 import threading
+import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import click
 
@@ -16,13 +20,15 @@ from vcu_gateway.bus.interface import Interfaces, can_socket_error
 from vcu_gateway.cli.extras import tui_needed
 from vcu_gateway.cli.signals import stopped_by_signals
 from vcu_gateway.cli.web import web_libraries_needed
-from vcu_gateway.demo.process import DemoOptions, DemoProcess
+from vcu_gateway.client.connect import SOCKET_VARIABLE
+from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
 from vcu_gateway.demo.recorder import DemoRecorder
 
 _PLAIN_EVERY_S = 2.0
 _LOOK_EVERY_S = 0.2
 _PAGE = ("127.0.0.1", 9465)
-_TITLE = "vcu-gateway demo"
+_NAME = "vcu-gateway"
+_TITLE = f"{_NAME} demo"
 _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
 
 
@@ -38,16 +44,42 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     "--throttle",
     "throttle_pct",
     type=click.FloatRange(0, 100),
-    default=30.0,
-    show_default=True,
+    show_default="the configuration's, else 30",
     help="Static demand for both controllers, %.",
+)
+@click.option(
+    "--no-demand",
+    is_flag=True,
+    help="Demand nothing, so that another program may drive, as docs/examples do.",
+)
+@click.option(
+    "-c",
+    "--config",
+    "config_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Configuration, with the demo's bus and sockets in place of its own.",
+)
+@click.option(
+    "--scenario",
+    "scenario_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="What breaks, and when: docs/simulator.md.",
 )
 @click.option(
     "--battery-speedup",
     type=click.FloatRange(0, 10_000),
-    default=20.0,
-    show_default=True,
+    show_default="the scenario's, else 20",
     help="Factor of the battery's charge and discharge, to see it drain.",
+)
+@click.option(
+    "--socket",
+    "socket_path",
+    metavar="PATH",
+    type=click.Path(path_type=Path),
+    show_default="vcu-gateway-demo.sock in $XDG_RUNTIME_DIR, else in /tmp with the user's number",
+    help="Where it answers other programs.",
 )
 @click.option(
     "--record",
@@ -57,40 +89,82 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     help="Record the drive into DIR; the last lines say what can be done with it.",
 )
 @click.option("--web", "in_browser", is_flag=True, help="Show it in a browser, not here.")
-def command(
-    duration_s: float | None,
-    throttle_pct: float,
-    battery_speedup: float,
-    folder: Path | None,
-    in_browser: bool,
-) -> None:
+def command(**options: Any) -> None:
     """Show gateway and simulated vehicle together, live, as `watch` shows a real one.
 
     Uses vcan0 where there is one that is up, else python-can's virtual bus inside a process of
-    its own; the first line says which. No hardware is touched. Without a terminal the same
-    is printed as text every 2 s. With --web it is shown as `vcu-gateway web` shows a real one.
+    its own; the first line says which, the next one what another terminal needs so that its
+    commands reach this gateway. No hardware is touched. Without a terminal the same is printed as
+    text every 2 s. With --web it is shown as `vcu-gateway web` shows a real one.
     """
-    real = _vcan0_is_up()
-    interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
-    wanted = DemoOptions(interface, channel, throttle_pct, battery_speedup, duration_s)
-    with _recorder(folder) as recorder:
+    given = _GivenOptions(**options)
+    wanted = _wanted(given)
+    if given.config_path is not None or given.scenario_path is not None:
+        from vcu_gateway.demo import config
+
+        config.load(wanted)  # for its errors, before anything starts
+    with _recorder(given.folder) as recorder:
         if recorder is not None:
             wanted = wanted._replace(recorder_socket=str(recorder.socket_path))
-        summary = _in_browser(wanted, folder) if in_browser else _in_terminal(wanted)
+        show = _in_browser if given.in_browser else _in_terminal
+        summary = show(wanted, given.folder)
     click.echo(summary)
     if recorder is not None and recorder.drive is not None:
         _echo_next(recorder.folder, recorder.drive)
 
 
-def _in_terminal(wanted: DemoOptions) -> str:
+class _GivenOptions(NamedTuple):
+    """Options of the verb, as they were given."""
+
+    duration_s: float | None
+    throttle_pct: float | None
+    no_demand: bool
+    config_path: Path | None
+    scenario_path: Path | None
+    battery_speedup: float | None
+    socket_path: Path | None
+    folder: Path | None
+    in_browser: bool
+
+
+def _wanted(given: _GivenOptions) -> DemoOptions:
+    if given.no_demand and given.throttle_pct is not None:
+        raise click.UsageError("--no-demand and --throttle contradict each other")
+    real = _vcan0_is_up()
+    interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
+    return DemoOptions(
+        interface,
+        channel,
+        str((given.socket_path or default_socket()).absolute()),
+        given.throttle_pct,
+        not given.no_demand,
+        given.battery_speedup,
+        given.duration_s,
+        config_path=_text(given.config_path),
+        scenario_path=_text(given.scenario_path),
+    )
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def _in_terminal(wanted: DemoOptions, recordings: Path | None) -> str:
     """Show it here; the summary."""
     with tui_needed():
         from vcu_gateway.watch import terminal
         from vcu_gateway.watch.plain_text import plain
         from vcu_gateway.watch.poller import GatewaySource
     with DemoProcess(wanted) as child, GatewaySource(child.socket_path) as source:
+        click.echo(f"{_TITLE} on {wanted.channel} ({wanted.interface}), until q or Ctrl-C")
+        _echo_for_others(wanted, recordings)
         if terminal.is_full():
-            terminal.watch(source, _TITLE, child.has_ended)
+
+            def notes() -> list[str]:
+                return [_export_line(wanted), *child.notes[-1:]]
+
+            terminal.watch(source, _TITLE, child.has_ended, notes)
+            _echo_all(child.notes)
         else:
             _print(lambda: plain(_TITLE, source.latest()), child)
     return child.summary
@@ -109,31 +183,59 @@ def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
         )
         app = application.build(settings, WebEvents(lambda _: None))
         stopped = threading.Event()
-        threading.Thread(target=_stop_with, args=(child, stopped), daemon=True).start()
+
+        def on_ready(address: str) -> None:
+            click.echo(f"{_TITLE} on {wanted.channel}: {address} (Ctrl-C ends it)")
+            _echo_for_others(wanted, recordings)
+            threading.Thread(target=_follow, args=(child, stopped), daemon=True).start()
+            _open_browser(address)
+
         try:
-            serve.run(settings, app, lambda address: _show_page(wanted, address))
+            serve.run(settings, app, on_ready)
         finally:
             stopped.set()
     return child.summary
 
 
-def _stop_with(child: DemoProcess, stopped: threading.Event) -> None:
-    """End the page's server as Ctrl-C does, if the child ends before it."""
+def _follow(child: DemoProcess, stopped: threading.Event) -> None:
+    """Print the scenario's steps; end the page's server as Ctrl-C does, if the child ends first."""
+    shown = 0
     while not stopped.wait(_LOOK_EVERY_S):
+        shown += _echo_all(child.notes[shown:])
         if child.has_ended():
             signal.raise_signal(signal.SIGINT)
             return
 
 
-def _show_page(wanted: DemoOptions, address: str) -> None:
-    """Say where it is, and open it in this desktop's browser, where there is one."""
-    click.echo(f"{_TITLE} on {wanted.channel}: {address} (Ctrl-C ends it)")
+def _open_browser(address: str) -> None:
+    """Open it in this desktop's browser, where there is one."""
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(address)
 
 
 def _recorder(folder: Path | None) -> AbstractContextManager[DemoRecorder | None]:
     return contextlib.nullcontext() if folder is None else DemoRecorder(folder)
+
+
+def _echo_for_others(wanted: DemoOptions, recordings: Path | None) -> None:
+    """What another terminal needs, to be typed there."""
+    click.echo(f"in another terminal:\n  {_export_line(wanted)}\n  {_program()} why")
+    if recordings is not None:
+        folder = shlex.quote(str(recordings))
+        click.echo(f"  {_program()} recordings keep now --folder {folder}")
+    click.echo()
+
+
+def _export_line(wanted: DemoOptions) -> str:
+    return f"export {SOCKET_VARIABLE}={shlex.quote(wanted.socket_path)}"
+
+
+def _program() -> str:
+    """The program as it was called, to be typed again; its name where that is enough."""
+    called, found = Path(sys.argv[0]), shutil.which(_NAME)
+    if called.name != _NAME or (found is not None and called.samefile(found)):
+        return _NAME
+    return shlex.quote(str(called))
 
 
 def _echo_next(folder: Path, drive: Path) -> None:
@@ -144,14 +246,25 @@ def _echo_next(folder: Path, drive: Path) -> None:
         f"replay {shlex.quote(str(drive))}",
         f"replay {shlex.quote(str(drive))} --set {_WHAT_IF} --html what-if.html",
     ):
-        click.echo(f"  vcu-gateway {line}")
+        click.echo(f"  {_program()} {line}")
 
 
 def _print(picture: Callable[[], str], child: DemoProcess) -> None:
-    """The picture now and then, for a pipe or a file."""
+    """The picture now and then and the scenario's steps as they come, for a pipe or a file."""
+    shown, next_s = 0, time.monotonic() + _PLAIN_EVERY_S
     with stopped_by_signals() as stop:
-        while not stop.wait(_PLAIN_EVERY_S) and not child.has_ended():
-            click.echo(picture())
+        while not stop.wait(_LOOK_EVERY_S) and not child.has_ended():
+            shown += _echo_all(child.notes[shown:])
+            if time.monotonic() >= next_s:
+                next_s += _PLAIN_EVERY_S
+                click.echo(picture())
+
+
+def _echo_all(notes: list[str]) -> int:
+    """Print them; how many they are."""
+    for note in notes:
+        click.echo(note)
+    return len(notes)
 
 
 def _vcan0_is_up() -> bool:

@@ -10,7 +10,7 @@ import click
 from vcu_gateway.cli import recordings_text as text
 from vcu_gateway.cli.recording_names import DEFAULT_FOLDER
 from vcu_gateway.drive_format.layout import plain_reason
-from vcu_gateway.drive_format.recorder_status import STATUS_PATH, read_status
+from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.recordings import (
     CheckedRecording,
@@ -23,7 +23,7 @@ from vcu_gateway.recordings import (
     remove_recording,
     summarise,
 )
-from vcu_gateway.recordings.running_recorder import keep_now, no_recorder
+from vcu_gateway.recordings.running_recorder import keep_now, running
 from vcu_gateway.time_window import Moment, Window, moment
 
 _NOW = "now"
@@ -150,8 +150,7 @@ def _progress(where: str) -> Callable[[int], None]:
     "status_path",
     metavar="FILE",
     type=click.Path(path_type=Path, readable=False),
-    default=STATUS_PATH,
-    show_default=True,
+    show_default=f"{STATUS_PATH.name} in FOLDER, else {STATUS_PATH}",
     help="Where the running recorder says how it goes; for now.",
 )
 def keep_command(
@@ -160,7 +159,7 @@ def keep_command(
     begin: str | None,
     end: str | None,
     reason: str | None,
-    status_path: Path,
+    status_path: Path | None,
 ) -> None:
     """Keep a recording: the recorder never removes it.
 
@@ -173,10 +172,8 @@ def keep_command(
     if name == _NOW:
         if begin or end:
             raise click.UsageError("now takes no --from or --to")
-        status = read_status(status_path)
-        if not status.connections:
-            raise no_recorder("no gateway is connected to it, so that there is nothing to keep")
-        asked = keep_now(folder, status.pid, plain_reason(reason or ""))
+        recorder = running(folder, status_path)
+        asked = keep_now(folder, recorder.pid, plain_reason(reason or ""))
         click.echo(asked or "asked; the incident is there once the disk has taken it")
         return
     recording = folder.named(name)

@@ -1,58 +1,56 @@
 """Gateway and simulated vehicle in one process, as the child of `vcu-gateway demo`.
 
-Its one argument is a JSON object of `process.DemoOptions`. It writes the path of the API's socket
-as the first line of stdout, a summary as the last, and ends with its stdin, with SIGTERM, or when
-the duration is over.
+Its one argument is a JSON object of `process.DemoOptions`. It writes `process.READY` as the first
+line of stdout once its API listens, a line beginning with `process.NOTE` for each step of the
+scenario, and a summary as the last. It ends with its stdin, with SIGTERM, or when the duration is
+over.
 """
 
 import json
-import shutil
 import sys
-import tempfile
 import threading
 import time
-from pathlib import Path
 
-from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.app import Application
-from vcu_gateway.config.protocol import check_protocol, load_protocol
 from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.events import Event
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.demo.process import DemoOptions
-from vcu_gateway.errors import GatewayError
+from vcu_gateway.demo import config as demo_config
+from vcu_gateway.demo.process import NOTE, READY, DemoOptions
+from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
+from vcu_gateway.simulator.scenario import Scenario
 
 
 def main() -> None:
     """The child: its errors are lines on stderr and an exit code, as everywhere."""
-    wanted = DemoOptions(**json.loads(sys.argv[1]))
-    folder = Path(tempfile.mkdtemp(prefix="vcu-gateway-demo."))
     try:
-        run(wanted, folder)
+        run(DemoOptions(**json.loads(sys.argv[1])))
     except GatewayError as error:
         sys.stderr.write("".join(f"error: {problem}\n" for problem in error.problems))
         sys.exit(error.exit_code)
-    finally:
-        shutil.rmtree(folder)
 
 
-def run(wanted: DemoOptions, folder: Path) -> None:
-    """Run gateway and vehicle until the end; `folder` holds the API's socket."""
+def run(wanted: DemoOptions) -> None:
+    """Run gateway and vehicle until the end."""
     writer = log.configure("error", "console")
-    config = configuration.parse(_config(wanted, folder / "control.sock"), "demo")
-    protocol = load_protocol(config)
-    check_protocol(config, protocol)
+    config, protocol, scenario = demo_config.load(wanted)
     application = Application(config, protocol, lambda: writer.dropped)
     loop = application.loop
+    api_failures: list[Event] = []
+    loop.event_log.subscribe(lambda event: _note_api_failure(event, api_failures))
     loop.connection.acquire_lock()
     loop.handle_signals()
     stop = threading.Event()
-    vehicle = _vehicle(wanted, Codec(protocol), stop)
     with application.api:
+        if api_failures:
+            remedy = "--socket PATH gives this demo another one"
+            raise UnavailableError(Problem(str(api_failures[0].fields["reason"]), "", remedy))
+        vehicle = _vehicle(wanted, Codec(protocol), scenario, stop)
         threading.Thread(target=_end_with_stdin, args=(loop,), daemon=True).start()
-        _say(config.api.socket_path)
+        _say(READY)
         vehicle.start()
         try:
             application.run(wanted.duration_s)
@@ -62,25 +60,23 @@ def run(wanted: DemoOptions, folder: Path) -> None:
             _say(_summary(loop))  # while the API answers: the view never sees it gone
 
 
-def _config(wanted: DemoOptions, socket_path: Path) -> str:
-    """JSON is YAML."""
-    demand = {
-        "bench_use_only": True,
-        "throttle_pct": wanted.throttle_pct,
-        "power_mode": "normal",
-    }
-    return json.dumps(
-        {
-            "bus": {"interface": wanted.interface, "channel": wanted.channel},
-            "bench": {"demand": demand, "auto_arm": True},
-            "api": {"socket_path": str(socket_path), "socket_mode": "0600"},
-            "recorder": {"socket_path": wanted.recorder_socket},
-        }
+def _note_api_failure(event: Event, failures: list[Event]) -> None:
+    """Without its API a vehicle's gateway goes on; a demo would have nothing to show."""
+    if event.name == "api_unavailable":
+        failures.append(event)
+
+
+def _vehicle(
+    wanted: DemoOptions, codec: Codec, scenario: Scenario, stop: threading.Event
+) -> threading.Thread:
+    start_ns = time.monotonic_ns()
+    nodes = simulator.build(
+        codec,
+        start_ns,
+        soc_pct=scenario.start.soc_pct,
+        battery_speedup=scenario.start.battery_speedup,
+        faults=scenario.faults(codec, start_ns, lambda sentence: _say(NOTE + sentence)),
     )
-
-
-def _vehicle(wanted: DemoOptions, codec: Codec, stop: threading.Event) -> threading.Thread:
-    nodes = simulator.build(codec, time.monotonic_ns(), battery_speedup=wanted.battery_speedup)
     bus = open_bus(wanted.interface, wanted.channel, nodes.command_ids)
 
     def run_vehicle() -> None:

@@ -2,35 +2,57 @@
 
 import json
 import os
-import select
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 from types import TracebackType
 from typing import IO, NamedTuple, Self
 
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 
+READY = "ready"
+"""First line of the child."""
+NOTE = "scenario, "
+"""Beginning of a line that says which step of the scenario begins or ends."""
+
 _PROGRAM = "vcu_gateway.demo.main"
 _PATIENCE_S = 10.0
+
+
+def default_socket() -> Path:
+    """Where the API listens unless told otherwise: the same path every time, of this user."""
+    own = os.environ.get("XDG_RUNTIME_DIR", "")
+    if own and os.access(own, os.W_OK | os.X_OK):
+        return Path(own, "vcu-gateway-demo.sock")
+    return Path(tempfile.gettempdir(), f"vcu-gateway-demo-{os.geteuid()}.sock")
 
 
 class DemoOptions(NamedTuple):
     """Options of the demo.
 
     Attributes:
-        battery_speedup: factor of the battery's charge and discharge; 1 is real time.
+        socket_path: where its API listens.
+        throttle_pct: None is the configuration's, else 30.
+        has_demand: False leaves the demand to another program.
+        battery_speedup: factor of the battery's charge and discharge; None is the scenario's,
+            else 20.
         duration_s: None is until its stdin ends.
         recorder_socket: of a recorder to hand over to; None: nothing is recorded.
+        config_path, scenario_path: files; None: there is none.
     """
 
     interface: str
     channel: str
-    throttle_pct: float
-    battery_speedup: float
-    duration_s: float | None
+    socket_path: str
+    throttle_pct: float | None = None
+    has_demand: bool = True
+    battery_speedup: float | None = None
+    duration_s: float | None = None
     recorder_socket: str | None = None
+    config_path: str | None = None
+    scenario_path: str | None = None
 
 
 class DemoProcess:
@@ -38,10 +60,13 @@ class DemoProcess:
 
     Attributes:
         socket_path: where its API listens.
+        notes: which steps of the scenario have begun and ended, so far.
         summary: its last line; empty before the end.
     """
 
     def __init__(self, wanted: DemoOptions) -> None:
+        self.socket_path = Path(wanted.socket_path)
+        self.notes: list[str] = []
         self.summary = ""
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
         self._process = subprocess.Popen(  # noqa: S603 - our own program
@@ -53,16 +78,26 @@ class DemoProcess:
             start_new_session=True,  # Ctrl-C is for us; its stdin ends it
         )
         self._stdin, self._stdout = _pipes(self._process)
-        first = self._stdout.readline().strip()
-        self.socket_path = Path(first)
-        if not first:
+        self._ended = threading.Event()
+        self._reader = threading.Thread(target=self._read, name="demo", daemon=True)
+        started = self._stdout.readline().strip() == READY
+        self._reader.start()
+        if not started:
             self._end()
             raise self._failure()
 
+    def _read(self) -> None:
+        for line in self._stdout:
+            if line.startswith(NOTE):
+                self.notes.append(line.strip())
+            else:
+                self.summary = line.strip()
+                self._ended.set()
+        self._ended.set()
+
     def has_ended(self) -> bool:
         """True from its last line on: its duration is over, or it has failed."""
-        readable, _, _ = select.select([self._stdout], [], [], 0)
-        return bool(readable)
+        return self._ended.is_set()
 
     def __enter__(self) -> Self:
         return self
@@ -85,7 +120,7 @@ class DemoProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self.summary = self._stdout.read().strip()
+        self._reader.join()
         self._stdout.close()
 
     def _failure(self) -> GatewayError:

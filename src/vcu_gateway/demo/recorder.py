@@ -1,5 +1,6 @@
 """Recorder of the demo, a process beside it; ended with the `with` block."""
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 
 _START_S = 10.0
@@ -30,7 +32,9 @@ class DemoRecorder:
         self._place = tempfile.TemporaryDirectory(prefix="vcu-gateway-demo.")
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
         self.socket_path = Path(self._place.name, "tap.sock")
+        self._status_path = folder / STATUS_PATH.name  # where `recordings keep now` looks
         options = ["--folder", folder, "--socket", self.socket_path, "--keep-free-bytes", "0"]
+        options += ["--status", self._status_path]
         self._process = subprocess.Popen(  # noqa: S603 - our own program
             [sys.executable, "-P", "-m", "vcu_gateway", "recorder", *map(str, options)],
             stdin=subprocess.DEVNULL,
@@ -77,6 +81,8 @@ class DemoRecorder:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        with contextlib.suppress(OSError):
+            self._status_path.unlink()
         self._place.cleanup()
 
     def _failure(self) -> GatewayError:

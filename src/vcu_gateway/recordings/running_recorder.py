@@ -7,11 +7,46 @@ import time
 from pathlib import Path
 
 from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.recorder_status import (
+    STALE_S,
+    STATUS_PATH,
+    RecorderStatus,
+    read_status,
+)
 from vcu_gateway.errors import GatewayError, NotPermittedError, Problem, UnavailableError
 from vcu_gateway.recordings.folder import RecordingFolder, write_error
 
 _PATIENCE_S = 5.0
 _LOOK_EVERY_S = 0.1
+
+
+def running(folder: RecordingFolder, status_path: Path | None = None) -> RecorderStatus:
+    """Status of the recorder that writes into this folder now, with a gateway connected to it.
+
+    `status_path` is where it says how it goes; None: in the folder, as the demo's recorder does, or
+    where the service's does. UnavailableError where no such recorder runs.
+    """
+    if status_path is None:
+        own = folder.path / STATUS_PATH.name
+        status_path = own if own.exists() else STATUS_PATH
+    status = read_status(status_path)
+    if not 0 <= (age_s := status.age_s()) < STALE_S:
+        since = f"{age_s:.0f} s old" if age_s > 0 else "from before this computer's start"
+        raise no_recorder(f"{status_path} is {since}")
+    if not _is_same(Path(status.folder), folder.path):
+        what = f"the recorder that runs writes into {status.folder}, not here"
+        remedy = "name that folder with --folder; a demo records with --record, while it runs"
+        raise UnavailableError(Problem(what, str(folder.path), remedy))
+    if not status.connections:
+        raise no_recorder("no gateway is connected to it, so that there is nothing to keep")
+    return status
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:  # another user's, or gone
+        return False
 
 
 def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:

@@ -44,6 +44,7 @@ class WatchApp(App[None]):
         title: name of the program, for the first line.
         finished: True once the view is to end by itself.
         refresh_hz: refreshes a second.
+        notes: lines below the title.
     """
 
     ENABLE_COMMAND_PALETTE = False
@@ -81,6 +82,7 @@ class WatchApp(App[None]):
         title: str = "vcu-gateway",
         finished: Callable[[], bool] = lambda: False,
         refresh_hz: float = REFRESH_HZ,
+        notes: Callable[[], Sequence[str]] = tuple,
     ) -> None:
         super().__init__(ansi_color=True)
         self.animation_level = "none"
@@ -88,6 +90,7 @@ class WatchApp(App[None]):
         self._program_title = title
         self._finished = finished
         self._refresh_s = 1 / refresh_hz
+        self._notes = notes
         self._view = ViewModel()
         self._paused = False
         self._filter = ""
@@ -134,6 +137,7 @@ class WatchApp(App[None]):
     def _show(self) -> None:
         width, height = self.size
         upper = upper_lines(self._program_title, self._view, width, height, self._paused)
+        upper[1:1] = [cell(note, width) for note in self._notes()]
         old = self._view.problem is not None
         rows = signal_lines(self._view.state, width, self._filter, old)
         self._upper.styles.height = len(upper)

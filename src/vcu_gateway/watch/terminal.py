@@ -9,7 +9,7 @@ import signal
 import sys
 import termios
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
@@ -76,9 +76,15 @@ class TerminalExit:
         os._exit(os.EX_OK)
 
 
-def watch(source: ViewSource, title: str, finished: Callable[[], bool] = lambda: False) -> None:
+def watch(
+    source: ViewSource,
+    title: str,
+    finished: Callable[[], bool] = lambda: False,
+    notes: Callable[[], Sequence[str]] = tuple,
+) -> None:
     """Show the source until a key or a signal ends it, the terminal goes away, or `finished`.
 
+    `notes` are lines below the title.
     Only in the main thread, and where `is_full`. The process ends with 70 after a bug.
     """
     terminal_exit = TerminalExit()
@@ -89,7 +95,7 @@ def watch(source: ViewSource, title: str, finished: Callable[[], bool] = lambda:
             terminal_exit.request()
         return terminal_exit.requested or finished()
 
-    app = WatchApp(source, title, done)
+    app = WatchApp(source, title, done, notes=notes)
     # Without the mouse the terminal keeps its own way to select and copy.
     app.run(mouse=False)
     streams.flush()  # the terminal may be gone
