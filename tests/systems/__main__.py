@@ -116,9 +116,28 @@ class Visit:
         terminal.end(words.demo, 30)
         for line in promises.program():
             terminal.run(line, COMMAND_S)
+        self.examples(terminal)
         if self.system.suite in RELEASES:
             self.package(terminal)
         self.tests(terminal, self.test)
+
+    def examples(self, terminal: Terminal) -> None:
+        """The programs of docs/examples, beside a demo that has no terminal of its own."""
+        demo, programs = promises.examples()
+        terminal.run(f"{demo} </dev/null >~/demo.txt 2>&1 &", COMMAND_S)
+        named = "grep -o 'export VCU_GATEWAY_SOCKET=.*' ~/demo.txt"
+        terminal.run(f"until {named}; do sleep 1; done", COMMAND_S)
+        terminal.run(f"$({named})", COMMAND_S)
+        for line in programs:
+            if "--output" in line:  # it writes until Ctrl-C
+                terminal.begin(line)
+                time.sleep(LOOK_S)
+                terminal.press("C-c")
+                terminal.end(line, COMMAND_S)
+            else:
+                terminal.run(line, COMMAND_S)
+        terminal.run("kill %1; wait %1; unset VCU_GATEWAY_SOCKET", COMMAND_S)
+        self.done.append("examples")
 
     def package(self, terminal: Terminal) -> None:
         """Build it, install it, and do with it what docs/recordings.md says without a vehicle."""

@@ -65,6 +65,15 @@ def recordings() -> list[str]:
     ]
 
 
+def examples() -> tuple[str, list[str]]:
+    """Of docs/examples/README.md: the demo that nobody drives, and the programs beside it.
+
+    Without the one that needs a joystick.
+    """
+    demo, programs = _blocks("docs/examples/README.md", "Without hardware")
+    return demo.strip(), [line for line in programs.splitlines() if "joystick" not in line]
+
+
 def _lines(page: str, heading: str) -> list[str]:
     """Lines of the program itself in the blocks of a section."""
     lines = "".join(_blocks(page, heading)).splitlines()

@@ -38,6 +38,9 @@ def test_the_readmes_commands_are_targets_that_make_knows() -> None:
 def test_the_pages_have_commands_that_need_no_vehicle() -> None:
     assert promises.package()[0] == "make deb"
     assert any(line.endswith(" dbc --check") for line in promises.program())
+    demo, programs = promises.examples()
+    assert demo.endswith("demo --no-demand")
+    assert all(line.startswith(".venv/bin/python docs/examples/") for line in programs)
     verbs = {line.split()[1] for line in promises.recordings()}
     assert verbs == {"demo", "recordings", "replay", "export"}
     for line in promises.recordings()[3:]:
