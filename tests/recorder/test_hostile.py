@@ -248,6 +248,7 @@ def test_an_honest_drive_is_whole_beside_hostile_connections(
     vehicle.close()
     peak = peak_kb(process.process.pid)
     refused = process.wait_for(lambda status: sum(status["refused"].values()) > 0)["refused"]
+    process.wait_for(lambda status: status["memory"]["bytes"] == 0, timeout_s=60)
     assert process.stop() == 0, process.errors
     assert sent == [datagrams]
     assert peak < MEMORY_MAX_KB

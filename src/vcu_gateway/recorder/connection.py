@@ -9,11 +9,13 @@ from typing import Any
 from vcu_gateway.drive_format import datagram
 from vcu_gateway.drive_format.datagram import DatagramError, HelloPart, HelloText, TickParts
 from vcu_gateway.recorder.bounds import check_lines, checked_hello
-from vcu_gateway.recorder.senders import Sender
+from vcu_gateway.recorder.senders import Allowance, Sender
 
 _BUFFER_BYTES = 1 << 20
 _MOST_FRAMES = 50_000
 _MOST_COUNT = 1 << 63
+_CHECKPOINTS = 20, 4.0
+"""At once, and a second: a gateway that loses datagrams sends one every 250 ms."""
 
 
 class GatewayConnection:
@@ -37,6 +39,7 @@ class GatewayConnection:
         self.begin_again = False
         self.fault: DatagramError | None = None
         self.frames = 0
+        self._checkpoints = Allowance(*_CHECKPOINTS)
         self.begun_s = self.latest_s = time.monotonic()
         self.since_wall_ns = self.last_wall_ns = time.time_ns()
 
@@ -79,6 +82,8 @@ class GatewayConnection:
         if max(tick.header) >= _MOST_COUNT or tick.header.frames < tick.frame_count:
             raise DatagramError("its numbers of frames and datagrams cannot be")
         check_lines(tick.lines)
+        if tick.begins_segment and not self._checkpoints.take():
+            raise DatagramError("too many checkpoints", "rate")
         self.frames = tick.header.frames
         return tick
 

@@ -10,13 +10,16 @@ from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received, received
 from vcu_gateway.recorder.connection import GatewayConnection, new_buffer
 from vcu_gateway.recorder.listener import TapListener
-from vcu_gateway.recorder.senders import Refusals, sender_of
+from vcu_gateway.recorder.senders import Allowance, Refusals, Sender, sender_of
 
 _MOST_CONNECTIONS = 16
 _MOST_WITHOUT_HELLO = 8
 _MOST_UNFINISHED_BYTES = 2 << 20
 _HELLO_S = 5.0
 _QUIET_S = 5.0
+_RUNS = 16, 0.5
+"""New ones of one process, at once and a second: each makes a folder, and waits for the disk."""
+_MOST_SENDERS = 64
 _MOST_AT_ONCE = 200
 _MOST_OF_ONE = 20
 _WAKE_UP_BYTES = 4096
@@ -51,6 +54,7 @@ class DatagramReceiver:
         self._urgent = urgent
         self._trusted = trusted
         self._refusals = refusals
+        self._runs: dict[Sender, tuple[set[str], Allowance]] = {}
         self._buffer = new_buffer()
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener.sock, selectors.EVENT_READ)
@@ -153,14 +157,28 @@ class DatagramReceiver:
 
     def _check_hello(self, connection: GatewayConnection) -> None:
         """DatagramError where its run is another's, or the HELLOs take too much memory."""
-        if connection.hello is None:
+        hello = connection.hello
+        if hello is None:
             if sum(one.unfinished_bytes for one in self.connections) > _MOST_UNFINISHED_BYTES:
                 raise DatagramError("the unfinished HELLOs are too long together", "hello")
             return
         for one in self.connections:
             is_other = one is not connection and one.sender != connection.sender
-            if is_other and one.hello is not None and one.hello["run"] == connection.hello["run"]:
+            if is_other and one.hello is not None and one.hello["run"] == hello["run"]:
                 raise DatagramError(f"its run is that of {one.sender}, which is connected", "run")
+        self._count_run(connection.sender, hello["run"])
+
+    def _count_run(self, sender: Sender, run: str) -> None:
+        """DatagramError where one process brings too many runs; a gateway has one."""
+        if sender not in self._runs:
+            for old in list(self._runs)[: 1 - _MOST_SENDERS]:
+                del self._runs[old]
+            self._runs[sender] = set(), Allowance(*_RUNS)
+        known, allowance = self._runs[sender]
+        if run not in known and not allowance.take():
+            raise DatagramError("too many runs of one process", "rate")
+        if len(known) < _RUNS[0]:
+            known.add(run)
 
     def _put(self, connection: GatewayConnection, tick: TickParts) -> None:
         is_urgent = triggers.may_be_urgent(tick.lines)

@@ -56,6 +56,24 @@ def _user(uid: int) -> str:
         return str(uid)
 
 
+class Allowance:
+    """Token bucket: bursts of `burst`, and `a_second` in the long run."""
+
+    def __init__(self, burst: float, a_second: float) -> None:
+        self._burst, self._a_second = burst, a_second
+        self._left, self._at_s = burst, time.monotonic()
+
+    def take(self) -> bool:
+        """Take one; False where there is none."""
+        now_s = time.monotonic()
+        self._left = min(self._burst, self._left + (now_s - self._at_s) * self._a_second)
+        self._at_s = now_s
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
+
+
 class Refusals:
     """Counts what was refused by its reason; a line in the log, of each at most one in 10 s.
 
