@@ -19,7 +19,7 @@ SERVICES = sorted(path.name for path in UNITS if path.suffix == ".service")
 MOST_EXPOSED = {
     "vcu-gateway.service": 1.0,
     "vcu-gateway@.service": 1.0,
-    "vcu-gateway-recorder.service": 0.1,
+    "vcu-gateway-recorder.service": 0.3,
 }
 """What `systemd-analyze security` may say, 0 to 10; exporter and page have an internet socket."""
 
@@ -137,6 +137,17 @@ def test_the_recorders_socket_lies_where_the_gateways_root_folder_has_it():
         f"\nd {folder} 0750 vcu-gateway-recorder vcu-gateway\n"
         in (SYSTEMD / "tmpfiles.conf").read_text()
     )
+
+
+def test_the_gateways_user_alone_is_in_the_group_of_the_recorders_socket():
+    socket = (SYSTEMD / "vcu-gateway-recorder.socket").read_text()
+    (group,) = re.findall(r"^SocketGroup=(.*)$", socket, re.MULTILINE)
+    users = (SYSTEMD / "sysusers.conf").read_text()
+    assert f"\ng {group} -\n" in users
+    assert re.findall(rf"^m (\S+) {group}$", users, re.MULTILINE) == ["vcu-gateway"]
+    units = "".join(path.read_text() for path in SYSTEMD.glob("*.service"))
+    assert group not in units
+    assert "\nPrivateUsers=" not in RECORDER.read_text()  # it has to see who connects
 
 
 def test_the_recorder_has_no_network_at_all():

@@ -238,8 +238,8 @@ def test_a_description_has_the_digest_of_everything_else_in_it():
     text = '{"a":[1,"\\u00e4"],"b":{"c":null}}'
     digest = hashlib.sha256(text.encode()).hexdigest()
     described = {"b": {"c": None}, "a": [1, "\u00e4"]}
-    assert chain.description_digest(described) == digest
-    assert chain.description_digest({**described, "digest": digest}) == digest
+    assert layout.description_digest(described) == digest
+    assert layout.description_digest({**described, "digest": digest}) == digest
 
 
 def checked_by_the_pages_program(folder):

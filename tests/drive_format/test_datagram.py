@@ -45,7 +45,7 @@ def test_a_frame_of_eight_bytes_takes_22_bytes():
     assert packed.hex() == "0500000000000000" + "79d00a84" + "00" + "08" + "00" * 8
 
 
-@pytest.mark.parametrize("config", ["", "x" * 63_900, "ö" * 500_000], ids=len)
+@pytest.mark.parametrize("config", ["", "x" * 63_900, "ö" * 80_000], ids=len)
 def test_a_hello_of_any_size_is_put_together_again(config):
     hello = {"format": 1, "config": config}
     packed = list(datagram.packed_hello(hello))
@@ -66,9 +66,9 @@ def test_a_hello_that_is_none_is_refused(text):
 
 
 def test_a_hello_without_end_is_refused():
-    text, part = HelloText(), HelloPart(False, bytes(1_000_000))
-    assert [text.take(part) for _ in range(16)] == [None] * 16
-    with pytest.raises(DatagramError, match="16000000 bytes"):
+    text, part = HelloText(), HelloPart(False, bytes(64_000))
+    assert [text.take(part) for _ in range(8)] == [None] * 8
+    with pytest.raises(DatagramError, match="524288 bytes"):
         text.take(part)
 
 

@@ -30,6 +30,7 @@ from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.ring import Ring
+from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.totals import Totals
 
@@ -242,7 +243,9 @@ def test_what_a_begin_line_says_of_losses_is_a_number_or_nothing():
 def test_the_recorder_knows_who_ended_a_connection(ended_by, tmp_path):
     wake_up, awake = socket.socketpair()
     listener = TapListener(tmp_path / "tap.sock", {}, os.getpid())
-    receiver = DatagramReceiver(listener, wake_up, Backlog(1 << 20), lambda: None, lambda _: None)
+    refusals = Refusals(lambda _: None)
+    backlog = Backlog(1 << 20)
+    receiver = DatagramReceiver(listener, wake_up, backlog, lambda: None, {os.geteuid()}, refusals)
     gateway = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     gateway.connect(str(tmp_path / "tap.sock"))
     receiver.look()

@@ -1,6 +1,7 @@
 """Lines that must not wait for the disk, and reasons of incidents."""
 
 import json
+import re
 
 import pytest
 
@@ -45,6 +46,20 @@ def test_a_latched_fault_without_a_cause_is_named_by_its_words_without_values():
     assert trigger.kind == "bms_undervoltage"
 
 
+def test_a_fault_that_was_latched_before_this_start_keeps_its_kind():
+    stale = ["cause_began", "critical", {"cause": "stale", "effect": "cut"}]
+    kept = "before this start: emergency stop requested: cut"
+    (trigger,) = noticed(tick(stale, ["fault_latched", "critical", {"reason": kept}])).triggers
+    assert trigger.kind == "emergency_stop"
+
+
+@pytest.mark.parametrize("cause", ["x" * 300, "../../etc", "a\0b", "\ud800", ""])
+def test_a_kind_can_be_the_name_of_a_folder_whatever_the_cause_is(cause):
+    began = ["cause_began", "critical", {"cause": cause, "effect": "cut"}]
+    (trigger,) = noticed(tick(began, LATCHED)).triggers
+    assert re.fullmatch(r"[0-9A-Za-z_-]{1,40}", trigger.kind)
+
+
 def test_an_emergency_stop_is_one_even_where_a_fault_was_latched_before():
     (trigger,) = noticed(b'{"f":0,"estop":true,"granted":true}\n').triggers
     assert trigger.reason == trigger.kind == "emergency_stop"
@@ -65,6 +80,8 @@ def test_only_an_unexpected_restart_is_one(count, expected):
         b'"estop": 1\n',
         b'{"f":1,"events":[1,[2],["fault_latched","x",3]]}\n',
         b'{"f":1,"events":{"a":1}}\n',
+        b'{"f":1,"events":5}\n',
+        b'{"f":1,"events":[["cause_began","x",7]]}\n',
         b'{"checkpoint":{"estop":true},"f":0}\n',
     ],
 )

@@ -163,6 +163,27 @@ def test_a_time_of_which_there_is_nothing_is_refused(drive):
     said(drive, "keep", drive.name, "--to", "noon", code=2)
 
 
+def test_a_part_that_ends_before_it_begins_is_refused(drive):
+    done = said(drive, "keep", drive.name, "--from", "5", "--to", "2", code=2)
+    assert "--from 5 is after --to 2" in done.stderr
+    assert not layout.recorded_folders(drive.folder / layout.INCIDENTS)
+
+
+def test_a_drive_kept_with_a_reason_is_an_incident_of_its_own_time(drive):
+    name = said(drive, "keep", drive.name, "--reason", "smelled").stdout.strip()
+    path = drive.folder / layout.INCIDENTS / name
+    described = layout.read_description(path / layout.INCIDENT_FILE)
+    assert name[:11] == drive.name[:11]
+    assert described["at"][:4] == name[:4]
+    assert 0 <= described["after_s"] < 600
+    assert described["segments"] == [1, len(layout.segments(path))]
+    text = (path / layout.CONFIG_FILE).read_bytes()
+    assert described["files"][layout.CONFIG_FILE] == hashlib.sha256(text).hexdigest()
+    digest = described.pop("digest")
+    text = json.dumps(described, sort_keys=True, separators=(",", ":")).encode()
+    assert digest == hashlib.sha256(text).hexdigest()
+
+
 def test_now_is_no_part(drive):
     said(drive, "keep", "now", "--from", "3.5", code=2)
 

@@ -80,6 +80,12 @@ def _seconds_option(name: str, parameter: str, default: float, text: str) -> _Op
     metavar="FILE",
     help="Sign each segment and incident with this private key of OpenSSH, without a passphrase.",
 )
+@click.option(
+    "--gateway-user",
+    metavar="USER",
+    help="Who may hand over a drive, besides root and the recorder's own user.  [default:"
+    " vcu-gateway, where that user exists]",
+)
 def command(**options: Any) -> None:
     """Record what the gateways of this machine receive, decide and send.
 

@@ -183,7 +183,10 @@ def keep_command(
         return
     window = Window(_moment("--from", begin), _moment("--to", end))
     start_ns = summarise(recording).begun_wall_ns or 0
-    made = keep_part(folder, recording, *window.bounds_ns(start_ns), plain_reason(reason or ""))
+    begin_ns, end_ns = window.bounds_ns(start_ns)
+    if begin_ns > end_ns:
+        raise click.UsageError(f"--from {begin} is after --to {end}: exchange them")
+    made = keep_part(folder, recording, begin_ns, end_ns, plain_reason(reason or ""))
     click.echo(made.name)
 
 

@@ -17,11 +17,10 @@ one, the chain is broken; it goes on from the one that is likeliest to be next.
 """
 
 import hashlib
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.layout import SegmentFiles
@@ -100,13 +99,6 @@ def file_digests(folder: Path) -> dict[str, str]:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def description_digest(described: Mapping[str, Any]) -> str:
-    """SHA-256 of an incident's description, without what it says of that itself."""
-    rest = {key: value for key, value in described.items() if key != "digest"}
-    text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 class _Latest:

@@ -29,7 +29,7 @@ HELLO, TICK = 1, 2
 PART_BYTES = 64_000
 """Of a HELLO in one datagram, at most; a socket's send buffer takes three times as much."""
 
-MOST_HELLO_BYTES = 16_000_000
+MOST_HELLO_BYTES = 512 << 10
 """Of a whole HELLO; more is no gateway's."""
 
 EXTENDED = 0x8000_0000
@@ -54,7 +54,15 @@ _CHECKPOINT = b'{"checkpoint":'
 
 
 class DatagramError(ValueError):
-    """A datagram is not one of this format; the text says why."""
+    """A datagram is not one of this format; the text says why.
+
+    Attributes:
+        kind: word for like ones, to count by.
+    """
+
+    def __init__(self, what: str, kind: str = "datagram") -> None:
+        super().__init__(what)
+        self.kind = kind
 
 
 class FrameRecord(NamedTuple):
@@ -202,20 +210,25 @@ class HelloText:
     """JSON object of a HELLO, gathered from its parts."""
 
     def __init__(self) -> None:
-        self._text = b""
+        self._text = bytearray()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the parts so far."""
+        return len(self._text)
 
     def take(self, part: HelloPart) -> Mapping[str, Any] | None:
         """Take a part; the object with the last one, else None. DatagramError where it is none."""
+        if self.size + len(part.text) > MOST_HELLO_BYTES:
+            raise DatagramError(f"a HELLO of more than {MOST_HELLO_BYTES} bytes", "hello")
         self._text += part.text
-        if len(self._text) > MOST_HELLO_BYTES:
-            raise DatagramError(f"a HELLO of more than {MOST_HELLO_BYTES} bytes")
         if not part.last:
             return None
-        text, self._text = self._text, b""
+        text, self._text = self._text, bytearray()
         try:
             hello = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise DatagramError(f"the HELLO is no JSON: {error}") from error
+            raise DatagramError(f"the HELLO is no JSON: {str(error)[:100]}", "hello") from error
         if not isinstance(hello, dict) or hello.get("format") != FORMAT:
-            raise DatagramError("the HELLO has no format that this version reads")
+            raise DatagramError("the HELLO has no format that this version reads", "hello")
         return hello

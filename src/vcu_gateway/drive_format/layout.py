@@ -14,6 +14,7 @@ Files and folders are made once: nothing is written again, and nothing is rename
 
 import contextlib
 import errno
+import hashlib
 import json
 import os
 import re
@@ -171,6 +172,27 @@ def description_if_any(path: Path) -> dict[str, Any]:
 def description_bytes(described: Mapping[str, Any]) -> bytes:
     """JSON text of a description, for people too."""
     return json.dumps(described, indent=2, sort_keys=True).encode() + b"\n"
+
+
+def incident_bytes(
+    incident: Mapping[str, Any], links: Iterable[Path], copies: Mapping[str, bytes]
+) -> bytes:
+    """JSON text of an incident.json: with its segments, its copies' digests and its own digest."""
+    found = [segment_number(path.name) for path in links]
+    numbers = [number for number in found if number is not None]
+    described = {
+        **incident,
+        "segments": [min(numbers), max(numbers)] if numbers else None,
+        "files": {name: hashlib.sha256(data).hexdigest() for name, data in copies.items()},
+    }
+    return description_bytes({**described, "digest": description_digest(described)})
+
+
+def description_digest(described: Mapping[str, Any]) -> str:
+    """SHA-256 of an incident's description, without what it says of that itself."""
+    rest = {key: value for key, value in described.items() if key != "digest"}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def write_new(path: Path, data: bytes) -> None:

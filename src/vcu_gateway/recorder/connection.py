@@ -8,34 +8,50 @@ from typing import Any
 
 from vcu_gateway.drive_format import datagram
 from vcu_gateway.drive_format.datagram import DatagramError, HelloPart, HelloText, TickParts
+from vcu_gateway.recorder.bounds import check_lines, checked_hello
+from vcu_gateway.recorder.senders import Allowance, Sender
 
-_BUFFER_BYTES = 4 << 20
-_HELLO_KEYS = {"run": str, "channel": str, "clock": dict, "config": str, "dbc": str}
-_CLOCK_KEYS = ("monotonic_ns", "wall_ns")
+_BUFFER_BYTES = 1 << 20
+_MOST_FRAMES = 50_000
+_MOST_COUNT = 1 << 63
+_CHECKPOINTS = 20, 4.0
+"""At once, and a second: a gateway that loses datagrams sends one every 250 ms."""
 
 
 class GatewayConnection:
     """Connected gateway, as the receiver's thread has it.
 
     Attributes:
+        sender: process at the other end.
         hello: what it said of itself; None before that.
         begin_again: it is to be closed, so that its gateway connects again and begins a segment.
         ended_by_gateway: its gateway has closed it.
+        fault: why it is to be closed for good: its data cannot be written; None without.
+        begun_s, latest_s: when it began, and when the latest datagram came, monotonic.
         frames: that it handed on so far, lost ones counted, since the gateway started.
         since_wall_ns, last_wall_ns: when it began, and when the latest datagram came.
     """
 
-    def __init__(self, sock: socket.socket) -> None:
+    def __init__(self, sock: socket.socket, sender: Sender) -> None:
         self._sock = sock
+        self.sender = sender
         self._hello_text = HelloText()
         self.hello: Mapping[str, Any] | None = None
         self.begin_again = self.ended_by_gateway = False
+        self.fault: DatagramError | None = None
         self.frames = 0
+        self._checkpoints = Allowance(*_CHECKPOINTS)
+        self.begun_s = self.latest_s = time.monotonic()
         self.since_wall_ns = self.last_wall_ns = time.time_ns()
 
     def fileno(self) -> int:
         """Descriptor, for a selector."""
         return self._sock.fileno()
+
+    @property
+    def unfinished_bytes(self) -> int:
+        """Of a HELLO whose last part has not come."""
+        return self._hello_text.size
 
     def receive(self, buffer: bytearray) -> TickParts | None:
         """The next tick; None for a part of the HELLO.
@@ -48,26 +64,36 @@ class GatewayConnection:
             raise EOFError
         if size > len(buffer):
             raise DatagramError(f"a datagram of {size} bytes is too long")
-        self.last_wall_ns = time.time_ns()
+        self.last_wall_ns, self.latest_s = time.time_ns(), time.monotonic()
         received = bytes(memoryview(buffer)[:size])
         if received[0] != datagram.HELLO:
             return self._tick(received)
         part = datagram.unpack(received)
-        if isinstance(part, HelloPart):
-            self._take(part)
+        if not isinstance(part, HelloPart) or self.hello is not None:
+            raise DatagramError("a HELLO after the HELLO")
+        self._take(part)
         return None
 
     def _tick(self, received: bytes) -> TickParts:
         if self.hello is None:
             raise DatagramError("a tick before the HELLO")
         tick = datagram.tick_parts(received)
+        if tick.frame_count > _MOST_FRAMES:
+            raise DatagramError(f"{tick.frame_count} frames in one datagram are too many")
+        if max(tick.header) >= _MOST_COUNT or tick.header.frames < tick.frame_count:
+            raise DatagramError("its numbers of frames and datagrams cannot be")
+        check_lines(tick.lines)
+        if tick.begins_segment and not self._checkpoints.take():
+            raise DatagramError("too many checkpoints", "rate")
         self.frames = tick.header.frames
         return tick
 
     def _take(self, part: HelloPart) -> None:
+        if len(part.text) > datagram.PART_BYTES:
+            raise DatagramError(f"a part of {len(part.text)} bytes is too long", "hello")
         hello = self._hello_text.take(part)
         if hello is not None:
-            self.hello = _checked(hello)
+            self.hello = checked_hello(hello)
 
     def close(self) -> None:
         """End it."""
@@ -78,15 +104,3 @@ class GatewayConnection:
 def new_buffer() -> bytearray:
     """Room for the longest datagram."""
     return bytearray(_BUFFER_BYTES)
-
-
-def _checked(hello: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The HELLO; DatagramError where what the recorder needs is not in it."""
-    for key, kind in _HELLO_KEYS.items():
-        if not isinstance(hello.get(key), kind):
-            raise DatagramError(f"the HELLO has no {key}")
-    if not all(isinstance(hello["clock"].get(key), int) for key in _CLOCK_KEYS):
-        raise DatagramError("the HELLO has no clock")
-    if not hello["run"] or not hello["channel"].isprintable() or " " in hello["channel"]:
-        raise DatagramError("the HELLO's run or channel cannot be used")
-    return hello

@@ -17,6 +17,24 @@ _PROBE_BYTES = 64 << 10
 _PROBE_NAME = ".probe"
 
 
+_NOT_THE_DISK = (
+    errno.ENAMETOOLONG,
+    errno.EINVAL,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.ELOOP,
+    errno.EEXIST,
+    errno.ENOTEMPTY,
+    errno.EACCES,
+)
+"""What a name or a folder answers that is wrong: the disk takes everything else."""
+
+
+def is_of_a_name(error: OSError) -> bool:
+    """True where a name or a folder is at fault and the disk is not."""
+    return error.errno in _NOT_THE_DISK
+
+
 def is_full(error: OSError) -> bool:
     """True where there is no room: what could not be written may fit later."""
     return error.errno in _NO_ROOM

@@ -99,7 +99,9 @@ class Incidents:
         if reasons < _MOST_REASONS:
             reasons += 1
             path = opened.folder / f"incident-{reasons}.json"
-            layout.write_new(path, self._description(trigger, opened.folder, opened.drive.name))
+            links = [one for found in layout.segments(opened.folder) for one in found.paths]
+            description = self._description(trigger, opened.folder, opened.drive.name, links)
+            layout.write_new(path, description)
             layout.sync_folder(opened.folder)
         longer = opened._replace(reasons=reasons, until_s=now_s + self._options.after_s)
         self._open[self._open.index(opened)] = longer
@@ -115,20 +117,22 @@ class Incidents:
         self, trigger: Trigger, drive: Path, files: Iterable[Path], suffix: str = ""
     ) -> Path:
         name = layout.incident_name(time.time_ns(), trigger.kind) + suffix
-        folder = _free_name(self._parent / name)
-        described = {layout.INCIDENT_FILE: self._description(trigger, drive, drive.name)}
-        described |= {name: (drive / name).read_bytes() for name in _COPIES}
-        layout.create_folder(folder, described, files)
+        folder, links = _free_name(self._parent / name), list(files)
+        description = self._description(trigger, drive, drive.name, links)
+        copies = {name: (drive / name).read_bytes() for name in _COPIES}
+        layout.create_folder(folder, {layout.INCIDENT_FILE: description, **copies}, links)
         if self._signer is not None:
             self._signer.incident_made(folder, drive)
         self.keep_budget(newest=folder)
         return folder
 
-    def _description(self, trigger: Trigger, described_in: Path, drive: str) -> bytes:
+    def _description(
+        self, trigger: Trigger, described_in: Path, drive: str, links: Iterable[Path]
+    ) -> bytes:
         wall_ns = time.time_ns()
         described = layout.description_if_any(described_in / layout.DRIVE_FILE)
         told = {key: described.get(key) for key in ("run", "channel", "config_digest")}
-        return layout.description_bytes(
+        return layout.incident_bytes(
             {
                 "format": layout.FORMAT,
                 **trigger._asdict(),
@@ -138,7 +142,9 @@ class Incidents:
                 "after_s": self._options.after_s,
                 "drive": drive,
                 **told,
-            }
+            },
+            links,
+            {name: (described_in / name).read_bytes() for name in _COPIES},
         )
 
     def keep_budget(self, newest: Path | None = None) -> None:

@@ -20,6 +20,8 @@ class RecorderOptions(NamedTuple):
         incident_max_bytes: of all incidents.
         memory_bytes: of what waits for the disk.
         before_s, after_s: what an incident keeps around its reason.
+        gateway_user: who may hand over, besides root and the recorder's own user; None:
+            vcu-gateway, where that user exists.
         status_path: file that says once a second how it goes; None: there is none.
         sign_key: private key of OpenSSH, without a passphrase, that signs; None: nothing is signed.
     """
@@ -34,6 +36,7 @@ class RecorderOptions(NamedTuple):
     after_s: float = 30.0
     status_path: Path | None = None
     sign_key: Path | None = None
+    gateway_user: str | None = None
 
 
 _UNITS = {"": 1, "k": _KIB, "m": _MIB, "g": _GIB, "t": 1 << 40}

@@ -16,6 +16,7 @@ from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.receiver import DatagramReceiver
+from vcu_gateway.recorder.senders import Refusals, trusted_users
 from vcu_gateway.recorder.status import StatusFile
 from vcu_gateway.recorder.writer import Writer
 
@@ -39,14 +40,16 @@ class Recorder:
         self._options = options
         self._say = say
         self._stop = False
+        self._trusted = trusted_users(options.gateway_user)
         self._lock = _locked(options)
         self._backlog = Backlog(options.memory_bytes)
         self._disk = Disk(say)
+        self._refusals = Refusals(say)
         try:
-            self._writer = Writer(options, self._backlog, self._disk, say)
+            self._writer = Writer(options, self._backlog, self._disk, say, self._refusals)
         except OSError as error:
             raise _cannot_use(options, error) from error
-        self._status = StatusFile(options, self._writer, self._backlog, self._disk)
+        self._status = StatusFile(options, self._writer, self._backlog, self._disk, self._refusals)
 
     def run(self) -> None:
         """Record until a signal; UnavailableError, and GatewayError after a bug of the writer."""
@@ -54,7 +57,12 @@ class Recorder:
             # After the signals: whoever finds the socket may stop the recorder, in order.
             listener = TapListener(self._options.socket_path, os.environ, os.getpid())
             receiver = DatagramReceiver(
-                listener, wake_up, self._backlog, self._writer.wake, self._say
+                listener,
+                wake_up,
+                self._backlog,
+                self._writer.wake,
+                self._trusted,
+                self._refusals,
             )
             self._writer.start()
             self._say(f"recording into {self._options.folder}, from {listener.name}")

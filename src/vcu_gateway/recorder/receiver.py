@@ -3,15 +3,23 @@
 import selectors
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 
 from vcu_gateway.drive_format.datagram import DatagramError, TickParts
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received, received
 from vcu_gateway.recorder.connection import GatewayConnection, new_buffer
 from vcu_gateway.recorder.listener import TapListener
+from vcu_gateway.recorder.senders import Allowance, Refusals, Sender, sender_of
 
 _MOST_CONNECTIONS = 16
+_MOST_WITHOUT_HELLO = 8
+_MOST_UNFINISHED_BYTES = 2 << 20
+_HELLO_S = 5.0
+_QUIET_S = 5.0
+_RUNS = 16, 0.5
+"""New ones of one process, at once and a second: each makes a folder, and waits for the disk."""
+_MOST_SENDERS = 64
 _MOST_AT_ONCE = 200
 _MOST_OF_ONE = 20
 _WAKE_UP_BYTES = 4096
@@ -31,16 +39,22 @@ class DatagramReceiver:
         wake_up: socket.socket,
         backlog: Backlog,
         urgent: Callable[[], None],
-        say: Callable[[str], None],
+        trusted: Container[int],
+        refusals: Refusals,
     ) -> None:
-        """`wake_up` ends a wait when it can be read; `urgent` is called for what is not to wait."""
+        """`wake_up` ends a wait when it can be read; `urgent` is called for what is not to wait.
+
+        `trusted` are the ids of the users who may hand over.
+        """
         self.connections: list[GatewayConnection] = []
         self.urgent_s = 0.0
         self._listener = listener
         self._wake_up = wake_up
         self._backlog = backlog
         self._urgent = urgent
-        self._say = say
+        self._trusted = trusted
+        self._refusals = refusals
+        self._runs: dict[Sender, tuple[set[str], Allowance]] = {}
         self._buffer = new_buffer()
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener.sock, selectors.EVENT_READ)
@@ -50,9 +64,9 @@ class DatagramReceiver:
         """Wait for something, for at most this time, and take all that has come."""
         for _ in range(_MOST_AT_ONCE):
             ready = self._selector.select(timeout_s)
+            self._take(ready)
             if not ready:
                 return
-            self._take(ready)
             timeout_s = 0.0
 
     def _take(self, ready: Sequence[tuple[selectors.SelectorKey, int]]) -> None:
@@ -63,8 +77,15 @@ class DatagramReceiver:
                 self._wake_up.recv(_WAKE_UP_BYTES)
             else:
                 self._read(key.data)
-        for connection in [one for one in self.connections if one.begin_again]:
-            self._end(connection)
+        late_s = time.monotonic() - _HELLO_S
+        for connection in list(self.connections):
+            if connection.fault is not None:
+                self._refuse(connection, connection.fault)
+            elif connection.begin_again:
+                self._end(connection)
+            elif connection.hello is None and connection.begun_s < late_s:
+                late = DatagramError(f"no whole HELLO within {_HELLO_S:.0f} s", "hello_late")
+                self._refuse(connection, late)
 
     def look(self) -> None:
         """Take what has come, without waiting; connections are not asked whether something has."""
@@ -82,34 +103,83 @@ class DatagramReceiver:
     def _accept(self) -> None:
         try:
             sock, _ = self._listener.sock.accept()
+            sender = sender_of(sock)
         except OSError:
             return
-        if len(self.connections) >= _MOST_CONNECTIONS:
-            self._say(f"more than {_MOST_CONNECTIONS} connections; one is turned away")
+        if sender.uid not in self._trusted:
+            what = f"{sender} may not hand over a drive: turned away (--gateway-user)"
+            self._refusals.note("sender", what)
+            sock.close()
+            return
+        if not self._made_room():
+            what = f"more than {_MOST_CONNECTIONS} connections: {sender} is turned away"
+            self._refusals.note("connections", what)
             sock.close()
             return
         sock.setblocking(False)
-        connection = GatewayConnection(sock)
+        connection = GatewayConnection(sock, sender)
         self.connections.append(connection)
         self._selector.register(connection, selectors.EVENT_READ, connection)
+
+    def _made_room(self) -> bool:
+        """True where one more connection has room; one that only takes room is ended for it."""
+        without = [one for one in self.connections if one.hello is None]
+        if len(without) >= _MOST_WITHOUT_HELLO:
+            self._refuse(without[0], DatagramError("too many without a HELLO", "connections"))
+        if len(self.connections) < _MOST_CONNECTIONS:
+            return True
+        quiet = min(self.connections, key=lambda one: one.latest_s)
+        if time.monotonic() - quiet.latest_s < _QUIET_S:
+            return False
+        self._refuse(quiet, DatagramError("too many connections, and it is quiet", "connections"))
+        return True
 
     def _read(self, connection: GatewayConnection) -> None:
         """Take what waits, some datagrams at most; the selector tells of more."""
         for _ in range(_MOST_OF_ONE):
             try:
                 tick = connection.receive(self._buffer)
+                if tick is None:
+                    self._check_hello(connection)
+                else:
+                    self._put(connection, tick)
             except BlockingIOError:
                 return
             except DatagramError as error:
-                self._say(f"a connection is closed: {error}")
-                self._end(connection)
+                self._refuse(connection, error)
                 return
             except (OSError, EOFError) as error:
                 connection.ended_by_gateway = isinstance(error, EOFError)
                 self._end(connection)
                 return
-            if tick is not None:
-                self._put(connection, tick)
+            except Exception as error:  # noqa: BLE001
+                self._refuse(connection, DatagramError(repr(error)[:200], "fault"))
+                return
+
+    def _check_hello(self, connection: GatewayConnection) -> None:
+        """DatagramError where its run is another's, or the HELLOs take too much memory."""
+        hello = connection.hello
+        if hello is None:
+            if sum(one.unfinished_bytes for one in self.connections) > _MOST_UNFINISHED_BYTES:
+                raise DatagramError("the unfinished HELLOs are too long together", "hello")
+            return
+        for one in self.connections:
+            is_other = one is not connection and one.sender != connection.sender
+            if is_other and one.hello is not None and one.hello["run"] == hello["run"]:
+                raise DatagramError(f"its run is that of {one.sender}, which is connected", "run")
+        self._count_run(connection.sender, hello["run"])
+
+    def _count_run(self, sender: Sender, run: str) -> None:
+        """DatagramError where one process brings too many runs; a gateway has one."""
+        if sender not in self._runs:
+            for old in list(self._runs)[: 1 - _MOST_SENDERS]:
+                del self._runs[old]
+            self._runs[sender] = set(), Allowance(*_RUNS)
+        known, allowance = self._runs[sender]
+        if run not in known and not allowance.take():
+            raise DatagramError("too many runs of one process", "rate")
+        if len(known) < _RUNS[0]:
+            known.add(run)
 
     def _put(self, connection: GatewayConnection, tick: TickParts) -> None:
         is_urgent = triggers.may_be_urgent(tick.lines)
@@ -117,6 +187,13 @@ class DatagramReceiver:
         if is_urgent:
             self.urgent_s = time.monotonic()
             self._urgent()
+
+    def _refuse(self, connection: GatewayConnection, error: DatagramError) -> None:
+        """End it for what it handed over."""
+        if connection in self.connections:
+            what = f"the connection of {connection.sender} is closed: {error}"
+            self._refusals.note(error.kind, what)
+            self._end(connection)
 
     def _end(self, connection: GatewayConnection) -> None:
         if connection in self.connections:

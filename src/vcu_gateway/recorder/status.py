@@ -15,6 +15,7 @@ from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import free_bytes, total_bytes
+from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.writer import Writer
 
 FORMAT = 1
@@ -29,13 +30,19 @@ class StatusFile:
     """
 
     def __init__(
-        self, options: RecorderOptions, writer: Writer, backlog: Backlog, disk: Disk
+        self,
+        options: RecorderOptions,
+        writer: Writer,
+        backlog: Backlog,
+        disk: Disk,
+        refusals: Refusals,
     ) -> None:
         self.path = options.status_path
         self._options = options
         self._writer = writer
         self._backlog = backlog
         self._disk = disk
+        self._refusals = refusals
         self._started_wall_ns = time.time_ns()
         self._written: deque[tuple[float, int]] = deque([(time.monotonic(), 0)], _RATE_S + 1)
         self._space: Mapping[str, int] = {}
@@ -71,6 +78,7 @@ class StatusFile:
             "sync_seconds": {"last": totals.last_sync_s, "max_minute": totals.longest_sync_s},
             "memory": {"bytes": self._backlog.size, "max_bytes": options.memory_bytes},
             "totals": self._totals(),
+            "refused": dict(self._refusals.counts),
             "bytes_a_second": self._rate(),
             "connections": [_connection(one, writer) for one in connections if one.hello],
         }

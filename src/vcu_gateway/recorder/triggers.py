@@ -13,6 +13,10 @@ REQUESTED = "requested"
 _URGENT = (b'"events":', b'"mode":', b'"estop":', b'"restarted":')
 _STOPPING_EFFECTS = ("stop", "cut")
 _CODE = "code"
+_BEFORE_THIS_START = "before this start: "
+"""Begin of the reason of a fault that the gateway before had latched (daemon.restart_state)."""
+_LONGEST_KIND = 40
+_LONGEST_REASON = 200
 
 
 class Trigger(NamedTuple):
@@ -20,7 +24,7 @@ class Trigger(NamedTuple):
 
     Attributes:
         reason: one of the four words above.
-        kind: word for like ones: the cause of a latched fault, else the reason.
+        kind: word for like ones, plain and short: the cause of a latched fault, else the reason.
         what: sentence for people.
     """
 
@@ -62,7 +66,8 @@ def _noticed(values: Mapping[str, Any]) -> Noticed:
     if "estop" in values:
         return Noticed(True, (Trigger(EMERGENCY_STOP, EMERGENCY_STOP, "emergency stop"),))
     if restarts := values.get("restarted"):
-        what = f"the gateway restarted unexpectedly, {restarts} times in this drive"
+        count = str(restarts)[:20]
+        what = f"the gateway restarted unexpectedly, {count} times in this drive"
         return Noticed(True, (Trigger(RESTARTED_UNEXPECTEDLY, RESTARTED_UNEXPECTEDLY, what),))
     triggers = tuple(_latched(values.get("events")))
     return Noticed("mode" in values or bool(triggers), triggers)
@@ -70,11 +75,25 @@ def _noticed(values: Mapping[str, Any]) -> Noticed:
 
 def _latched(events: Any) -> Iterator[Trigger]:
     """A trigger for each fault that was latched; named by the cause that stopped the vehicle."""
-    described = [one for one in events or () if isinstance(one, list) and len(one) == 3]
+    listed = events if isinstance(events, list) else []
+    described = [
+        one
+        for one in listed
+        if isinstance(one, list) and len(one) == 3 and isinstance(one[2], dict)
+    ]
     for name, _, fields in described:
-        if name == FAULT_LATCHED and isinstance(fields, dict):
-            reason = str(fields.get("reason", ""))
+        if name == FAULT_LATCHED:
+            reason = _printable(str(fields.get("reason", "")))
             yield Trigger(FAULT_LATCHED, _cause(described, reason), f"fault latched: {reason}")
+
+
+def _printable(text: str) -> str:
+    return "".join(one if one.isprintable() else "?" for one in text[:_LONGEST_REASON])
+
+
+def _word(text: str) -> str:
+    """A kind that can be in the name of a folder."""
+    return re.sub(r"[^0-9A-Za-z_-]", "_", text)[:_LONGEST_KIND] or FAULT_LATCHED
 
 
 def _kind(cause: str, subject: str) -> str:
@@ -83,8 +102,11 @@ def _kind(cause: str, subject: str) -> str:
 
 
 def _cause(events: list[list[Any]], reason: str) -> str:
+    is_kept = reason.startswith(_BEFORE_THIS_START)
     for name, _, fields in events:
-        if name == "cause_began" and fields.get("effect") in _STOPPING_EFFECTS:
-            return _kind(str(fields.get("cause")), str(fields.get("subject") or ""))
-    words = re.findall(r"[a-z]+", reason.partition(":")[0].lower())
-    return "_".join(words[:5]) or FAULT_LATCHED
+        stops = name == "cause_began" and str(fields.get("effect")) in _STOPPING_EFFECTS
+        if stops and not is_kept:  # what began now is not why the gateway before had latched
+            return _word(_kind(str(fields.get("cause")), str(fields.get("subject") or "")))
+    first = reason.removeprefix(_BEFORE_THIS_START).partition(":")[0]
+    words = "_".join(re.findall(r"[a-z]+", first.lower())[:5])
+    return EMERGENCY_STOP if words.startswith(EMERGENCY_STOP) else _word(words)

@@ -9,14 +9,16 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.datagram import DatagramError
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
-from vcu_gateway.recorder.disk import Disk, is_full, probe
+from vcu_gateway.recorder.disk import Disk, is_full, is_of_a_name, probe
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, free_bytes
+from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.recorder.triggers import Trigger
@@ -53,6 +55,7 @@ class Writer:
         backlog: Backlog,
         disk: Disk,
         say: Callable[[str], None],
+        refusals: Refusals,
     ) -> None:
         """Find what is recorded already; OSError where the folder cannot be read."""
         self.totals = Totals()
@@ -65,6 +68,7 @@ class Writer:
         self._backlog = backlog
         self._disk = disk
         self._say = say
+        self._refusals = refusals
         self._runs: dict[str, DriveRecorder] = {}
         self._held: Received | None = None
         self._pending: deque[_Pending] = deque()
@@ -154,16 +158,30 @@ class Writer:
             self._held = self._held or self._backlog.take()
             if self._held is None:
                 return
-            self._take(self._held)
+            try:
+                self._take(self._held)
+            except OSError:
+                raise
+            except Exception as error:  # noqa: BLE001
+                self._give_up(self._held.connection, error)
             self._held = None
             for drive in self.drives.values():
                 if drive.segment is not None and drive.segment.waiting > _MOST_WAITING:
                     self._flush(drive)
 
+    def _give_up(self, connection: GatewayConnection, error: Exception) -> None:
+        """Have a connection closed whose data cannot be written; what waits of it is lost."""
+        connection.fault = connection.fault or DatagramError(repr(error)[:200], "fault")
+        drive = self.drives.get(connection)
+        if drive is not None:
+            drive.abandon("what was handed over could not be written")
+
     def _take(self, item: Received) -> None:
         connection, tick = item.connection, item.tick
         if tick is None:
             self._close(connection)
+            return
+        if connection.fault is not None:
             return
         drive = self._drive_of(connection)
         before = drive.segment
@@ -247,8 +265,14 @@ class Writer:
         self._keep_incidents()
 
     def _flush(self, drive: DriveRecorder) -> None:
-        with self._abandoning(drive):
-            drive.flush()
+        try:
+            with self._abandoning(drive):
+                drive.flush()
+        except OSError:
+            raise
+        except Exception as error:  # noqa: BLE001
+            for connection in [one for one, its in self.drives.items() if its is drive]:
+                self._give_up(connection, error)
 
     @property
     def drives_bytes(self) -> int:
@@ -274,20 +298,34 @@ class Writer:
             wanted = _REQUESTED._replace(what=self._given_reason() or _REQUESTED.what)
             self._pending += [_Pending(drive, wanted) for drive in self.drives.values()]
         while self._pending:
-            drive, trigger = self._pending[0]
-            try:
-                if trigger is None:
-                    self.incidents.segment_began(drive)
-                else:
-                    self.incidents.begin(trigger, drive)
-            except FileNotFoundError:
-                pass  # somebody removed it meanwhile
-            except OSError as error:
-                if error.errno not in _NO_LINKS:
-                    raise
-                self._say_no_links(error)
+            self._keep_incident(*self._pending[0])
             self._pending.popleft()
         self.incidents.forget_ended()
+
+    def _keep_incident(self, drive: DriveRecorder, trigger: Trigger | None) -> None:
+        """Make one, or give it up where it cannot be made; OSError where the disk is at fault."""
+        try:
+            if trigger is None:
+                self.incidents.segment_began(drive)
+            else:
+                self.incidents.begin(trigger, drive)
+        except FileNotFoundError:
+            pass  # somebody removed it meanwhile
+        except OSError as error:
+            if error.errno in _NO_LINKS:
+                self._say_no_links(error)
+            elif is_of_a_name(error):
+                self._give_up_incident(trigger, error)
+            else:
+                raise
+        except Exception as error:  # noqa: BLE001
+            self._give_up_incident(trigger, error)
+
+    def _give_up_incident(self, trigger: Trigger | None, error: Exception) -> None:
+        """It cannot be made, and not for want of a disk: those that follow are."""
+        kind = "the open incident" if trigger is None else f"the incident {trigger.kind}"
+        why = (error.strerror if isinstance(error, OSError) else None) or repr(error)[:200]
+        self._refusals.note("incident", f"{kind} cannot be kept and is given up: {why}")
 
     def _say_no_links(self, error: OSError) -> None:
         """Once: what is recorded goes on."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from vcu_gateway.drive_format import chain, layout
+from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.errors import DataError, GatewayError
 from vcu_gateway.recordings.checked_segment import CheckedSegment, FaultKind, FileFault
@@ -78,7 +78,7 @@ def incident_faults(
         described = layout.description_if_any(path)
         if not described or not ("digest" in described or is_chained):
             continue
-        if described.get("digest") != chain.description_digest(described):
+        if described.get("digest") != layout.description_digest(described):
             what = "was changed: its digest is not that of what it says"
             yield FileFault(path.name, what, FaultKind.CHANGED)
             continue

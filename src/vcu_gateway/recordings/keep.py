@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from pathlib import Path
 
-from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format import layout, signature
 from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath, write_error
@@ -31,23 +31,35 @@ def keep_part(
     """Make an incident, which the recorder never removes, of the segments in that time.
 
     Hard links: it takes no room while the drive is there. Both stamps are of the wall clock.
-    DataError where nothing was recorded then.
+    What lies outside the recording is left out. DataError where nothing was recorded then.
     """
-    links = [
-        path
+    chosen = [
+        (segment, first_ns, last_ns)
         for segment, first_ns, last_ns in segment_times(drive.path)
         if first_ns <= end_ns and last_ns >= begin_ns
-        for path in segment.paths
     ]
+    links = [path for segment, _, _ in chosen for path in (*segment.paths, *_signed(segment))]
     if not links:
         what = "has nothing of that time"
         raise DataError(Problem(what, drive.name, "vcu-gateway recordings list, all times in UTC"))
+    # Without a bound it is the drive's own: the incident says what it holds.
+    begin_ns, end_ns = max(begin_ns, chosen[0][1]), min(end_ns, chosen[-1][2])
     path = _free_name(folder.path / layout.INCIDENTS, begin_ns)
     try:
-        layout.create_folder(path, _incident_files(drive, begin_ns, end_ns, reason), links)
+        files = _incident_files(drive, begin_ns, end_ns, reason, links)
+        layout.create_folder(path, files, links)
     except OSError as error:
         raise write_error(error, path) from error
     return RecordingPath("incident", path)
+
+
+def _signed(segment: SegmentFiles) -> list[Path]:
+    """The segment's signature, and what is signed; nothing of an unsigned one."""
+    if not segment.paths:
+        return []
+    link = segment.paths[0].with_name(signature.link_name(segment.number))
+    files = (link, link.with_name(f"{link.name}{signature.SUFFIX}"))
+    return [path for path in files if path.exists()]
 
 
 def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
@@ -69,7 +81,7 @@ def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
 
 
 def _incident_files(
-    drive: RecordingPath, begin_ns: int, end_ns: int, reason: str
+    drive: RecordingPath, begin_ns: int, end_ns: int, reason: str, links: list[Path]
 ) -> dict[str, bytes]:
     """Description, copies of the drive's own, and the mark that it stays."""
     described = layout.read_description(drive.path / layout.DRIVE_FILE)
@@ -87,10 +99,11 @@ def _incident_files(
     }
     copied = (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE)
     present = [drive.path / name for name in copied if (drive.path / name).exists()]
+    copies = {path.name: path.read_bytes() for path in present}
     return {
-        layout.INCIDENT_FILE: layout.description_bytes(incident),
+        layout.INCIDENT_FILE: layout.incident_bytes(incident, links, copies),
         layout.KEEP_FILE: b"",
-        **{path.name: path.read_bytes() for path in present},
+        **copies,
     }
 
 
