@@ -27,8 +27,10 @@ class Received(NamedTuple):
 
 
 def received(connection: GatewayConnection, tick: TickParts, is_urgent: bool) -> Received:
-    """What goes into the queue for a tick."""
+    """What goes into the queue for a tick; one that may begin a drive holds its HELLO there."""
     size = _ITEM_BYTES + len(tick.frames) + len(tick.lines)
+    if tick.begins_segment or not connection.handed_on:
+        size += connection.hello_bytes
     return Received(connection, tick, size, is_urgent)
 
 
@@ -47,13 +49,14 @@ class Backlog:
         self._max_bytes = max_bytes
         self._items: deque[Received] = deque()
         self._lock = threading.Lock()
+        self._sizes: dict[GatewayConnection, int] = {}
         self.size = self.dropped = 0
 
     def put(self, item: Received) -> None:
         """Append, whatever has to go for it."""
         with self._lock:
             self._items.append(item)
-            self.size += item.size
+            self._grow(item, item.size)
             while self.size > self._max_bytes and self._drop_oldest():
                 pass
 
@@ -63,27 +66,43 @@ class Backlog:
             if not self._items:
                 return None
             item = self._items.popleft()
-            self.size -= item.size
+            self._grow(item, -item.size)
             return item
+
+    def _grow(self, item: Received, size: int) -> None:
+        self.size += size
+        left = self._sizes.get(item.connection, 0) + size
+        if left:
+            self._sizes[item.connection] = left
+        else:
+            self._sizes.pop(item.connection, None)
 
     def _drop_oldest(self) -> bool:
         """Drop a connection's oldest ticks up to its next segment; False where there are none.
 
+        It is the connection that has most in the queue: the others do not lose by it.
         Where all of them go its gateway is to connect again: that begins a segment.
         """
-        ticks = ((item, item.tick) for item in self._items if item.tick is not None)
+        most = max(self._sizes, key=lambda one: self._sizes[one])
+        ticks = (
+            (item, item.tick)
+            for item in self._items
+            if item.tick is not None and item.connection is most
+        )
         oldest, _ = next(ticks, (None, None))
         if oldest is None:
             return False
         dropped = {id(oldest)}
         for item, tick in ticks:
-            if item.connection is oldest.connection:
-                if tick.begins_segment:
-                    break
-                dropped.add(id(item))
+            if tick.begins_segment:
+                break
+            dropped.add(id(item))
         else:
             oldest.connection.begin_again = True
-        self.size -= sum(item.size for item in self._items if id(item) in dropped)
+            oldest.connection.forget_hello()
+        for item in self._items:
+            if id(item) in dropped:
+                self._grow(item, -item.size)
         self._items = deque(item for item in self._items if id(item) not in dropped)
         self.dropped += len(dropped)
         return True

@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import sys
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -26,6 +27,8 @@ class GatewayConnection:
         hello: what it said of itself; None before that.
         begin_again: it is to be closed, so that its gateway connects again and begins a segment.
         ended_by_gateway: its gateway has closed it.
+        handed_on: a tick of it was put into the backlog.
+        hello_bytes: that the long texts of its HELLO take in memory.
         fault: why it is to be closed for good: its data cannot be written; None without.
         begun_s, latest_s: when it began, and when the latest datagram came, monotonic.
         frames: that it handed on so far, lost ones counted, since the gateway started.
@@ -37,7 +40,8 @@ class GatewayConnection:
         self.sender = sender
         self._hello_text = HelloText()
         self.hello: Mapping[str, Any] | None = None
-        self.begin_again = self.ended_by_gateway = False
+        self.begin_again = self.ended_by_gateway = self.handed_on = False
+        self.hello_bytes = 0
         self.fault: DatagramError | None = None
         self.frames = 0
         self._checkpoints = Allowance(*_CHECKPOINTS)
@@ -94,6 +98,13 @@ class GatewayConnection:
         hello = self._hello_text.take(part)
         if hello is not None:
             self.hello = checked_hello(hello)
+            self.hello_bytes = sum(sys.getsizeof(hello[key]) for key in ("config", "dbc"))
+
+    def forget_hello(self) -> None:
+        """Keep of it what is shown: its drive has the rest, or there will be none."""
+        if self.hello is not None:
+            self.hello = {key: self.hello[key] for key in ("run", "channel")}
+            self.hello_bytes = 0
 
     def close(self) -> None:
         """End it."""

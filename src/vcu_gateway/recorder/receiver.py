@@ -137,6 +137,8 @@ class DatagramReceiver:
     def _read(self, connection: GatewayConnection) -> None:
         """Take what waits, some datagrams at most; the selector tells of more."""
         for _ in range(_MOST_OF_ONE):
+            if connection.begin_again:
+                return  # it is about to end
             try:
                 tick = connection.receive(self._buffer)
                 if tick is None:
@@ -184,6 +186,7 @@ class DatagramReceiver:
     def _put(self, connection: GatewayConnection, tick: TickParts) -> None:
         is_urgent = triggers.may_be_urgent(tick.lines)
         self._backlog.put(received(connection, tick, is_urgent))
+        connection.handed_on = True
         if is_urgent:
             self.urgent_s = time.monotonic()
             self._urgent()
@@ -200,8 +203,9 @@ class DatagramReceiver:
             self.connections.remove(connection)
             self._selector.unregister(connection)
             connection.close()
-            self._backlog.put(Received(connection, None))
-            self._urgent()
+            if connection.handed_on:
+                self._backlog.put(Received(connection, None))
+                self._urgent()
 
     def close(self) -> None:
         """End every connection."""

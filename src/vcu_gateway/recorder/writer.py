@@ -211,6 +211,7 @@ class Writer:
         drive = self.drives.get(connection)
         if drive is None:
             drive = self._begun(connection.hello or {})
+            connection.forget_hello()
             self.drives = {one: its for one, its in self.drives.items() if its is not drive}
             self.drives[connection] = drive
         return drive
