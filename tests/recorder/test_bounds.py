@@ -1,11 +1,14 @@
 """What a gateway hands over is bounded and checked before anything of it is kept."""
 
 import json
+import os
+import subprocess
 
 import pytest
 
 from vcu_gateway.drive_format.datagram import DatagramError
 from vcu_gateway.recorder import bounds
+from vcu_gateway.recorder.senders import RunOwners, Sender
 
 HELLO = {
     "format": 1,
@@ -98,3 +101,16 @@ def test_core_lines_that_are_none_of_a_gateway_are_refused(lines):
     with pytest.raises(DatagramError) as refused:
         bounds.check_lines(lines)
     assert refused.value.kind == "core_lines"
+
+
+def test_a_run_is_that_of_the_process_that_named_it_first_as_long_as_that_one_lives():
+    owners, mine = RunOwners(), Sender(os.getpid(), 0, 0)
+    parent = Sender(os.getppid(), 0, 0)
+    assert owners.other("a", mine) is None
+    assert owners.other("a", mine) is None
+    assert owners.other("a", parent) == mine
+    assert owners.other("b", parent) is None
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    assert owners.other("c", Sender(gone.pid, 0, 0)) is None
+    assert owners.other("c", mine) is None

@@ -10,7 +10,7 @@ from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received, received
 from vcu_gateway.recorder.connection import GatewayConnection, new_buffer
 from vcu_gateway.recorder.listener import TapListener
-from vcu_gateway.recorder.senders import Allowance, Refusals, Sender, sender_of
+from vcu_gateway.recorder.senders import Allowance, Refusals, RunOwners, Sender, sender_of
 
 _MOST_CONNECTIONS = 16
 _MOST_WITHOUT_HELLO = 8
@@ -54,6 +54,7 @@ class DatagramReceiver:
         self._urgent = urgent
         self._trusted = trusted
         self._refusals = refusals
+        self._owners = RunOwners()
         self._runs: dict[Sender, tuple[set[str], Allowance]] = {}
         self._buffer = new_buffer()
         self._selector = selectors.DefaultSelector()
@@ -165,10 +166,9 @@ class DatagramReceiver:
             if sum(one.unfinished_bytes for one in self.connections) > _MOST_UNFINISHED_BYTES:
                 raise DatagramError("the unfinished HELLOs are too long together", "hello")
             return
-        for one in self.connections:
-            is_other = one is not connection and one.sender != connection.sender
-            if is_other and one.hello is not None and one.hello["run"] == hello["run"]:
-                raise DatagramError(f"its run is that of {one.sender}, which is connected", "run")
+        other = self._owners.other(hello["run"], connection.sender)
+        if other is not None:
+            raise DatagramError(f"its run is that of {other}, which lives", "run")
         self._count_run(connection.sender, hello["run"])
 
     def _count_run(self, sender: Sender, run: str) -> None:

@@ -14,6 +14,7 @@ from vcu_gateway.errors import Problem, UnavailableError
 GATEWAY_USER = "vcu-gateway"
 _CREDENTIALS = struct.Struct("iII")
 _SAY_EVERY_S = 10.0
+_MOST_RUNS = 256
 
 
 class Sender(NamedTuple):
@@ -54,6 +55,36 @@ def _user(uid: int) -> str:
         return pwd.getpwuid(uid).pw_name
     except KeyError:
         return str(uid)
+
+
+class RunOwners:
+    """Which process each run is of: the one that named it first, as long as that one lives."""
+
+    def __init__(self) -> None:
+        self._owners: dict[str, Sender] = {}
+
+    def other(self, run: str, sender: Sender) -> Sender | None:
+        """The process that has this run already; None where it is the sender's now."""
+        owner = self._owners.get(run)
+        if owner is not None and owner != sender and _lives(owner.pid):
+            return owner
+        while len(self._owners) >= _MOST_RUNS:
+            del self._owners[next(iter(self._owners))]
+        self._owners[run] = sender
+        return None
+
+
+def _lives(pid: int) -> bool:
+    """False where that process is gone, or is one that the kernel does not name."""
+    if pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True
 
 
 class Allowance:
