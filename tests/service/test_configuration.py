@@ -51,7 +51,8 @@ def test_a_file_that_cannot_be_used_is_one_line_and_no_restart(
     code, make = REFUSED[what]
     try:
         make()
-        asked = ["runuser", "-u", "vcu-gateway", "--", "vcu-gateway", "check-config"]
+        as_service = ["runuser", "-u", "vcu-gateway", "--", "vcu-gateway"]
+        asked = [*as_service, "check-config", "-c", str(CONFIG)]  # as the unit names it
         checked = subprocess.run(asked, capture_output=True, text=True)
         assert systemctl("start", NAME).returncode != 0
         unit.said("Failed with result")

@@ -233,7 +233,9 @@ class Writer:
         drive = self.drives.get(connection)
         if drive is not None:
             with self._abandoning(drive):
-                drive.close("the connection ended", closes=connection.ended_by_gateway)
+                closes = connection.ended_by_gateway
+                why = "the gateway" if closes else "the recorder"
+                drive.close(f"{why} ended the connection", closes)
             del self.drives[connection]
 
     @contextlib.contextmanager
