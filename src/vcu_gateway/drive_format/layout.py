@@ -132,8 +132,8 @@ def incident_files(folder: Path) -> list[Path]:
 
 
 def read_small(path: Path) -> bytes:
-    """A file beside the members; OSError also where it is a link, no regular file, or too large."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOFOLLOW)
+    """A file beside the members; OSError also where it is no regular file, or too large."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             raise OSError(errno.EINVAL, "is no regular file", str(path))
