@@ -21,18 +21,18 @@ def test_in_a_window_it_shows_scrolls_resizes_and_leaves_the_terminal_as_it_was(
     with window(80, 24) as shell:
         before = shell.settings()
         shell.type(f"clear; {SCRIPTED}; echo exit=$?")
-        shell.until(r"^ ACTIVE  demand of bench")
-        screen = shell.until(r"1-9/74$")
+        shell.until(r"^ ACTIVE  drive: nothing limits it")
+        screen = shell.until(r"1-8/74$")
         assert len(screen.splitlines()) == 24
         assert screen.startswith("vcu-gateway  can0 (socketcan) up")
         assert shell.fact("alternate_on") == "1"
 
         shell.press("End")
-        shell.until(r"66-74/74$")
+        shell.until(r"67-74/74$")
         shell.press("Home", "m")
         shell.until(r"^only ARD2_SteeringWheel")
         shell.press("Escape")
-        shell.until(r"1-9/74$")
+        shell.until(r"1-8/74$")
         shell.press("Space")
         shell.until("PAUSED")
         shell.press("p", "/", "S", "O", "C", "Enter")
@@ -48,11 +48,11 @@ def test_in_a_window_it_shows_scrolls_resizes_and_leaves_the_terminal_as_it_was(
         shell.press("h")
 
         shell.resize(120, 40)
-        screen = shell.until(r"1-22/38$")
+        screen = shell.until(r"1-21/38$")
         assert len(screen.splitlines()) == 40
         assert "protection" in screen
         shell.resize(80, 24)
-        shell.until(r"1-9/74$")
+        shell.until(r"1-8/74$")
 
         shell.press("q")
         screen = shell.until(r"^exit=0")
@@ -66,7 +66,7 @@ def test_in_a_window_there_are_colours_but_with_no_color_there_is_none():
     with window() as shell:
         for variable, wanted in (("NO_COLOR=", True), ("NO_COLOR=1", False)):
             shell.type(f"clear; {variable} {SCRIPTED} faulty; echo exit=$?")
-            shell.until(r"^ FAULT  next")
+            shell.until(r"^ FAULT  stopped")
             shell.until(r"throttle % +0\.0 +40\.2! +0\.0 +40\.2$")
             shell.until(r"\? help")
             escapes = NO_MATTER.sub("", shell.screen_with_escapes)
