@@ -87,7 +87,7 @@ def socket_named(process: subprocess.Popen[str]) -> Path:
 def test_in_a_terminal_it_shows_the_drive_and_ends_with_a_summary(folder):
     with window() as shell:
         shell.type(f"clear; TMPDIR={folder} {VCU_GATEWAY} demo; echo exit=$?")
-        screen = shell.until(r"^ ACTIVE  demand of bench; drive; disarm to end")
+        screen = shell.until(r"^demand of bench; drive; disarm to end")
         assert screen.startswith("vcu-gateway demo  ")
         assert f"\nexport VCU_GATEWAY_SOCKET={folder}/vcu-gateway-demo-" in screen
         shell.until(r"throttle % +30\.0 +30\.0 +30\.0 +30\.0")
