@@ -28,7 +28,7 @@ def test_every_frame_is_recorded_in_order(recorder, gateway, tmp_path):
     first, second = layout.segments(drive)
     assert [core_lines(one)[-1]["end"]["why"] for one in (first, second)] == [
         "the next segment begins",
-        "the connection ended",
+        "the gateway ended the connection",
     ]
     assert not damage(first.frames)
     assert not damage(first.core)
