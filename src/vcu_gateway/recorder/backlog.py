@@ -57,7 +57,8 @@ class Backlog:
         with self._lock:
             self._items.append(item)
             self._grow(item, item.size)
-            while self.size > self._max_bytes and self._drop_oldest():
+            # What has just come stays: with less memory than a HELLO nothing would ever be written.
+            while self.size > self._max_bytes and len(self._items) > 1 and self._drop_oldest():
                 pass
 
     def take(self) -> Received | None:
