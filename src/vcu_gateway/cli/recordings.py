@@ -103,7 +103,8 @@ def check_command(
         whole = all(result.is_whole for result in results)
         document = {"whole": whole, "recordings": [text.check_json(one) for one in results]}
         click.echo(json.dumps(document))
-    sys.exit(max((result.exit_code for result in results), default=0))
+    if code := max((result.exit_code for result in results), default=0):
+        sys.exit(code)
 
 
 def _readable(path: Path) -> Path:

@@ -86,4 +86,5 @@ def command(**options: Any) -> None:
     elif not asked.quiet:
         for line in report.lines:
             click.echo(line)
-    sys.exit(report.exit_code)
+    if report.exit_code:
+        sys.exit(report.exit_code)

@@ -155,7 +155,7 @@ class DatagramReceiver:
                 connection.ended_by_gateway = isinstance(error, EOFError)
                 self._end(connection)
                 return
-            except Exception as error:  # noqa: BLE001
+            except Exception as error:  # noqa: BLE001 - its own connection pays
                 self._refuse(connection, DatagramError(repr(error)[:200], "fault"))
                 return
 

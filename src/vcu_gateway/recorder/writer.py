@@ -162,7 +162,7 @@ class Writer:
                 self._take(self._held)
             except OSError:
                 raise
-            except Exception as error:  # noqa: BLE001
+            except Exception as error:  # noqa: BLE001 - the others go on
                 self._give_up(self._held.connection, error)
             self._held = None
             for drive in self.drives.values():
@@ -273,7 +273,7 @@ class Writer:
                 drive.flush()
         except OSError:
             raise
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001 - the others go on
             for connection in [one for one, its in self.drives.items() if its is drive]:
                 self._give_up(connection, error)
 
@@ -321,7 +321,7 @@ class Writer:
                 self._give_up_incident(trigger, error)
             else:
                 raise
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001 - later ones are made
             self._give_up_incident(trigger, error)
 
     def _give_up_incident(self, trigger: Trigger | None, error: Exception) -> None:

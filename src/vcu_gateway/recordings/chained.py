@@ -1,5 +1,6 @@
 """The chain of a recording, followed: where it breaks, and the last member of each segment."""
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -38,7 +39,7 @@ def chain_of(folder: Path, segments: list[SegmentFiles], is_part: bool) -> Chain
     Files that cannot be read, of which `check_segment` says why, are passed by.
     """
     linked, ends, faults = list[bool](), dict[int, bytes](), list[FileFault]()
-    try:
+    with contextlib.suppress(OSError):
         for part in chain.walk(folder, segments=segments):
             if isinstance(part, Break):
                 if not (is_part and part.kind is BreakKind.BEGINNING):
@@ -47,8 +48,6 @@ def chain_of(folder: Path, segments: list[SegmentFiles], is_part: bool) -> Chain
             linked.append(part.member.link is not None)
             if part.member.digest is not None:
                 ends[part.segment] = part.member.digest
-    except OSError:
-        return Chain(all(linked) and bool(linked), ends, tuple(faults))
     return Chain(all(linked) and bool(linked), ends, tuple(faults))
 
 
