@@ -2,12 +2,15 @@
 
 import json
 import os
+import socket
 import subprocess
 
 import pytest
 
-from vcu_gateway.drive_format.datagram import DatagramError
+from vcu_gateway.drive_format.datagram import DatagramError, TickHeader, packed_tick, tick_parts
 from vcu_gateway.recorder import bounds
+from vcu_gateway.recorder.backlog import Backlog, Received
+from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.senders import RunOwners, Sender
 
 HELLO = {
@@ -114,3 +117,13 @@ def test_a_run_is_that_of_the_process_that_named_it_first_as_long_as_that_one_li
     gone.wait()
     assert owners.other("c", Sender(gone.pid, 0, 0)) is None
     assert owners.other("c", mine) is None
+
+
+def test_what_has_just_come_stays_however_little_memory_there_is():
+    one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with one, other:
+        backlog, connection = Backlog(max_bytes=1), GatewayConnection(one, Sender(1, 0, 0))
+        tick = tick_parts(packed_tick(TickHeader(1, 0, 0, 0), [], '{"f":0}\n'))
+        backlog.put(Received(connection, tick))
+        assert (backlog.take(), backlog.dropped) == (Received(connection, tick), 0)
+        assert not connection.begin_again
