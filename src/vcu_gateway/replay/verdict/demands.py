@@ -71,7 +71,12 @@ class GrantedDemands:
         return None if self.current is None else self.current.controllers[controller]
 
     def released_for_ns(self, now_ns: int) -> int | None:
-        """How long every demand had a throttle of 0; None where the last has not."""
+        """How long every demand had a throttle of 0; None where the last has not.
+
+        The bench's own reads as 0 before ACTIVE: it never changes, so it could never be released.
+        """
+        if self.current is not None and self.current.ttl_ms is None:
+            return now_ns
         since_ns = self._released_since_ns
         return None if since_ns is None else now_ns - since_ns
 
