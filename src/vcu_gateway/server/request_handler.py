@@ -124,7 +124,7 @@ class RequestHandler:
         now_ns: int,
     ) -> None:
         if isinstance(reply, RequestError):
-            self._counters.count_error(reply.code.name.lower())
+            self._counters.errors[reply.code.name.lower()] += 1
             session.send(jsonrpc.error_line(request_id, reply), now_ns)
         elif request_id is not None:
             session.send(jsonrpc.result_line(request_id, reply), now_ns)

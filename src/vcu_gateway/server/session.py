@@ -78,7 +78,6 @@ class Session:
         has_ended_demands: the service was asked to end its demands.
         is_driver: it has made a demand; it is served between all the others.
         is_seated: it has a place; until then only a stop of it is served.
-        is_delayed: the next request was held up by the rate.
         active_ns: time of the connection, of its last request or of the last output to it.
     """
 
@@ -92,7 +91,7 @@ class Session:
         self.pending: dict[int, ReplyTo | None] = {}
         self.subscriptions: dict[int, SubscriptionState] = {}
         self.peer_ended = self.peer_is_lost = self.has_ended_demands = False
-        self.is_delayed = self.is_driver = self.is_seated = False
+        self.is_driver = self.is_seated = False
         self.active_ns = now_ns
         self._limits = limits
         self._output = bytearray()
