@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
+from vcu_gateway import files
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.events import Event, Severity
@@ -22,8 +23,8 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.rules import EMERGENCY_STOP
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.daemon.boot_files import HIDDEN, boot_id, write_whole
 from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon.restarts import HIDDEN, boot_id
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _BEFORE = "before this start: "
@@ -175,7 +176,7 @@ class RestartState:
         text = json.dumps({"cut": state.cut, "reverse": dict(state.reverse)})
         began_ns = time.monotonic_ns()
         try:
-            write_whole(path, f"{boot_id()}\n{text}\n")
+            files.replace(path, f"{boot_id()}\n{text}\n")
         except OSError as error:
             self._fail(str(path), error.strerror or str(error))
             return

@@ -12,10 +12,10 @@ from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon.reload import ReloadOutcome
+from vcu_gateway.rate_limit import LogRateLimit
 from vcu_gateway.server import queries
 from vcu_gateway.server.commands import CommandHandlers
 from vcu_gateway.server.context import ServerContext
-from vcu_gateway.server.rate_limit import LogRateLimit
 from vcu_gateway.server.service import Caller, Reply
 from vcu_gateway.server.shared_request import SharedRequest
 from vcu_gateway.server.stop_requests import STOPS

@@ -8,9 +8,9 @@ import termios
 from typing import NamedTuple
 
 from vcu_gateway.api.errors import RequestError
+from vcu_gateway.rate_limit import TokenBucket
 from vcu_gateway.server.jsonrpc import RequestId
 from vcu_gateway.server.line_buffer import LineBuffer
-from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.units import NS_PER_S
@@ -87,7 +87,7 @@ class Session:
         self.sock = sock
         self.caller = caller
         self.lines = LineBuffer()
-        self.rate = TokenBucket(limits.rate_per_s, limits.burst, now_ns)
+        self.rate = TokenBucket(NS_PER_S // limits.rate_per_s, limits.burst, now_ns)
         self.pending: dict[int, ReplyTo | None] = {}
         self.subscriptions: dict[int, SubscriptionState] = {}
         self.peer_ended = self.peer_is_lost = self.has_ended_demands = False
