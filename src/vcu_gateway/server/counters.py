@@ -1,11 +1,10 @@
 """Counters of the API."""
 
 from collections import Counter
-from copy import copy
 from dataclasses import dataclass, field
-from typing import cast
 
 from vcu_gateway.api.results import ApiCounts
+from vcu_gateway.server.views import result_of
 
 
 @dataclass(slots=True)
@@ -24,5 +23,4 @@ class Counters:
 
     def report(self) -> ApiCounts:
         """Copy of the counters; from any thread."""
-        names = ApiCounts.__annotations__
-        return cast(ApiCounts, {name: copy(getattr(self, name)) for name in names})
+        return result_of(ApiCounts, self, errors=self.errors.copy(), closed=self.closed.copy())
