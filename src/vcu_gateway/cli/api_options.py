@@ -31,7 +31,6 @@ json_option = click.option("--json", "as_json", is_flag=True, help="One JSON obj
 
 
 def api_options(command: _Command) -> _Command:
-    """Decorator for the options --socket and --json."""
     return socket_option(json_option(command))
 
 
@@ -61,5 +60,4 @@ def command_line_errors() -> Iterator[None]:
 
 
 def show(result: Any, as_json: bool, text: Callable[[], str]) -> None:
-    """Print a result as JSON or as text."""
     click.echo(json.dumps(result, ensure_ascii=False) if as_json else text())

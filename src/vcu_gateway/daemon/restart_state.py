@@ -128,7 +128,6 @@ class RestartState:
         return self._failure is None and min(self._took_ns) < most_ns
 
     def observe(self, tick: Tick, result: TickResult) -> None:
-        """After each tick."""
         del tick
         latched = self._latched()
         if self._elsewhere and latched is None:
@@ -152,7 +151,6 @@ class RestartState:
         return self._now != self._written or now_ns - self._tried_ns >= _TRY_EVERY_NS
 
     def _tell(self) -> None:
-        """Tell the gateway where keeping the state has come to work, or to fail."""
         if self._failure != self._told:
             self._told = self._failure
             self._gateway.restart_state_tried(self._failure)
@@ -171,7 +169,6 @@ class RestartState:
         return latch.reason.removeprefix(_BEFORE)
 
     def _write(self, path: Path, state: KeptState) -> None:
-        """Write the state, and measure how long that takes."""
         self._tried = state
         text = json.dumps({"cut": state.cut, "reverse": dict(state.reverse)})
         began_ns = time.monotonic_ns()

@@ -35,7 +35,6 @@ class SafeFrames:
         self._failure_reported = False
 
     def observe(self, tick: Tick, result: TickResult) -> None:
-        """After each tick."""
         del tick
         applied = tuple((one.motor_reverse, one.power_cut) for one in result.commands.values())
         basis = applied, self._gateway.settings

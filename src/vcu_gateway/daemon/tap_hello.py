@@ -31,7 +31,6 @@ class TapHello:
         self._written: tuple[Config, str, str] | None = None
 
     def __call__(self) -> Mapping[str, Any]:
-        """The HELLO with the configuration in effect now."""
         config, digest, text = self._config()
         return Hello(
             run=self._run,

@@ -51,13 +51,11 @@ class CommandHandlers:
         return self._owners.get(demand.source) == caller.connection
 
     def end_demands_of(self, caller: Caller) -> None:
-        """End the demands of a connection that has ended."""
         for source in [name for name, one in self._owners.items() if one == caller.connection]:
             del self._owners[source]
             self._requests.end_demand(source, time.monotonic_ns())
 
     def set_demand(self, params: methods.DemandParams, caller: Caller) -> results.Granted:
-        """Offer a demand to the gateway."""
         if self._owners.get(params.source, caller.connection) != caller.connection:
             sentence = f"another connection is source {params.source}; use a name of your own"
             raise _refused(Refusal.OTHER_OWNER, sentence)
@@ -71,26 +69,21 @@ class CommandHandlers:
         return self._granted(answer)
 
     def release(self, params: methods.ReleaseParams, caller: Caller) -> results.Granted:
-        """End a demand of this connection."""
         if self._owners.get(params.source) != caller.connection:
             sentence = f"this connection is not source {params.source}"
             raise _refused(Refusal.OTHER_OWNER, sentence)
         return self._granted(self._requests.end_demand(params.source, time.monotonic_ns()))
 
     def arm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """Ask for the transition from standby to active."""
         return self._logged("arm", caller, self._requests.arm(time.monotonic_ns()))
 
     def disarm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """Ask for the transition from active to standby."""
         return self._logged("disarm", caller, self._requests.disarm(time.monotonic_ns()))
 
     def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """Cut the power."""
         return self._logged("estop", caller, self._context.loop.emergency_stop())
 
     def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
-        """Ask for the transition from fault to starting."""
         level = FaultClass(params.level)
         return self._logged("reset", caller, self._requests.reset(level, time.monotonic_ns()))
 
@@ -109,7 +102,6 @@ class CommandHandlers:
         return {"granted": True, "mode": views.mode_name(mode)}
 
     def events(self, params: methods.EventsParams, _: Caller) -> results.Events:
-        """Latest entries of the event log."""
         now_ns, event_log = time.monotonic_ns(), self._context.loop.event_log
         entries = [_entry(entry, now_ns) for entry in event_log.latest(params.limit)]
         return {"events": entries, "forgotten": event_log.forgotten}

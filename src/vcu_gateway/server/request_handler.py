@@ -53,7 +53,6 @@ class RequestHandler:
             session.end_after_output(LINE_TOO_LONG)
 
     def handle_next(self, session: Session, now_ns: int) -> None:
-        """Handle the request in the next line."""
         is_overtaken = session.lines.is_overtaken
         request = jsonrpc.parse(session.take_line(now_ns))
         self._handle(session, request, now_ns, is_overtaken=is_overtaken)

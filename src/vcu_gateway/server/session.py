@@ -102,7 +102,6 @@ class Session:
 
     @property
     def has_output(self) -> bool:
-        """True while output waits for the peer to read; nothing else goes on."""
         return bool(self._output)
 
     @property
@@ -180,7 +179,6 @@ class Session:
         return self.lines.take()
 
     def _start_timeout(self, now_ns: int) -> None:
-        """Start the timeout of the next line."""
         self._began_ns = now_ns
 
     def take_pending(self, number: int, now_ns: int) -> ReplyTo | None:
@@ -200,7 +198,6 @@ class Session:
         self.flush(now_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Send buffered output as far as the kernel takes it."""
         try:
             sent = self.sock.send(self._output, socket.MSG_NOSIGNAL)
         except BlockingIOError:

@@ -193,7 +193,6 @@ def _cause(held: HeldCause, explained: explanation.Explanation) -> results.Cause
 
 
 def mode_name(mode: Mode) -> results.ModeName:
-    """Name of a mode in the API."""
     return mode.value
 
 
