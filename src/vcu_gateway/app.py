@@ -41,10 +41,6 @@ from vcu_gateway.server.views import definition
 _DIGEST_CHARACTERS = 16
 
 
-def _none_lost() -> int:
-    return 0
-
-
 class Application:
     """The whole program of one configuration; neither bus nor API is open yet.
 
@@ -61,7 +57,7 @@ class Application:
         self,
         config: Config,
         protocol: ProtocolSpec,
-        log_lines_dropped: Callable[[], int] = _none_lost,
+        log_lines_dropped: Callable[[], int] = lambda: 0,
     ) -> None:
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)

@@ -15,8 +15,9 @@ Exit codes follow sysexits.h and are part of the interface:
     78  the configuration is wrong (EX_CONFIG)
 """
 
+import contextlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 
@@ -80,6 +81,21 @@ class NotPermittedError(GatewayError):
     """This user lacks the right to make the request."""
 
     exit_code = os.EX_NOPERM
+
+
+@contextlib.contextmanager
+def extra_needed(what: str, extra: str, *packages: str, remedy: str = "") -> Iterator[None]:
+    """Import of what an extra brings; UnavailableError where one of its packages is missing.
+
+    `what` is the beginning of the sentence that ends with the package's name.
+    """
+    try:
+        yield
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] not in packages:
+            raise
+        remedy = remedy or f"install the extra: pip install 'vcu-gateway[{extra}]'"
+        raise UnavailableError(Problem(f"{what} {error.name}", "", remedy)) from error
 
 
 def nearest(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:

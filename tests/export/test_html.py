@@ -14,7 +14,7 @@ from vcu_gateway.export.html_report import Overlay, write_report
 from vcu_gateway.export.lines import CodeLine, LineBuilder
 from vcu_gateway.export.output import written_text
 from vcu_gateway.export.report import Line, Plot, Report, Role
-from vcu_gateway.export.report_builder import clock_text
+from vcu_gateway.text import TIME_OF_DAY_MS, utc
 from vcu_gateway.units import NS_PER_MS
 
 __all__ = ["chromium"]
@@ -204,7 +204,7 @@ def test_the_legend_says_what_was_sent_at_the_cursor(page, pages, recorded):
         moment = page.value("document.querySelector('.why time').textContent")
         legend = page.value("document.querySelector('.legend').textContent")
         said = float(re.search(r"commanded([\d.]+)", legend)[1])
-        tick = (seconds(moment) - seconds(clock_text(first_tick_ns(recorded)))) / 0.05
+        tick = (seconds(moment) - seconds(utc(first_tick_ns(recorded), TIME_OF_DAY_MS))) / 0.05
         near = recorded.results[round(tick) - 2 : round(tick) + 3]
         sent = [one.frames[0].data[1] * 0.39 for one in near]
         assert min(abs(said - one) for one in sent) < 1e-9

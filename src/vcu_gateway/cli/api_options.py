@@ -31,7 +31,6 @@ json_option = click.option("--json", "as_json", is_flag=True, help="One JSON obj
 
 
 def api_options(command: _Command) -> _Command:
-    """Decorator for the options --socket and --json."""
     return socket_option(json_option(command))
 
 
@@ -61,18 +60,4 @@ def command_line_errors() -> Iterator[None]:
 
 
 def show(result: Any, as_json: bool, text: Callable[[], str]) -> None:
-    """Print a result as JSON or as text."""
     click.echo(json.dumps(result, ensure_ascii=False) if as_json else text())
-
-
-def duration(duration_ms: float | None) -> str:
-    """Duration for people: 34 ms, 1.2 s, 3 min, 2.0 h; `never` for None."""
-    if duration_ms is None:
-        return "never"
-    if duration_ms < 1000:
-        return f"{duration_ms:.0f} ms"
-    seconds = duration_ms / 1000
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    minutes = seconds / 60
-    return f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"

@@ -17,9 +17,8 @@ from typing import Any, NamedTuple
 import click
 
 from vcu_gateway.bus.interface import Interfaces, can_socket_error
-from vcu_gateway.cli.extras import tui_needed
+from vcu_gateway.cli.extras import tui_needed, web_needed
 from vcu_gateway.cli.signals import stopped_by_signals
-from vcu_gateway.cli.web import web_libraries_needed
 from vcu_gateway.client.connect import SOCKET_VARIABLE
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
 from vcu_gateway.demo.recorder import DemoRecorder
@@ -172,7 +171,7 @@ def _in_terminal(wanted: DemoOptions, recordings: Path | None) -> str:
 
 def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
     """Serve the page until Ctrl-C or the end; the summary."""
-    with web_libraries_needed():
+    with web_needed():
         from vcu_gateway.web import application, serve
         from vcu_gateway.web.events import WebEvents
         from vcu_gateway.web.roles import UserRole

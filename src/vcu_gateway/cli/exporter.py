@@ -1,17 +1,16 @@
 """`vcu-gateway exporter`: metrics of the running gateway for Prometheus."""
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
+from vcu_gateway.cli.extras import metrics_needed
 from vcu_gateway.cli.listen_address import ListenAddress, listen_option
 from vcu_gateway.cli.options import socket_option
 from vcu_gateway.cli.signals import stopped_by_signals
 from vcu_gateway.client import Client
-from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.exporter import GatewayReader
+from vcu_gateway.text import say
 
 
 @click.command("exporter")
@@ -25,30 +24,12 @@ def command(socket_path: Path | None, listen: ListenAddress) -> None:
     the metric vcu_gateway_up 0.
     Whoever reaches the port can read the metrics. Ctrl-C or SIGTERM ends it.
     """
-    with _prometheus_client_needed():
+    with metrics_needed():
         from vcu_gateway.exporter import prometheus
     with stopped_by_signals() as stop, Client(socket_path) as client:
-        reader = GatewayReader(client, _say)
+        reader = GatewayReader(client, say)
         server = prometheus.HttpServer(reader.read, listen.address, listen.port)
         host = f"[{listen.address}]" if ":" in listen.address else listen.address
-        _say(f"metrics of {client.socket_path} at http://{host}:{server.port}/metrics")
+        say(f"metrics of {client.socket_path} at http://{host}:{server.port}/metrics")
         stop.wait()
         server.close()
-
-
-def _say(sentence: str) -> None:
-    with contextlib.suppress(OSError):  # nobody reads stderr any more
-        click.echo(sentence, err=True)
-
-
-@contextlib.contextmanager
-def _prometheus_client_needed() -> Iterator[None]:
-    """UnavailableError, with what to do, where prometheus_client is not installed."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "prometheus_client":
-            raise
-        remedy = "install the extra: pip install 'vcu-gateway[metrics]'"
-        what = "the exporter needs prometheus_client"
-        raise UnavailableError(Problem(what, remedy=remedy)) from error

@@ -1,20 +1,9 @@
-"""Optional dependencies of the verbs: a missing extra becomes a sentence and an exit code."""
+"""Extras that verbs need: a missing one becomes a sentence and an exit code."""
 
-import contextlib
-from collections.abc import Iterator
+from functools import partial
 
-from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.errors import extra_needed
 
-_TUI_LIBRARIES = ("textual", "rich")
-
-
-@contextlib.contextmanager
-def tui_needed() -> Iterator[None]:
-    """Import of the live view; UnavailableError where its libraries are not installed."""
-    try:
-        yield
-    except ImportError as error:
-        if (error.name or "").partition(".")[0] not in _TUI_LIBRARIES:
-            raise
-        remedy = "install the extra: pip install 'vcu-gateway[tui]'"
-        raise UnavailableError(Problem(f"the live view needs {error.name}", "", remedy)) from error
+tui_needed = partial(extra_needed, "the live view needs", "tui", "textual", "rich")
+web_needed = partial(extra_needed, "the page needs", "web", "starlette", "uvicorn", "h11", "anyio")
+metrics_needed = partial(extra_needed, "the exporter needs", "metrics", "prometheus_client")

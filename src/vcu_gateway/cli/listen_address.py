@@ -30,7 +30,6 @@ def listen_option(default: str, help_text: str) -> Callable[[_Command], _Command
 
 
 def _listen_address(context: click.Context, parameter: click.Parameter, text: str) -> ListenAddress:
-    """ADDRESS:PORT; an IPv6 address stands in brackets."""
     del context, parameter
     address, colon, port = text.rpartition(":")
     address = address.removeprefix("[").removesuffix("]")

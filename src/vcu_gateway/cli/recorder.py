@@ -1,6 +1,5 @@
 """`vcu-gateway recorder`: every drive of the gateways of this machine on disk, bounded."""
 
-import contextlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import click
 
 from vcu_gateway.recorder import Recorder, RecorderOptions
 from vcu_gateway.recorder.options import DEFAULT_FOLDER, DEFAULT_SOCKET, size_bytes
+from vcu_gateway.text import say
 
 _DEFAULTS = RecorderOptions()
 
@@ -92,9 +92,4 @@ def command(**options: Any) -> None:
     A program beside them, which none of them waits for. SIGUSR1 keeps what surrounds this moment
     as an incident; Ctrl-C or SIGTERM ends it in order.
     """
-    Recorder(_DEFAULTS._replace(**options), _say).run()
-
-
-def _say(sentence: str) -> None:
-    with contextlib.suppress(OSError):  # nobody reads stderr any more
-        click.echo(sentence, err=True)
+    Recorder(_DEFAULTS._replace(**options), say).run()

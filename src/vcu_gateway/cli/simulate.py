@@ -80,7 +80,6 @@ def command(
     seed: int,
     log_path: Path | None,
 ) -> None:
-    """Run until the duration is over or a signal comes."""
     # What python-can logs of a failure comes as our error as well.
     logging.getLogger("can").addHandler(logging.NullHandler())
     codec = Codec(dbc.load(packaged("vcu.dbc")))
@@ -112,7 +111,6 @@ def command(
 
 
 def summary(played: Played) -> str:
-    """Summary of a run, in one line."""
     parts = [f"played {played.duration_s:.1f} s", f"sent {_counted(played.sent)}"]
     parts.append(f"received {_counted(played.received)}")
     if played.lost:

@@ -6,7 +6,8 @@ from pathlib import Path
 import click
 
 from vcu_gateway.api import results
-from vcu_gateway.cli.api_options import api_options, connected, duration, show
+from vcu_gateway.cli.api_options import api_options, connected, show
+from vcu_gateway.text import duration
 
 
 @click.command("status")

@@ -1,21 +1,19 @@
 """`vcu-gateway web`: the page that shows what the vehicle does, and stops it."""
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from vcu_gateway.cli.extras import web_needed
 from vcu_gateway.cli.listen_address import ListenAddress, listen_option
 from vcu_gateway.cli.options import ANY_PATH, socket_option
 from vcu_gateway.client import default_socket_path
-from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.text import say
 
 if TYPE_CHECKING:
     from vcu_gateway.web.settings import WebSettings
 
-_LIBRARIES = ("starlette", "uvicorn", "h11", "anyio")
 ROLES = ("viewer", "operator", "service")
 
 
@@ -77,7 +75,7 @@ def command(**options: Any) -> None:
     never a source of demand. Without options nobody but this machine reaches it:
     ssh -L 9465:127.0.0.1:9465 VEHICLE brings it to another one. Ctrl-C or SIGTERM ends it.
     """
-    with web_libraries_needed():
+    with web_needed():
         from vcu_gateway.web import application, serve
         from vcu_gateway.web.events import WebEvents
     settings = _settings(WebOptions(**options))
@@ -85,7 +83,7 @@ def command(**options: Any) -> None:
     serve.run(
         settings,
         application.build(settings, WebEvents()),
-        lambda url: _say(f"page of {settings.socket_path} at {url}"),
+        lambda url: say(f"page of {settings.socket_path} at {url}"),
     )
 
 
@@ -108,20 +106,3 @@ def _settings(options: WebOptions) -> "WebSettings":
         session_lifetime_s=options.session_hours * 3600,
         state_file=options.state_file,
     )
-
-
-def _say(sentence: str) -> None:
-    with contextlib.suppress(OSError):  # nobody reads stderr any more
-        click.echo(sentence, err=True)
-
-
-@contextlib.contextmanager
-def web_libraries_needed() -> Iterator[None]:
-    """Import of the page's server; UnavailableError where its libraries are not installed."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in _LIBRARIES:
-            raise
-        remedy = "install the extra: pip install 'vcu-gateway[web]'"
-        raise UnavailableError(Problem(f"the page needs {error.name}", "", remedy)) from error

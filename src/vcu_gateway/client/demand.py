@@ -124,7 +124,6 @@ class DeadMan:
         return self._request(now_ns)
 
     def end_motion(self) -> None:
-        """Demand no motion from the next request on."""
         self._values = without_motion(self._values)
         self._hold_end_ns = None
 
@@ -134,7 +133,6 @@ class DeadMan:
         return self._sequence
 
     def granted(self, answer: results.Granted) -> None:
-        """Note that the gateway granted a demand."""
         self.last_answer = answer
         self._refused_in_a_row = 0
         if self._refusal_raised:
@@ -152,7 +150,6 @@ class DeadMan:
 
     @property
     def answered(self) -> bool:
-        """Whether any demand was granted or refused."""
         return bool(self.last_answer or self.refusal)
 
     def check_first_answer(self, timeout_s: float) -> None:

@@ -45,7 +45,6 @@ class DemandSession:
 
     @property
     def connected(self) -> bool:
-        """Whether a demand can be sent now."""
         return self.socket is not None and not self._broken
 
     @property
@@ -68,7 +67,6 @@ class DemandSession:
             self._send_demand(demand, now_ns)
 
     def end_motion(self, now_ns: int) -> None:
-        """Demand no motion now."""
         self.dead_man.end_motion()
         if self.connected:
             self._send_demand(self.dead_man.repeat(now_ns), now_ns)
@@ -101,7 +99,6 @@ class DemandSession:
                 self.socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Close the connection, which ends the demand."""
         if self.socket is not None:
             self.socket.close()
             self.socket = None

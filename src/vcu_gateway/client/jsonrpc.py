@@ -27,7 +27,6 @@ class Response(NamedTuple):
         return self.id == request_id or (self.id is None and self.error is not None)
 
     def value(self) -> Any:
-        """The result, or the error raised."""
         if self.error is not None:
             raise self.error
         return self.result

@@ -24,7 +24,6 @@ class DrainPlan:
         self._frames = 0
 
     def read_between(self, frames: int) -> None:
-        """Note frames that were read in mid-period."""
         self._frames = frames
 
     def read_before_tick(self, frames: int, took_ns: int) -> None:

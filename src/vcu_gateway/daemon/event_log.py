@@ -44,11 +44,9 @@ class EventLog:
         self.forgotten = 0
 
     def subscribe(self, sink: Sink) -> None:
-        """Hand every event from now on to this sink."""
         self._sinks.append(sink)
 
     def emit(self, event: Event) -> None:
-        """Hand an event to every sink and keep it."""
         for sink in self._sinks:
             sink(event)
         key = (event.name, event.severity, repr(sorted(event.fields.items())))

@@ -7,6 +7,7 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.rate_limit import TokenBucket
 
 _DROPS_EVERY_NS = 10_000_000_000
 _CHANGES_AT_ONCE = 10
@@ -34,7 +35,8 @@ class LinkEvents:
         self._reconnector = reconnector
         self._event_log = event_log
         self._reported_state = LinkState.UP
-        self._rate_limit = _RateLimit()
+        # So that a flickering link fills no log.
+        self._changes = TokenBucket(_CHANGE_EVERY_NS, _CHANGES_AT_ONCE, now_ns=0)
         self._dropped_before = 0
         self._next_drops_ns = 0
         self._warnings: dict[str, Event] = {}
@@ -77,7 +79,8 @@ class LinkEvents:
         """Emit a changed link state and newly dropped frames, both at a bounded rate."""
         state = self._gateway.link.state
         reported = (self._reported_state, LinkState.LOST)  # a loss is emitted with its reason
-        if state not in reported and self._rate_limit.allows(now_ns):
+        if state not in reported and now_ns >= self._changes.ready_ns:
+            self._changes.take(now_ns)
             self._emit_state(state)
         dropped = self._connection.dropped or 0
         if dropped != self._dropped_before and now_ns >= self._next_drops_ns:
@@ -94,23 +97,3 @@ class LinkEvents:
         self._event_log.emit(
             Event("frames_dropped", Severity.WARNING, {"frames": dropped - before})
         )
-
-
-class _RateLimit:
-    """Token bucket: one change in 2 s, bursts of ten, so that a flickering link fills no log."""
-
-    def __init__(self) -> None:
-        self._left = _CHANGES_AT_ONCE
-        self._next_ns = 0
-
-    def allows(self, now_ns: int) -> bool:
-        """Take one token; False where none is left."""
-        if now_ns >= self._next_ns:
-            self._left = min(_CHANGES_AT_ONCE, self._left + self._earned(now_ns))
-            self._next_ns = now_ns + _CHANGE_EVERY_NS
-        allowed = self._left > 0
-        self._left -= allowed
-        return allowed
-
-    def _earned(self, now_ns: int) -> int:
-        return 1 + (now_ns - self._next_ns) // _CHANGE_EVERY_NS

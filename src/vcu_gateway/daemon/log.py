@@ -242,7 +242,6 @@ def _log_crash(
 
 
 def log_event(event: Event) -> None:
-    """Write an event of the core as one line."""
     name = {
         Severity.INFO: "info",
         Severity.WARNING: "warning",

@@ -118,7 +118,6 @@ class TickLoop:
         self._observers.append(observer)
 
     def keep(self, restart_state: RestartState) -> None:
-        """Keep the restart state from now on."""
         self._restart_state = restart_state
         self.add_observer(restart_state.observe)
 

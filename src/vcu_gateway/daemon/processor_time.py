@@ -49,7 +49,6 @@ class ProcessorTime:
         return ProcessorUsage(time.monotonic_ns(), time.process_time_ns(), self._waited())
 
     def _waited(self) -> int | None:
-        """The second number: time on the run queue."""
         if self._file is None:
             return None
         with contextlib.suppress(OSError, ValueError, IndexError):
@@ -57,7 +56,6 @@ class ProcessorTime:
         return None
 
     def close(self) -> None:
-        """Close the file."""
         if self._file is not None:
             os.close(self._file)
             self._file = None

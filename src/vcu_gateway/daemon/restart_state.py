@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
+from vcu_gateway import files
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.events import Event, Severity
@@ -22,8 +23,8 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.rules import EMERGENCY_STOP
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.daemon.boot_files import HIDDEN, boot_id, write_whole
 from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon.restarts import HIDDEN, boot_id
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _BEFORE = "before this start: "
@@ -127,7 +128,6 @@ class RestartState:
         return self._failure is None and min(self._took_ns) < most_ns
 
     def observe(self, tick: Tick, result: TickResult) -> None:
-        """After each tick."""
         del tick
         latched = self._latched()
         if self._elsewhere and latched is None:
@@ -151,7 +151,6 @@ class RestartState:
         return self._now != self._written or now_ns - self._tried_ns >= _TRY_EVERY_NS
 
     def _tell(self) -> None:
-        """Tell the gateway where keeping the state has come to work, or to fail."""
         if self._failure != self._told:
             self._told = self._failure
             self._gateway.restart_state_tried(self._failure)
@@ -170,12 +169,11 @@ class RestartState:
         return latch.reason.removeprefix(_BEFORE)
 
     def _write(self, path: Path, state: KeptState) -> None:
-        """Write the state, and measure how long that takes."""
         self._tried = state
         text = json.dumps({"cut": state.cut, "reverse": dict(state.reverse)})
         began_ns = time.monotonic_ns()
         try:
-            write_whole(path, f"{boot_id()}\n{text}\n")
+            files.replace(path, f"{boot_id()}\n{text}\n")
         except OSError as error:
             self._fail(str(path), error.strerror or str(error))
             return

@@ -4,10 +4,22 @@ import contextlib
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.daemon.boot_files import boot_id, write_whole
+from vcu_gateway import files
 
+HIDDEN = "-"
+"""Stands for a boot identifier that cannot be read."""
+
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _NAME = "starts"
 _RUNNING, _ENDED = "running", "ended"
+
+
+def boot_id() -> str:
+    """Boot identifier of the kernel; `HIDDEN` where it cannot be read: /run ends with the boot."""
+    try:
+        return _BOOT_ID.read_text(encoding="ascii").strip() or HIDDEN
+    except OSError:
+        return HIDDEN
 
 
 class CountedStart(NamedTuple):
@@ -38,7 +50,6 @@ class RestartCounter:
         return now if self._now or before.number else None
 
     def end(self) -> None:
-        """Record an orderly end: the next start begins a new drive."""
         if self._now is not None:
             self._write(self._now, _ENDED)
 
@@ -52,7 +63,7 @@ class RestartCounter:
     def _write(self, start: CountedStart, state: str) -> bool:
         text = f"{boot_id()} {start.number} {start.unexpected} {state}\n"
         try:
-            write_whole(self._path, text)
+            files.replace(self._path, text)
         except OSError:
             return False
         return True

@@ -3,10 +3,10 @@
 import contextlib
 from pathlib import Path
 
+from vcu_gateway import files
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.daemon.boot_files import write_whole
 from vcu_gateway.daemon.event_log import EventLog
 
 NAME = "safe-frames"
@@ -35,7 +35,6 @@ class SafeFrames:
         self._failure_reported = False
 
     def observe(self, tick: Tick, result: TickResult) -> None:
-        """After each tick."""
         del tick
         applied = tuple((one.motor_reverse, one.power_cut) for one in result.commands.values())
         basis = applied, self._gateway.settings
@@ -47,7 +46,7 @@ class SafeFrames:
         frames = self._gateway.safe_frames()
         lines = [self._channel, *(f"{one.can_id:08X}#{one.data.hex().upper()}" for one in frames)]
         try:
-            write_whole(self._path, "\n".join(lines) + "\n")
+            files.replace(self._path, "\n".join(lines) + "\n")
         except OSError as error:
             if not self._failure_reported:
                 fields = {"file": str(self._path), "reason": error.strerror}

@@ -40,19 +40,15 @@ class SystemdNotifier:
         return cls(os.environ, os.getpid())
 
     def ready(self) -> None:
-        """The service has started."""
         self._send("READY=1")
 
     def alive(self) -> None:
-        """Ping the watchdog."""
         self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """The service is about to end."""
         self._send("STOPPING=1")
 
     def status(self, sentence: str) -> None:
-        """Set the line that `systemctl status` shows."""
         self._send("STATUS=" + " ".join(sentence.split())[:_STATUS_CHARACTERS])
 
     def _send(self, line: str) -> None:

@@ -9,8 +9,8 @@ from vcu_gateway import config as configuration
 from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.config import Config
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.daemon.boot_files import boot_id
 from vcu_gateway.daemon.reload import EffectiveConfig
+from vcu_gateway.daemon.restarts import boot_id
 from vcu_gateway.drive.hello import Hello
 from vcu_gateway.drive_format.layout import DBC_FILE
 
@@ -31,7 +31,6 @@ class TapHello:
         self._written: tuple[Config, str, str] | None = None
 
     def __call__(self) -> Mapping[str, Any]:
-        """The HELLO with the configuration in effect now."""
         config, digest, text = self._config()
         return Hello(
             run=self._run,

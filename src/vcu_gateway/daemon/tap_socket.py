@@ -86,12 +86,10 @@ class RecorderTap:
             self._guarded(self._look, time.monotonic_ns())
 
     def observe(self, tick: Tick, result: TickResult) -> None:
-        """After each tick, when its frames have left."""
         del tick
         self._guarded(self._after_tick, result.snapshot.now_ns)
 
     def close(self) -> None:
-        """Hand on what came after the last tick, and end."""
         if self._socket is not None and self._recording:
             self._guarded(self._hand_on)
         self._drop_socket()

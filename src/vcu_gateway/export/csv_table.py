@@ -4,7 +4,6 @@ import csv
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from datetime import UTC, datetime
 from itertools import groupby
 from typing import NamedTuple, TextIO
 
@@ -16,10 +15,12 @@ from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import Source
 from vcu_gateway.export.tables import GATEWAY
 from vcu_gateway.recording.writers import decimals
+from vcu_gateway.text import DATE_TIME, utc
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 PERIOD_MS = 50
 _KEPT_CODES = 8192
+_DATE_TIME_MS = f"{DATE_TIME}.%f"
 _COMMAND = re.compile(r"VCU_(\w+)_Command")
 
 
@@ -68,7 +69,7 @@ def write(source: Source, selection: Selection, out: TextIO) -> None:
     before_ns = source.start_ns - 1
     for moment_ns in _moments_ns(source):
         frames = {name: one.at(moment_ns) for name, one in latest.items()}
-        row = [_iso(moment_ns), f"{(moment_ns - source.start_ns) / NS_PER_S:.3f}"]
+        row = [utc(moment_ns, _DATE_TIME_MS), f"{(moment_ns - source.start_ns) / NS_PER_S:.3f}"]
         row += [one.text(before_ns, moment_ns) for one in decided]
         row += [one.text(frames[one.message]) for one in signals]
         writer.writerow(row)
@@ -110,12 +111,6 @@ def _moments_ns(source: Source) -> Iterator[int]:
         yield from ticks
     else:
         yield from range(source.start_ns, source.end_ns + 1, PERIOD_MS * NS_PER_MS)
-
-
-def _iso(stamp_ns: int) -> str:
-    seconds, fraction_ns = divmod(stamp_ns, NS_PER_S)
-    date = datetime.fromtimestamp(seconds, UTC)
-    return f"{date:%Y-%m-%d %H:%M:%S}.{fraction_ns // NS_PER_MS:03d}"
 
 
 def _decision_columns(source: Source, selection: Selection) -> Iterator[_DecisionColumn]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.files import sync
 
 
 @contextlib.contextmanager
@@ -24,10 +25,10 @@ def written_file(path: Path, suffix: str = "") -> Iterator[Path]:
         temporary = Path(name)
         try:
             yield temporary
-            _sync(temporary)
+            sync(temporary)
             temporary.chmod(0o666 & ~_umask())
             temporary.replace(path)
-            _sync(path.parent)
+            sync(path.parent)
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -52,10 +53,10 @@ def written_folder(path: Path, suffix: str) -> Iterator[Path]:
         try:
             yield temporary
             for file in temporary.iterdir():
-                _sync(file)
+                sync(file)
             temporary.chmod(0o777 & ~_umask())
             _exchange(temporary, path)
-            _sync(path.parent)
+            sync(path.parent)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
 
@@ -86,14 +87,6 @@ def _told(path: Path) -> Iterator[None]:
     except OSError as error:
         what = f"cannot be written: {error.strerror or error}"
         raise UnavailableError(Problem(what, str(path))) from error
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _umask() -> int:

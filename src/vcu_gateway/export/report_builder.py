@@ -3,7 +3,6 @@
 import contextlib
 import json
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime
 from itertools import groupby
 
 from vcu_gateway.export.decisions import NEVER_RECEIVED, DecidedEvent, Decisions
@@ -14,6 +13,7 @@ from vcu_gateway.export.report_plots import plots
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import Source
 from vcu_gateway.export.tables import GATEWAY, severity_name
+from vcu_gateway.text import TIME_OF_DAY_MS, duration, utc
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _FINEST_NS = 50 * NS_PER_MS
@@ -66,17 +66,17 @@ def _grid(source: Source) -> Grid:
 
 def headline(source: Source, bands: list[Band]) -> str:
     """The recording in a sentence or two: how long, in which modes, and what ended it."""
-    duration = span_text(source.end_ns - source.start_ns)
+    lasts = duration((source.end_ns - source.start_ns) / NS_PER_MS)
     decisions = source.decisions
     if not decisions.tick_times_ns:
         count, channel = source.store.summary.decoded.total(), source.store.channel
         where = f" on {channel}" if channel else ""
         known = sum(1 for rows in source.store.rows.values() if rows.count)
         return (
-            f"{duration} of traffic{where}: {count:,} frames of {known} messages."
+            f"{lasts} of traffic{where}: {count:,} frames of {known} messages."
             " The recording has no decisions of a gateway."
         )
-    sentences = [_driven(bands, duration)]
+    sentences = [_driven(bands, lasts)]
     faults = [one for one in decisions.events if one.name == "fault_latched"]
     if not faults:
         sentences.append("No fault latched.")
@@ -85,24 +85,23 @@ def headline(source: Source, bands: list[Band]) -> str:
         reason = first.fields.get("reason", "")
         several = f"{len(faults)} faults latched, the first"
         what = several if len(faults) > 1 else "A fault latched"
-        sentences.append(f"{what} at {clock_text(first.wall_ns)}: {reason}.")
+        sentences.append(f"{what} at {utc(first.wall_ns, TIME_OF_DAY_MS)}: {reason}.")
     return " ".join(sentences)
 
 
-def _driven(bands: list[Band], duration: str) -> str:
+def _driven(bands: list[Band], lasts: str) -> str:
     modes = next((band.spans for band in bands if band.title == "mode"), ())
     active = [span.end_ns - span.begin_ns for span in modes if span.kind == "active"]
     if not active:
-        return f"{duration} recorded, never active."
+        return f"{lasts} recorded, never active."
     times = "once" if len(active) == 1 else f"{len(active)} times"
-    return f"{duration} recorded, {span_text(sum(active))} of it active ({times})."
+    return f"{lasts} recorded, {duration(sum(active) / NS_PER_MS)} of it active ({times})."
 
 
 def _facts(source: Source, grid: Grid) -> Iterator[tuple[str, str]]:
     if grid.start_ns > _YEAR_2000_NS:
-        date = datetime.fromtimestamp(grid.start_ns // NS_PER_S, UTC)
-        yield "begins", f"{date:%Y-%m-%d %H:%M:%S} UTC"
-    yield "lasts", span_text(source.end_ns - source.start_ns)
+        yield "begins", f"{utc(grid.start_ns)} UTC"
+    yield "lasts", duration((source.end_ns - source.start_ns) / NS_PER_MS)
     yield "frames", f"{source.store.summary.decoded.total():,}"
     if source.decisions.tick_times_ns:
         yield "ticks", f"{len(source.decisions.tick_times_ns):,}"
@@ -173,21 +172,3 @@ def _texts(attachments: Mapping[str, bytes]) -> dict[str, str]:
         for name, contents in attachments.items()
         if not name.endswith(".dbc")
     }
-
-
-def span_text(duration_ns: int) -> str:
-    """`1 h 3 min`, `12 min 4 s`, `8.3 s`."""
-    seconds = duration_ns / NS_PER_S
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes < 60:
-        return f"{minutes} min {rest} s"
-    return f"{minutes // 60} h {minutes % 60} min"
-
-
-def clock_text(wall_ns: int) -> str:
-    """Time of day with milliseconds, UTC."""
-    seconds, rest_ns = divmod(wall_ns, NS_PER_S)
-    date = datetime.fromtimestamp(seconds, UTC)
-    return f"{date:%H:%M:%S}.{rest_ns // NS_PER_MS:03d}"

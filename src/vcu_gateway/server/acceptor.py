@@ -74,7 +74,6 @@ class Acceptor:
         return sock
 
     def session(self, sock: socket.socket, now_ns: int) -> Session:
-        """Session of this connection, which has no place yet."""
         peer = peer_of(sock)
         caller = Caller(next(self._numbers), peer, self._policy.rights_of(peer))
         return Session(sock, caller, self._limits, now_ns)
@@ -87,7 +86,6 @@ class Acceptor:
         return counts.clients < limits.clients or evict_one(caller, False)
 
     def turn_away(self, sock: socket.socket) -> None:
-        """Say why there is no place."""
         self._counters.turned_away += 1
         what = (
             f"no place is left: {self._limits.clients} clients at most,"

@@ -27,12 +27,15 @@ from vcu_gateway.units import NS_PER_MS
 
 
 class CommandHandlers:
-    """Handlers of commands; used by the ticking thread alone, but for `owns_demand`."""
+    """Handlers of commands; used by the ticking thread alone, but for `owns_demand`.
+
+    The name of a source belongs to the connection that first made a demand in it, until it ends.
+    """
 
     def __init__(self, context: ServerContext) -> None:
         self._context = context
         self._requests = context.loop.gateway.requests
-        self._sources = DemandSources()
+        self._owners: dict[str, int] = {}
 
     def execute(self, method: str, params: Any, caller: Caller) -> Mapping[str, Any]:
         """Result of the command; RequestError where it is refused."""
@@ -45,17 +48,15 @@ class CommandHandlers:
         demand = arbiter.current
         if demand is None or not arbiter.fresh(time.monotonic_ns()):
             return False
-        return self._sources.owner_of(demand.source) == caller.connection
+        return self._owners.get(demand.source) == caller.connection
 
     def end_demands_of(self, caller: Caller) -> None:
-        """End the demands of a connection that has ended."""
-        for source in self._sources.free(caller.connection):
+        for source in [name for name, one in self._owners.items() if one == caller.connection]:
+            del self._owners[source]
             self._requests.end_demand(source, time.monotonic_ns())
 
     def set_demand(self, params: methods.DemandParams, caller: Caller) -> results.Granted:
-        """Offer a demand to the gateway."""
-        owner = self._sources.owner_of(params.source)
-        if owner is not None and owner != caller.connection:
+        if self._owners.get(params.source, caller.connection) != caller.connection:
             sentence = f"another connection is source {params.source}; use a name of your own"
             raise _refused(Refusal.OTHER_OWNER, sentence)
         demand = demand_of(params, self._context.loop.gateway.settings)
@@ -64,30 +65,25 @@ class CommandHandlers:
         if answer.refusal is Refusal.EXPIRED:
             answer = refused(Refusal.EXPIRED, _too_late(demand, now_ns))
         if answer.granted:
-            self._sources.claim(params.source, caller.connection)
+            self._owners[params.source] = caller.connection
         return self._granted(answer)
 
     def release(self, params: methods.ReleaseParams, caller: Caller) -> results.Granted:
-        """End a demand of this connection."""
-        if self._sources.owner_of(params.source) != caller.connection:
+        if self._owners.get(params.source) != caller.connection:
             sentence = f"this connection is not source {params.source}"
             raise _refused(Refusal.OTHER_OWNER, sentence)
         return self._granted(self._requests.end_demand(params.source, time.monotonic_ns()))
 
     def arm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """Ask for the transition from standby to active."""
         return self._logged("arm", caller, self._requests.arm(time.monotonic_ns()))
 
     def disarm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """Ask for the transition from active to standby."""
         return self._logged("disarm", caller, self._requests.disarm(time.monotonic_ns()))
 
     def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        """Cut the power."""
         return self._logged("estop", caller, self._context.loop.emergency_stop())
 
     def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
-        """Ask for the transition from fault to starting."""
         level = FaultClass(params.level)
         return self._logged("reset", caller, self._requests.reset(level, time.monotonic_ns()))
 
@@ -106,7 +102,6 @@ class CommandHandlers:
         return {"granted": True, "mode": views.mode_name(mode)}
 
     def events(self, params: methods.EventsParams, _: Caller) -> results.Events:
-        """Latest entries of the event log."""
         now_ns, event_log = time.monotonic_ns(), self._context.loop.event_log
         entries = [_entry(entry, now_ns) for entry in event_log.latest(params.limit)]
         return {"events": entries, "forgotten": event_log.forgotten}
@@ -182,28 +177,3 @@ def _entry(entry: LoggedEvent, now_ns: int) -> results.EventEntry:
         "last_ms": (now_ns - entry.last_ns) / NS_PER_MS,
         "last_time": entry.last_time(),
     }
-
-
-class DemandSources:
-    """Owners of source names: the connection that first made a demand in a name, until it ends.
-
-    Used by the ticking thread, read by the API's.
-    """
-
-    def __init__(self) -> None:
-        self._owners: dict[str, int] = {}
-
-    def owner_of(self, source: str) -> int | None:
-        """Number of the connection; None where the name is free."""
-        return self._owners.get(source)
-
-    def claim(self, source: str, connection: int) -> None:
-        """Give the name to this connection."""
-        self._owners[source] = connection
-
-    def free(self, connection: int) -> tuple[str, ...]:
-        """Free the names of this connection; returns them."""
-        own = tuple(name for name, owner in self._owners.items() if owner == connection)
-        for name in own:
-            del self._owners[name]
-        return own

@@ -12,10 +12,10 @@ from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.daemon.reload import ReloadOutcome
+from vcu_gateway.rate_limit import LogRateLimit
 from vcu_gateway.server import queries
 from vcu_gateway.server.commands import CommandHandlers
 from vcu_gateway.server.context import ServerContext
-from vcu_gateway.server.rate_limit import LogRateLimit
 from vcu_gateway.server.service import Caller, Reply
 from vcu_gateway.server.shared_request import SharedRequest
 from vcu_gateway.server.stop_requests import STOPS
@@ -103,19 +103,15 @@ class Dispatcher:
         return {"changed": list(outcome.changed), "digest": digest}
 
     def state(self, messages: list[str] | None) -> results.State:
-        """Current state; RequestError for a message that the gateway does not receive."""
         return queries.state(self._context, messages)
 
     def owns_demand(self, caller: Caller) -> bool:
-        """True while a fresh demand of this connection counts."""
         return self._commands.owns_demand(caller)
 
     def log_refused(self, method: str, caller: Caller, sentence: str) -> None:
-        """Log a request that was refused for want of a right."""
         self._log("api_refused", caller, {"method": method, "sentence": sentence})
 
     def log_closed(self, caller: Caller, reason: str) -> None:
-        """Log a connection that the gateway closed."""
         self._log("api_client_closed", caller, {"reason": reason})
 
     def _log(self, name: str, caller: Caller, fields: Mapping[str, object]) -> None:

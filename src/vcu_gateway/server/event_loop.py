@@ -269,11 +269,8 @@ class EventLoop:
 
     def _serve_line(self, session: Session, now_ns: int) -> None:
         if now_ns < session.rate.ready_ns:
-            session.is_delayed = True
             return
         session.rate.take(now_ns)
-        self._counters.delayed += session.is_delayed
-        session.is_delayed = False
         self._handler.handle_next(session, now_ns)
         self._handler.check_line_length(session, now_ns)
         self._send_replies()
@@ -344,7 +341,7 @@ class EventLoop:
         with session.sock:  # closed last: a peer that sees the end finds it counted
             self._end_demands_if_ended(session)
             if reason:
-                self._counters.count_closed(reason)
+                self._counters.closed[reason] += 1
                 self._service.log_closed(session.caller, reason)
 
     def _is_pending(self) -> bool:

@@ -97,15 +97,7 @@ def health(
 
 
 def _recorder(tap: RecorderTap | None) -> results.RecorderCounts | None:
-    if tap is None:
-        return None
-    counts = tap.counts
-    return {
-        "connected": counts.connected,
-        "datagrams": counts.datagrams,
-        "lost_datagrams": counts.lost_datagrams,
-        "lost_frames": counts.lost_frames,
-    }
+    return None if tap is None else views.result_of(results.RecorderCounts, tap.counts)
 
 
 def _link(loop: TickLoop, bus: BusSettings, now_ns: int) -> results.Link:

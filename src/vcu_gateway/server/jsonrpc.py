@@ -105,7 +105,6 @@ def error_line(request_id: RequestId | None, error: RequestError) -> bytes:
 
 
 def notification_line(method: str, params: Mapping[str, Any]) -> bytes:
-    """Line of a notification."""
     return _line({"jsonrpc": "2.0", "method": method, "params": params})
 
 
@@ -233,7 +232,6 @@ def _error_sentence(model: type[Params], error: ValidationError) -> str:
 
 
 def _one_error(model: type[Params], error: Any) -> str:
-    """Sentence about one error in the parameters."""
     path: Sequence[str | int] = error["loc"]
     where = _quoted(".".join(str(part) for part in path if part != "[key]"))
     if error["type"] == "missing":

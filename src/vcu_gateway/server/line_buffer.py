@@ -51,7 +51,6 @@ class LineBuffer:
         self._overtaken_bytes = len(self._buffer) + unread_bytes
 
     def feed(self, chunk: bytes) -> None:
-        """Append received bytes."""
         newline_at = chunk.rfind(b"\n")
         if newline_at >= 0:
             self._whole_bytes = len(self._buffer) + newline_at + 1

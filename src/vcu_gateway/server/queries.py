@@ -23,14 +23,6 @@ def state(context: ServerContext, messages: list[str] | None) -> results.State:
     return views.state(gateway, latest, now_ns, messages)
 
 
-def _state(context: ServerContext, params: methods.StateParams) -> results.State:
-    return state(context, params.messages)
-
-
-def _why(context: ServerContext, _: methods.Nothing) -> results.Why:
-    return views.why(context.latest().why)
-
-
 def _health(context: ServerContext, _: methods.Nothing) -> results.Health:
     config = context.in_effect.config
     api, now_ns = context.api_counts(), time.monotonic_ns()
@@ -46,15 +38,11 @@ def _config(context: ServerContext, _: methods.Nothing) -> results.ConfigInEffec
     }
 
 
-def _protocol(context: ServerContext, _: methods.Nothing) -> results.Protocol:
-    return context.protocol
-
-
 QUERIES: Mapping[str, Callable[[ServerContext, Any], Any]] = {
-    "state.get": _state,
-    "why": _why,
+    "state.get": lambda context, params: state(context, params.messages),
+    "why": lambda context, _: views.why(context.latest().why),
     "health": _health,
     "config.get": _config,
-    "protocol.get": _protocol,
+    "protocol.get": lambda context, _: context.protocol,
 }
 """Handlers by method."""

@@ -38,7 +38,6 @@ class ReplyQueue:
             self.wake()
 
     def wake(self) -> None:
-        """Wake the API's thread."""
         if not self._is_woken:
             self._is_woken = True
             os.eventfd_write(self.fd, 1)

@@ -53,7 +53,6 @@ class RequestHandler:
             session.end_after_output(LINE_TOO_LONG)
 
     def handle_next(self, session: Session, now_ns: int) -> None:
-        """Handle the request in the next line."""
         is_overtaken = session.lines.is_overtaken
         request = jsonrpc.parse(session.take_line(now_ns))
         self._handle(session, request, now_ns, is_overtaken=is_overtaken)
@@ -124,7 +123,7 @@ class RequestHandler:
         now_ns: int,
     ) -> None:
         if isinstance(reply, RequestError):
-            self._counters.count_error(reply.code.name.lower())
+            self._counters.errors[reply.code.name.lower()] += 1
             session.send(jsonrpc.error_line(request_id, reply), now_ns)
         elif request_id is not None:
             session.send(jsonrpc.result_line(request_id, reply), now_ns)

@@ -50,11 +50,6 @@ class Server:
         """Exception that ended the thread, as text; None while there was none."""
         return self._failed
 
-    @property
-    def delayed(self) -> int:
-        """Number of requests held up because their connection exceeded its rate."""
-        return self._counters.delayed
-
     def counts(self) -> ApiCounts:
         """Counters of the API; from any thread."""
         return self._counters.report()

@@ -8,9 +8,9 @@ import termios
 from typing import NamedTuple
 
 from vcu_gateway.api.errors import RequestError
+from vcu_gateway.rate_limit import TokenBucket
 from vcu_gateway.server.jsonrpc import RequestId
 from vcu_gateway.server.line_buffer import LineBuffer
-from vcu_gateway.server.rate_limit import TokenBucket
 from vcu_gateway.server.service import Caller
 from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.units import NS_PER_S
@@ -78,7 +78,6 @@ class Session:
         has_ended_demands: the service was asked to end its demands.
         is_driver: it has made a demand; it is served between all the others.
         is_seated: it has a place; until then only a stop of it is served.
-        is_delayed: the next request was held up by the rate.
         active_ns: time of the connection, of its last request or of the last output to it.
     """
 
@@ -88,11 +87,11 @@ class Session:
         self.sock = sock
         self.caller = caller
         self.lines = LineBuffer()
-        self.rate = TokenBucket(limits.rate_per_s, limits.burst, now_ns)
+        self.rate = TokenBucket(NS_PER_S // limits.rate_per_s, limits.burst, now_ns)
         self.pending: dict[int, ReplyTo | None] = {}
         self.subscriptions: dict[int, SubscriptionState] = {}
         self.peer_ended = self.peer_is_lost = self.has_ended_demands = False
-        self.is_delayed = self.is_driver = self.is_seated = False
+        self.is_driver = self.is_seated = False
         self.active_ns = now_ns
         self._limits = limits
         self._output = bytearray()
@@ -103,7 +102,6 @@ class Session:
 
     @property
     def has_output(self) -> bool:
-        """True while output waits for the peer to read; nothing else goes on."""
         return bool(self._output)
 
     @property
@@ -181,7 +179,6 @@ class Session:
         return self.lines.take()
 
     def _start_timeout(self, now_ns: int) -> None:
-        """Start the timeout of the next line."""
         self._began_ns = now_ns
 
     def take_pending(self, number: int, now_ns: int) -> ReplyTo | None:
@@ -201,7 +198,6 @@ class Session:
         self.flush(now_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Send buffered output as far as the kernel takes it."""
         try:
             sent = self.sock.send(self._output, socket.MSG_NOSIGNAL)
         except BlockingIOError:

@@ -88,7 +88,6 @@ def obstacle(path: str) -> Problem | None:
 
 
 def _remove_leftover(path: str) -> None:
-    """Remove the socket that an earlier run left behind."""
     if not os.path.lexists(path):
         return
     try:

@@ -1,7 +1,7 @@
 """State, commands, `why` and protocol as the API's results."""
 
 from collections.abc import Iterable
-from typing import Any, cast, get_args
+from typing import Any, TypeVar, cast, get_args
 
 from vcu_gateway.api import results
 from vcu_gateway.core import why as explanation
@@ -16,7 +16,16 @@ from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.units import NS_PER_MS
 
+Result = TypeVar("Result")
+
 _CONTROLLERS: tuple[results.ControllerName, ...] = get_args(results.ControllerName)
+
+
+def result_of(shape: type[Result], source: object, **others: Any) -> Result:
+    """Result of this shape: `others`, and what its source has under the names of the rest."""
+    names = shape.__annotations__
+    values = {name: others[name] if name in others else getattr(source, name) for name in names}
+    return cast(Result, values)
 
 
 def state(
@@ -86,23 +95,17 @@ def _commands(
 ) -> dict[results.ControllerName, results.ControllerCommand]:
     """Command to each controller in the last tick, and the last frames that left for it."""
     decided = {one.controller: _candump(one.can_id, one.data) for one in latest.result.frames}
-    commands: dict[results.ControllerName, results.ControllerCommand] = {}
-    for name in _CONTROLLERS:
-        command = latest.result.commands[name]
-        commands[name] = {
-            "throttle_pct": command.throttle_pct,
-            "brake_pct": command.brake_pct,
-            "power_mode": cast(results.PowerModeName, command.power_mode.name.lower()),
-            "motor_reverse": command.motor_reverse,
-            "regen_brake": command.regen_brake,
-            "power_cut": command.power_cut,
-            "speed_limit_rpm": command.speed_limit_rpm,
-            "power_limit_w": command.power_limit_w,
-            "decided": decided.get(name),
-            "sent": _sent(gateway, name, now_ns),
-            "echoed": _echoed(gateway, name, now_ns),
-        }
-    return commands
+    return {
+        name: result_of(
+            results.ControllerCommand,
+            command := latest.result.commands[name],
+            power_mode=command.power_mode.name.lower(),
+            decided=decided.get(name),
+            sent=_sent(gateway, name, now_ns),
+            echoed=_echoed(gateway, name, now_ns),
+        )
+        for name in _CONTROLLERS
+    }
 
 
 def _sent(gateway: Gateway, controller: str, now_ns: int) -> results.CarriedFrame | None:
@@ -137,15 +140,14 @@ def _stop(stop: Stop, now_ns: int) -> results.StopState:
 
 def _controller_stop(stop: Stop, controller: str, now_ns: int) -> results.ControllerStopState:
     one = stop.controllers[controller]
-    return {
-        "sent_ms": _age(now_ns, one.sent_ns),
-        "echoed_ms": _age(now_ns, one.echoed_ns),
-        "obeyed": one.obeyed,
-        "judged_ms": _age(now_ns, one.judged_ns),
-        "power_cut": one.power_cut,
-        "throttle_pct": one.throttle_pct,
-        "missing": stop.missing(controller),
-    }
+    return result_of(
+        results.ControllerStopState,
+        one,
+        sent_ms=_age(now_ns, one.sent_ns),
+        echoed_ms=_age(now_ns, one.echoed_ns),
+        judged_ms=_age(now_ns, one.judged_ns),
+        missing=stop.missing(controller),
+    )
 
 
 def why(explained: explanation.Explanation) -> results.Why:
@@ -191,7 +193,6 @@ def _cause(held: HeldCause, explained: explanation.Explanation) -> results.Cause
 
 
 def mode_name(mode: Mode) -> results.ModeName:
-    """Name of a mode in the API."""
     return mode.value
 
 
@@ -226,29 +227,15 @@ def definition(protocol: ProtocolSpec, digest: str) -> results.Protocol:
 
 
 def _message_definition(message: MessageSpec) -> results.MessageDefinition:
-    return {
-        "name": message.name,
-        "can_id": f"0x{message.can_id:08X}",
-        "sender": message.sender,
-        "receivers": list(message.receivers),
-        "period_ms": message.period_ms,
-        "signals": [_signal_definition(signal) for signal in message.signals],
-        "comment": message.comment,
-    }
+    return result_of(
+        results.MessageDefinition,
+        message,
+        can_id=f"0x{message.can_id:08X}",
+        receivers=list(message.receivers),
+        signals=[_signal_definition(signal) for signal in message.signals],
+    )
 
 
 def _signal_definition(signal: SignalSpec) -> results.SignalDefinition:
-    return {
-        "name": signal.name,
-        "unit": signal.unit,
-        "minimum": signal.minimum,
-        "maximum": signal.maximum,
-        "factor": signal.factor,
-        "offset": signal.offset,
-        "start_bit": signal.start_bit,
-        "length_bits": signal.length_bits,
-        "byte_order": signal.byte_order,
-        "signed": signal.signed,
-        "names": {str(code): name for code, name in signal.names.items()},
-        "comment": signal.comment,
-    }
+    names = {str(code): name for code, name in signal.names.items()}
+    return result_of(results.SignalDefinition, signal, names=names)

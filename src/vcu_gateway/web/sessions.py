@@ -3,13 +3,13 @@
 import contextlib
 import hashlib
 import json
-import os
 import secrets
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
+
+from vcu_gateway import files
 
 _TOKEN_BYTES = 32
 SESSIONS_PER_USER = 16
@@ -104,22 +104,11 @@ class Sessions:
             for key, one in self._sessions.items()
         }
         with contextlib.suppress(OSError):  # a full disk keeps nobody from signing in
-            _replace(self._file, json.dumps(written))
+            files.replace(self._file, json.dumps(written), 0o600)
 
 
 def _key(token: str) -> str:
     return hashlib.sha256(token.encode(errors="replace")).hexdigest()
-
-
-def _replace(path: Path, text: str) -> None:
-    number, name = tempfile.mkstemp(dir=path.parent)
-    try:
-        with os.fdopen(number, "w") as file:
-            file.write(text)
-        Path(name).replace(path)
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def _load(file: Path, ahead_s: float) -> dict[str, BrowserSession]:

@@ -1,18 +1,20 @@
-"""Rate limits: a token bucket for requests, and at most one log line of a kind per second."""
+"""Rate limits: a token bucket, and at most one log line of a kind per second."""
 
 from collections.abc import Hashable
 
 from vcu_gateway.units import NS_PER_S
 
+_MAX_KINDS = 100
+
 
 class TokenBucket:
-    """Token bucket: at most `rate_per_s` requests a second, bursts of `burst`; integers only.
+    """Token bucket: one in `interval_ns`, bursts of `burst`; integers only.
 
     `take` is allowed from `ready_ns` on, in nanoseconds of the caller's clock.
     """
 
-    def __init__(self, rate_per_s: int, burst: int, now_ns: int) -> None:
-        self._interval_ns = NS_PER_S // rate_per_s
+    def __init__(self, interval_ns: int, burst: int, now_ns: int) -> None:
+        self._interval_ns = interval_ns
         self._burst_ns = burst * self._interval_ns
         self._taken_until_ns = now_ns - self._burst_ns
 
@@ -22,12 +24,8 @@ class TokenBucket:
         return self._taken_until_ns + self._interval_ns
 
     def take(self, now_ns: int) -> None:
-        """Remove one token; only from `ready_ns` on."""
+        """Only from `ready_ns` on."""
         self._taken_until_ns = max(self.ready_ns, now_ns - self._burst_ns + self._interval_ns)
-
-
-_INTERVAL_NS = 1_000_000_000
-_MAX_KINDS = 100
 
 
 class LogRateLimit:
@@ -39,7 +37,7 @@ class LogRateLimit:
 
     def admit(self, kind: Hashable, now_ns: int) -> int | None:
         """Number suppressed since the last one admitted; None where this one is suppressed."""
-        if now_ns - self._admitted_ns.get(kind, now_ns - _INTERVAL_NS) < _INTERVAL_NS:
+        if now_ns - self._admitted_ns.get(kind, now_ns - NS_PER_S) < NS_PER_S:
             self._suppressed[kind] = self._suppressed.get(kind, 0) + 1
             return None
         if kind not in self._admitted_ns and len(self._admitted_ns) >= _MAX_KINDS:
