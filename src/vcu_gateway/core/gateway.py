@@ -182,7 +182,7 @@ class Gateway:
             return self.requests.refuse("reload", reason)
         self.settings = settings
         self.requests.terms = demand_terms(settings)
-        self.transmitter.reload(settings)
+        self.transmitter.gate.limits = settings
         return GRANTED
 
     @property
