@@ -110,7 +110,6 @@ class Gate:
         sent: _Sent | None,
         now_ns: int,
     ) -> str | None:
-        """The name of the first rule that the frame breaks."""
         if not own_id:
             return "identifier"
         if len(data) != _LENGTH:
@@ -159,7 +158,6 @@ class Gate:
         return self._throttle_fault(data, sent, now_ns) if data[1] else None
 
     def _power_mode_rises(self, data: bytes, sent: _Sent | None) -> bool:
-        """True where PowerMode rises although a slot's last frame had throttle."""
         before = 0 if sent is None else _mode_rank(sent.data)
         if _mode_rank(data) <= before:
             return False
@@ -184,7 +182,6 @@ class Gate:
     def _turned(
         self, data: bytes, sent: _Sent | None, speeds_rpm: tuple[float | None, ...]
     ) -> bool:
-        """True where the direction changes although it must not."""
         if sent is None or (data[0] ^ sent.data[0]) & _REVERSE == 0:
             return False
         limit_rpm = self.limits.direction_change_rpm

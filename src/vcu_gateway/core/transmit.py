@@ -92,7 +92,6 @@ class Transmitter:
         return fault
 
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
-        """Record a frame that the bus took."""
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
         reverse = frame.data[self._direction_byte] & self._reverse != 0
         self.taken[frame.controller] = TakenFrame(frame, now_ns)
@@ -131,7 +130,6 @@ class SentHistory:
         self.begun = self.emitted = False
 
     def note_sent(self, controller: str, sent: SentValues) -> None:
-        """A frame was handed to the bus."""
         self.frames[controller].append(sent)
         self.begun = self.begun or all(self.frames.values())
 
@@ -145,7 +143,6 @@ class SentHistory:
 
     @property
     def unsent(self) -> list[str]:
-        """The controllers for which no frame has left yet."""
         return [name for name, sent in self.frames.items() if not sent]
 
     def note_confirmed(self, confirmed: Mapping[str, int]) -> int:

@@ -32,7 +32,6 @@ _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=str)
 
 
 def encoded(values: Any) -> str:
-    """JSON text."""
     return _ENCODER.encode(values)
 
 

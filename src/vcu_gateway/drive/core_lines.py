@@ -51,7 +51,6 @@ class LineWriter:
         self._mode: Mode | None = None
 
     def begin(self, checkpoint: Checkpoint) -> str:
-        """The first line of a segment."""
         self.frames, self._mode = 0, checkpoint.mode
         values = {
             "state": checkpoint.state,

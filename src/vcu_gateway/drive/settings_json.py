@@ -19,7 +19,6 @@ _NOTHING_DEMANDED = ControllerDemand()
 
 
 def settings_json(settings: Settings) -> dict[str, Any]:
-    """Every field by its name."""
     values = {name: getattr(settings, name) for name in _SETTINGS}
     bench = settings.bench_demand
     return values | {"bench_demand": None if bench is None else controller_json(bench)}
@@ -140,7 +139,6 @@ def demand_of(values: Mapping[str, Any], now_ns: int) -> Demand:
 
 
 def number_of(value: Any) -> Any:
-    """Value of what `number_text` gave."""
     if isinstance(value, str):
         return _NOT_FINITE[value]
     if value is None or isinstance(value, (int, float)):

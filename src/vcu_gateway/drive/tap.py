@@ -45,7 +45,6 @@ class Tap:
         self.calls.append(NotedCall(len(self.frames), what, answer))
 
     def take(self) -> Noted:
-        """Everything since the last time."""
         noted = Noted(self.frames[:], self.calls[:])
         self.frames.clear()
         self.calls.clear()
@@ -93,7 +92,6 @@ class TappedGateway(Gateway):
 
 
 def packed_frames(frames: list[Frame]) -> list[bytes]:
-    """The frames as a datagram has them."""
     pack, extended = datagram.CLASSIC.pack, datagram.EXTENDED
     return [
         pack(frame.arrival_ns, frame.can_id | extended, frame.own_echo, 8, frame.data)

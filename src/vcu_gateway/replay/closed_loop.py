@@ -80,7 +80,6 @@ class ClosedLoop:
         self._now_ns = 0
 
     def note(self, record: FrameRun | CoreRecord) -> None:
-        """Take one record."""
         if not self._loops:
             if isinstance(record, Checkpoint):
                 self._begin(record)

@@ -32,7 +32,6 @@ _NOT_JUDGED = (
 
 
 def limits_of(settings: Settings, aliases: Mapping[int, str]) -> VerdictLimits:
-    """The configured values that the verdict uses."""
     names = {one.name for one in dataclasses.fields(VerdictLimits)}
     names &= {one.name for one in dataclasses.fields(settings)}
     values: dict[str, Any] = {name: getattr(settings, name) for name in names}
@@ -87,7 +86,6 @@ class JudgedRecords:
         return judge
 
     def frames(self, frames: list[Frame]) -> None:
-        """Take in frames in their order."""
         if self._unknown:
             self._between += frames  # they came between the sending of both frames
             return
@@ -95,7 +93,6 @@ class JudgedRecords:
         self._ready().frames(frames)
 
     def note(self, record: FrameRun | CoreRecord) -> None:
-        """Take in a record."""
         if isinstance(record, FrameRun):
             self.frames(record.frames)
         elif isinstance(record, TickRecord):
@@ -158,13 +155,11 @@ class JudgedRecords:
                 tell(judge, one)
 
     def end(self) -> None:
-        """The stretch is over."""
         if self._judge is not None:
             self._ready().end()
         self._judge = None
 
     def verdict(self) -> DriveVerdict:
-        """What was found so far."""
         self.end()
         counts = self._counts
         return DriveVerdict(

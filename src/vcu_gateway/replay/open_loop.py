@@ -63,7 +63,6 @@ class OpenLoop:
         self._now_ns = 0
 
     def note(self, record: FrameRun | CoreRecord) -> None:
-        """Replay one record."""
         gateway = self._gateway
         if gateway is None:
             if isinstance(record, Checkpoint):
