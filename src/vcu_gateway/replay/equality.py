@@ -13,7 +13,7 @@ import json
 from collections import Counter
 from typing import Any, NamedTuple
 
-from vcu_gateway.core.calls import NoteSent, RunTick
+from vcu_gateway.core.calls import WORDS, NoteSent, RunTick
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
@@ -185,8 +185,7 @@ class EqualityCheck:
         if record.answer is not None and isinstance(answer, RequestResult):
             self._compared["answers"] += 1
             if answer != record.answer:
-                what = type(one).__name__.removesuffix("Input").lower()
-                self._differs(f"answer to {what}", _told(record.answer), _told(answer))
+                self._differs(f"answer to {WORDS[type(one)]}", _told(record.answer), _told(answer))
 
     def _begin_tick(self, now_ns: int) -> None:
         self._end_tick()
