@@ -14,6 +14,7 @@ from pathlib import Path
 from bench.figures import Figure, Options, alone, counts_finely
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
+from vcu_gateway.core import calls
 from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand
@@ -93,7 +94,7 @@ def _recorded(folder: Path, seconds: float) -> Path:
     clock = ClockPair(now_ns, 1_795_000_000 * 10**9)
     hello = Hello("0" * 32, "", "can0", clock, settings, text, "", contents, "")
     writer = DriveWriter(folder, hello.values(), gateway, now_ns)
-    gateway.link_opened(LinkStatus(LinkState.UP, now_ns), None, now_ns)
+    gateway.apply(calls.OpenLink(LinkStatus(LinkState.UP, now_ns), None, now_ns))
     for tick in range(round(seconds * 20)):
         now_ns += _PERIOD_NS
         while (due_ns := nodes.next_due_ns()) <= now_ns:
@@ -101,12 +102,12 @@ def _recorded(folder: Path, seconds: float) -> Path:
                 gateway.receive(Frame(one.can_id, one.data, due_ns))
         throttle_pct = 0.0 if tick <= _ARM_TICK else 20.0 * (tick // 60 % 4)
         both = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=throttle_pct))
-        gateway.requests.offer(Demand("driver", tick + 1, 200, both), now_ns)
+        gateway.apply(calls.Offer(Demand("driver", tick + 1, 200, both), now_ns))
         if tick == _ARM_TICK:
-            gateway.requests.arm(now_ns)
+            gateway.apply(calls.Arm(now_ns))
         result = gateway.tick(now_ns)
         for frame in result.frames:
-            gateway.sent(frame, True, now_ns)
+            gateway.apply(calls.NoteSent(frame, True, now_ns))
         for frame in result.frames:
             nodes.receive(frame.can_id, frame.data, now_ns)
             gateway.receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))

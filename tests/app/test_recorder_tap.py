@@ -13,8 +13,8 @@ from vcu_gateway import config as configuration
 from vcu_gateway.app import Application
 from vcu_gateway.client import RefusedError
 from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import TickResult
-from vcu_gateway.core.inputs import TickInput
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
@@ -205,7 +205,7 @@ def test_a_tick_that_ends_the_process_by_a_bug_is_recorded_as_the_last(tmp_path,
     wait_until(lambda: listener.ticks == 4, "the last datagram")
     last = datagram.unpack(listener.connections[0][-1])
     (record,) = [one.record for line in last.lines.splitlines() for one in parsed(line)]
-    assert isinstance(record.input, TickInput)
+    assert isinstance(record.input, RunTick)
 
 
 def breaks_after(loop: TickLoop, ticks: int) -> None:

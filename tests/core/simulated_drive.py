@@ -5,7 +5,7 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import Any, Self
 
-from vcu_gateway.core import freshness
+from vcu_gateway.core import calls, freshness
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.coded_signals import CodedSignals
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, RequestResult
@@ -151,7 +151,7 @@ class Drive:
     def open_link(self, at_ns: int | None = None) -> None:
         """The interface was opened then, or now, without a word on its carrier."""
         at_ns = self.now_ns if at_ns is None else at_ns
-        self.gateway.link_opened(LinkStatus(LinkState.UP, at_ns), None, at_ns)
+        self.gateway.apply(calls.OpenLink(LinkStatus(LinkState.UP, at_ns), None, at_ns))
 
     def tick(self, after_ns: int = PERIOD_NS) -> TickResult:
         """Let time go by, the nodes speak and the gateway decide; then send."""
@@ -165,7 +165,7 @@ class Drive:
         self.events += result.events
         for frame in result.frames:
             accepted = self.accepted and frame.controller in self.taken
-            self.gateway.sent(frame, accepted, self.now_ns)
+            self.gateway.apply(calls.NoteSent(frame, accepted, self.now_ns))
             if accepted:
                 self._throttles[frame.controller] = frame.data[1]
             if accepted and self.echo:
@@ -206,13 +206,13 @@ class Drive:
         """One demand of the driver for both controllers."""
         self._sequence += 1
         demand = Demand("driver", self._sequence, self.ttl_ms, dict.fromkeys(CONTROLLERS, demanded))
-        return self.gateway.requests.offer(replace(demand, **changes), self.now_ns)
+        return self.gateway.apply(calls.Offer(replace(demand, **changes), self.now_ns))
 
     def arm(self) -> RequestResult:
-        return self.gateway.requests.arm(self.now_ns)
+        return self.gateway.apply(calls.Arm(self.now_ns))
 
     def reset(self, level: FaultClass = FaultClass.SERVICE) -> RequestResult:
-        return self.gateway.requests.reset(level, self.now_ns)
+        return self.gateway.apply(calls.Reset(level, self.now_ns))
 
     def twin(self) -> "Drive":
         """A copy that goes its own way; only the protocol is shared."""
@@ -249,6 +249,6 @@ def in_mode(mode: Mode, **settings: Any) -> Drive:
         drive.receive_foreign()
         drive.run(1500)
     elif mode is Mode.STOPPING:
-        drive.gateway.requests.terminate()
+        drive.gateway.apply(calls.Terminate())
         drive.tick()
     return drive

@@ -10,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcu_gateway.core import gate as gate_module
-from vcu_gateway.core.gate import Gate, GateLimits
+from vcu_gateway.core.gate import Gate
+from vcu_gateway.core.settings import Settings
 
 MS = 1_000_000
 PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0
 SPEED_MAX_RPM, POWER_MAX_W = 6000, 30_000
-LIMITS = GateLimits(
-    allowed=(PCU1_ID, PCU2_ID),
+IDS = (PCU1_ID, PCU2_ID)
+LIMITS = Settings(
     speed_limit_max_rpm=SPEED_MAX_RPM,
     power_limit_max_w=POWER_MAX_W,
     throttle_slew_pct_per_s=100.0,
@@ -44,7 +45,7 @@ def frame(first=0x04, throttle=0, brake=0, *, b4=0, speed=SPEED_MAX_RPM, power=P
 @pytest.fixture
 def gate():
     """A gate that has seen one zero-torque frame leave for each controller, at 0."""
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(0, ZERO_TORQUE, 0)
     gate.sent(1, ZERO_TORQUE, 0)
     return gate
@@ -126,7 +127,7 @@ def test_every_bit_that_is_used_passes(gate, first):
 @pytest.mark.parametrize("speed", [500, 501, SPEED_MAX_RPM - 1, SPEED_MAX_RPM])
 @pytest.mark.parametrize("first", [0x04, 0x0C])
 def test_a_speed_limit_of_500_up_to_the_maximum_passes(speed, first):
-    assert check(Gate(LIMITS), frame(first, speed=speed, power=0)) is None
+    assert check(Gate(IDS, LIMITS), frame(first, speed=speed, power=0)) is None
 
 
 @pytest.mark.parametrize("speed", [0, 1, 499, SPEED_MAX_RPM + 1, 12_000, 0xFFFF])
@@ -176,7 +177,7 @@ def test_a_speed_limit_that_falls_too_fast_is_blocked(gate):
 
 @pytest.mark.parametrize("speed", [500, 501, 5_999, SPEED_MAX_RPM])
 def test_the_speed_limit_rises_at_once(speed):
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(0, frame(speed=500), 0)
     assert_passes(gate, frame(speed=speed))
 
@@ -194,7 +195,7 @@ def test_the_speed_limit_rises_at_once(speed):
 )
 @pytest.mark.parametrize("first", [0x04, 0x0C])
 def test_above_a_maximum_that_became_stricter_the_speed_limit_comes_down(speed, rule, first):
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(0, frame(first, speed=12_000, power=0), 0)
     assert check(gate, frame(first, speed=speed, power=0)) == rule
 
@@ -210,14 +211,14 @@ def test_above_a_maximum_that_became_stricter_the_speed_limit_comes_down(speed, 
     ],
 )
 def test_above_a_maximum_that_became_stricter_the_power_limit_comes_down(power, rule):
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(0, frame(power=60_000), 0)
     assert check(gate, frame(power=power)) == rule
 
 
 @pytest.mark.parametrize(("speed", "power"), [(SPEED_MAX_RPM + 1, 0), (6_000, POWER_MAX_W + 1)])
 def test_before_the_first_frame_left_nothing_is_on_its_way(speed, power):
-    assert check(Gate(LIMITS), frame(speed=speed, power=power)) is not None
+    assert check(Gate(IDS, LIMITS), frame(speed=speed, power=power)) is not None
 
 
 # Regeneration.
@@ -321,14 +322,14 @@ def test_unarmed_a_safe_frame_passes(gate, data):
 def test_the_throttle_rises_by_the_slew_since_the_last_frame_sent(before, elapsed_ns, highest):
     at_ns = 1_000_000 * MS
     for throttle, blocked in ((highest, None), (highest + 1, "throttle_slew")):
-        gate = Gate(LIMITS)
+        gate = Gate(IDS, LIMITS)
         gate.sent(0, frame(throttle=before), at_ns)
         assert check(gate, frame(throttle=throttle), now_ns=at_ns + elapsed_ns) == blocked
 
 
 def test_a_whole_code_earned_exactly_is_allowed():
     limits = replace(LIMITS, throttle_slew_pct_per_s=39.0, period_ns=10 * MS)
-    gate = Gate(limits)
+    gate = Gate(IDS, limits)
     gate.sent(0, frame(throttle=10), 0)
     assert check(gate, frame(throttle=12), now_ns=10 * MS) is None
     assert check(gate, frame(throttle=13), now_ns=10 * MS) == "throttle_slew"
@@ -336,7 +337,7 @@ def test_a_whole_code_earned_exactly_is_allowed():
 
 @pytest.mark.parametrize("throttle", [0, 1, 100, 199, 200])
 def test_the_throttle_falls_or_stays_at_any_time(throttle):
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(0, frame(throttle=200), 0)
     assert_passes(gate, frame(throttle=throttle), now_ns=0)
 
@@ -354,8 +355,8 @@ def test_each_slot_has_its_own_last_frame(gate):
 
 
 def test_before_the_first_frame_left_only_a_throttle_of_zero_passes():
-    assert check(Gate(LIMITS), frame(throttle=0)) is None
-    assert check(Gate(LIMITS), frame(throttle=1)) == "throttle_slew"
+    assert check(Gate(IDS, LIMITS), frame(throttle=0)) is None
+    assert check(Gate(IDS, LIMITS), frame(throttle=1)) == "throttle_slew"
 
 
 def test_a_stricter_slew_counts_at_once(gate):
@@ -386,7 +387,7 @@ def test_power_mode_rises_only_where_each_slot_was_released(gate, before, after,
 
 
 def test_power_mode_of_a_slot_without_a_frame_rises_only_where_the_other_was_released():
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(1, frame(ECO, 12), 0)
     assert check(gate, frame(ECO)) is None
     gate.sent(1, frame(ECO, 13), 0)
@@ -420,7 +421,7 @@ def test_the_direction_does_not_change_together_with_throttle(gate):
 
 
 def test_the_direction_does_not_change_right_after_throttle():
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(0, frame(throttle=1), 0)
     assert_blocked(gate, "direction", frame(0x14))
 
@@ -428,7 +429,7 @@ def test_the_direction_does_not_change_right_after_throttle():
 @pytest.mark.parametrize("speeds", [(6000.0, 6000.0), (None, None)])
 @pytest.mark.parametrize("first", [0x04, 0x14])
 def test_the_direction_that_was_sent_passes_at_any_speed(speeds, first):
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     gate.sent(0, frame(first, throttle=50), 0)
     assert_passes(gate, frame(first, throttle=50), speeds=speeds)
 
@@ -470,7 +471,7 @@ TIMES_NS = st.integers(-(10**12), 10**15)
 
 
 def gate_after(last_sent):
-    gate = Gate(LIMITS)
+    gate = Gate(IDS, LIMITS)
     if last_sent is not None:
         gate.sent(0, last_sent, 0)
     return gate
@@ -521,4 +522,4 @@ def test_the_gate_imports_nothing_of_the_modules_that_it_checks():
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0
             imported.add(node.module)
-    assert imported == {"dataclasses", "functools"}
+    assert imported == {"dataclasses", "typing"}

@@ -839,7 +839,9 @@ def test_a_tick_late_by_more_than_four_periods_stops(late_ns, mode):
 def test_a_frame_that_the_gate_blocks_stops_both_controllers():
     drive = active()
     gate = drive.gateway.transmitter.gate
-    gate.limits = replace(gate.limits, power_limit_max_w=100)  # as if the rest were wrong
+    gate.limits = replace(
+        drive.gateway.settings, power_limit_max_w=100
+    )  # as if the rest were wrong
     drive.tick()
     assert (drive.mode, drive.commands) == (Mode.FAULT, [ZERO_TORQUE] * 2)
     assert drive.gateway.supervisor.latch.reason == "the gate blocked a frame: power_limit"
@@ -853,7 +855,7 @@ def test_a_frame_that_the_gate_blocks_stops_both_controllers():
 def test_the_gate_does_not_take_a_power_cut_away():
     drive = in_mode(Mode.STANDBY)
     gate = drive.gateway.transmitter.gate
-    gate.limits = replace(gate.limits, speed_limit_max_rpm=100)
+    gate.limits = replace(drive.gateway.settings, speed_limit_max_rpm=100)
     drive.gateway.requests.emergency_stop()
     for _ in range(3):
         drive.tick()

@@ -29,7 +29,7 @@ from tests.core.reference_model import (
     ReferenceModel,
     is_safe,
 )
-from vcu_gateway.core import why
+from vcu_gateway.core import calls, why
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.frame import Frame
@@ -189,7 +189,7 @@ class GatewayMachine(RuleBasedStateMachine):
         if not was_fresh:
             self.reference.note_gap()
             self.released_ns = None
-        answer = self.gateway.requests.offer(demand, self.now_ns)
+        answer = self.gateway.apply(calls.Offer(demand, self.now_ns))
         self._check_lateness(was)
         if not was_fresh:
             self.may_be_active = False
@@ -240,7 +240,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _arm(self):
         before = self.gateway.supervisor.mode
-        answer = self.gateway.requests.arm(self.now_ns)
+        answer = self.gateway.apply(calls.Arm(self.now_ns))
         if answer.granted:
             assert before is Mode.STANDBY
             assert self._fresh()
@@ -263,7 +263,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _reset(self, level):
         before = self.gateway.supervisor.mode
-        answer = self.gateway.requests.reset(level, self.now_ns)
+        answer = self.gateway.apply(calls.Reset(level, self.now_ns))
         after = self.gateway.supervisor.mode
         if answer.granted:
             assert (before, after) == (Mode.FAULT, Mode.STARTING), "never to ACTIVE"
@@ -463,7 +463,7 @@ class GatewayMachine(RuleBasedStateMachine):
         self.emitted = bool(result.frames)
         for frame in result.frames:
             ok = frame.controller not in self.refuse and not self.link_lost
-            self.gateway.sent(frame, ok, self.now_ns)
+            self.gateway.apply(calls.NoteSent(frame, ok, self.now_ns))
             if ok:
                 self.reference.note_sent(frame.controller, frame.data, self.now_ns)
             if ok and frame.controller not in self.mute:
@@ -502,7 +502,7 @@ class GatewayMachine(RuleBasedStateMachine):
         self._well()
         self.bus_off = False
         self.link_lost = False
-        self.gateway.link_opened(LinkStatus(LinkState.UP, self.now_ns), None, self.now_ns)
+        self.gateway.apply(calls.OpenLink(LinkStatus(LinkState.UP, self.now_ns), None, self.now_ns))
         self.quiet_until_ns = self.now_ns + self.settings.listen_before_talk_ms * MS
 
     def _settle(self):
@@ -531,7 +531,7 @@ class GatewayMachine(RuleBasedStateMachine):
     @rule()
     def disarm(self):
         was = self.gateway.supervisor.mode
-        self.gateway.requests.disarm(self.now_ns)
+        self.gateway.apply(calls.Disarm(self.now_ns))
         self._check_lateness(was)
         self.may_be_active = False
         assert self.gateway.supervisor.mode is not Mode.ACTIVE
@@ -542,7 +542,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     @rule()
     def press_emergency_stop(self):
-        assert self.gateway.requests.emergency_stop().granted
+        assert self.gateway.apply(calls.EmergencyStop()).granted
         self.emergency = True
 
     @rule(speeds=st.lists(st.sampled_from([0, 0, 19, 20, 21, 49, 50, 3000, 6001]), min_size=2))
@@ -659,7 +659,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     @rule(ticks=st.integers(0, 5))
     def link_goes(self, ticks):
-        self.gateway.link_lost(self.now_ns)
+        self.gateway.apply(calls.LoseLink(self.now_ns))
         self.link_lost = True
         self.nobody_asks(ticks)
 
@@ -709,7 +709,7 @@ class GatewayMachine(RuleBasedStateMachine):
     @rule(source=st.sampled_from(sorted(PRIORITIES)))
     def end_the_demand(self, source):
         owner = self.demand is not None and self.demand.source == source
-        answer = self.gateway.requests.end_demand(source, self.now_ns)
+        answer = self.gateway.apply(calls.EndDemand(source, self.now_ns))
         assert answer.granted is owner, "nobody ends another's demand"
         if owner:
             self.demand_ended, self.may_be_active = True, False
@@ -743,7 +743,7 @@ class GatewayMachine(RuleBasedStateMachine):
         assume(name != "clear_hold_ms" or new < 3000)
         after = dataclasses.replace(self.settings, **{name: new})
         active = self.gateway.supervisor.mode is Mode.ACTIVE
-        answer = self.gateway.reload(after)
+        answer = self.gateway.apply(calls.ReloadSettings(after))
         assert answer.granted is (stricter or not active or new == value)
         if answer.granted:
             self.settings = self.reference.settings = after
@@ -751,7 +751,9 @@ class GatewayMachine(RuleBasedStateMachine):
 
     @rule(change=st.sampled_from([{"period_ns": 1}, {"auto_arm": True}, {"transmit_priority": 7}]))
     def reload_what_needs_a_restart(self, change):
-        assert not self.gateway.reload(dataclasses.replace(self.settings, **change)).granted
+        assert not self.gateway.apply(
+            calls.ReloadSettings(dataclasses.replace(self.settings, **change))
+        ).granted
         assert self.gateway.settings == self.settings
 
     # Always.
@@ -791,7 +793,7 @@ class GatewayMachine(RuleBasedStateMachine):
 
     def _end(self):
         """STOPPING: at least three safe frames that leave, or ten ticks, and then the end."""
-        self.gateway.requests.terminate()
+        self.gateway.apply(calls.Terminate())
         self.ending = True
         for count in range(1, 11):
             result = self._step(IDLE, source=self._owner())

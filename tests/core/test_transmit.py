@@ -147,7 +147,7 @@ def test_new_limits_count_from_the_next_frame_on(codec, change, command, rule):
     frames = output.encoded(decided(power_mode=PowerMode.ECO, **command))
     speeds = (30.0, 30.0)
     assert output.fault_of(frames, True, speeds, 50 * MS) is None
-    output.reload(dataclasses.replace(settings, **change))
+    output.gate.limits = dataclasses.replace(settings, **change)
     assert output.fault_of(frames, True, speeds, 50 * MS) == rule
 
 

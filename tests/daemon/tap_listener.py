@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.core.test_invariants import CODEC
+from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.core.inputs import TickInput
 from vcu_gateway.drive.checkpoint import restore, state_of
 from vcu_gateway.drive.core_line_parser import LineParser
 from vcu_gateway.drive.records import Checkpoint, ShellEvent, TickRecord, WhyRecord
@@ -119,7 +119,7 @@ def _at(gateway: Gateway | None, checkpoint: Checkpoint) -> Gateway:
 
 def _compare(gateway: Gateway, record: Any, seen: Replayed) -> None:
     if isinstance(record, TickRecord):
-        result = TickInput(record.now_ns).apply(gateway)
+        result = RunTick(record.now_ns).apply(gateway)
         assert (result.frames, result.mode, result.events) == record[1:]
         seen.ticks.append(record)
     elif isinstance(record, WhyRecord):

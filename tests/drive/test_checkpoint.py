@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from tests.core.simulated_drive import CODEC, MS, Drive, active, in_mode
 from tests.drive.graphs import DifferenceError, compare
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
@@ -48,8 +49,8 @@ def busy_drive(mode: Mode = Mode.ACTIVE) -> Drive:
     drive.gateway.receive(Frame(BUS_OFF, bytes(8), drive.now_ns, error=True))
     drive.gateway.receive(Frame(RESTARTED, bytes(8), drive.now_ns + 1, error=True))
     drive.receive("BMS_Status")
-    drive.gateway.requests.emergency_stop()
-    drive.gateway.restart_state_tried("No space")
+    drive.gateway.apply(calls.EmergencyStop())
+    drive.gateway.apply(calls.NoteRestartState("No space"))
     return drive
 
 
@@ -105,7 +106,7 @@ def test_the_state_of_a_restored_core_is_the_same_text():
 
 def test_a_state_from_before_the_restart_state_is_read_as_one_that_was_kept():
     kept, failed = Drive(), Drive()
-    failed.gateway.restart_state_tried("No space")
+    failed.gateway.apply(calls.NoteRestartState("No space"))
     requests = state_of(kept.gateway)["Gateway"]["requests"]["OperatorRequests"]
     assert "restart_state_failure" not in requests
     assert restored(kept).requests.restart_state_failure is None

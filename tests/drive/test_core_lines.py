@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.core.simulated_drive import MS, ZERO_TORQUE
 from tests.core.test_invariants import ASKED, SETTINGS
 from tests.drive.tapped import TappedDrive, lines_of, parsed
-from vcu_gateway.core import inputs
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import (
     CONTROLLERS,
     GRANTED,
@@ -27,7 +27,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.core_line_parser import LineError, LineParser, Placed
-from vcu_gateway.drive.core_lines import CoreCall, LineWriter
+from vcu_gateway.drive.core_lines import LineWriter, NotedCall
 from vcu_gateway.drive.records import Gap, InputRecord, ShellEvent, TickRecord, WhyRecord
 from vcu_gateway.drive.settings_json import settings_json, settings_of
 
@@ -42,42 +42,42 @@ DEMAND = Demand("driver", 7, 200, BOTH)
 ALMOST_UP = LinkStatus(LinkState.WARNING, 5)
 
 CALLS = [
-    inputs.LinkLostInput(NOW),
-    inputs.LinkOpenedInput(ALMOST_UP, None, NOW),
-    inputs.LinkOpenedInput(ALMOST_UP, Carrier(True, 6), NOW),
-    inputs.CarrierInput(Carrier(False, 6)),
-    inputs.RestartsInput(2),
-    inputs.BeginInput(None, {}),
-    inputs.BeginInput('under"voltage\n', {"PCU1": True, "PCU2": False}),
-    inputs.RestartStateInput(None),
-    inputs.RestartStateInput('no "space"'),
-    inputs.OfferInput(DEMAND, NOW),
-    inputs.OfferInput(replace(DEMAND, controllers=APART, made_ns=-3), NOW),
-    inputs.OfferInput(replace(DEMAND, made_ns=NOW + 3), NOW),
-    inputs.OfferInput(replace(DEMAND, made_ns=NOW - 1, sequence=NOW // 1000 - 1), NOW),
-    inputs.OfferInput(replace(DEMAND, controllers=EVERYTHING), NOW),
-    inputs.OfferInput(replace(DEMAND, controllers={}, ttl_ms=None), NOW),
-    inputs.EndDemandInput("driver", NOW),
-    inputs.ArmInput(NOW),
-    inputs.DisarmInput(NOW),
-    inputs.ResetInput(FaultClass.SERVICE, NOW),
-    inputs.EmergencyStopInput(),
-    inputs.TerminateInput(),
-    inputs.ReloadInput(Settings(bench_demand=ControllerDemand(), priorities={"driver": 2})),
-    inputs.SentInput(OutFrame("PCU1", 0x0008A7D0, ZERO_TORQUE), False, NOW),
+    calls.LoseLink(NOW),
+    calls.OpenLink(ALMOST_UP, None, NOW),
+    calls.OpenLink(ALMOST_UP, Carrier(True, 6), NOW),
+    calls.ChangeCarrier(Carrier(False, 6)),
+    calls.CountRestarts(2),
+    calls.BeginFrom(None, {}),
+    calls.BeginFrom('under"voltage\n', {"PCU1": True, "PCU2": False}),
+    calls.NoteRestartState(None),
+    calls.NoteRestartState('no "space"'),
+    calls.Offer(DEMAND, NOW),
+    calls.Offer(replace(DEMAND, controllers=APART, made_ns=-3), NOW),
+    calls.Offer(replace(DEMAND, made_ns=NOW + 3), NOW),
+    calls.Offer(replace(DEMAND, made_ns=NOW - 1, sequence=NOW // 1000 - 1), NOW),
+    calls.Offer(replace(DEMAND, controllers=EVERYTHING), NOW),
+    calls.Offer(replace(DEMAND, controllers={}, ttl_ms=None), NOW),
+    calls.EndDemand("driver", NOW),
+    calls.Arm(NOW),
+    calls.Disarm(NOW),
+    calls.Reset(FaultClass.SERVICE, NOW),
+    calls.EmergencyStop(),
+    calls.Terminate(),
+    calls.ReloadSettings(Settings(bench_demand=ControllerDemand(), priorities={"driver": 2})),
+    calls.NoteSent(OutFrame("PCU1", 0x0008A7D0, ZERO_TORQUE), False, NOW),
 ]
 
 
 @pytest.mark.parametrize("call", CALLS, ids=lambda call: type(call).__name__)
 def test_every_call_is_read_as_it_was_written(call):
-    text = LineWriter().lines([CoreCall(3, call)], 5)
+    text = LineWriter().lines([NotedCall(3, call)], 5)
     assert text.startswith('{"f":3,"')
     assert parsed(text) == [Placed(3, InputRecord(call, None))]
 
 
 def test_every_kind_of_call_has_its_line():
-    kinds = {type(call) for call in CALLS} | {inputs.TickInput, inputs.FrameInput}
-    assert kinds == set(inputs.CoreInput.__args__)
+    kinds = {type(call) for call in CALLS} | {calls.RunTick}
+    assert kinds == set(calls.WORDS)
 
 
 def test_answers_and_what_is_noted_beside_calls_are_read_too():
@@ -85,13 +85,13 @@ def test_answers_and_what_is_noted_beside_calls_are_read_too():
     drive.tick()
     drive.tap.take()
     assert not drive.arm().granted
-    drive.gateway.requests.emergency_stop()
+    drive.gateway.apply(calls.EmergencyStop())
     drive.tap.note(WhyRecord(drive.now_ns, "starting: waits"))
     drive.tap.note(ShellEvent(drive.now_ns, Event("link_lost", Severity.ERROR, {"reason": "?"})))
     arm, estop, why, event = [one.record for one in parsed(lines_of(drive.tap))]
     assert arm.answer.refusal is Refusal.NOT_ALLOWED_NOW
     assert "listening" in arm.answer.sentence
-    assert estop == InputRecord(inputs.EmergencyStopInput(), GRANTED)
+    assert estop == InputRecord(calls.EmergencyStop(), GRANTED)
     assert why == WhyRecord(drive.now_ns, "starting: waits")
     assert event.event == Event("link_lost", Severity.ERROR, {"reason": "?"})
 
@@ -106,7 +106,7 @@ def test_a_tick_has_its_frames_mode_events_and_how_they_were_sent():
     assert offer.answer == GRANTED
     assert tick == TickRecord(drive.now_ns, result.frames, result.mode, result.events)
     assert [one.input for one in sent] == [
-        inputs.SentInput(frame, True, drive.now_ns) for frame in result.frames
+        calls.NoteSent(frame, True, drive.now_ns) for frame in result.frames
     ]
     assert '"ok":[true,true]' in text
 
@@ -126,16 +126,16 @@ def test_a_frame_that_is_sent_at_another_time_has_a_line_of_its_own():
     drive.tap.take()
     result = drive.gateway.tick(drive.now_ns + 50 * MS)
     for frame in result.frames:
-        drive.gateway.sent(frame, True, drive.now_ns + 51 * MS)
+        drive.gateway.apply(calls.NoteSent(frame, True, drive.now_ns + 51 * MS))
     tick, *sent = [one.record for one in parsed(lines_of(drive.tap))]
     assert isinstance(tick, TickRecord)
-    times = [one.input.now_ns for one in sent if isinstance(one.input, inputs.SentInput)]
+    times = [one.input.now_ns for one in sent if isinstance(one.input, calls.NoteSent)]
     assert times == [drive.now_ns + 51 * MS] * 2
 
 
 def test_a_tick_that_ended_the_process_is_a_call_without_answer():
-    text = LineWriter().lines([CoreCall(2, inputs.TickInput(NOW))], 2)
-    assert parsed(text) == [Placed(2, InputRecord(inputs.TickInput(NOW), None))]
+    text = LineWriter().lines([NotedCall(2, calls.RunTick(NOW))], 2)
+    assert parsed(text) == [Placed(2, InputRecord(calls.RunTick(NOW), None))]
 
 
 def test_the_mode_stands_on_the_line_of_its_change_alone():
@@ -154,14 +154,14 @@ def test_the_mode_stands_on_the_line_of_its_change_alone():
 def test_frames_of_a_segment_are_counted_on():
     writer = LineWriter()
     writer.lines([], 4)
-    assert writer.lines([CoreCall(1, inputs.ArmInput(NOW))], 1).startswith('{"f":5,')
+    assert writer.lines([NotedCall(1, calls.Arm(NOW))], 1).startswith('{"f":5,')
     assert writer.frames == 5
 
 
 def test_numbers_that_json_does_not_have_are_words():
     odd = ControllerDemand(throttle_pct=math.inf, brake_pct=-math.inf, power_limit_w=math.nan)
     demand = replace(DEMAND, controllers=dict.fromkeys(CONTROLLERS, odd))
-    text = LineWriter().lines([CoreCall(0, inputs.OfferInput(demand, NOW))], 0)
+    text = LineWriter().lines([NotedCall(0, calls.Offer(demand, NOW))], 0)
     json.loads(text, parse_constant=pytest.fail)
     read = parsed(text)[0].record.input.demand.controllers["PCU2"]
     assert (read.throttle_pct, read.brake_pct) == (math.inf, -math.inf)

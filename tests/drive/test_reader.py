@@ -9,9 +9,10 @@ import pytest
 
 from tests.core.simulated_drive import CODEC, MS
 from tests.drive.recorded import WALL_NS, RecordedDrive
+from vcu_gateway.core import calls
+from vcu_gateway.core.calls import Receive, RunTick
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.inputs import FrameInput, TickInput
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.drive.checkpoint import restore, state_of
@@ -36,12 +37,12 @@ def recorded(tmp_path_factory) -> RecordedDrive:
     assert drive.arm().granted
     drive.demanded = ControllerDemand(throttle_pct=20)
     drive.run(15_000)
-    drive.gateway.reload(Settings(derated_power_w=5_000))
+    drive.gateway.apply(calls.ReloadSettings(Settings(derated_power_w=5_000)))
     drive.codes["BMS_Status.CellUndervoltage"] = 1
     drive.run(10_000)
-    drive.gateway.requests.emergency_stop()
+    drive.gateway.apply(calls.EmergencyStop())
     drive.run(10_000)
-    drive.gateway.requests.terminate()
+    drive.gateway.apply(calls.Terminate())
     drive.run(200)
     drive.close()
     return drive
@@ -57,7 +58,7 @@ def replayed(drive: Drive, first_segment: int | None = None) -> tuple[int, int]:
                     assert state_of(gateway) == record.state
                 gateway = gateway or restore(record.state, CODEC, record.settings)
             case TickRecord():
-                result = TickInput(record.now_ns).apply(gateway)
+                result = RunTick(record.now_ns).apply(gateway)
                 assert result[3:] == record[1:2] + record[3:]
                 assert result.mode is record.mode
                 ticks += 1
@@ -119,7 +120,7 @@ def test_the_frames_are_candump_lines_with_nanoseconds(recorded, tmp_path):
     inputs = [
         one.input.frame
         for one in drive.records()
-        if isinstance(one, InputRecord) and isinstance(one.input, FrameInput)
+        if isinstance(one, InputRecord) and isinstance(one.input, Receive)
     ]
     distance_ns = drive.info.clock.distance_ns
     assert [one.arrival_ns + distance_ns for one in inputs] == [one.arrival_ns for one in frames]

@@ -11,8 +11,8 @@ from hypothesis import settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from tests.core.test_invariants import CODEC, COUNTS, GatewayMachine
+from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.core.inputs import TickInput
 from vcu_gateway.drive.checkpoint import restore, state_of
 from vcu_gateway.drive.core_line_parser import LineParser, Placed
 from vcu_gateway.drive.records import Checkpoint, TickRecord, WhyRecord
@@ -69,7 +69,7 @@ class RecordedMachine(GatewayMachine):
                 gateway.receive(frame_of(frames[taken]))
                 taken += 1
             if isinstance(record, TickRecord):
-                result = TickInput(record.now_ns).apply(gateway)
+                result = RunTick(record.now_ns).apply(gateway)
                 assert (result.frames, result.mode, result.events) == record[1:]
             elif isinstance(record, WhyRecord):
                 assert gateway.why(record.now_ns).sentence() == record.sentence

@@ -5,6 +5,7 @@ from random import Random
 from tests.core.simulated_drive import CODEC, RECEIVED
 from tests.golden.scripted_drive import MS, ScriptedDrive
 from tests.golden.scripts import golden
+from vcu_gateway.core import calls
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode
 
@@ -112,7 +113,7 @@ def late_ticks(drive: ScriptedDrive) -> None:
     drive.run(300)
     drive.start_driving()
     drive.wait_until(drive.tick_ns + 210 * MS)
-    drive.gateway.requests.disarm(drive.now_ns)
+    drive.gateway.apply(calls.Disarm(drive.now_ns))
     drive.tick_ns = drive.now_ns + MS
     drive.run(300)
 
@@ -249,7 +250,7 @@ def lost_link(drive: ScriptedDrive) -> None:
         drive.reset()
         drive.run(1500)
         drive.start_driving()
-    drive.gateway.requests.disarm(drive.now_ns)
+    drive.gateway.apply(calls.Disarm(drive.now_ns))
     drive.run(200)
     drive.open_link(carrier=False)
     drive.run(400)
@@ -271,7 +272,7 @@ def another_sender(drive: ScriptedDrive) -> None:
         drive.run(400)
         drive.reset()
         drive.run(1800)
-    drive.gateway.requests.disarm(drive.now_ns)
+    drive.gateway.apply(calls.Disarm(drive.now_ns))
     drive.run(200)
     drive.receive(PCU1_COMMAND, bytes(3))
     drive.run(1500)

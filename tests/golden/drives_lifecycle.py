@@ -5,6 +5,7 @@ from random import Random
 from tests.golden.drives_vehicle import code
 from tests.golden.scripted_drive import END_TICKS_AT_MOST, MS, ScriptedDrive, Step
 from tests.golden.scripts import golden
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.supervisor import FaultClass
 
@@ -37,8 +38,10 @@ def ended_while_listening(drive: ScriptedDrive) -> None:
 @golden(49, 51, 67, 84)
 def restarted_while_rolling(drive: ScriptedDrive) -> None:
     """A start after a crash in reverse with a latched CUT, with motors that turn."""
-    drive.gateway.restarted(1)
-    drive.gateway.begin_from("BMS_Status.InternalFault 1: cut", {"PCU1": True, "PCU2": True})
+    drive.gateway.apply(calls.CountRestarts(1))
+    drive.gateway.apply(
+        calls.BeginFrom("BMS_Status.InternalFault 1: cut", {"PCU1": True, "PCU2": True})
+    )
     with drive.broken(code("PCU1_Status2.MotorSpeed", 1500)):
         drive.run(2500)
         drive.reset(FaultClass.DRIVER)
@@ -50,7 +53,7 @@ def restarted_while_rolling(drive: ScriptedDrive) -> None:
 @golden(49, 51)
 def restarted_in_reverse(drive: ScriptedDrive) -> None:
     """A start after a crash in reverse, of which only one controller says anything."""
-    drive.gateway.begin_from(None, {"PCU1": True, "PCU2": True})
+    drive.gateway.apply(calls.BeginFrom(None, {"PCU1": True, "PCU2": True}))
     silent: Step = {"fault": "silence", "of": "PCU2_Status1"}
     with drive.broken(code("PCU1_Status1.MotorReverse", 1), silent):
         drive.run(1500)
@@ -59,12 +62,12 @@ def restarted_in_reverse(drive: ScriptedDrive) -> None:
 @golden(49, 51)
 def restarted_too_often(drive: ScriptedDrive) -> None:
     """The third unexpected start of a drive: nothing can be armed."""
-    drive.gateway.restarted(3)
-    drive.gateway.begin_from(None, {"PCU1": True, "PCU2": False})
+    drive.gateway.apply(calls.CountRestarts(3))
+    drive.gateway.apply(calls.BeginFrom(None, {"PCU1": True, "PCU2": False}))
     drive.run(3000)
     drive.arm()
     drive.run(300)
-    drive.gateway.restarted(2)
+    drive.gateway.apply(calls.CountRestarts(2))
     drive.arm()
     drive.run(500)
 
@@ -72,15 +75,15 @@ def restarted_too_often(drive: ScriptedDrive) -> None:
 @golden()
 def restart_state(drive: ScriptedDrive) -> None:
     """A restart state that cannot be kept, before arming and in the drive."""
-    drive.gateway.restart_state_tried("No space left on device")
+    drive.gateway.apply(calls.NoteRestartState("No space left on device"))
     drive.run(3000)
     drive.arm()
     drive.run(300)
-    drive.gateway.restart_state_tried(None)
+    drive.gateway.apply(calls.NoteRestartState(None))
     drive.start_driving()
-    drive.gateway.restart_state_tried("Read-only file system")
+    drive.gateway.apply(calls.NoteRestartState("Read-only file system"))
     drive.run(500)
-    drive.gateway.restart_state_tried(None)
+    drive.gateway.apply(calls.NoteRestartState(None))
     drive.run(1500)
 
 
@@ -99,7 +102,7 @@ def bench(drive: ScriptedDrive) -> None:
     """A test bench that arms once by itself, is disarmed, and is taken over by a driver."""
     drive.demanded = None
     drive.run(4000)
-    drive.gateway.requests.disarm(drive.now_ns)
+    drive.gateway.apply(calls.Disarm(drive.now_ns))
     drive.run(1500)
     drive.arm()
     drive.run(500)
@@ -144,7 +147,7 @@ def _anything(drive: ScriptedDrive, chance: Random) -> None:
     elif what == 4:
         drive.tick(chance.randrange(1, 400) * MS)
     elif what == 5:
-        drive.gateway.requests.emergency_stop()
+        drive.gateway.apply(calls.EmergencyStop())
     elif what == 6:
         drive.demanded = None
     else:

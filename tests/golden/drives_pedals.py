@@ -5,6 +5,7 @@ from dataclasses import replace
 from tests.golden.drives_vehicle import code
 from tests.golden.scripted_drive import CRUISE, MS, RELEASED, ScriptedDrive
 from tests.golden.scripts import golden
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import CONTROLLERS, PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
@@ -123,7 +124,7 @@ def throttle_at_arming(drive: ScriptedDrive) -> None:
     drive.arm()
     drive.demand()
     drive.run(700)
-    drive.gateway.requests.emergency_stop()
+    drive.gateway.apply(calls.EmergencyStop())
     drive.run(600)
     drive.reset()
     drive.demanded = RELEASED
@@ -157,7 +158,7 @@ def directions(drive: ScriptedDrive) -> None:
     drive.run(3500)
     drive.demand()
     drive.run(500)
-    drive.gateway.requests.disarm(drive.now_ns)
+    drive.gateway.apply(calls.Disarm(drive.now_ns))
     drive.demanded = {"PCU1": RELEASED, "PCU2": replace(RELEASED, motor_reverse=True)}
     drive.run(600)
     drive.arm()

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from tests.golden.scripted_drive import CRUISE, MS, RELEASED, ScriptedDrive
 from tests.golden.scripts import golden
+from vcu_gateway.core import calls
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
@@ -22,10 +23,10 @@ def silent_driver(drive: ScriptedDrive) -> None:
     drive.demanded = None
     drive.run(1000)
     drive.start_driving()
-    drive.gateway.requests.end_demand("somebody", drive.now_ns)
+    drive.gateway.apply(calls.EndDemand("somebody", drive.now_ns))
     drive.ticks(2)
     drive.demanded = None
-    drive.gateway.requests.end_demand("driver", drive.now_ns)
+    drive.gateway.apply(calls.EndDemand("driver", drive.now_ns))
     drive.run(300)
     drive.start_driving()
     drive.demanded = None
@@ -121,15 +122,19 @@ def reloads(drive: ScriptedDrive) -> None:
         {"direction_change_rpm": 20.0}, {"clear_hold_ms": 2_000}, {"power_slew_w_per_s": 30_000.0},
     ):  # fmt: skip
         after = replace(now, **changes)
-        if drive.gateway.reload(after).granted:
+        if drive.gateway.apply(calls.ReloadSettings(after)).granted:
             now = after
         drive.run(500)
-    drive.gateway.requests.disarm(drive.now_ns)
+    drive.gateway.apply(calls.Disarm(drive.now_ns))
     drive.run(200)
-    drive.gateway.reload(Settings())
+    drive.gateway.apply(calls.ReloadSettings(Settings()))
     drive.run(300)
-    drive.gateway.reload(
-        Settings(required_messages=("BMS_Status", "PCU1_Status2", "PCU2_Status2", "IMU_Attitude"))
+    drive.gateway.apply(
+        calls.ReloadSettings(
+            Settings(
+                required_messages=("BMS_Status", "PCU1_Status2", "PCU2_Status2", "IMU_Attitude")
+            )
+        )
     )
     drive.run(1500)
     drive.arm()
@@ -143,7 +148,7 @@ def requests_in_every_mode(drive: ScriptedDrive) -> None:
     def ask() -> None:
         drive.arm()
         drive.ticks(1)
-        drive.gateway.requests.disarm(drive.now_ns)
+        drive.gateway.apply(calls.Disarm(drive.now_ns))
         drive.ticks(1)
         drive.reset(FaultClass.DRIVER)
         drive.ticks(1)
@@ -154,7 +159,7 @@ def requests_in_every_mode(drive: ScriptedDrive) -> None:
     ask()
     drive.start_driving()
     ask()
-    drive.gateway.requests.emergency_stop()
+    drive.gateway.apply(calls.EmergencyStop())
     drive.run(100)
     ask()
     drive.run(1500)
@@ -166,9 +171,9 @@ def requests_in_every_mode(drive: ScriptedDrive) -> None:
     drive.break_with()
     drive.run(1500)
     drive.start_driving()
-    drive.gateway.requests.terminate()
+    drive.gateway.apply(calls.Terminate())
     drive.ticks(2)
-    drive.gateway.requests.emergency_stop()
+    drive.gateway.apply(calls.EmergencyStop())
     ask()
     drive.receive(0x0008A7D0, bytes(8))
     drive.ticks(2)

@@ -10,6 +10,7 @@ from typing import Any
 
 from tests.core.simulated_drive import CODEC, MS, data
 from vcu_gateway import simulator
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode, RequestResult
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
@@ -137,17 +138,17 @@ class ScriptedDrive:
     def lose_link(self) -> None:
         """The interface is down or gone."""
         self.connected = self.accepted = False
-        self.gateway.link_lost(self.now_ns)
+        self.gateway.apply(calls.LoseLink(self.now_ns))
 
     def open_link(self, state: LinkState = LinkState.UP, carrier: bool | None = None) -> None:
         """The interface was opened, now."""
         self.connected = self.accepted = True
         known = None if carrier is None else Carrier(carrier, self.now_ns)
-        self.gateway.link_opened(LinkStatus(state, self.now_ns), known, self.now_ns)
+        self.gateway.apply(calls.OpenLink(LinkStatus(state, self.now_ns), known, self.now_ns))
 
     def carry(self, present: bool) -> None:
         """The carrier of the open interface came or went."""
-        self.gateway.carrier_changed(Carrier(present, self.now_ns))
+        self.gateway.apply(calls.ChangeCarrier(Carrier(present, self.now_ns)))
 
     # Time.
 
@@ -168,7 +169,7 @@ class ScriptedDrive:
 
         The bus takes no frames of the ticks `refused`, of which the first is 1.
         """
-        self.gateway.requests.terminate()
+        self.gateway.apply(calls.Terminate())
         for number in range(1, END_TICKS_AT_MOST + 1):
             self.accepted = number not in refused
             self.tick()
@@ -193,7 +194,7 @@ class ScriptedDrive:
         self.result = self.gateway.tick(self.now_ns)
         for frame in self.result.frames:
             accepted = self.accepted and frame.controller in self.taken
-            self.gateway.sent(frame, accepted, self.now_ns)
+            self.gateway.apply(calls.NoteSent(frame, accepted, self.now_ns))
             if accepted:
                 self.nodes.receive(frame.can_id, frame.data, self.now_ns)
                 at_ns = self.now_ns + ECHO_DELAY_NS
@@ -235,17 +236,17 @@ class ScriptedDrive:
             else demanded
         )
         demand = Demand(self.source, self.sequence, self.ttl_ms, both)
-        return self.gateway.requests.offer(replace(demand, **changes), self.now_ns)
+        return self.gateway.apply(calls.Offer(replace(demand, **changes), self.now_ns))
 
     def demand(self, **changes: Any) -> None:
         """Demand this of both controllers from now on."""
         self.demanded = replace(CRUISE, **changes)
 
     def arm(self) -> RequestResult:
-        return self.gateway.requests.arm(self.now_ns)
+        return self.gateway.apply(calls.Arm(self.now_ns))
 
     def reset(self, level: FaultClass = FaultClass.SERVICE) -> RequestResult:
-        return self.gateway.requests.reset(level, self.now_ns)
+        return self.gateway.apply(calls.Reset(level, self.now_ns))
 
     def until(self, mode: Mode, within_ms: int = 6000) -> None:
         """Tick until this mode."""

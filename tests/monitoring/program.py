@@ -12,6 +12,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import Config
+from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame
@@ -139,7 +140,7 @@ def driven() -> Program:
     program.run(1200)
     drive.codes |= {"ARD2_SteeringWheel.WheelSpeedFL": 5_000, "PCU1_Status2.MotorSpeed": 3_000}
     program.run(200)
-    drive.gateway.requests.emergency_stop()
+    drive.gateway.apply(calls.EmergencyStop())
     program.run(650)  # a status of each controller, while what went before is held
     drive.gateway.transmitter.gate.check(
         0, 0, bytes(8), armed=False, speeds_rpm=(None, None), now_ns=drive.now_ns

@@ -24,7 +24,7 @@ from tests.recorded.stand import (
     wall_s,
 )
 from tests.vcan.conftest import Process, wait_until
-from vcu_gateway.core.inputs import SentInput
+from vcu_gateway.core.calls import NoteSent
 from vcu_gateway.drive.reader import open_drive
 from vcu_gateway.drive.records import InputRecord, TickRecord
 from vcu_gateway.drive_format import layout
@@ -142,7 +142,7 @@ def test_a_killed_gateway_loses_at_most_one_tick(tmp_path: Path, figures: list[s
         assert recorder.stop() == 0
         (drive,) = stand_of(one).drives()
         sent = [one.input for one in open_drive(drive).records() if isinstance(one, InputRecord)]
-        recorded = [one.frame.data for one in sent if isinstance(one, SentInput) and one.ok]
+        recorded = [one.frame.data for one in sent if isinstance(one, NoteSent) and one.ok]
         figures.append(
             f"kill -9 of the gateway: {len(on_the_bus)} command frames on the bus,"
             f" {len(recorded)} recorded"

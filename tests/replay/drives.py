@@ -6,6 +6,7 @@ from typing import Any
 
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
+from vcu_gateway.core import calls
 from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode
@@ -68,7 +69,7 @@ class SimulatedDrive:
 
     def open_link(self) -> None:
         up = LinkStatus(LinkState.UP, self.now_ns)
-        self.gateway.link_opened(up, Carrier(True, self.now_ns), self.now_ns)
+        self.gateway.apply(calls.OpenLink(up, Carrier(True, self.now_ns), self.now_ns))
 
     def tick(self, after_ns: int = 50 * MS) -> None:
         """Let time go by, the vehicle speak and the driver ask; decide and send."""
@@ -86,7 +87,7 @@ class SimulatedDrive:
         now_ns = self.now_ns
         result = self.gateway.tick(now_ns)
         for frame in result.frames:
-            self.gateway.sent(frame, self.taken, now_ns)
+            self.gateway.apply(calls.NoteSent(frame, self.taken, now_ns))
         for frame in result.frames if self.taken else ():
             self.nodes.receive(frame.can_id, frame.data, now_ns)
             self.gateway.receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
@@ -96,7 +97,7 @@ class SimulatedDrive:
         self._sequence += 1
         both = dict.fromkeys(CONTROLLERS, demanded)
         demand = Demand(source, self._sequence, 200, both, **changes)
-        self.gateway.requests.offer(demand, self.now_ns)
+        self.gateway.apply(calls.Offer(demand, self.now_ns))
 
     def run(self, seconds: float) -> "SimulatedDrive":
         for _ in range(round(seconds * 20)):
@@ -104,7 +105,7 @@ class SimulatedDrive:
         return self
 
     def arm(self) -> bool:
-        return self.gateway.requests.arm(self.now_ns).granted
+        return self.gateway.apply(calls.Arm(self.now_ns)).granted
 
     def begin(self) -> "SimulatedDrive":
         """Open the link, and come to ACTIVE."""
@@ -136,48 +137,48 @@ def ordinary(folder: Path, config: str = "", seconds: float = 20.0, **more: Any)
 def every_input(folder: Path) -> Path:
     """A drive with every kind of call that a core knows."""
     drive = SimulatedDrive(folder, segment_s=5.0)
-    drive.gateway.restarted(1)
-    drive.gateway.begin_from(None, {"PCU1": False, "PCU2": False})
+    drive.gateway.apply(calls.CountRestarts(1))
+    drive.gateway.apply(calls.BeginFrom(None, {"PCU1": False, "PCU2": False}))
     drive.begin()
     drive.throttle(30.0)
     drive.run(4.0)
-    requests, gateway = drive.gateway.requests, drive.gateway
+    gateway = drive.gateway
     drive.offer(ControllerDemand(throttle_pct=500.0), "nobody")  # refused
     drive.offer(ControllerDemand(), "other")  # not the owner
     drive.run(0.3)
-    requests.disarm(drive.now_ns)
+    gateway.apply(calls.Disarm(drive.now_ns))
     drive.throttle(0.0)
     drive.run(1.0)
-    requests.arm(drive.now_ns)
+    gateway.apply(calls.Arm(drive.now_ns))
     drive.run(1.0)
-    requests.end_demand("driver", drive.now_ns)
+    gateway.apply(calls.EndDemand("driver", drive.now_ns))
     drive.run(1.0)
     changed = Settings(throttle_slew_pct_per_s=60.0)
-    assert gateway.reload(changed).granted
+    assert gateway.apply(calls.ReloadSettings(changed)).granted
     drive.run(0.5)
-    requests.emergency_stop()
+    gateway.apply(calls.EmergencyStop())
     drive.run(2.0)
-    requests.reset(FaultClass.DRIVER, drive.now_ns)
+    gateway.apply(calls.Reset(FaultClass.DRIVER, drive.now_ns))
     drive.run(0.2)
-    requests.reset(FaultClass.SERVICE, drive.now_ns)
+    gateway.apply(calls.Reset(FaultClass.SERVICE, drive.now_ns))
     drive.run(2.0)
-    gateway.carrier_changed(Carrier(False, drive.now_ns))
+    gateway.apply(calls.ChangeCarrier(Carrier(False, drive.now_ns)))
     drive.run(0.2)
-    gateway.carrier_changed(Carrier(True, drive.now_ns))
+    gateway.apply(calls.ChangeCarrier(Carrier(True, drive.now_ns)))
     gateway.receive(Frame(0x0008A7D1, bytes(8), drive.now_ns))  # another sender
     gateway.receive(Frame(0x123, b"\1\2", drive.now_ns, extended=False))
     gateway.receive(Frame(0x18FF0001, b"", drive.now_ns, remote=True))
     gateway.receive(Frame(0x004, bytes((0, 0x10, 0, 0, 0, 0, 0, 0)), drive.now_ns, error=True))
     drive.run(1.0)
-    gateway.link_lost(drive.now_ns)
+    gateway.apply(calls.LoseLink(drive.now_ns))
     drive.taken = False
     drive.run(1.0)
     drive.taken = True
     drive.open_link()
     drive.run(3.0)
-    requests.reset(FaultClass.SERVICE, drive.now_ns)
+    gateway.apply(calls.Reset(FaultClass.SERVICE, drive.now_ns))
     drive.run(2.0)
-    requests.terminate()
+    gateway.apply(calls.Terminate())
     drive.run(0.5)
     return drive.end()
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from vcu_gateway.core import inputs
+from vcu_gateway.core import calls
 from vcu_gateway.drive.records import CoreRecord, InputRecord, TickRecord
 from vcu_gateway.drive.tap import Tap
 
@@ -13,16 +13,14 @@ def records(tap: Tap) -> Iterator[CoreRecord]:
     done = 0
     for call in noted.calls:
         for frame in noted.frames[done : call[0]]:
-            yield InputRecord(inputs.FrameInput(frame), None)
+            yield InputRecord(calls.Receive(frame), None)
         done = max(done, call[0])
         yield record(call[1], call[2])
     for frame in noted.frames[done:]:
-        yield InputRecord(inputs.FrameInput(frame), None)
+        yield InputRecord(calls.Receive(frame), None)
 
 
 def record(what, answer) -> CoreRecord:
-    if isinstance(what, inputs.TickInput):
+    if isinstance(what, calls.RunTick):
         return TickRecord(what.now_ns, answer.frames, answer.mode, answer.events)
-    if isinstance(what, inputs.CoreInput):
-        return InputRecord(what, answer)
-    return what
+    return InputRecord(what, answer) if type(what) in calls.WORDS else what

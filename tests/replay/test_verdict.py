@@ -7,13 +7,14 @@ import pytest
 
 from tests.replay.drives import MS, SimulatedDrive
 from tests.replay.ran import replay
-from vcu_gateway.core.inputs import (
-    ArmInput,
-    EmergencyStopInput,
-    OfferInput,
-    ResetInput,
-    RestartStateInput,
-    SentInput,
+from vcu_gateway.core import calls
+from vcu_gateway.core.calls import (
+    Arm,
+    EmergencyStop,
+    NoteRestartState,
+    NoteSent,
+    Offer,
+    Reset,
 )
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
@@ -39,12 +40,12 @@ def stops(folder: Path) -> Path:
     drive.change = lambda name, data: data
     drive.throttle(0.0)
     drive.run(2.0)
-    assert drive.gateway.requests.reset(FaultClass.DRIVER, drive.now_ns).granted
+    assert drive.gateway.apply(calls.Reset(FaultClass.DRIVER, drive.now_ns)).granted
     drive.run(1.0)
     assert drive.arm()
     drive.throttle(20.0)
     drive.run(2.0)
-    drive.gateway.requests.emergency_stop()
+    drive.gateway.apply(calls.EmergencyStop())
     drive.run(1.0)
     return drive.end()
 
@@ -186,7 +187,7 @@ def safety_for_a_tick(records: Records) -> None:
 
 
 def armed_without_restart_state(records: Records) -> None:
-    records.insert(1, InputRecord(RestartStateInput("No space"), None))
+    records.insert(1, InputRecord(NoteRestartState("No space"), None))
 
 
 SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
@@ -217,8 +218,8 @@ SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "one frame": ("ordinary", "I13 both frames in every tick", one_frame),
     "too early": ("ordinary", "I4 half a period apart", too_early),
     "restart state": ("ordinary", "arming", armed_without_restart_state),
-    "no arm": ("ordinary", "I2 ACTIVE by arm alone", without(ArmInput)),
-    "no reset": ("stops", "I6 modes", without(ResetInput)),
+    "no arm": ("ordinary", "I2 ACTIVE by arm alone", without(Arm)),
+    "no reset": ("stops", "I6 modes", without(Reset)),
     "a fault that ends by itself": ("stops", "I6 modes", with_mode(10, Mode.STANDBY, Mode.FAULT)),
     "drives on": ("stops", "a STOP or CUT leaves no torque", still_driving),
     "stays active": ("stops", "a STOP or CUT ends ACTIVE", still_driving),
@@ -259,7 +260,7 @@ def test_an_expired_demand_ends_the_drive(records):
     mutated = [
         record
         for number, record in enumerate(records["ordinary"])
-        if not (isinstance(record, InputRecord) and isinstance(record.input, OfferInput))
+        if not (isinstance(record, InputRecord) and isinstance(record.input, Offer))
         or number < ticks(records["ordinary"])[60]
     ]
     assert "an expired demand ends ACTIVE" in judged(mutated).counts
@@ -280,7 +281,7 @@ def test_an_arm_without_a_released_throttle_is_told(records):
                 )
             )
         )
-        if isinstance(record, InputRecord) and isinstance(record.input, OfferInput)
+        if isinstance(record, InputRecord) and isinstance(record.input, Offer)
         else record
         for record in records["ordinary"]
     ]
@@ -302,7 +303,7 @@ def test_frames_that_the_bus_did_not_take_are_not_what_the_next_ones_follow(reco
     """Slews count from what was sent: with every second frame lost the same rise is too steep."""
     mutated: Records = []
     for number, record in enumerate(records["ordinary"]):
-        sent = isinstance(record, InputRecord) and isinstance(record.input, SentInput)
+        sent = isinstance(record, InputRecord) and isinstance(record.input, NoteSent)
         lost = sent and number % 2 == 0
         mutated.append(record._replace(input=record.input._replace(ok=False)) if lost else record)
     assert "I3 throttle slew" in judged(mutated).counts
@@ -324,5 +325,5 @@ def test_a_drive_that_breaks_a_rule_is_exit_1_with_the_rule(recorded, monkeypatc
 
 def test_the_emergency_stop_is_an_input_that_the_verdict_needs(records):
     mutated = [*records["stops"]]
-    without(EmergencyStopInput)(mutated)
+    without(EmergencyStop)(mutated)
     assert judged(mutated).reactions != judged(records["stops"]).reactions

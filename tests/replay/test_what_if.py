@@ -8,6 +8,7 @@ import pytest
 
 from tests.replay.drives import SimulatedDrive
 from tests.replay.ran import replay, what_if
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand, Demand
 from vcu_gateway.core.settings import KEYS
 
@@ -125,7 +126,7 @@ def directions(folder: Path) -> Path:
     drive = SimulatedDrive(folder).begin()
     for number in range(20):
         both = {"PCU1": ControllerDemand(), "PCU2": ControllerDemand(motor_reverse=True)}
-        drive.gateway.requests.offer(Demand("driver", 1000 + number, 200, both), drive.now_ns)
+        drive.gateway.apply(calls.Offer(Demand("driver", 1000 + number, 200, both), drive.now_ns))
         drive.demanded = None
         drive.tick()
     return drive.end()

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from vcu_gateway import simulator
+from vcu_gateway.core import calls
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.frame import Frame
@@ -80,15 +81,15 @@ def drive(
 def _ask(gateway: Gateway, asked: ControllerDemand, now_ns: int) -> None:
     """Make a demand as a driver does, and arm where that can be."""
     demand = Demand("driver", now_ns, 200, dict.fromkeys(CONTROLLERS, asked))
-    assert gateway.requests.offer(demand, now_ns).granted
+    assert gateway.apply(calls.Offer(demand, now_ns)).granted
     if gateway.supervisor.mode is Mode.STANDBY and not gateway.requests.against_arming(now_ns):
-        gateway.requests.arm(now_ns)
+        gateway.apply(calls.Arm(now_ns))
 
 
 def _tick(gateway: Gateway, nodes: Nodes, now_ns: int, at_s: float) -> Ticked:
     result = gateway.tick(now_ns)
     for frame in result.frames:
-        gateway.sent(frame, True, now_ns)
+        gateway.apply(calls.NoteSent(frame, True, now_ns))
         gateway.receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
         nodes.receive(frame.can_id, frame.data, now_ns)
     return Ticked(

@@ -19,6 +19,7 @@ import can
 
 from tests.driven import Driven
 from vcu_gateway.client import Client, RefusedError
+from vcu_gateway.core import calls
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.simulator.nodes import NodeFrame
@@ -110,7 +111,7 @@ class Program:
         return self.driven.mode == "standby" and not self.driven.latest_why.blocks
 
     def _reset(self) -> None:
-        self.driven.loop.gateway.requests.reset(FaultClass.SERVICE, time.monotonic_ns())
+        self.driven.loop.gateway.apply(calls.Reset(FaultClass.SERVICE, time.monotonic_ns()))
 
     def _is_ready(self, client: Client) -> bool:
         if self.driven.mode == "fault":

@@ -115,7 +115,6 @@ class Causes:
         return []
 
     def effects(self) -> frozenset[Effect]:
-        """Every effect that counts."""
         if not self._held:
             return _NO_EFFECTS
         return frozenset(held.finding.effect for held in self._held.values())

@@ -57,7 +57,6 @@ class Command(NamedTuple):
 
 
 def message_name(controller: str) -> str:
-    """The command message of this controller."""
     return f"VCU_{controller}_Command"
 
 
@@ -248,7 +247,6 @@ class Commander:
         return self.last
 
     def note_sent(self, controller: str) -> None:
-        """The bus took this command."""
         self._sent_speed_limit_rpm[controller] = self.last[controller].speed_limit_rpm
 
     def not_sent(self, controller: str) -> None:

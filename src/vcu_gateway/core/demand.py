@@ -103,7 +103,6 @@ GRANTED = RequestResult(granted=True)
 
 
 def refused(refusal: Refusal, sentence: str) -> RequestResult:
-    """Result of a refused request."""
     return RequestResult(False, refusal, sentence)
 
 

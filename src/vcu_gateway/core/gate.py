@@ -6,7 +6,7 @@ the gateway sends safe frames instead; the safe frame always passes.
 """
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from typing import Protocol
 
 # Byte 1 of the command frame.
 _MODE_MASK, _MODE_SAFETY = 0b0000_1100, 0b0000_1100
@@ -24,12 +24,10 @@ _PERCENT_PER_BIT = 0.39
 _NS_PER_S = 1_000_000_000
 
 
-@dataclass(frozen=True)
-class GateLimits:
-    """Limits that the gate holds every frame against.
+class GateLimits(Protocol):
+    """Limits that the gate holds every frame against; the settings have them.
 
     Attributes:
-        allowed: identifier of the one frame of each slot; anything else is blocked.
         throttle_slew_pct_per_s: steepest rise; a fall is always allowed.
         period_ns: more time than this since the last frame earns no more rise.
         direction_change_rpm: the direction changes only below this speed of both motors.
@@ -39,26 +37,24 @@ class GateLimits:
         independent_directions: throttle also where the slots have two directions.
     """
 
-    allowed: tuple[int, ...]
-    speed_limit_max_rpm: float
-    power_limit_max_w: float
-    throttle_slew_pct_per_s: float
-    direction_change_rpm: float
-    period_ns: int
-    power_slew_w_per_s: float
-    speed_slew_rpm_per_s: float
-    regen_min_rpm: float
-    independent_directions: bool
-
-    @cached_property
-    def power_step_w(self) -> float:
-        """How far PowerLimit comes down in one period."""
-        return self.power_slew_w_per_s * self.period_ns / _NS_PER_S
-
-    @cached_property
-    def speed_step_rpm(self) -> float:
-        """How far SpeedLimit comes down in one period."""
-        return self.speed_slew_rpm_per_s * self.period_ns / _NS_PER_S
+    @property
+    def speed_limit_max_rpm(self) -> float: ...
+    @property
+    def power_limit_max_w(self) -> float: ...
+    @property
+    def throttle_slew_pct_per_s(self) -> float: ...
+    @property
+    def direction_change_rpm(self) -> float: ...
+    @property
+    def period_ns(self) -> int: ...
+    @property
+    def power_slew_w_per_s(self) -> float: ...
+    @property
+    def speed_slew_rpm_per_s(self) -> float: ...
+    @property
+    def regen_min_rpm(self) -> float: ...
+    @property
+    def independent_directions(self) -> bool: ...
 
 
 @dataclass(slots=True)
@@ -72,9 +68,11 @@ class Gate:
     """Checks each slot's frame against the last one of it that was really sent.
 
     Attributes:
+        allowed: identifier of the one frame of each slot; anything else is blocked.
         blocked: frames not to be sent, by the name of the rule they broke.
     """
 
+    allowed: tuple[int, ...]
     limits: GateLimits
     blocked: dict[str, int] = field(default_factory=dict)
     _sent: dict[int, _Sent] = field(default_factory=dict)
@@ -93,7 +91,7 @@ class Gate:
 
         `speeds_rpm` holds the last known speed of each motor, None where it is not known.
         """
-        own_id, sent = self.limits.allowed[slot], self._sent.get(slot)
+        own_id, sent = self.allowed[slot], self._sent.get(slot)
         why = self._fault(can_id == own_id, data, armed, speeds_rpm, sent, now_ns)
         if why is not None:
             self.blocked[why] = self.blocked.get(why, 0) + 1
@@ -112,7 +110,6 @@ class Gate:
         sent: _Sent | None,
         now_ns: int,
     ) -> str | None:
-        """The name of the first rule that the frame breaks."""
         if not own_id:
             return "identifier"
         if len(data) != _LENGTH:
@@ -128,7 +125,8 @@ class Gate:
         return self._torque_fault(data, armed, speeds_rpm, sent, now_ns)
 
     def _speed_limit_fault(self, speed: int, sent: _Sent | None) -> str | None:
-        limits, step = self.limits, self.limits.speed_step_rpm
+        limits = self.limits
+        step = limits.speed_slew_rpm_per_s * limits.period_ns / _NS_PER_S
         before = None if sent is None else _word(sent.data, 4)
         if speed < _SPEED_LIMIT_MIN_RPM:
             return "speed_limit"
@@ -150,7 +148,8 @@ class Gate:
         power, limits = _word(data, 6), self.limits
         if power > limits.power_limit_max_w:
             before = None if sent is None else _word(sent.data, 6)
-            if not _falls(power, before, limits.power_step_w):
+            step = limits.power_slew_w_per_s * limits.period_ns / _NS_PER_S
+            if not _falls(power, before, step):
                 return "power_limit"
         if self._power_mode_rises(data, sent):
             return "power_mode_rise"
@@ -159,7 +158,6 @@ class Gate:
         return self._throttle_fault(data, sent, now_ns) if data[1] else None
 
     def _power_mode_rises(self, data: bytes, sent: _Sent | None) -> bool:
-        """True where PowerMode rises although a slot's last frame had throttle."""
         before = 0 if sent is None else _mode_rank(sent.data)
         if _mode_rank(data) <= before:
             return False
@@ -184,7 +182,6 @@ class Gate:
     def _turned(
         self, data: bytes, sent: _Sent | None, speeds_rpm: tuple[float | None, ...]
     ) -> bool:
-        """True where the direction changes although it must not."""
         if sent is None or (data[0] ^ sent.data[0]) & _REVERSE == 0:
             return False
         limit_rpm = self.limits.direction_change_rpm

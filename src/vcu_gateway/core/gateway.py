@@ -6,12 +6,14 @@ The shell owns sockets, clocks and threads; `Gateway` owns every decision. Time 
 monotonic nanoseconds: the same calls in the same order give the same bytes again.
 
     gateway = Gateway(codec, settings, now_ns)
-    gateway.link_opened(LinkStatus(LinkState.UP, now_ns), carrier, now_ns)
-    gateway.receive(frame)                            # as often as frames come
-    gateway.requests.offer(demand, now_ns)            # demands, arming, resetting
-    result = gateway.tick(now_ns)                     # every 50 ms
-    for frame in result.frames:                       # PCU1 0008A7D0  0c000000e02e0000
-        gateway.sent(frame, bus.send(frame), now_ns)  # PCU2 0008A8D0  0c000000e02e0000
+    gateway.apply(OpenLink(LinkStatus(LinkState.UP, now_ns), carrier, now_ns))
+    gateway.receive(frame)                 # as often as frames come
+    gateway.apply(Offer(demand, now_ns))   # demands, arming, resetting
+    result = gateway.tick(now_ns)          # every 50 ms
+    for frame in result.frames:            # PCU1 0008A7D0  0c000000e02e0000
+        gateway.apply(NoteSent(frame, bus.send(frame), now_ns))
+
+Every call that changes the core is a value of core/calls.py, and `apply` makes it.
 
 A tick decides in these steps, all of them on one snapshot:
 
@@ -23,15 +25,15 @@ A tick decides in these steps, all of them on one snapshot:
 5. `Commander`: in ACTIVE the demand within limits and slews, otherwise zero torque.
 6. Frames are encoded and checked by the gate; one that it blocks replaces both by safe ones.
 
-`frames` is empty while the gateway listens before it talks. `sent` reports what the bus did with
-each frame before the next tick: slews start from what was really sent.
+`frames` is empty while the gateway listens before it talks. `NoteSent` reports what the bus did
+with each frame before the next tick: slews start from what was really sent.
 
 All of it belongs to one thread, the ticking one; any thread may read `snapshot`, `counters` and
 `link`.
 """
 
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 from vcu_gateway.core import freshness, motor_speeds, rules, why
 from vcu_gateway.core.codec import Codec
@@ -79,6 +81,15 @@ class TickResult(NamedTuple):
     events: tuple[Event, ...]
 
 
+_Answer_co = TypeVar("_Answer_co", covariant=True)
+
+
+class CoreCall(Protocol[_Answer_co]):
+    """A call of the core as a value; core/calls.py has them."""
+
+    def apply(self, gateway: "Gateway") -> _Answer_co: ...
+
+
 class Gateway:
     """Gateway core of two motor controllers; all that the shell calls.
 
@@ -112,6 +123,10 @@ class Gateway:
         self._shutdown = Shutdown()
         self._stop_watch = StopWatch(self.transmitter.power_cut_bits())
         self._snapshot = self.snapshot(now_ns)
+
+    def apply(self, call: CoreCall[_Answer_co]) -> _Answer_co:
+        """Make a call; its answer."""
+        return call.apply(self)
 
     def receive(self, frame: Frame) -> None:
         """Take in one frame; one that is not decoded is counted and changes no message."""
@@ -167,7 +182,7 @@ class Gateway:
             return self.requests.refuse("reload", reason)
         self.settings = settings
         self.requests.terms = demand_terms(settings)
-        self.transmitter.reload(settings)
+        self.transmitter.gate.limits = settings
         return GRANTED
 
     @property

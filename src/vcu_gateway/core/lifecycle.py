@@ -45,7 +45,6 @@ class Qualification:
         return not missing
 
     def begin(self, snapshot: Snapshot, required: tuple[str, ...]) -> None:
-        """Count from now on."""
         self._before = {message: _good_frames(snapshot, message) for message in required}
 
     def missing(self, snapshot: Snapshot, settings: Settings) -> Iterator[str]:
@@ -84,13 +83,11 @@ class Shutdown:
         self._unsent_in_tick = False
 
     def note_tick(self, stopping: bool) -> None:
-        """A tick begins to be sent."""
         self._unsent_ticks += self._unsent_in_tick and self._ticks > 0
         self._unsent_in_tick = False
         self._ticks += stopping
 
     def note_unsent(self) -> None:
-        """A frame of this tick was not taken by the bus."""
         self._unsent_in_tick = True
 
     def over(self, talking: bool) -> bool:

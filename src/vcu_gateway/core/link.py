@@ -152,7 +152,6 @@ class LinkMonitor:
         self.link = self._opened
 
     def take_error_frame(self, can_id: int, data: bytes | bytearray, at_ns: int) -> None:
-        """Take in an error frame; `can_id` carries the error classes."""
         before = self._known
         link = after_error_frame(before, can_id, data, at_ns)
         if link.state is LinkState.BUS_OFF:
@@ -176,7 +175,6 @@ class LinkMonitor:
             self._judge()
 
     def change_carrier(self, carrier: Carrier) -> None:
-        """The carrier came or went."""
         self._carrier = carrier
         self._judge()
 

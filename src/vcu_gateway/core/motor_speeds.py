@@ -26,7 +26,6 @@ UNKNOWN = MotorSpeeds(*[(None,) * len(CONTROLLERS)] * 2)
 
 
 def of(snapshot: Snapshot, observed: Observed) -> MotorSpeeds:
-    """The speeds of both motors at a tick."""
     lowest: list[float | None] = []
     highest: list[float | None] = []
     for name, message in _MESSAGES.items():
@@ -38,7 +37,6 @@ def of(snapshot: Snapshot, observed: Observed) -> MotorSpeeds:
 
 
 def all_below(speeds_rpm: SpeedsRpm, limit_rpm: float) -> bool:
-    """Whether every speed is known and below the limit."""
     for speed in speeds_rpm:  # noqa: SIM110 - in every tick; a generator takes twice the time
         if speed is None or speed >= limit_rpm:
             return False
@@ -46,7 +44,6 @@ def all_below(speeds_rpm: SpeedsRpm, limit_rpm: float) -> bool:
 
 
 def all_at_least(speeds_rpm: SpeedsRpm, limit_rpm: float) -> bool:
-    """Whether every speed is known and not below the limit."""
     for speed in speeds_rpm:  # noqa: SIM110 - in every tick; a generator takes twice the time
         if speed is None or speed < limit_rpm:
             return False

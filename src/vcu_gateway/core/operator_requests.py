@@ -196,7 +196,6 @@ class OperatorRequests:
 
 
 def demand_terms(settings: Settings) -> DemandTerms:
-    """Terms of a demand, from the settings."""
     return DemandTerms(
         ttl_max_ms=settings.ttl_max_ms,
         priorities=settings.priorities,

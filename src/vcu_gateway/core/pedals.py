@@ -144,7 +144,6 @@ class Pedals:
 
 
 def _pedal_state(demanded: ControllerDemands) -> _PedalState:
-    """Pedals of both controllers together."""
     drives = differs = overrides = False
     released = track2_released = True
     for one in demanded.values():

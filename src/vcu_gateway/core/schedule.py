@@ -59,7 +59,6 @@ class Schedule:
 
     @property
     def next_deadline_ns(self) -> int:
-        """When the next tick is due."""
         return self.origin_ns + self.next_index * self.period_ns
 
     def due(self, now_ns: int) -> Tick | None:

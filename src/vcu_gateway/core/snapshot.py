@@ -96,7 +96,6 @@ class Snapshot:
 
     @property
     def messages(self) -> tuple[MessageSpec, ...]:
-        """Every message that the store keeps."""
         return tuple(self._specs.values())
 
     def latest(self, message: str) -> LatestFrame | None:
@@ -182,7 +181,6 @@ class Snapshot:
         return index
 
     def readings(self, message: str) -> tuple[Reading, ...]:
-        """All signals of a message, in the protocol's order."""
         signals = self._specs[message].signals
         return tuple(self._reading(message, i, signal) for i, signal in enumerate(signals))
 

@@ -161,7 +161,6 @@ class StopWatch:
                 self._echoed[name].note(echo.arrival_ns)
 
     def note_sent(self, controller: str, data: bytes, now_ns: int) -> None:
-        """Take in a frame that the kernel took."""
         if self._is_cut(controller, data):
             self._sent[controller].note(now_ns)
 

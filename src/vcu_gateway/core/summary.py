@@ -73,7 +73,6 @@ def summary(explained: Explanation) -> str:
 
 
 def _forms(explained: Explanation) -> Iterator[str]:
-    """The summary, from its longest form to its shortest."""
     mode, refusal = explained.mode, explained.refusal
     if mode is Mode.STOPPING:
         yield "the gateway is ending"
@@ -104,7 +103,6 @@ def _unblocked(explained: Explanation) -> Iterator[str]:
 
 
 def _condition(explained: Explanation, wait: str) -> Iterator[str]:
-    """A message that is waited for, or another condition."""
     if not wait.startswith(WAITING_FOR):
         yield from _in_words(wait) or [wait]
         return
@@ -120,7 +118,6 @@ def _condition(explained: Explanation, wait: str) -> Iterator[str]:
 
 
 def _in_words(sentence: str) -> list[str]:
-    """Forms of a condition or refusal that names no cause; none of another."""
     for beginning, words in _WORDS.items():
         if sentence.startswith(beginning):
             whole = words + sentence.removeprefix(beginning)
@@ -206,7 +203,6 @@ def _named(held: HeldCause) -> str:
 
 
 def _latched(latch: LatchedFault) -> str:
-    """What latched: a cause in words, or the reason as it is."""
     reason = latch.reason
     for effect in _EFFECTS:
         reason = reason.removesuffix(effect)
@@ -219,7 +215,6 @@ def _latched(latch: LatchedFault) -> str:
 
 
 def _part(subject: str, detail: str, of_a_message: str = "") -> str:
-    """Part in words and what of it; the subject alone where there are none."""
     if subject in _PARTS:
         return _PARTS[subject].format(detail)
     message, _, signal = subject.partition(".")

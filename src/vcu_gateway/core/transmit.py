@@ -8,7 +8,7 @@ from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import CONTROLLERS
-from vcu_gateway.core.gate import Gate, GateLimits
+from vcu_gateway.core.gate import Gate
 from vcu_gateway.core.settings import Settings
 
 
@@ -49,32 +49,14 @@ class Transmitter:
         self._throttle_byte = self._throttle.start_bit // 8
         direction = self._codecs[CONTROLLERS[0]].spec.signal("MotorReverse").start_bit
         self._direction_byte, self._reverse = direction // 8, 1 << direction % 8
-        self.gate = Gate(self._limits(settings))
+        self.gate = Gate(tuple(self._can_ids.values()), settings)
         self.history = SentHistory(CONTROLLERS)
         self.taken: dict[str, TakenFrame] = {}
-
-    def _limits(self, settings: Settings) -> GateLimits:
-        return GateLimits(
-            allowed=tuple(self._can_ids.values()),
-            speed_limit_max_rpm=settings.speed_limit_max_rpm,
-            power_limit_max_w=settings.power_limit_max_w,
-            throttle_slew_pct_per_s=settings.throttle_slew_pct_per_s,
-            direction_change_rpm=settings.direction_change_rpm,
-            period_ns=settings.period_ns,
-            power_slew_w_per_s=settings.power_slew_w_per_s,
-            speed_slew_rpm_per_s=settings.speed_slew_rpm_per_s,
-            regen_min_rpm=settings.regen_min_rpm,
-            independent_directions=settings.independent_directions,
-        )
 
     def power_cut_bits(self) -> Mapping[str, tuple[int, int]]:
         """Byte and mask of POWER_CUT in each controller's command."""
         starts = {name: one.spec.signal("PowerCut").start_bit for name, one in self._codecs.items()}
         return {name: (start // 8, 1 << start % 8) for name, start in starts.items()}
-
-    def reload(self, settings: Settings) -> None:
-        """Hold frames against new limits from now on."""
-        self.gate.limits = self._limits(settings)
 
     def encoded(self, decided: Mapping[str, Command]) -> tuple[OutFrame, ...]:
         """The frames of these commands, one for each controller; mostly both have the same data."""
@@ -110,7 +92,6 @@ class Transmitter:
         return fault
 
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
-        """Record a frame that the bus took."""
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
         reverse = frame.data[self._direction_byte] & self._reverse != 0
         self.taken[frame.controller] = TakenFrame(frame, now_ns)
@@ -149,7 +130,6 @@ class SentHistory:
         self.begun = self.emitted = False
 
     def note_sent(self, controller: str, sent: SentValues) -> None:
-        """A frame was handed to the bus."""
         self.frames[controller].append(sent)
         self.begun = self.begun or all(self.frames.values())
 
@@ -163,7 +143,6 @@ class SentHistory:
 
     @property
     def unsent(self) -> list[str]:
-        """The controllers for which no frame has left yet."""
         return [name for name, sent in self.frames.items() if not sent]
 
     def note_confirmed(self, confirmed: Mapping[str, int]) -> int:

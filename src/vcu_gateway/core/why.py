@@ -142,7 +142,6 @@ def _listed(names: list[str], most: int) -> str:
 
 
 def _message(wait: str) -> str | None:
-    """The message that is waited for; None where it is something else."""
     if not wait.startswith(WAITING_FOR):
         return None
     return wait.removeprefix(WAITING_FOR).partition(":")[0]

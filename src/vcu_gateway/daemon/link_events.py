@@ -3,6 +3,7 @@
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface_warnings import interface_warnings
 from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
+from vcu_gateway.core.calls import ChangeCarrier, LoseLink, OpenLink
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
@@ -43,7 +44,7 @@ class LinkEvents:
 
     def begin(self, now_ns: int) -> None:
         """Begin with a lost link: nothing is open yet."""
-        self._gateway.link_lost(now_ns)
+        self._gateway.apply(LoseLink(now_ns))
         if (holder := self._connection.lock_held_by) is not None:
             fields = {"channel": self._connection.settings.channel, "holder": holder}
             self._event_log.emit(Event("lock_ignored", Severity.WARNING, fields))
@@ -57,17 +58,17 @@ class LinkEvents:
             case LinkOpened() as opened:
                 self._take_opening(opened, now_ns)
             case LinkLost(at_ns, why):
-                self._gateway.link_lost(at_ns)
+                self._gateway.apply(LoseLink(at_ns))
                 self._event_log.emit(Event("link_lost", Severity.ERROR, {"reason": why}))
             case Unavailable(why):
                 self._event_log.emit(Event("link_unavailable", Severity.ERROR, {"reason": why}))
             case CarrierChanged(at_ns, present):
-                self._gateway.carrier_changed(Carrier(present, at_ns))
+                self._gateway.apply(ChangeCarrier(Carrier(present, at_ns)))
 
     def _take_opening(self, opened: LinkOpened, now_ns: int) -> None:
         link = LinkStatus(opened.state, opened.at_ns)
         carrier = Carrier(opened.carrier, opened.at_ns)
-        self._gateway.link_opened(link, carrier, now_ns)
+        self._gateway.apply(OpenLink(link, carrier, now_ns))
         self._connection.start_sending()
         self._event_log.emit(Event("link_open", Severity.INFO))
         for warning in interface_warnings(opened, self._connection.settings):

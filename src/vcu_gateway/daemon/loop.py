@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.reconnect import Reconnector
+from vcu_gateway.core.calls import EmergencyStop, NoteSent, Terminate
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
@@ -123,7 +124,7 @@ class TickLoop:
 
     def emergency_stop(self) -> RequestResult:
         """Emergency stop of the gateway, kept before it is answered."""
-        answer = self.gateway.requests.emergency_stop()
+        answer = self.gateway.apply(EmergencyStop())
         if self._restart_state is not None:
             left_ns = self.schedule.next_deadline_ns - time.monotonic_ns()
             self._restart_state.keep_emergency_stop(left_ns)
@@ -199,7 +200,7 @@ class TickLoop:
     def _tick(self, tick: Tick) -> None:
         gateway, begun_ns = self.gateway, time.monotonic_ns()
         if self._stopping is not None:
-            gateway.requests.terminate()
+            gateway.apply(Terminate())
         self.work_queue.run_waiting()
         self.connection.read_waiting(begun_ns)  # what came since it was read before the tick
         now_ns = time.monotonic_ns()
@@ -208,7 +209,7 @@ class TickLoop:
         if self._restart_state is not None:
             self._restart_state.before_sending()
         for frame in result.frames:
-            gateway.sent(frame, self._send_in_time(frame, tick), now_ns)
+            gateway.apply(NoteSent(frame, self._send_in_time(frame, tick), now_ns))
         self.schedule.left(time.monotonic_ns())
         # What follows has the rest of the period.
         self._finished = gateway.finished

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
+from vcu_gateway.core.calls import ReloadSettings
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import KEYS, Reload, Settings, loosened
 from vcu_gateway.core.spec import ProtocolSpec
@@ -95,7 +96,7 @@ class Reloader:
                 False, problems=tuple(f"{name} needs a restart" for name in restart)
             )
         gateway, settings = self._loop.gateway, self._settings(new)
-        answer = gateway.reload(settings)
+        answer = gateway.apply(ReloadSettings(settings))
         if not answer.granted:
             looser = loosened(gateway.settings, settings) if gateway.mode is Mode.ACTIVE else ()
             problems = tuple(map(_in_a_drive, looser)) or (answer.sentence,)

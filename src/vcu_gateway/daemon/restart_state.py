@@ -17,6 +17,7 @@ from urllib.parse import quote
 
 from vcu_gateway import files
 from vcu_gateway.bus.settings import BusSettings
+from vcu_gateway.core.calls import BeginFrom, NoteRestartState
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
@@ -97,7 +98,7 @@ class RestartState:
         if self.path is not None:
             found.insert(0, (self.path, kept.cut))
         cuts = [(path, cut) for path, cut in found if cut is not None]
-        self._gateway.begin_from(f"{_BEFORE}{cuts[0][1]}" if cuts else None, kept.reverse)
+        self._gateway.apply(BeginFrom(f"{_BEFORE}{cuts[0][1]}" if cuts else None, kept.reverse))
         self._elsewhere = [path for path, _ in cuts if path != self.path]
         for path, cut in cuts:
             fields = {"file": str(path), "reason": cut}
@@ -153,7 +154,7 @@ class RestartState:
     def _tell(self) -> None:
         if self._failure != self._told:
             self._told = self._failure
-            self._gateway.restart_state_tried(self._failure)
+            self._gateway.apply(NoteRestartState(self._failure))
 
     def _forget_elsewhere(self) -> None:
         """Delete the files elsewhere after a service reset; one that stays latches again."""

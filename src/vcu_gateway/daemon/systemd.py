@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from vcu_gateway.bus.connection import BusConnection
+from vcu_gateway.core.calls import CountRestarts
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
@@ -108,7 +109,7 @@ class ServiceReporter:
         """Count this start; after too many unexpected ones nothing can be armed."""
         self.start = self._starts.begin() if self._starts is not None else None
         if self.start is not None and self.start.unexpected:
-            self._loop.gateway.restarted(self.start.unexpected)
+            self._loop.gateway.apply(CountRestarts(self.start.unexpected))
             fields = {"in_this_drive": self.start.unexpected}
             self._loop.event_log.emit(Event("restarted_unexpectedly", Severity.WARNING, fields))
 

@@ -47,7 +47,7 @@ _DERIVED: Mapping[str, frozenset[str]] = {
         "Snapshot": "_specs _indexes _pickers _arrived",
         "Transmitter": "_codecs _can_ids _same_layout _throttle _throttle_byte _direction_byte"
         " _reverse taken",
-        "Gate": "limits",
+        "Gate": "allowed limits",
         "InputCollector": "_late_after_ns",
         "ModeManager": "_period_ns",
         "ListenBeforeTalk": "_listen_ns",

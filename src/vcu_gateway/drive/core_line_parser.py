@@ -4,13 +4,10 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from vcu_gateway.core import inputs
+from vcu_gateway.core.calls import NoteSent
 from vcu_gateway.core.demand import GRANTED, Refusal, RequestResult, refused
-from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.inputs import SentInput
-from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
-from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.core.transmit import OutFrame
+from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.drive.call_text import call_of, event_of, out_frame_of, truth_of
 from vcu_gateway.drive.records import (
     Checkpoint,
     CoreRecord,
@@ -20,7 +17,7 @@ from vcu_gateway.drive.records import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.drive.settings_json import demand_of, settings_of
+from vcu_gateway.drive.settings_json import settings_of, text_of, whole_of
 
 
 class LineError(ValueError):
@@ -51,16 +48,14 @@ class LineParser:
             raise LineError(_reason(e, line)) from e
 
     def _records(self, values: Any) -> list[Placed]:
-        before = _number(values["f"])
-        if "tick" in values and "frames" not in values:  # it ended the gateway's process
-            return [Placed(before, InputRecord(inputs.TickInput(_number(values["tick"])), None))]
-        if "tick" in values:
+        before = whole_of(values["f"])
+        if "tick" in values and "frames" in values:
             tick = self._tick(values)
             sent = _sent(tick, values.get("ok", ()))
             return [Placed(before, tick), *[Placed(before, one) for one in sent]]
-        kind = next((key for key in values if key in _INPUTS), None)
-        if kind is not None:
-            return [Placed(before, InputRecord(_INPUTS[kind](values), _answer(values)))]
+        call = call_of(values)
+        if call is not None:
+            return [Placed(before, InputRecord(call, _answer(values)))]
         kind = next((key for key in values if key in _RECORDS), None)
         if kind is None:
             return []  # the recorder's own, or a later version's
@@ -72,9 +67,9 @@ class LineParser:
     def _tick(self, values: Mapping[str, Any]) -> TickRecord:
         if "mode" in values:
             self._mode = Mode(values["mode"])
-        frames = tuple([_out_frame(one) for one in values["frames"]])
-        events = tuple([_event(one) for one in values.get("events", ())])
-        return TickRecord(_number(values["tick"]), frames, self._mode, events)
+        frames = tuple([out_frame_of(one) for one in values["frames"]])
+        events = tuple([event_of(one) for one in values.get("events", ())])
+        return TickRecord(whole_of(values["tick"]), frames, self._mode, events)
 
 
 def _reason(error: Exception, line: bytes | str) -> str:
@@ -87,39 +82,7 @@ def _sent(tick: TickRecord, taken: Any) -> Iterator[InputRecord]:
     if taken and len(taken) != len(tick.frames):
         raise ValueError(f"{len(taken)} results of {len(tick.frames)} frames")
     for frame, ok in zip(tick.frames, taken, strict=False):
-        yield InputRecord(SentInput(frame, _truth(ok), tick.now_ns), None)
-
-
-def _number(value: Any) -> int:
-    if type(value) is not int:
-        raise ValueError(f"{value!r:.40} is no whole number")
-    return value
-
-
-def _truth(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{value!r:.40} is neither true nor false")
-    return value
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{value!r:.40} is no text")
-    return value
-
-
-def _text_or_none(value: Any) -> str | None:
-    return None if value is None else _text(value)
-
-
-def _out_frame(values: Any) -> OutFrame:
-    controller, can_id, data = values
-    return OutFrame(_text(controller), int(can_id, 16), bytes.fromhex(data))
-
-
-def _event(values: Any) -> Event:
-    name, severity, fields = values
-    return Event(_text(name), Severity[severity.upper()], dict(fields))
+        yield InputRecord(NoteSent(frame, truth_of(ok), tick.now_ns), None)
 
 
 def _answer(values: Mapping[str, Any]) -> RequestResult | None:
@@ -131,42 +94,17 @@ def _answer(values: Mapping[str, Any]) -> RequestResult | None:
     return refused(Refusal(code), sentence)
 
 
-def _carrier(values: Any) -> Carrier | None:
-    if values is None:
-        return None
-    present, since_ns = values
-    return Carrier(_truth(present), _number(since_ns))
-
-
-def _known_carrier(values: Any) -> Carrier:
-    carrier = _carrier(values)
-    if carrier is None:
-        raise ValueError("a change of the carrier without the carrier")
-    return carrier
-
-
-def _link_opened(values: Any) -> inputs.LinkOpenedInput:
-    state, since_ns = values["link_opened"]
-    link = LinkStatus(LinkState(state), _number(since_ns))
-    return inputs.LinkOpenedInput(link, _carrier(values["carrier"]), _number(values["now"]))
-
-
-def _begin(values: Any) -> inputs.BeginInput:
-    reverse = {name: _truth(one) for name, one in values["reverse"].items()}
-    return inputs.BeginInput(_text_or_none(values["begin_from"]), reverse)
-
-
 def _checkpoint(values: Any) -> Checkpoint:
     kept = values["checkpoint"]
     return Checkpoint(
         state=kept["state"],
         settings=settings_of(kept["settings"]),
         mode=Mode(kept["mode"]),
-        why=_text(kept["why"]),
-        now_ns=_number(kept["now"]),
-        wall_ns=_number(kept["wall"]),
-        ticks=_number(kept["ticks"]),
-        frames=_number(kept["frames"]),
+        why=text_of(kept["why"]),
+        now_ns=whole_of(kept["now"]),
+        wall_ns=whole_of(kept["wall"]),
+        ticks=whole_of(kept["ticks"]),
+        frames=whole_of(kept["frames"]),
     )
 
 
@@ -178,34 +116,6 @@ def _gap(values: Any) -> Gap:
 _RECORDS: Mapping[str, Callable[[Any], CoreRecord]] = {
     "checkpoint": _checkpoint,
     "gap": _gap,
-    "why": lambda values: WhyRecord(_number(values["now"]), _text(values["why"])),
-    "event": lambda values: ShellEvent(_number(values["now"]), _event(values["event"])),
-}
-
-_INPUTS: Mapping[str, Callable[[Any], inputs.CoreInput]] = {
-    "offer": lambda values: inputs.OfferInput(
-        demand_of(values["offer"], _number(values["now"])), values["now"]
-    ),
-    "link_lost": lambda values: inputs.LinkLostInput(_number(values["link_lost"])),
-    "link_opened": _link_opened,
-    "carrier_changed": lambda values: inputs.CarrierInput(
-        _known_carrier(values["carrier_changed"])
-    ),
-    "restarted": lambda values: inputs.RestartsInput(_number(values["restarted"])),
-    "begin_from": _begin,
-    "restart_state": lambda values: inputs.RestartStateInput(
-        _text_or_none(values["restart_state"])
-    ),
-    "end_demand": lambda values: inputs.EndDemandInput(
-        _text(values["end_demand"]), _number(values["now"])
-    ),
-    "arm": lambda values: inputs.ArmInput(_number(values["arm"])),
-    "disarm": lambda values: inputs.DisarmInput(_number(values["disarm"])),
-    "reset": lambda values: inputs.ResetInput(FaultClass(values["reset"]), _number(values["now"])),
-    "estop": lambda _: inputs.EmergencyStopInput(),
-    "terminate": lambda _: inputs.TerminateInput(),
-    "reload": lambda values: inputs.ReloadInput(settings_of(values["reload"])),
-    "sent": lambda values: SentInput(
-        _out_frame(values["sent"]), _truth(values["ok"]), _number(values["now"])
-    ),
+    "why": lambda values: WhyRecord(whole_of(values["now"]), text_of(values["why"])),
+    "event": lambda values: ShellEvent(whole_of(values["now"]), event_of(values["event"])),
 }

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.core.arrival_time import ClockPair
-from vcu_gateway.core.inputs import FrameInput
+from vcu_gateway.core.calls import Receive
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.drive.frame_lines import frame_of
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord
@@ -148,11 +148,11 @@ class Drive:
         self._read: SegmentReader | None = None
 
     def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
-        """As `runs`, each frame as a `FrameInput`."""
+        """As `runs`, each frame as a `Receive`."""
         for record in self.runs(first_segment):
             if type(record) is FrameRun:
                 for frame in record.frames:
-                    yield InputRecord(FrameInput(frame), None)
+                    yield InputRecord(Receive(frame), None)
             else:
                 yield record  # type: ignore[misc]
 

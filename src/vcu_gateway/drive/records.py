@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.inputs import CoreInput
+from vcu_gateway.core.gateway import CoreCall
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame
@@ -36,7 +36,7 @@ class Checkpoint(NamedTuple):
 class InputRecord(NamedTuple):
     """A call other than a tick; `answer` is None where it has none."""
 
-    input: CoreInput
+    input: CoreCall[object]
     answer: RequestResult | None
 
 
@@ -47,7 +47,7 @@ class FrameRun(NamedTuple):
 
 
 class TickRecord(NamedTuple):
-    """A tick and its result; how the bus took the frames follows as `SentInput`."""
+    """A tick and its result; how the bus took the frames follows as `NoteSent`."""
 
     now_ns: int
     frames: tuple[OutFrame, ...]

@@ -19,7 +19,6 @@ _NOTHING_DEMANDED = ControllerDemand()
 
 
 def settings_json(settings: Settings) -> dict[str, Any]:
-    """Every field by its name."""
     values = {name: getattr(settings, name) for name in _SETTINGS}
     bench = settings.bench_demand
     return values | {"bench_demand": None if bench is None else controller_json(bench)}
@@ -128,19 +127,18 @@ def demand_of(values: Mapping[str, Any], now_ns: int) -> Demand:
     else:
         controllers = {name: controller_of(one) for name, one in values["each"].items()}
     age_ns = values["age_ns"]
-    made_ns = None if age_ns is None else now_ns - _whole(age_ns)
+    made_ns = None if age_ns is None else now_ns - whole_of(age_ns)
     timely = None if made_ns is None else made_ns // NS_PER_US
     return Demand(
-        source=_text(values["source"]),
-        sequence=_whole(values.get("sequence", timely)),
-        ttl_ms=None if values["ttl_ms"] is None else _whole(values["ttl_ms"]),
+        source=text_of(values["source"]),
+        sequence=whole_of(values.get("sequence", timely)),
+        ttl_ms=None if values["ttl_ms"] is None else whole_of(values["ttl_ms"]),
         controllers=controllers,
         made_ns=made_ns,
     )
 
 
 def number_of(value: Any) -> Any:
-    """Value of what `number_text` gave."""
     if isinstance(value, str):
         return _NOT_FINITE[value]
     if value is None or isinstance(value, (int, float)):
@@ -148,13 +146,13 @@ def number_of(value: Any) -> Any:
     raise ValueError(f"{value!r:.40} is no number")
 
 
-def _whole(value: Any) -> int:
+def whole_of(value: Any) -> int:
     if type(value) is not int:
         raise ValueError(f"{value!r:.40} is no whole number")
     return value
 
 
-def _text(value: Any) -> str:
+def text_of(value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{value!r:.40} is no text")
     return value

@@ -3,30 +3,26 @@
 It behaves as the core does, and costs an append a frame. Belongs to the ticking thread.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
-from vcu_gateway.core import inputs
+from vcu_gateway.core.calls import Receive, RunTick
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.demand import Demand, RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.link import Carrier, LinkStatus
-from vcu_gateway.core.operator_requests import OperatorRequests
+from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.drive.core_lines import CoreCall
+from vcu_gateway.drive.core_lines import NotedCall
 from vcu_gateway.drive.records import ShellEvent, WhyRecord
 from vcu_gateway.drive_format import datagram
+
+_Answer = TypeVar("_Answer")
 
 
 class Noted(NamedTuple):
     """Frames and calls since the last take, each in its order."""
 
     frames: list[Frame]
-    calls: list[CoreCall]
+    calls: list[NotedCall]
 
 
 class Tap:
@@ -40,20 +36,15 @@ class Tap:
 
     def __init__(self) -> None:
         self.frames: list[Frame] = []
-        self.calls: list[CoreCall] = []
+        self.calls: list[NotedCall] = []
         self.ticks = 0
         self.events: tuple[Event, ...] = ()
 
-    def note(
-        self,
-        what: inputs.CoreInput | WhyRecord | ShellEvent,
-        answer: RequestResult | TickResult | None = None,
-    ) -> None:
+    def note(self, what: CoreCall[object] | WhyRecord | ShellEvent, answer: object = None) -> None:
         """A call that was made, or what is to stand at this place beside the calls."""
-        self.calls.append(CoreCall(len(self.frames), what, answer))
+        self.calls.append(NotedCall(len(self.frames), what, answer))
 
     def take(self) -> Noted:
-        """Everything since the last time."""
         noted = Noted(self.frames[:], self.calls[:])
         self.frames.clear()
         self.calls.clear()
@@ -61,7 +52,7 @@ class Tap:
 
 
 class TappedGateway(Gateway):
-    """Gateway core whose calls are noted."""
+    """Gateway core whose calls are noted; those that are made by `apply`, frames and ticks."""
 
     # Not among the attributes of the core: a checkpoint keeps those.
     __slots__ = ("_note_frame", "tap")
@@ -70,121 +61,37 @@ class TappedGateway(Gateway):
         super().__init__(codec, settings, now_ns)
         self.tap = tap
         self._note_frame = tap.frames.append
-        self.requests = TappedRequests(self.requests, tap)
+
+    def apply(self, call: CoreCall[_Answer]) -> _Answer:
+        """Make a call, and note it with its answer; one that fails is noted without."""
+        if isinstance(call, (Receive, RunTick)):  # the gateway's own methods note these
+            return call.apply(self)
+        try:
+            answer = call.apply(self)
+        except Exception:
+            self.tap.note(call)
+            raise
+        self.tap.note(call, answer)
+        return answer
 
     def receive(self, frame: Frame) -> None:
-        """Note and take in one frame."""
         self._note_frame(frame)
         self.receiver.receive(frame)
 
-    def link_lost(self, now_ns: int) -> None:
-        """Note and hand on."""
-        self.tap.note(inputs.LinkLostInput(now_ns))
-        super().link_lost(now_ns)
-
-    def link_opened(self, link: LinkStatus, carrier: Carrier | None, now_ns: int) -> None:
-        """Note and hand on."""
-        self.tap.note(inputs.LinkOpenedInput(link, carrier, now_ns))
-        super().link_opened(link, carrier, now_ns)
-
-    def carrier_changed(self, carrier: Carrier) -> None:
-        """Note and hand on."""
-        self.tap.note(inputs.CarrierInput(carrier))
-        super().carrier_changed(carrier)
-
-    def restarted(self, unexpectedly: int) -> None:
-        """Note and hand on."""
-        self.tap.note(inputs.RestartsInput(unexpectedly))
-        super().restarted(unexpectedly)
-
-    def begin_from(self, cut_reason: str | None, reverse: Mapping[str, bool]) -> None:
-        """Note and hand on."""
-        self.tap.note(inputs.BeginInput(cut_reason, dict(reverse)))
-        super().begin_from(cut_reason, reverse)
-
-    def restart_state_tried(self, failure: str | None) -> None:
-        """Note and hand on."""
-        self.tap.note(inputs.RestartStateInput(failure))
-        super().restart_state_tried(failure)
-
-    def sent(self, frame: OutFrame, ok: bool, now_ns: int) -> None:
-        """Note and hand on."""
-        self.tap.note(inputs.SentInput(frame, ok, now_ns))
-        super().sent(frame, ok, now_ns)
-
-    def reload(self, settings: Settings) -> RequestResult:
-        """Hand on, and note with the answer."""
-        answer = super().reload(settings)
-        self.tap.note(inputs.ReloadInput(settings), answer)
-        return answer
-
     def tick(self, now_ns: int) -> TickResult:
-        """Hand on, and note with the result; a tick that fails is noted without one."""
+        tap = self.tap
         try:
             result = super().tick(now_ns)
         except Exception:
-            self.tap.note(inputs.TickInput(now_ns))
+            tap.note(RunTick(now_ns))
             raise
-        tap = self.tap
-        tap.note(inputs.TickInput(now_ns), result)
+        tap.note(RunTick(now_ns), result)
         tap.ticks += 1
         tap.events = result.events
         return result
 
 
-class TappedRequests(OperatorRequests):
-    """Requests of operators, which are noted with their answers."""
-
-    __slots__ = ("_note",)
-
-    def __init__(self, requests: OperatorRequests, tap: Tap) -> None:
-        vars(self).update(vars(requests))
-        self._note = tap.note
-
-    def offer(self, demand: Demand, now_ns: int) -> RequestResult:
-        """Hand on, and note with the answer."""
-        answer = super().offer(demand, now_ns)
-        self._note(inputs.OfferInput(demand, now_ns), answer)
-        return answer
-
-    def end_demand(self, source: str, now_ns: int) -> RequestResult:
-        """Hand on, and note with the answer."""
-        answer = super().end_demand(source, now_ns)
-        self._note(inputs.EndDemandInput(source, now_ns), answer)
-        return answer
-
-    def arm(self, now_ns: int) -> RequestResult:
-        """Hand on, and note with the answer."""
-        answer = super().arm(now_ns)
-        self._note(inputs.ArmInput(now_ns), answer)
-        return answer
-
-    def disarm(self, now_ns: int) -> RequestResult:
-        """Hand on, and note with the answer."""
-        answer = super().disarm(now_ns)
-        self._note(inputs.DisarmInput(now_ns), answer)
-        return answer
-
-    def reset(self, level: FaultClass, now_ns: int) -> RequestResult:
-        """Hand on, and note with the answer."""
-        answer = super().reset(level, now_ns)
-        self._note(inputs.ResetInput(level, now_ns), answer)
-        return answer
-
-    def emergency_stop(self) -> RequestResult:
-        """Hand on, and note with the answer."""
-        answer = super().emergency_stop()
-        self._note(inputs.EmergencyStopInput(), answer)
-        return answer
-
-    def terminate(self) -> None:
-        """Note and hand on."""
-        self._note(inputs.TerminateInput())
-        super().terminate()
-
-
 def packed_frames(frames: list[Frame]) -> list[bytes]:
-    """The frames as a datagram has them."""
     pack, extended = datagram.CLASSIC.pack, datagram.EXTENDED
     return [
         pack(frame.arrival_ns, frame.can_id | extended, frame.own_echo, 8, frame.data)

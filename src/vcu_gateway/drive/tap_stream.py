@@ -36,7 +36,6 @@ class TapStream:
 
     @property
     def segment_frames(self) -> int:
-        """Frames since the last checkpoint."""
         return self._writer.frames
 
     def begin(self, now_ns: int, wall_ns: int) -> None:
@@ -64,7 +63,6 @@ class TapStream:
             self._gateway.tap.note(WhyRecord(now_ns, sentence))
 
     def batch(self) -> Batch:
-        """Everything since the last batch."""
         frames, calls = self._gateway.tap.take()
         self.frames += len(frames)
         head, self._head = self._head, ""

@@ -5,11 +5,11 @@ knows nothing of what was wrong with the recorded vehicle.
 """
 
 from vcu_gateway import simulator
-from vcu_gateway.core import inputs
+from vcu_gateway.core import calls
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
 from vcu_gateway.replay.open_loop import REQUESTS, begun
@@ -17,12 +17,12 @@ from vcu_gateway.replay.series import CommandSeries
 from vcu_gateway.replay.what_if import WhatIf
 
 _LEFT_OUT = (
-    inputs.SentInput,
-    inputs.ReloadInput,
-    inputs.LinkLostInput,
-    inputs.LinkOpenedInput,
-    inputs.CarrierInput,
-    inputs.TickInput,  # it ended the gateway's process by a bug
+    calls.NoteSent,
+    calls.ReloadSettings,
+    calls.LoseLink,
+    calls.OpenLink,
+    calls.ChangeCarrier,
+    calls.RunTick,  # it ended the gateway's process by a bug
 )
 
 
@@ -80,7 +80,6 @@ class ClosedLoop:
         self._now_ns = 0
 
     def note(self, record: FrameRun | CoreRecord) -> None:
-        """Take one record."""
         if not self._loops:
             if isinstance(record, Checkpoint):
                 self._begin(record)
@@ -99,9 +98,9 @@ class ClosedLoop:
         self.what_if.begin(held[0], held[1], record.mode, record.now_ns)
         self._now_ns = record.now_ns
 
-    def _input(self, one: inputs.CoreInput) -> None:
+    def _input(self, one: CoreCall[object]) -> None:
         if isinstance(one, _LEFT_OUT):
-            self.reloads += isinstance(one, inputs.ReloadInput)
+            self.reloads += isinstance(one, calls.ReloadSettings)
             return
         answers = [one.apply(loop.gateway) for loop in self._loops]
         before, after = answers

@@ -13,12 +13,12 @@ import json
 from collections import Counter
 from typing import Any, NamedTuple
 
+from vcu_gateway.core.calls import WORDS, NoteSent, RunTick
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.events import Event
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.inputs import SentInput, TickInput
 from vcu_gateway.drive import checkpoint
 from vcu_gateway.drive.records import (
     Checkpoint,
@@ -175,18 +175,17 @@ class EqualityCheck:
 
     def _input(self, gateway: Gateway, record: InputRecord) -> None:
         one = record.input
-        if type(one) is SentInput:
+        if type(one) is NoteSent:
             gateway.sent(*one)
             return
-        if type(one) is TickInput:
+        if type(one) is RunTick:
             self._last_tick(gateway, one.now_ns)
             return
         answer = one.apply(gateway)
         if record.answer is not None and isinstance(answer, RequestResult):
             self._compared["answers"] += 1
             if answer != record.answer:
-                what = type(one).__name__.removesuffix("Input").lower()
-                self._differs(f"answer to {what}", _told(record.answer), _told(answer))
+                self._differs(f"answer to {WORDS[type(one)]}", _told(record.answer), _told(answer))
 
     def _begin_tick(self, now_ns: int) -> None:
         self._end_tick()
@@ -309,7 +308,7 @@ class EqualityCheck:
 
 
 def _is_sent(record: FrameRun | CoreRecord) -> bool:
-    return isinstance(record, InputRecord) and isinstance(record.input, SentInput)
+    return isinstance(record, InputRecord) and isinstance(record.input, NoteSent)
 
 
 def _told(answer: RequestResult) -> str:

@@ -7,10 +7,10 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from vcu_gateway.core import inputs
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.inputs import CoreInput
+from vcu_gateway.core.gateway import CoreCall
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
@@ -32,7 +32,6 @@ _NOT_JUDGED = (
 
 
 def limits_of(settings: Settings, aliases: Mapping[int, str]) -> VerdictLimits:
-    """The configured values that the verdict uses."""
     names = {one.name for one in dataclasses.fields(VerdictLimits)}
     names &= {one.name for one in dataclasses.fields(settings)}
     values: dict[str, Any] = {name: getattr(settings, name) for name in names}
@@ -87,7 +86,6 @@ class JudgedRecords:
         return judge
 
     def frames(self, frames: list[Frame]) -> None:
-        """Take in frames in their order."""
         if self._unknown:
             self._between += frames  # they came between the sending of both frames
             return
@@ -95,7 +93,6 @@ class JudgedRecords:
         self._ready().frames(frames)
 
     def note(self, record: FrameRun | CoreRecord) -> None:
-        """Take in a record."""
         if isinstance(record, FrameRun):
             self.frames(record.frames)
         elif isinstance(record, TickRecord):
@@ -140,28 +137,29 @@ class JudgedRecords:
 
     def _input(self, record: InputRecord) -> None:
         one = record.input
-        if isinstance(one, inputs.FrameInput):
+        if isinstance(one, calls.Receive):
             self.frames([one.frame])
-        elif isinstance(one, inputs.SentInput):
+        elif isinstance(one, calls.NoteSent):
             name = one.frame.controller
             self._sent[name] = self._sent[name]._replace(left=one.ok)
             self._unknown.discard(name)
         else:
             judge = self._ready()
-            granted = record.answer is None or record.answer.granted
-            if tell := _TOLD.get(type(one)):
-                tell(judge, one, granted)
-            elif granted and isinstance(one, inputs.ReloadInput):
+            if isinstance(one, calls.Offer):
+                judge.offered(one.now_ns)
+            if record.answer is not None and not record.answer.granted:
+                return
+            if isinstance(one, calls.ReloadSettings):
                 judge.reload(limits_of(one.settings, self._aliases))
+            elif tell := _GRANTED.get(type(one)):
+                tell(judge, one)
 
     def end(self) -> None:
-        """The stretch is over."""
         if self._judge is not None:
             self._ready().end()
         self._judge = None
 
     def verdict(self) -> DriveVerdict:
-        """What was found so far."""
         self.end()
         counts = self._counts
         return DriveVerdict(
@@ -177,78 +175,38 @@ class JudgedRecords:
         )
 
 
-def _offered(judge: Judge, one: inputs.OfferInput, granted: bool) -> None:
-    judge.offered(one.now_ns)
-    if granted:
-        demand = one.demand
-        controllers = {name: _demand_of(each) for name, each in demand.controllers.items()}
-        made_ns = one.now_ns if demand.made_ns is None else demand.made_ns
-        judge.demand(GrantedDemand(demand.source, controllers, made_ns, demand.ttl_ms), one.now_ns)
+def _demanded(judge: Judge, one: calls.Offer) -> None:
+    demand = one.demand
+    controllers = {name: _demand_of(each) for name, each in demand.controllers.items()}
+    made_ns = one.now_ns if demand.made_ns is None else demand.made_ns
+    judge.demand(GrantedDemand(demand.source, controllers, made_ns, demand.ttl_ms), one.now_ns)
 
 
-def _ended(judge: Judge, one: inputs.EndDemandInput, granted: bool) -> None:
-    del one
-    if granted:
-        judge.end_demand()
-
-
-def _armed(judge: Judge, one: inputs.ArmInput, granted: bool) -> None:
-    if granted:
-        judge.armed(one.now_ns)
-
-
-def _disarmed(judge: Judge, one: inputs.DisarmInput, granted: bool) -> None:
-    del one, granted
-    judge.disarmed()
-
-
-def _reset(judge: Judge, one: inputs.ResetInput, granted: bool) -> None:
-    if granted:
-        judge.reset(one.now_ns, service=one.level is FaultClass.SERVICE)
-
-
-def _emergency_stop(judge: Judge, one: inputs.EmergencyStopInput, granted: bool) -> None:
-    del one, granted
-    judge.emergency_stop()
-
-
-def _link_lost(judge: Judge, one: inputs.LinkLostInput, granted: bool) -> None:
-    del granted
-    judge.link_lost(one.at_ns)
-
-
-def _link_opened(judge: Judge, one: inputs.LinkOpenedInput, granted: bool) -> None:
-    del granted
+def _link_opened(judge: Judge, one: calls.OpenLink) -> None:
     off = one.link.state is LinkState.BUS_OFF or (one.carrier and not one.carrier.present)
     judge.link_opened(one.now_ns, up=not off)
 
 
-def _carrier(judge: Judge, one: inputs.CarrierInput, granted: bool) -> None:
-    del granted
-    judge.carrier(one.carrier.present, one.carrier.since_ns)
-
-
-def _begun(judge: Judge, one: inputs.BeginInput, granted: bool) -> None:
-    del granted
+def _begun(judge: Judge, one: calls.BeginFrom) -> None:
     if one.cut_reason is not None:
         judge.requests.cut_latched = True
 
 
-def _restart_state(judge: Judge, one: inputs.RestartStateInput, granted: bool) -> None:
-    del granted
-    judge.restart_state(kept=one.failure is None)
-
-
-_TOLD: Mapping[type[CoreInput], Callable[[Judge, Any, bool], None]] = {
-    inputs.OfferInput: _offered,
-    inputs.EndDemandInput: _ended,
-    inputs.ArmInput: _armed,
-    inputs.DisarmInput: _disarmed,
-    inputs.ResetInput: _reset,
-    inputs.EmergencyStopInput: _emergency_stop,
-    inputs.LinkLostInput: _link_lost,
-    inputs.LinkOpenedInput: _link_opened,
-    inputs.CarrierInput: _carrier,
-    inputs.BeginInput: _begun,
-    inputs.RestartStateInput: _restart_state,
+_GRANTED: Mapping[type[CoreCall[object]], Callable[[Judge, Any], None]] = {
+    calls.Offer: _demanded,
+    calls.EndDemand: lambda judge, _: judge.end_demand(),
+    calls.Arm: lambda judge, one: judge.armed(one.now_ns),
+    calls.Disarm: lambda judge, _: judge.disarmed(),
+    calls.Reset: lambda judge, one: judge.reset(
+        one.now_ns, service=one.level is FaultClass.SERVICE
+    ),
+    calls.EmergencyStop: lambda judge, _: judge.emergency_stop(),
+    calls.LoseLink: lambda judge, one: judge.link_lost(one.at_ns),
+    calls.OpenLink: _link_opened,
+    calls.ChangeCarrier: lambda judge, one: judge.carrier(
+        one.carrier.present, one.carrier.since_ns
+    ),
+    calls.BeginFrom: _begun,
+    calls.NoteRestartState: lambda judge, one: judge.restart_state(kept=one.failure is None),
 }
+"""What the judge is told of a call that was not refused."""

@@ -7,11 +7,11 @@ commands.
 
 import json
 
-from vcu_gateway.core import inputs
+from vcu_gateway.core import calls
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.gateway import CoreCall, Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive import checkpoint
@@ -29,12 +29,12 @@ from vcu_gateway.replay.told_commands import ToldCommands
 from vcu_gateway.replay.what_if import WhatIf
 
 REQUESTS: dict[type, str] = {
-    inputs.OfferInput: "demand",
-    inputs.EndDemandInput: "end demand",
-    inputs.ArmInput: "arm",
-    inputs.DisarmInput: "disarm",
-    inputs.ResetInput: "reset",
-    inputs.EmergencyStopInput: "estop",
+    calls.Offer: "demand",
+    calls.EndDemand: "end demand",
+    calls.Arm: "arm",
+    calls.Disarm: "disarm",
+    calls.Reset: "reset",
+    calls.EmergencyStop: "estop",
 }
 
 
@@ -63,7 +63,6 @@ class OpenLoop:
         self._now_ns = 0
 
     def note(self, record: FrameRun | CoreRecord) -> None:
-        """Replay one record."""
         gateway = self._gateway
         if gateway is None:
             if isinstance(record, Checkpoint):
@@ -91,15 +90,15 @@ class OpenLoop:
         self.what_if.begin(held, held, record.mode, record.now_ns)
 
     def _input(
-        self, gateway: Gateway, one: inputs.CoreInput, recorded: RequestResult | None
+        self, gateway: Gateway, one: CoreCall[object], recorded: RequestResult | None
     ) -> None:
-        if isinstance(one, inputs.SentInput):
+        if isinstance(one, calls.NoteSent):
             self._sent(gateway, one)
             return
-        if isinstance(one, inputs.ReloadInput):
+        if isinstance(one, calls.ReloadSettings):
             self.reloads.append(self._now_ns)
             return
-        if isinstance(one, inputs.TickInput):  # it ended the gateway's process by a bug
+        if isinstance(one, calls.RunTick):  # it ended the gateway's process by a bug
             self._gateway = None
             return
         answer = one.apply(gateway)
@@ -107,7 +106,7 @@ class OpenLoop:
             now_ns = getattr(one, "now_ns", self._now_ns)
             self.what_if.answer(now_ns, REQUESTS[type(one)], recorded, answer)
 
-    def _sent(self, gateway: Gateway, one: inputs.SentInput) -> None:
+    def _sent(self, gateway: Gateway, one: calls.NoteSent) -> None:
         """Ours went as the recorded one did; the controller was told the recorded one."""
         frame, recorded = self._frames.get(one.frame.controller), one.frame
         if frame is not None:

@@ -6,6 +6,7 @@ from typing import Any, cast
 
 from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import (
     CONTROLLERS,
     ControllerDemand,
@@ -34,7 +35,7 @@ class CommandHandlers:
 
     def __init__(self, context: ServerContext) -> None:
         self._context = context
-        self._requests = context.loop.gateway.requests
+        self._gateway = context.loop.gateway
         self._owners: dict[str, int] = {}
 
     def execute(self, method: str, params: Any, caller: Caller) -> Mapping[str, Any]:
@@ -44,7 +45,7 @@ class CommandHandlers:
 
     def owns_demand(self, caller: Caller) -> bool:
         """True while a fresh demand of this connection counts; from any thread."""
-        arbiter = self._requests.arbiter
+        arbiter = self._gateway.requests.arbiter
         demand = arbiter.current
         if demand is None or not arbiter.fresh(time.monotonic_ns()):
             return False
@@ -53,15 +54,15 @@ class CommandHandlers:
     def end_demands_of(self, caller: Caller) -> None:
         for source in [name for name, one in self._owners.items() if one == caller.connection]:
             del self._owners[source]
-            self._requests.end_demand(source, time.monotonic_ns())
+            self._gateway.apply(calls.EndDemand(source, time.monotonic_ns()))
 
     def set_demand(self, params: methods.DemandParams, caller: Caller) -> results.Granted:
         if self._owners.get(params.source, caller.connection) != caller.connection:
             sentence = f"another connection is source {params.source}; use a name of your own"
             raise _refused(Refusal.OTHER_OWNER, sentence)
-        demand = demand_of(params, self._context.loop.gateway.settings)
+        demand = demand_of(params, self._gateway.settings)
         now_ns = time.monotonic_ns()
-        answer = self._requests.offer(demand, now_ns)
+        answer = self._gateway.apply(calls.Offer(demand, now_ns))
         if answer.refusal is Refusal.EXPIRED:
             answer = refused(Refusal.EXPIRED, _too_late(demand, now_ns))
         if answer.granted:
@@ -72,20 +73,26 @@ class CommandHandlers:
         if self._owners.get(params.source) != caller.connection:
             sentence = f"this connection is not source {params.source}"
             raise _refused(Refusal.OTHER_OWNER, sentence)
-        return self._granted(self._requests.end_demand(params.source, time.monotonic_ns()))
+        return self._granted(
+            self._gateway.apply(calls.EndDemand(params.source, time.monotonic_ns()))
+        )
 
     def arm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        return self._logged("arm", caller, self._requests.arm(time.monotonic_ns()))
+        return self._logged("arm", caller, self._gateway.apply(calls.Arm(time.monotonic_ns())))
 
     def disarm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        return self._logged("disarm", caller, self._requests.disarm(time.monotonic_ns()))
+        return self._logged(
+            "disarm", caller, self._gateway.apply(calls.Disarm(time.monotonic_ns()))
+        )
 
     def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         return self._logged("estop", caller, self._context.loop.emergency_stop())
 
     def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
         level = FaultClass(params.level)
-        return self._logged("reset", caller, self._requests.reset(level, time.monotonic_ns()))
+        return self._logged(
+            "reset", caller, self._gateway.apply(calls.Reset(level, time.monotonic_ns()))
+        )
 
     def _logged(self, what: str, caller: Caller, answer: RequestResult) -> results.Granted:
         """Result as `_granted` makes it, with the peer in the event log."""
@@ -98,7 +105,7 @@ class CommandHandlers:
         self._context.loop.refresh_why()
         if answer.refusal is not None:
             raise _refused(answer.refusal, answer.sentence)
-        mode = self._context.loop.gateway.mode
+        mode = self._gateway.mode
         return {"granted": True, "mode": views.mode_name(mode)}
 
     def events(self, params: methods.EventsParams, _: Caller) -> results.Events:

@@ -1,10 +1,14 @@
-"""Inputs of the core: every call that may change it, as a value.
+"""Calls of the core as values: every one that may change it, one class each.
 
-The same inputs in the same order give the same results again. A drive is recorded as the inputs
-and their results, and replayed by applying them to another gateway:
+The same calls in the same order give the same results again. The shell makes them with
+`Gateway.apply`, where a tap notes them; a drive is recorded as the calls and their answers, and
+replayed by applying them to another gateway:
 
-    for one in inputs:
-        answer = one.apply(gateway)
+    gateway.apply(Arm(now_ns)).granted
+
+`Gateway.receive` and `Gateway.tick` are called themselves: there are many of them. A new call is a
+class here and its word in `WORDS`; a recording has its fields as `drive/call_text.py` writes their
+types.
 """
 
 from collections.abc import Mapping
@@ -12,34 +16,32 @@ from typing import NamedTuple
 
 from vcu_gateway.core.demand import Demand, RequestResult
 from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
 from vcu_gateway.core.link import Carrier, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.core.transmit import OutFrame
 
 
-class FrameInput(NamedTuple):
+class Receive(NamedTuple):
     """`Gateway.receive`."""
 
     frame: Frame
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
         gateway.receive(self.frame)
 
 
-class LinkLostInput(NamedTuple):
+class LoseLink(NamedTuple):
     """`Gateway.link_lost`."""
 
     at_ns: int
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
         gateway.link_lost(self.at_ns)
 
 
-class LinkOpenedInput(NamedTuple):
+class OpenLink(NamedTuple):
     """`Gateway.link_opened`."""
 
     link: LinkStatus
@@ -47,141 +49,127 @@ class LinkOpenedInput(NamedTuple):
     now_ns: int
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
-        gateway.link_opened(self.link, self.carrier, self.now_ns)
+        gateway.link_opened(*self)
 
 
-class CarrierInput(NamedTuple):
+class ChangeCarrier(NamedTuple):
     """`Gateway.carrier_changed`."""
 
     carrier: Carrier
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
         gateway.carrier_changed(self.carrier)
 
 
-class RestartsInput(NamedTuple):
+class CountRestarts(NamedTuple):
     """`Gateway.restarted`."""
 
     unexpectedly: int
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
         gateway.restarted(self.unexpectedly)
 
 
-class BeginInput(NamedTuple):
+class BeginFrom(NamedTuple):
     """`Gateway.begin_from`."""
 
     cut_reason: str | None
     reverse: Mapping[str, bool]
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
-        gateway.begin_from(self.cut_reason, self.reverse)
+        gateway.begin_from(*self)
 
 
-class RestartStateInput(NamedTuple):
+class NoteRestartState(NamedTuple):
     """`Gateway.restart_state_tried`."""
 
     failure: str | None
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
         gateway.restart_state_tried(self.failure)
 
 
-class OfferInput(NamedTuple):
+class Offer(NamedTuple):
     """`OperatorRequests.offer`."""
 
     demand: Demand
     now_ns: int
 
     def apply(self, gateway: Gateway) -> RequestResult:
-        """Make the call."""
-        return gateway.requests.offer(self.demand, self.now_ns)
+        return gateway.requests.offer(*self)
 
 
-class EndDemandInput(NamedTuple):
+class EndDemand(NamedTuple):
     """`OperatorRequests.end_demand`."""
 
     source: str
     now_ns: int
 
     def apply(self, gateway: Gateway) -> RequestResult:
-        """Make the call."""
-        return gateway.requests.end_demand(self.source, self.now_ns)
+        return gateway.requests.end_demand(*self)
 
 
-class ArmInput(NamedTuple):
+class Arm(NamedTuple):
     """`OperatorRequests.arm`."""
 
     now_ns: int
 
     def apply(self, gateway: Gateway) -> RequestResult:
-        """Make the call."""
         return gateway.requests.arm(self.now_ns)
 
 
-class DisarmInput(NamedTuple):
+class Disarm(NamedTuple):
     """`OperatorRequests.disarm`."""
 
     now_ns: int
 
     def apply(self, gateway: Gateway) -> RequestResult:
-        """Make the call."""
         return gateway.requests.disarm(self.now_ns)
 
 
-class ResetInput(NamedTuple):
+class Reset(NamedTuple):
     """`OperatorRequests.reset`."""
 
     level: FaultClass
     now_ns: int
 
     def apply(self, gateway: Gateway) -> RequestResult:
-        """Make the call."""
-        return gateway.requests.reset(self.level, self.now_ns)
+        return gateway.requests.reset(*self)
 
 
-class EmergencyStopInput(NamedTuple):
+class EmergencyStop(NamedTuple):
     """`OperatorRequests.emergency_stop`."""
 
     def apply(self, gateway: Gateway) -> RequestResult:
-        """Make the call."""
         return gateway.requests.emergency_stop()
 
 
-class TerminateInput(NamedTuple):
+class Terminate(NamedTuple):
     """`OperatorRequests.terminate`."""
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
         gateway.requests.terminate()
 
 
-class ReloadInput(NamedTuple):
+class ReloadSettings(NamedTuple):
     """`Gateway.reload`."""
 
     settings: Settings
 
     def apply(self, gateway: Gateway) -> RequestResult:
-        """Make the call."""
         return gateway.reload(self.settings)
 
 
-class TickInput(NamedTuple):
+class RunTick(NamedTuple):
     """`Gateway.tick`."""
 
     now_ns: int
 
     def apply(self, gateway: Gateway) -> TickResult:
-        """Make the call."""
         return gateway.tick(self.now_ns)
 
 
-class SentInput(NamedTuple):
+class NoteSent(NamedTuple):
     """`Gateway.sent`."""
 
     frame: OutFrame
@@ -189,27 +177,25 @@ class SentInput(NamedTuple):
     now_ns: int
 
     def apply(self, gateway: Gateway) -> None:
-        """Make the call."""
-        gateway.sent(self.frame, self.ok, self.now_ns)
+        gateway.sent(*self)
 
 
-CoreInput = (
-    FrameInput
-    | LinkLostInput
-    | LinkOpenedInput
-    | CarrierInput
-    | RestartsInput
-    | BeginInput
-    | RestartStateInput
-    | OfferInput
-    | EndDemandInput
-    | ArmInput
-    | DisarmInput
-    | ResetInput
-    | EmergencyStopInput
-    | TerminateInput
-    | ReloadInput
-    | TickInput
-    | SentInput
-)
-"""One call; the order of the members is that of docs/recordings-format.md."""
+WORDS: Mapping[type[CoreCall[object]], str] = {
+    Offer: "offer",
+    NoteSent: "sent",
+    RunTick: "tick",
+    LoseLink: "link_lost",
+    OpenLink: "link_opened",
+    ChangeCarrier: "carrier_changed",
+    CountRestarts: "restarted",
+    BeginFrom: "begin_from",
+    NoteRestartState: "restart_state",
+    EndDemand: "end_demand",
+    Arm: "arm",
+    Disarm: "disarm",
+    Reset: "reset",
+    EmergencyStop: "estop",
+    Terminate: "terminate",
+    ReloadSettings: "reload",
+}
+"""Word of each call in a recording (docs/recordings-format.md); frames have files of their own."""
