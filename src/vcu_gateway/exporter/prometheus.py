@@ -14,7 +14,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from vcu_gateway.errors import Problem, UnavailableError
-from vcu_gateway.exporter.families import FAMILIES
+from vcu_gateway.exporter import FAMILIES
 from vcu_gateway.exporter.family import Family, Samples
 from vcu_gateway.exporter.reader import GatewayAnswers
 
