@@ -52,11 +52,9 @@ class PlainBus:
         self._library_bus = library_bus
 
     def start_reader(self, listener: FrameListener) -> Reader:
-        """Begin to receive."""
         return ThreadReader(self._library_bus, listener)
 
     def send_now(self, can_id: int, data: bytes) -> None:
-        """Send one extended data frame."""
         self._library_bus.send(can.Message(arbitration_id=can_id, data=data))
 
 

@@ -88,7 +88,6 @@ class BusConnection:
         return opening.reader.drains if opening is not None and self.is_open else None
 
     def report(self) -> dict[str, Any]:
-        """The counters as plain data."""
         return {**dataclasses.asdict(self.counters), "dropped": self.dropped, "lost": self.lost}
 
     def acquire_lock(self) -> None:
@@ -110,12 +109,10 @@ class BusConnection:
         return None if self._instance_lock is None else self._instance_lock.descriptor
 
     def answer_lock_queries(self) -> None:
-        """Answer processes that ask for the lock's holder."""
         if self._instance_lock is not None:
             self._instance_lock.answer()
 
     def release_lock(self) -> None:
-        """Let another gateway use the interface."""
         lock, self._instance_lock = self._instance_lock, None
         if lock is not None:
             lock.release()
@@ -158,7 +155,6 @@ class BusConnection:
         self._read_since_loss.wait(patience_s)
 
     def start_sending(self) -> None:
-        """Send on the open bus from now on."""
         opening = self._opening
         self._sending_bus = opening.bus if opening is not None and self.is_open else None
 

@@ -12,7 +12,6 @@ _WITHOUT_CAN = "this kernel has no CAN; try `vcu-gateway demo`, or a kernel with
 
 
 def unopened(error: Exception, settings: BusSettings) -> Problem:
-    """Problem of an opening that failed."""
     code, channel = getattr(error, "errno", None), settings.channel
     if settings.interface == "udp_multicast" and "msgpack" in str(error):
         remedy = "install the extra: pip install 'vcu-gateway[multicast]'"

@@ -91,6 +91,5 @@ class Interfaces:
         return fcntl.ioctl(self._socket, code, request)
 
     def close(self) -> None:
-        """Close the socket."""
         if self._socket is not None:
             self._socket.close()

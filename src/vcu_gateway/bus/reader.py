@@ -52,12 +52,10 @@ class DrainingReader:
         self._notifier = can.Notifier(bus, [listener], loop=cast(Any, self))
 
     def add_reader(self, descriptor: int, callback: Callable[..., object], *arguments: Any) -> None:
-        """Take the Notifier's callback."""
         del descriptor
         self._receive_one = functools.partial(callback, *arguments)
 
     def remove_reader(self, descriptor: int) -> None:
-        """Drop the Notifier's callback."""
         del descriptor
         self._receive_one = None
 
@@ -125,7 +123,6 @@ class _Inbox:
         self.on_error = listener.on_error
 
     def __call__(self, message: can.Message) -> None:
-        """Keep one frame."""
         self.messages.append(message)
 
     def stop(self) -> None:

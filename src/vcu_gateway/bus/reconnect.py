@@ -131,7 +131,6 @@ class Reconnector:
     # The thread.
 
     def start(self) -> None:
-        """Start the thread."""
         self._watch.open()
         if (descriptor := self._connection.lock_descriptor) is not None:
             self._watch.watch(descriptor)

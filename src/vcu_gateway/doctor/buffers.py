@@ -21,12 +21,10 @@ class BufferFacts(NamedTuple):
 
 
 def read(wanted_bytes: int | None) -> BufferFacts:
-    """Read them from the kernel."""
     return BufferFacts(wanted_bytes, number(_LIMIT))
 
 
 def judge(facts: BufferFacts) -> Iterator[CheckResult]:
-    """Judge the receive buffer."""
     wanted = facts.wanted_bytes or _LEAST_BYTES
     who = "a full bus" if facts.wanted_bytes is None else "bus.receive_buffer_bytes"
     if isinstance(facts.max_bytes, Unreadable):

@@ -87,7 +87,6 @@ def _received(bus: socket.socket, duration_s: float) -> ObservedTraffic:
 
 
 def judge(facts: TrafficFacts) -> Iterator[CheckResult]:
-    """Judge the traffic."""
     observed = facts.observed
     if isinstance(observed, Unreadable):
         yield SUBJECT.unknown("listen", observed.reason)

@@ -43,7 +43,6 @@ class _SharedFacts(NamedTuple):
 
     @property
     def is_of_the_service(self) -> bool:
-        """Whether the service is started with the checked configuration."""
         return self.unit.runs_with(self.file.path)
 
     @property
@@ -75,7 +74,6 @@ def run_checks(
 
 
 def _configuration_checks(shared: _SharedFacts, *, listen: bool) -> dict[str, _Check]:
-    """Checks of the machine against the configuration."""
     config = shared.file.in_effect
     checks: dict[str, _Check] = {
         "protocol": lambda: protocol.judge(protocol.read(config)),

@@ -56,12 +56,10 @@ class ConfigurationFacts(NamedTuple):
 
     @property
     def in_effect(self) -> Config:
-        """The configuration, or the defaults where there is none."""
         return self.config or Config()
 
 
 def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> ConfigurationFacts:
-    """Read the file at `path`; `missing` says why there is none."""
     if path is None:
         return ConfigurationFacts(None, problems=missing)
     facts = ConfigurationFacts(path, own_uid=os.geteuid())
@@ -98,7 +96,6 @@ def _name(uid: int) -> str:
 
 
 def judge(facts: ConfigurationFacts) -> Iterator[CheckResult]:
-    """Judge the configuration file."""
     if facts.unread is not None:
         what = f"{facts.path}: {facts.unread.reason}"
         yield SUBJECT.unknown("readable", what, "sudo vcu-gateway doctor")

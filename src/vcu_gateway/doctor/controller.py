@@ -38,7 +38,6 @@ class ControllerSettings(NamedTuple):
 
     @property
     def ip_arguments(self) -> str:
-        """Arguments of `ip link set` for all settings."""
         restart = "" if self.is_serial else f" restart-ms {_RESTART_MS}"
         return f"type can bitrate {self.bit_rate_bit_s}{restart}"
 
@@ -64,7 +63,6 @@ def checks(settings: ControllerSettings, info: InterfaceInfo) -> Iterator[Outcom
 
 
 def bit_rate(settings: ControllerSettings, info: InterfaceInfo) -> Outcome | None:
-    """Judge the controller's bit rate."""
     found, wanted = info.details.bit_rate_bit_s, settings.bit_rate_bit_s
     if found == wanted:
         return f"{_kilo(found)} kbit/s"

@@ -42,7 +42,6 @@ class InterfaceFacts(NamedTuple):
 
 
 def read(channel: str, bit_rate_bit_s: int, persistent: str = "") -> InterfaceFacts:
-    """Read them from the kernel."""
     others = tuple(name for name in _can_interfaces() if name != channel)
     refusal = can_socket_error()
     number = None if refusal is None else refusal.errno
@@ -64,7 +63,6 @@ def _can_interfaces() -> list[str]:
 
 
 def judge(facts: InterfaceFacts) -> Iterator[CheckResult]:
-    """Judge the interface."""
     if facts.kernel is not None:
         yield _no_can(facts.kernel)
     info, name = facts.info, facts.channel

@@ -156,7 +156,6 @@ def _path_to(file: Path) -> Iterator[ResourcePermissions]:
 
 
 def judge(facts: PermissionFacts) -> Iterator[CheckResult]:
-    """Judge the permissions."""
     service = _service(facts)
     return SUBJECT.summarise("", (*service, _folder(facts), _operators(facts), _mine(facts)))
 

@@ -52,7 +52,6 @@ class ProcessFacts(NamedTuple):
 
 
 def read(pid: int | None, memory_lock: str = "", policy: str = "") -> ProcessFacts:
-    """Read them from the kernel."""
     return ProcessFacts(
         None if pid is None else _running(pid),
         fields("/proc/meminfo"),
@@ -75,7 +74,6 @@ def _running(pid: int) -> RunningProcess:
 
 
 def governors(cpus: str = _CPUS) -> Iterator[tuple[str, str]]:
-    """Cpufreq driver and governor of each group of processors."""
     for folder in names(cpus):
         driver, governor = (
             text(f"{cpus}/{folder}/scaling_{what}") for what in ("driver", "governor")
@@ -103,7 +101,6 @@ def free_mb(folder: str) -> int | Unreadable | None:
 
 
 def judge(facts: ProcessFacts) -> Iterator[CheckResult]:
-    """Judge the process and the machine."""
     running = facts.running
     if running is not None:
         checks = (_policy(running), _locked(running), _swapped(running))

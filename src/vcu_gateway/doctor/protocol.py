@@ -43,7 +43,6 @@ def read(config: Config) -> ProtocolFacts:
 
 
 def judge(facts: ProtocolFacts) -> Iterator[CheckResult]:
-    """Judge the protocol."""
     for problem in facts.contradictions:
         yield _wrong("dbc", problem)
     for problem in facts.unknown_names:

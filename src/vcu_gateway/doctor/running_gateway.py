@@ -35,7 +35,6 @@ class GatewayFacts(NamedTuple):
 
     @property
     def pid(self) -> int | None:
-        """The process that answered."""
         if self.answers is None or isinstance(self.answers, Unreadable):
             return None
         return self.answers[1]["pid"]
@@ -61,7 +60,6 @@ def _with_answers(facts: GatewayFacts) -> GatewayFacts:
 
 
 def judge(facts: GatewayFacts) -> Iterator[CheckResult]:
-    """Judge the running gateway."""
     if facts.answers is None:
         yield SUBJECT.ok("answers", "api.enabled is false: it cannot be asked")
     elif not isinstance(facts.answers, Unreadable):

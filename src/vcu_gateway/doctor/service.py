@@ -35,7 +35,6 @@ class ServiceFacts(NamedTuple):
 
     @property
     def is_installed(self) -> bool:
-        """Whether the unit is installed and loaded."""
         return self.get("LoadState") == "loaded"
 
     @property
@@ -45,7 +44,6 @@ class ServiceFacts(NamedTuple):
 
     @property
     def is_active(self) -> bool:
-        """Whether the service has started."""
         return self.get("ActiveState") == "active"
 
     @property
@@ -96,13 +94,11 @@ def read(unit: str, booted: str = _BOOTED) -> ServiceFacts:
 
 
 def parsed(output: str) -> dict[str, str]:
-    """The lines `Name=value` of `systemctl show`."""
     pairs = (line.partition("=") for line in output.splitlines())
     return {name: value for name, equals, value in pairs if equals}
 
 
 def judge(facts: ServiceFacts) -> Iterator[CheckResult]:
-    """Judge the service."""
     if facts.properties is None:
         yield SUBJECT.ok("systemd", "no systemd here: the gateway is started by hand")
     elif isinstance(facts.properties, Unreadable):

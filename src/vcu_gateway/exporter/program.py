@@ -93,7 +93,6 @@ def _lateness(health: results.Health) -> Samples:
 
 
 def _of(name: str, text: str, value: Callable[[results.Health], float | None]) -> Family:
-    """Gauge of `health`."""
     return gauge(name, text, of_health(lambda health: one(value(health))))
 
 

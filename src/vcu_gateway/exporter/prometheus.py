@@ -42,14 +42,12 @@ class HttpServer:
         self.port: int = self._server.server_port
 
     def close(self) -> None:
-        """Take no more connections."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
 
 
 def text(read: Callable[[], GatewayAnswers]) -> bytes:
-    """The metrics in Prometheus's text format."""
     return generate_latest(_registry(read))
 
 
@@ -75,7 +73,6 @@ class _Families(Collector):
             yield _metric(family, {})
 
     def collect(self) -> Iterator[Metric]:
-        """Every family with the samples that it has now."""
         reading = self._read()
         for family in FAMILIES:
             yield _metric(family, family.samples(reading))

@@ -28,7 +28,6 @@ class Colourless(LineFilter):
     """Line filter for NO_COLOR: removes colours; bold, dim and reverse stay."""
 
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
-        """The same text without colour."""
         del background
         return [
             Segment(text, style.without_color if style else None, control)
@@ -110,11 +109,9 @@ class WatchApp(App[None]):
         return [Colourless()] if os.environ.get("NO_COLOR") else []
 
     def compose(self) -> ComposeResult:
-        """Help or upper lines, the signals, and the line of hints or of the text to find."""
         yield from (self._help, self._upper, self._signals, self._keys, self._find)
 
     def on_mount(self) -> None:
-        """Start refreshing."""
         self.screen.set_focus(self._signals)
         self._notice_timer = self.set_timer(_NOTICE_S, self._clear_notice)
         self.set_interval(self._refresh_s, self._refresh_view)
@@ -130,7 +127,6 @@ class WatchApp(App[None]):
             self._show()
 
     def on_resize(self, event: Resize) -> None:
-        """Lay everything out again."""
         del event
         self._show()
 
@@ -170,11 +166,9 @@ class WatchApp(App[None]):
         return action != "keep"
 
     def action_end(self) -> None:
-        """Quit."""
         self.exit()
 
     def action_pause(self) -> None:
-        """Freeze the view, or resume."""
         self._paused = not self._paused
         self._show()
 
@@ -191,30 +185,25 @@ class WatchApp(App[None]):
         self._show()
 
     def action_find(self) -> None:
-        """Ask for a text to find."""
         self._keys.display, self._find.display = False, True
         self._find.value = ""
         # At once: focus() comes after the next keys.
         self.screen.set_focus(self._find)
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter signals by the text while it is typed."""
         self._set_filter(event.value.strip())
 
     def action_keep(self) -> None:
-        """Keep the filter."""
         self._keys.display, self._find.display = True, False
         self.screen.set_focus(self._signals)
 
     def action_leave(self) -> None:
-        """Cancel question, help, search and filter."""
         self._pending = self._notice = ""
         self._show_help(False)
         self.action_keep()
         self._set_filter("")
 
     def action_help(self) -> None:
-        """Show or hide the help."""
         self._show_help(not self._help.display)
 
     def _show_help(self, shown: bool) -> None:
@@ -226,11 +215,9 @@ class WatchApp(App[None]):
     # Stopping
 
     def action_ask(self, what: str) -> None:
-        """Ask for confirmation: a key is pressed easily."""
         self._show_notice("", pending=what)
 
     def action_confirm(self, what: str) -> None:
-        """Send the request whose confirmation is pending."""
         if self._pending == what:
             self._show_notice(f"{keys.NAMES[what]} ...")
             self.run_worker(lambda: self._send_request(what), thread=True)

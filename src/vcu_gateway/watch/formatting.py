@@ -40,12 +40,10 @@ def wrapped(sentence: str, width: int, max_lines: int, indent: int = 0) -> list[
 
 
 def number(value: float | None, decimals: int = 0) -> str:
-    """The value with `decimals`; a dash for None."""
     return ABSENT if value is None else f"{value:.{decimals}f}"
 
 
 def milliseconds(duration_us: float | None) -> str:
-    """Microseconds as milliseconds, for lateness."""
     return ABSENT if duration_us is None else f"{duration_us / _MS_PER_S:.2f}"
 
 

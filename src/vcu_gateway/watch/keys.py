@@ -12,7 +12,6 @@ _QUESTIONS = {
 
 
 def confirmation(what: str) -> str:
-    """Question between the two keys of a request."""
     return _QUESTIONS[what]
 
 

@@ -73,5 +73,4 @@ def _at(lines: list[Text], row: int, width: int) -> Text:
 
 
 def _faded(lines: list[Text]) -> list[Text]:
-    """Old values: without colours."""
     return [Text(one.plain, "dim") for one in lines]

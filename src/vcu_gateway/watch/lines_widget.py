@@ -20,7 +20,6 @@ class LinesWidget(ScrollView):
         self._lines: list[Text] = []
 
     def show(self, lines: Sequence[Text]) -> None:
-        """Replace the lines."""
         # As spans: Rich forgets the style of a whole text, in comparing and in drawing.
         before, self._lines = self._lines, [line(text) for text in lines]
         self.virtual_size = Size(self.size.width, len(lines))
@@ -34,7 +33,6 @@ class LinesWidget(ScrollView):
         return f"{top + 1}-{min(top + height, count)}/{count}" if count > height > 0 else ""
 
     def render_line(self, y: int) -> Strip:
-        """One line of the screen."""
         width, row = self.size.width, y + round(self.scroll_y)
         if row >= len(self._lines):
             return Strip.blank(width)

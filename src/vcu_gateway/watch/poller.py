@@ -33,15 +33,12 @@ class GatewaySource:
         self._thread = threading.Thread(target=self._run, name="poller", daemon=True)
 
     def latest(self) -> ViewModel:
-        """The latest view model."""
         return self._view
 
     def estop(self) -> None:
-        """Cut the power of both controllers; SourceRefusedError where it was not granted."""
         self._request(Client.estop)
 
     def disarm(self) -> None:
-        """From active to standby; SourceRefusedError where it was not granted."""
         self._request(Client.disarm)
 
     def _request(self, method: Any) -> None:

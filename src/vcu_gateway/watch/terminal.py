@@ -65,7 +65,6 @@ class TerminalExit:
             threading.Thread(target=self._enforce, name="exit", daemon=True).start()
 
     def finished(self) -> None:
-        """Note that the view has ended and the terminal is restored."""
         self._finished.set()
 
     def _enforce(self) -> None:

@@ -35,8 +35,7 @@ class SourceRefusedError(Exception):
 class ViewSource(Protocol):
     """Source of view models. `latest` never waits; the others may, for a second or two."""
 
-    def latest(self) -> ViewModel:
-        """The latest view model."""
+    def latest(self) -> ViewModel: ...
 
     def estop(self) -> None:
         """Cut the power of both controllers; SourceRefusedError where it was not granted."""
