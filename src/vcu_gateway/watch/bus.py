@@ -1,11 +1,13 @@
 """Figures of bus, ticks and API: three lines, or a panel where there is room."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from rich.text import Text
 
-from vcu_gateway.api.results import FrameCounts, Health
-from vcu_gateway.watch.formatting import ABSENT, cell, duration, line, milliseconds
+from vcu_gateway.api.results import Health
+from vcu_gateway.text import narrow_duration
+from vcu_gateway.watch.formatting import ABSENT, cell, line
 
 PANEL_COLUMNS = 44
 """Least width of the panel."""
@@ -33,8 +35,11 @@ def short_lines(health: Health | None) -> list[Text]:
         _bad("foreign", sum(frames["foreign_commands"].values())),
         _bad("blocked", sum(frames["blocked_by_gate"].values())),
     ]
-    third = [_count("done", ticks["done"]), _bad("skipped", ticks["skipped"])]
-    third.append(line("late ms ", _lateness(health)))
+    third = [
+        _count("done", ticks["done"]),
+        _bad("skipped", ticks["skipped"]),
+        line("late ms ", _lateness(health)),
+    ]
     return [_row("bus", first), _row("", second), _row("ticks", third)]
 
 
@@ -44,23 +49,20 @@ def panel_lines(health: Health | None, width: int) -> list[Text]:
         return [cell("bus", _LABEL_COLUMNS, "dim")]
     frames, ticks, api = health["frames"], health["ticks"], health["api"]
     link = health["link"]
-    bus = Text(f"{link['state']} for {duration(link['since_ms'])}", _link_style(health))
+    bus = Text(f"{link['state']} for {narrow_duration(link['since_ms'])}", _link_style(health))
     rows = [
         ("bus", bus if link["lost"] is None else Text(link["lost"], "red")),
-        ("received", Text(f"{frames['received']}, {_out_of_order(frames)}")),
+        ("received", Text(f"{frames['received']}, out of order {frames['out_of_order']}")),
         ("rejected", _counted(frames["rejected"])),
         ("dropped", _bad("by the kernel", frames["dropped"])),
         ("sent", Text(str(frames["sent"]))),
-        ("confirmed", Text(_listed(dict(frames["confirmed"].items())))),
+        ("confirmed", Text(_listed(frames["confirmed"]))),
         ("unsent", _counted(frames["unsent"])),
-        ("foreign", _counted(dict(frames["foreign_commands"].items()))),
+        ("foreign", _counted(frames["foreign_commands"])),
         ("blocked", _counted(frames["blocked_by_gate"])),
         (
             "ticks",
-            line(
-                f"{ticks['done']}, silent {ticks['silent']}, ",
-                _bad("skipped", ticks["skipped"]),
-            ),
+            line(f"{ticks['done']}, silent {ticks['silent']}, ", _bad("skipped", ticks["skipped"])),
         ),
         ("late ms", _lateness(health)),
         ("API", Text(f"{api['clients']} clients, {api['requests']} requests")),
@@ -82,7 +84,7 @@ def _row(label: str, figures: list[Text]) -> Text:
 
 def _link(health: Health) -> Text:
     link = health["link"]
-    return Text(f"{link['state']} {duration(link['since_ms'])}", _link_style(health))
+    return Text(f"{link['state']} {narrow_duration(link['since_ms'])}", _link_style(health))
 
 
 def _link_style(health: Health) -> str:
@@ -102,20 +104,19 @@ def _bad(word: str, count: int | None) -> Text:
 
 def _lateness(health: Health) -> Text:
     ticks = health["ticks"]
-    names = ("p50", "p99", "max")
-    values = (ticks["lateness_p50_us"], ticks["lateness_p99_us"], ticks["lateness_max_us"])
-    shown = "  ".join(f"{n} {milliseconds(v)}" for n, v in zip(names, values, strict=True))
-    return Text(shown)
+    late_us = {
+        "p50": ticks["lateness_p50_us"],
+        "p99": ticks["lateness_p99_us"],
+        "max": ticks["lateness_max_us"],
+    }
+    shown = (f"{n} {ABSENT if us is None else f'{us / 1000:.2f}'}" for n, us in late_us.items())
+    return Text("  ".join(shown))
 
 
-def _counted(counts: Mapping[str, int]) -> Text:
+def _counted(counts: Mapping[Any, int]) -> Text:
     listed = _listed({reason: count for reason, count in counts.items() if count})
     return Text(listed, _BAD_STYLE) if listed else Text("0")
 
 
-def _listed(counts: Mapping[str, int]) -> str:
+def _listed(counts: Mapping[Any, int]) -> str:
     return ", ".join(f"{name} {count}" for name, count in counts.items())
-
-
-def _out_of_order(frames: FrameCounts) -> str:
-    return f"out of order {frames['out_of_order']}"

@@ -6,8 +6,8 @@ from typing import NamedTuple
 from rich.text import Text
 
 from vcu_gateway.api.results import CarriedFrame, ControllerCommand, ControllerName, Signal, State
-from vcu_gateway.watch.formatting import ABSENT, cell, duration, line, number
-from vcu_gateway.watch.quality import marked
+from vcu_gateway.text import narrow_duration
+from vcu_gateway.watch.formatting import ABSENT, cell, line, marked, number
 
 COLUMNS = 74
 """Width of the table."""
@@ -51,11 +51,11 @@ class ControllerReports:
 
 
 class ControllerRow(NamedTuple):
-    """One row of the table: label, text of the command, text of the report."""
+    """One row of the table: label, text of the report, text of the command."""
 
     label: str
-    commanded: Callable[[ControllerCommand], str]
     reported: Callable[[ControllerReports], Text]
+    commanded: Callable[[ControllerCommand], str] = lambda _: ""
 
 
 def _reported_mode(reports: ControllerReports) -> Text:
@@ -83,9 +83,7 @@ def _power(reports: ControllerReports) -> Text:
     """Battery voltage times battery current; the worse of the two decides its quality."""
     voltage = reports.signal("Status2", "BatteryVoltage")
     current = reports.signal("Status2", "BatteryCurrent")
-    if voltage is None or current is None:
-        return Text(ABSENT, "dim")
-    if voltage["value"] is None or current["value"] is None:
+    if not (voltage and current) or voltage["value"] is None or current["value"] is None:
         return Text(ABSENT, "dim")
     worse = voltage if voltage["quality"] != "good" else current
     return marked(number(voltage["value"] * current["value"]), worse)
@@ -101,32 +99,28 @@ def _temperatures(reports: ControllerReports) -> Text:
     return line(controller, " / ", reports.figure("Status1", "MotorTemperature"))
 
 
-def _nothing(_: ControllerCommand) -> str:
-    return ""
-
-
 _ROWS = (
     ControllerRow(
         "throttle %",
-        lambda c: f"{c['throttle_pct']:.1f}",
         lambda r: r.figure("Status1", "Throttle", 1),
+        lambda c: f"{c['throttle_pct']:.1f}",
     ),
-    ControllerRow("brake %", _commanded_brake, _reported_brake),
-    ControllerRow("mode", _commanded_mode, _reported_mode),
+    ControllerRow("brake %", _reported_brake, _commanded_brake),
+    ControllerRow("mode", _reported_mode, _commanded_mode),
     ControllerRow(
         "speed rpm",
-        lambda c: f"max {c['speed_limit_rpm']:.0f}",
         lambda r: r.figure("Status2", "MotorSpeed"),
+        lambda c: f"max {c['speed_limit_rpm']:.0f}",
     ),
-    ControllerRow("power W", lambda c: f"max {c['power_limit_w']:.0f}", _power),
-    ControllerRow("battery", _nothing, _battery),
-    ControllerRow("phase A", _nothing, lambda r: r.figure("Status2", "PhaseCurrent", 1)),
-    ControllerRow("temp degC", _nothing, _temperatures),
+    ControllerRow("power W", _power, lambda c: f"max {c['power_limit_w']:.0f}"),
+    ControllerRow("battery", _battery),
+    ControllerRow("phase A", lambda r: r.figure("Status2", "PhaseCurrent", 1)),
+    ControllerRow("temp degC", _temperatures),
 )
 _MORE_ROWS = (
-    ControllerRow("protection", _nothing, lambda r: r.word("TemperatureProtectLevel")),
-    ControllerRow("voltage", _nothing, lambda r: r.word("VoltageLevel")),
-    ControllerRow("status", _nothing, lambda r: r.figure("Status1", "StatusCode")),
+    ControllerRow("protection", lambda r: r.word("TemperatureProtectLevel")),
+    ControllerRow("voltage", lambda r: r.word("VoltageLevel")),
+    ControllerRow("status", lambda r: r.figure("Status1", "StatusCode")),
 )
 
 
@@ -167,4 +161,4 @@ def _sent(frame: CarriedFrame | None) -> str:
     if frame is None:
         return "nothing sent"
     is_old = frame["age_ms"] > _OLD_MS
-    return f"{frame['frame']} {duration(frame['age_ms'])}" if is_old else frame["frame"]
+    return f"{frame['frame']} {narrow_duration(frame['age_ms'])}" if is_old else frame["frame"]

@@ -2,7 +2,8 @@
 
 from rich.text import Text
 
-from vcu_gateway.watch.formatting import cell, duration, line, wrapped
+from vcu_gateway.text import narrow_duration
+from vcu_gateway.watch.formatting import cell, line, wrapped
 from vcu_gateway.watch.view_model import ViewModel
 
 MODE_STYLES = {
@@ -36,7 +37,7 @@ def _process(view: ViewModel) -> Text:
     health = view.health
     if health is None:
         return Text()
-    return Text(f"pid {health['pid']}  up {duration(health['uptime_ms'])}", "dim")
+    return Text(f"pid {health['pid']}  up {narrow_duration(health['uptime_ms'])}", "dim")
 
 
 def mode_lines(view: ViewModel, width: int, max_lines: int, sentence: str = "") -> list[Text]:

@@ -6,14 +6,11 @@ from rich.text import Text
 
 from vcu_gateway.api.results import Message, Signal, State
 from vcu_gateway.watch import bus, controllers, header, reasons
-from vcu_gateway.watch.formatting import ABSENT, number, wrapped
-from vcu_gateway.watch.quality import NOT_GOOD_MARK
+from vcu_gateway.watch.formatting import ABSENT, marked, number, rate_text, value_text, wrapped
 from vcu_gateway.watch.view_model import ViewModel
 
 _COLUMNS = 120
 _MOST_LINES = 12
-_DECIMALS = 2
-_MS_PER_S = 1000
 _NO_BREAK_SPACE = "\u00a0"
 
 
@@ -44,9 +41,7 @@ def _messages(state: State) -> Iterator[str]:
     yield f"{'received':<20}{'age ms':>7}{'Hz':>7}  signals"
     for name, message in state["messages"].items():
         age = number(message["age_ms"]) if message["age_ms"] is not None else "never"
-        period_ms = message["period_ms"]
-        rate = f"{_MS_PER_S / period_ms:.1f}" if period_ms else ABSENT
-        begin = f"{name:<20}{age:>7}{rate:>7}  "
+        begin = f"{name:<20}{age:>7}{rate_text(message) or ABSENT:>7}  "
         first, *rest = wrapped(_signals(message), _COLUMNS - len(begin), _MOST_LINES)
         yield _spaced(begin + first)
         yield from (_spaced(" " * len(begin) + more) for more in rest)
@@ -62,10 +57,7 @@ def _signals(message: Message) -> str:
 
 
 def _value(signal: Signal) -> str:
-    value = signal["value"]
-    shown = number(value, _DECIMALS if isinstance(value, float) else 0)
-    mark = "" if signal["quality"] == "good" else NOT_GOOD_MARK
-    return f"{signal.get('name', shown)} {signal['unit']}".rstrip() + mark
+    return marked(f"{value_text(signal)} {signal['unit']}".rstrip(), signal).plain
 
 
 def _spaced(line: str) -> str:

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from rich.text import Text
 
 from vcu_gateway.api.results import Cause, Why
-from vcu_gateway.watch.formatting import cell, duration, line, wrapped
+from vcu_gateway.text import narrow_duration
+from vcu_gateway.watch.formatting import cell, line, wrapped
 
 _LABEL_COLUMNS = 13
 _SINCE_COLUMNS = 13
@@ -15,7 +16,7 @@ _CODE = "code"  # says nothing that the signal's name and code do not
 
 
 def reason_lines(why: Why | None, width: int, max_lines: int) -> list[Text]:
-    """The reasons, at max_lines `max_lines`; none where there is no reason."""
+    """The reasons, at most `max_lines`; none where there is no reason."""
     reasons = [] if why is None else list(_reasons(why, width))
     if len(reasons) <= max_lines:
         return reasons
@@ -23,10 +24,8 @@ def reason_lines(why: Why | None, width: int, max_lines: int) -> list[Text]:
     return [*reasons[: max_lines - 1], _row(f"and {left} more", "dim", "", "", width)]
 
 
-def next_lines(why: Why | None, width: int) -> list[Text]:
+def next_lines(why: Why, width: int) -> list[Text]:
     """The next step, in a line or two."""
-    if why is None:
-        return []
     first, *rest = wrapped(why["next_step"], width - _LABEL_COLUMNS, 2)
     return [_row("next", "bold", first, "", width), *(_row("", "", one, "", width) for one in rest)]
 
@@ -35,7 +34,7 @@ def _reasons(why: Why, width: int) -> Iterator[Text]:
     latch = why["latch"]
     if latch is not None:
         text = f"until a {latch['fault_class']} reset: {latch['reason']}"
-        yield _row("latched", "bold red", text, duration(latch["since_ms"]), width)
+        yield _row("latched", "bold red", text, narrow_duration(latch["since_ms"]), width)
     for cause in (*why["blocks"], *why["limits"], *why["alarms"]):
         yield _cause(cause, width)
     for sentence in why["waits"]:
@@ -48,7 +47,7 @@ def _cause(cause: Cause, width: int) -> Text:
     word = cause["cause"].replace("_", " ")
     if word not in (*text.split(), _CODE):
         text = f"{text}, {word}"
-    since = duration(cause["since_ms"]) + ("" if cause["stands"] else " (gone)")
+    since = narrow_duration(cause["since_ms"]) + ("" if cause["stands"] else " (gone)")
     return _row(effect, _EFFECT_STYLES.get(effect, _LIMIT_STYLE), text, since, width)
 
 

@@ -3,8 +3,15 @@
 from rich.text import Text
 
 from vcu_gateway.api.results import Message, Signal, State
-from vcu_gateway.watch.formatting import cell, duration, line, number
-from vcu_gateway.watch.quality import QUALITY_STYLES, value_style
+from vcu_gateway.text import narrow_duration
+from vcu_gateway.watch.formatting import (
+    QUALITY_STYLES,
+    cell,
+    line,
+    rate_text,
+    value_style,
+    value_text,
+)
 
 COLUMNS = 59
 """Least width of one column of signals."""
@@ -13,9 +20,7 @@ _GAP = 2
 _NAME_COLUMNS = 25
 _VALUE_COLUMNS = 16
 _UNIT_COLUMNS = 6
-_DECIMALS = 2
 _KNOWN_COLUMNS = _NAME_COLUMNS + _VALUE_COLUMNS + _UNIT_COLUMNS
-_MS_PER_S = 1000
 
 
 def signal_lines(
@@ -84,25 +89,20 @@ def _blocks(state: State, wanted: str, old: bool) -> list[list[Text]]:
 
 def _message(name: str, message: Message) -> Text:
     age_ms = message["age_ms"]
-    age = "never" if age_ms is None else f"{duration(age_ms)} old"
-    style = "red" if message["stale"] else ""
+    age = "never" if age_ms is None else f"{narrow_duration(age_ms)} old"
+    style, rate = "red" if message["stale"] else "", rate_text(message)
     return line(
         cell(name, _NAME_COLUMNS, f"bold {style}"),
         cell(age, _VALUE_COLUMNS, style, ">"),
-        cell(_rate(message), _UNIT_COLUMNS + 5, align=">"),
+        cell(rate and f"{rate} Hz", _UNIT_COLUMNS + 5, align=">"),
         Text(" stale" if message["stale"] else "", style),
     )
-
-
-def _rate(message: Message) -> str:
-    period_ms = message["period_ms"]
-    return f"{_MS_PER_S / period_ms:.1f} Hz" if period_ms else ""
 
 
 def _signal(name: str, signal: Signal) -> Text:
     return line(
         cell(f"  {name}", _NAME_COLUMNS),
-        cell(_value(signal), _VALUE_COLUMNS, value_style(signal), ">"),
+        cell(value_text(signal), _VALUE_COLUMNS, value_style(signal), ">"),
         cell(f" {signal['unit']}", _UNIT_COLUMNS, "dim"),
         Text(signal["quality"], QUALITY_STYLES[signal["quality"]]),
     )
@@ -110,10 +110,3 @@ def _signal(name: str, signal: Signal) -> Text:
 
 def _old_signal(name: str, signal: Signal) -> Text:
     return Text(f"{_signal(name, signal).plain[:_KNOWN_COLUMNS]}old", "dim")
-
-
-def _value(signal: Signal) -> str:
-    if "name" in signal:
-        return signal["name"]
-    value = signal["value"]
-    return number(value, _DECIMALS if isinstance(value, float) else 0)
