@@ -7,15 +7,11 @@ import pytest
 from rich.text import Text
 
 from tests.watch import view_models
-from vcu_gateway.watch.bus import panel_lines, short_lines
-from vcu_gateway.watch.controllers import controller_lines
+from vcu_gateway.watch.figures import controller_lines, panel_lines, short_lines
 from vcu_gateway.watch.formatting import cell, wrapped
-from vcu_gateway.watch.header import mode_lines, title_line
-from vcu_gateway.watch.layout import upper_lines
-from vcu_gateway.watch.plain_text import plain
-from vcu_gateway.watch.reasons import reason_lines
-from vcu_gateway.watch.signals import signal_lines
-from vcu_gateway.watch.view_model import ViewModel
+from vcu_gateway.watch.layout import mode_lines, reason_lines, title_line, upper_lines
+from vcu_gateway.watch.signals import plain, signal_lines
+from vcu_gateway.watch.source import ViewModel
 
 VIEWS = [
     view_models.driving,

@@ -11,17 +11,76 @@ from textual.binding import Binding, BindingType
 from textual.color import Color
 from textual.events import Resize
 from textual.filter import LineFilter
+from textual.geometry import Size
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
 from textual.widgets import Input, Static
 
-from vcu_gateway.watch import keys
 from vcu_gateway.watch.formatting import cell, line
 from vcu_gateway.watch.layout import upper_lines
-from vcu_gateway.watch.lines_widget import LinesWidget
 from vcu_gateway.watch.signals import signal_lines
-from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel, ViewSource
+from vcu_gateway.watch.source import SourceRefusedError, ViewModel, ViewSource
 
 REFRESH_HZ = 5.0
 _NOTICE_S = 6.0
+HINTS = "q quit  space pause  m message  / find  e stop  d disarm  ? help"
+NAMES = {"estop": "emergency stop", "disarm": "disarming"}
+_QUESTIONS = {
+    "estop": "Emergency stop: cut the power of both controllers? Shift-E yes, Esc no",
+    "disarm": "Disarm: from active to standby? Shift-D yes, Esc no",
+}
+HELP = """\
+Keys
+  q, Ctrl-C       quit; the gateway goes on
+  up, down        scroll the signals by a line; PgUp, PgDn by a page
+  Home, End       to either end of them
+  space, p        freeze the view, and resume
+  m, M            only the next message, the one before; all of them at the end
+  /               find a part of a name: Enter keeps it, Esc shows all again
+  e then E        emergency stop: cuts the power of both controllers
+  d then D        disarm: from active to standby
+  ?, h            this page, and back
+
+Words
+  commanded       what the gateway sent to a controller
+  reported        what the controller sends back
+  max             a commanded limit
+  temp            of the controller / of the motor
+  !               the value is not good; the list of signals says why
+  good            valid; out of range, saturated, stale and never are not
+  foreign         command frames of another sender
+  late ms         lateness of the 50 ms ticks: median, 99th percentile, maximum
+  old             the gateway is not reachable; these are its last values
+"""
+
+
+class LinesWidget(ScrollView):
+    """Shows lines of text; scrolls where there are more than fit."""
+
+    DEFAULT_CSS = "LinesWidget { scrollbar-size: 0 0; }"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(id=name)
+        self._lines: list[Text] = []
+
+    def show(self, lines: Sequence[Text]) -> None:
+        # As spans: Rich forgets the style of a whole text, in comparing and in drawing.
+        before, self._lines = self._lines, [line(text) for text in lines]
+        self.virtual_size = Size(self.size.width, len(lines))
+        for row in range(max(len(before), len(lines))):
+            if before[row : row + 1] != self._lines[row : row + 1]:
+                self.refresh_line(row)
+
+    def position(self) -> str:
+        """Range of the visible lines as `1-20/80`; empty where all are visible."""
+        count, top, height = len(self._lines), round(self.scroll_y), self.size.height
+        return f"{top + 1}-{min(top + height, count)}/{count}" if count > height > 0 else ""
+
+    def render_line(self, y: int) -> Strip:
+        width, row = self.size.width, y + round(self.scroll_y)
+        if row >= len(self._lines):
+            return Strip.blank(width)
+        return Strip(self._lines[row].render(self.app.console)).adjust_cell_length(width)
 
 
 class Colourless(LineFilter):
@@ -102,7 +161,7 @@ class WatchApp(App[None]):
             LinesWidget("hints"),
         )
         self._find = Input(id="find", placeholder="part of a name; Enter keeps it, Esc ends it")
-        self._help = Static(keys.HELP, id="help", markup=False)
+        self._help = Static(HELP, id="help", markup=False)
 
     def get_line_filters(self) -> Sequence[LineFilter]:
         """NO_COLOR means none at all, not shades of grey."""
@@ -149,12 +208,12 @@ class WatchApp(App[None]):
 
     def _hints(self) -> Text:
         if self._pending:
-            return Text(keys.confirmation(self._pending), "bold reverse")
+            return Text(_QUESTIONS[self._pending], "bold reverse")
         if self._notice:
             return Text(self._notice, "bold")
         if self._filter:
             return Text(f"only {self._filter}: Esc shows all, m the next message, / find another")
-        return Text(keys.HINTS, "dim")
+        return Text(HINTS, "dim")
 
     # Keys
 
@@ -219,7 +278,7 @@ class WatchApp(App[None]):
 
     def action_confirm(self, what: str) -> None:
         if self._pending == what:
-            self._show_notice(f"{keys.NAMES[what]} ...")
+            self._show_notice(f"{NAMES[what]} ...")
             self.run_worker(lambda: self._send_request(what), thread=True)
 
     def _send_request(self, what: str) -> None:
@@ -227,9 +286,9 @@ class WatchApp(App[None]):
         try:
             request()
         except SourceRefusedError as refusal:
-            answer = f"{keys.NAMES[what]} not granted: {refusal}"
+            answer = f"{NAMES[what]} not granted: {refusal}"
         else:
-            answer = f"{keys.NAMES[what]} granted"
+            answer = f"{NAMES[what]} granted"
         self.call_from_thread(lambda: self._show_notice(answer, self._pending))
 
     def _show_notice(self, notice: str, pending: str = "") -> None:
