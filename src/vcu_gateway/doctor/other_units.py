@@ -28,11 +28,10 @@ def judge(unit: OtherUnit, facts: ServiceFacts) -> Iterator[CheckResult]:
     subject, name = unit.subject, unit.name
     if facts.is_active:
         yield subject.ok("active", f"{name}: running as {facts.pid}")
-    elif facts.get("ActiveState") == "failed" or facts.get("SubState") == "auto-restart":
-        ended = f"{facts.get('Result')}, status {facts.get('ExecMainStatus')}"
-        what = f"{name} does not stay up: {ended}; {unit.lost}"
+    elif facts.fails:
+        what = f"{name} does not stay up: {facts.end}; {unit.lost}"
         yield subject.warning("active", what, f"journalctl -u {name} -n 20")
-    elif facts.get("UnitFileState").startswith("enabled"):
+    elif facts.is_enabled:
         what = f"{name} does not run: {unit.lost}"
         yield subject.warning("active", what, f"sudo systemctl start {name}")
     else:

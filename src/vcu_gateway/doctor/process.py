@@ -75,9 +75,8 @@ def _running(pid: int) -> RunningProcess:
 
 def governors(cpus: str = _CPUS) -> Iterator[tuple[str, str]]:
     for folder in names(cpus):
-        driver, governor = (
-            text(f"{cpus}/{folder}/scaling_{what}") for what in ("driver", "governor")
-        )
+        driver = text(f"{cpus}/{folder}/scaling_driver")
+        governor = text(f"{cpus}/{folder}/scaling_governor")
         if isinstance(driver, str) and isinstance(governor, str):
             yield driver, governor
 
@@ -156,9 +155,8 @@ def _memory(facts: ProcessFacts) -> Outcome:
     if free_kb >= _MEMORY_AT_LEAST_KB:
         return f"{free_kb >> 10} MB memory free"
     what = f"only {free_kb >> 10} MB memory are free"
-    return SUBJECT.warning(
-        "memory", what, "find the largest process: ps --sort=-rss -eo rss,comm | head"
-    )
+    remedy = "find the largest process: ps --sort=-rss -eo rss,comm | head"
+    return SUBJECT.warning("memory", what, remedy)
 
 
 def _swap(facts: ProcessFacts) -> Outcome | None:
@@ -177,10 +175,7 @@ def _kb(found: dict[str, str] | Unreadable, name: str) -> int | Unreadable:
 
 
 def _governor(governors: tuple[tuple[str, str], ...]) -> Outcome | None:
-    slow = any(
-        governor == "powersave" and driver not in _OWN_GOVERNORS for driver, governor in governors
-    )
-    if slow:
+    if any(name == "powersave" and driver not in _OWN_GOVERNORS for driver, name in governors):
         what = "the processor runs at its lowest speed (governor powersave)"
         command = f"echo performance | sudo tee {_CPUS}/policy*/scaling_governor"
         return SUBJECT.warning("governor", what, command)

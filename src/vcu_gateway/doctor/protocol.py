@@ -44,15 +44,10 @@ def read(config: Config) -> ProtocolFacts:
 
 def judge(facts: ProtocolFacts) -> Iterator[CheckResult]:
     for problem in facts.contradictions:
-        yield _wrong("dbc", problem)
+        yield SUBJECT.problem("dbc", problem)
     for problem in facts.unknown_names:
-        yield _wrong("names", problem)
+        yield SUBJECT.problem("names", problem)
     if facts.spec is not None and not facts.contradictions:
         which = facts.file or "the packaged DBC"
         messages = len(facts.spec.messages)
         yield SUBJECT.ok("dbc", f"{which}: {messages} messages, compatible with the safety rules")
-
-
-def _wrong(check: str, problem: Problem) -> CheckResult:
-    where = f"{problem.where}: " if problem.where else ""
-    return SUBJECT.wrong(check, f"{where}{problem.what}", problem.remedy)

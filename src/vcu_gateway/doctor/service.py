@@ -47,6 +47,20 @@ class ServiceFacts(NamedTuple):
         return self.get("ActiveState") == "active"
 
     @property
+    def is_enabled(self) -> bool:
+        return self.get("UnitFileState").startswith("enabled")
+
+    @property
+    def fails(self) -> bool:
+        """Whether it has failed, or is restarted again and again."""
+        return self.get("ActiveState") == "failed" or self.get("SubState") == "auto-restart"
+
+    @property
+    def end(self) -> str:
+        """How its process ended last."""
+        return f"{self.get('Result')}, status {self.get('ExecMainStatus')}"
+
+    @property
     def visible_folders(self) -> tuple[str, ...] | None:
         """Folders visible to the process under RootDirectory=; None where all are."""
         if not self.get("RootDirectory"):
@@ -117,7 +131,7 @@ def judge(facts: ServiceFacts) -> Iterator[CheckResult]:
 
 def _enabled(facts: ServiceFacts) -> Outcome:
     state = facts.get("UnitFileState")
-    if state.startswith("enabled") or state in ("static", "generated"):
+    if facts.is_enabled or state in ("static", "generated"):
         return "starts at boot"
     what = f"{facts.unit} does not start at boot ({state or 'state unknown'})"
     remedy = "unmask" if state.startswith("masked") else "enable"
@@ -129,27 +143,19 @@ def _active(facts: ServiceFacts) -> Outcome:
     text = facts.get("StatusText")
     if state == "active":
         return f"running as {facts.pid}" + (f' ("{text}")' if text else "")
-    journal = f"journalctl -u {unit} -n 50"
-    if state == "failed":
-        return SUBJECT.wrong("active", f"{unit} has failed: {_why(facts)}", _remedy(facts, journal))
-    if facts.get("SubState") == "auto-restart":
-        what = f"{unit} restarts repeatedly: {_why(facts)}"
-        return SUBJECT.wrong("active", what, _remedy(facts, journal))
+    if facts.fails:
+        how = "has failed" if state == "failed" else "restarts repeatedly"
+        what = f"{unit} {how}: {facts.end}" + (f" ({text})" if text else "")
+        return SUBJECT.wrong("active", what, _remedy(facts))
     if state in ("activating", "reloading", "deactivating"):
         return SUBJECT.warning("active", f"{unit} is {state}", "check again in some seconds")
     return SUBJECT.warning("active", f"{unit} does not run", f"sudo systemctl start {unit}")
 
 
-def _why(facts: ServiceFacts) -> str:
-    status = facts.get("ExecMainStatus")
-    exited = f"{facts.get('Result')}, status {status}"
-    return f"{exited} ({facts.get('StatusText')})" if facts.get("StatusText") else exited
-
-
-def _remedy(facts: ServiceFacts, otherwise: str) -> str:
+def _remedy(facts: ServiceFacts) -> str:
     if facts.get("ExecMainStatus") in _BAD_CONFIGURATION:
         return f"fix the configuration, then sudo systemctl start {facts.unit}"
-    return otherwise
+    return f"journalctl -u {facts.unit} -n 50"
 
 
 def _restarts(facts: ServiceFacts) -> Outcome | None:
