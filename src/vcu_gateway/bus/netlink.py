@@ -22,7 +22,7 @@ from vcu_gateway.bus.interface_info import (
 )
 from vcu_gateway.core.link import LinkState
 
-__all__ = ["InterfaceDetails", "describe", "described", "details", "parsed", "subscribe"]
+__all__ = ["InterfaceDetails", "describe", "described", "details", "subscribe"]
 
 _NLMSG_ERROR, _RTM_NEWLINK, _RTM_GETLINK = 2, 16, 18
 _NLM_F_REQUEST = 1
@@ -72,7 +72,7 @@ def subscribe() -> socket.socket:
 def details(name: str) -> InterfaceDetails:
     """Details of this interface; all None where the kernel does not answer."""
     try:
-        return parsed(_answer(_request(name)))
+        return described(_answer(_request(name))).details
     except (OSError, struct.error):
         return InterfaceDetails()
 
@@ -104,36 +104,18 @@ def _packed(kind: int, value: bytes) -> bytes:
     return _attribute.pack(_attribute.size + len(value), kind) + value + bytes(-len(value) % 4)
 
 
-def parsed(answer: bytes) -> InterfaceDetails:
-    """Details out of the kernel's answer; struct.error where it is torn."""
-    length, kind, _, _, _ = _header.unpack_from(answer)
-    if kind != _RTM_NEWLINK:
-        return InterfaceDetails()
-    _, _, _, flags, _ = _link.unpack_from(answer, _header.size)
-    found = dict(_attributes(answer[_header.size + _link.size : length]))
-    queue = found.get(_IFLA_QDISC, b"").rstrip(b"\0")
-    info = dict(_attributes(found.get(_IFLA_LINKINFO, b"")))
-    controller = dict(_attributes(info.get(_IFLA_INFO_DATA, b"")))
-    return InterfaceDetails(
-        driver_echoes=bool(flags & _IFF_ECHO),
-        queue_is_used=queue != b"noqueue" if queue else None,
-        state=_STATES.get(_first(controller, _IFLA_CAN_STATE)),
-        bit_rate_bit_s=_first(controller, _IFLA_CAN_BITTIMING) or None,
-        carrier=bool(flags & _IFF_LOWER_UP),
-    )
-
-
 def described(answer: bytes) -> InterfaceInfo:
     """Interface out of the kernel's answer; struct.error where it is torn, OSError if refused."""
     length, kind, _, _, _ = _header.unpack_from(answer)
-    if kind == _NLMSG_ERROR:
-        number = -_error.unpack_from(answer, _header.size)[0]
+    if kind != _RTM_NEWLINK:
+        is_refusal = kind == _NLMSG_ERROR
+        number = -_error.unpack_from(answer, _header.size)[0] if is_refusal else errno.EBADMSG
         raise OSError(number, os.strerror(number))
     _, hardware, _, flags, _ = _link.unpack_from(answer, _header.size)
     found = dict(_attributes(answer[_header.size + _link.size : length]))
     info = dict(_attributes(found.get(_IFLA_LINKINFO, b"")))
     return InterfaceInfo(
-        details=parsed(answer),
+        details=_details(flags, found, info),
         up=bool(flags & _IFF_UP),
         is_can=hardware == _ARPHRD_CAN,
         kind=_word(info, _IFLA_INFO_KIND),
@@ -144,23 +126,31 @@ def described(answer: bytes) -> InterfaceInfo:
     )
 
 
+def _details(flags: int, found: dict[int, bytes], info: dict[int, bytes]) -> InterfaceDetails:
+    queue = _word(found, _IFLA_QDISC)
+    controller = dict(_attributes(info.get(_IFLA_INFO_DATA, b"")))
+    return InterfaceDetails(
+        driver_echoes=bool(flags & _IFF_ECHO),
+        queue_is_used=queue != "noqueue" if queue else None,
+        state=_STATES.get(_first(controller, _IFLA_CAN_STATE)),
+        bit_rate_bit_s=_first(controller, _IFLA_CAN_BITTIMING) or None,
+        carrier=bool(flags & _IFF_LOWER_UP),
+    )
+
+
 def _controller(info: dict[int, bytes]) -> CanController | None:
     data = dict(_attributes(info[_IFLA_INFO_DATA]))
     if _IFLA_CAN_STATE not in data:
         return None
     modes = data.get(_IFLA_CAN_CTRLMODE)
-    errors = _fields(_error_counters, data.get(_IFLA_CAN_BERR_COUNTER))
-    counters = _fields(_device_counters, info.get(_IFLA_INFO_XSTATS))
+    errors = data.get(_IFLA_CAN_BERR_COUNTER)
+    counters = info.get(_IFLA_INFO_XSTATS)
     return CanController(
         _first(data, _IFLA_CAN_RESTART_MS),
         None if modes is None else ControllerMode(_mode.unpack_from(modes)[0]),
-        None if errors is None else ErrorCounters._make(errors),
-        None if counters is None else DeviceCounters._make(counters),
+        None if errors is None else ErrorCounters._make(_error_counters.unpack_from(errors)),
+        None if counters is None else DeviceCounters._make(_device_counters.unpack_from(counters)),
     )
-
-
-def _fields(layout: struct.Struct, value: bytes | None) -> tuple[int, ...] | None:
-    return None if value is None else layout.unpack_from(value)
 
 
 def _traffic(found: dict[int, bytes]) -> InterfaceTraffic | None:
