@@ -11,11 +11,9 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from vcu_gateway.bus.adapters import Bus, open_bus
-from vcu_gateway.bus.diagnostics import unopened
 from vcu_gateway.bus.instance_lock import InstanceLock
-from vcu_gateway.bus.reader import Reader
-from vcu_gateway.bus.receiver import FrameListener
+from vcu_gateway.bus.interface import unopened
+from vcu_gateway.bus.reader import Bus, FrameListener, Reader, open_bus
 from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame

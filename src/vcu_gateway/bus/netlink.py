@@ -5,24 +5,17 @@ everything is unknown and the gateway goes on without. `describe` includes the c
 doctor.
 """
 
+import contextlib
 import errno
 import os
+import select
 import socket
 import struct
 from collections.abc import Iterator
+from enum import IntFlag
+from typing import NamedTuple
 
-from vcu_gateway.bus.interface_info import (
-    CanController,
-    ControllerMode,
-    DeviceCounters,
-    ErrorCounters,
-    InterfaceDetails,
-    InterfaceInfo,
-    InterfaceTraffic,
-)
 from vcu_gateway.core.link import LinkState
-
-__all__ = ["InterfaceDetails", "describe", "described", "details", "subscribe"]
 
 _NLMSG_ERROR, _RTM_NEWLINK, _RTM_GETLINK = 2, 16, 18
 _NLM_F_REQUEST = 1
@@ -55,6 +48,97 @@ _STATES: dict[int | None, LinkState] = {
     2: LinkState.PASSIVE,
     3: LinkState.BUS_OFF,
 }
+_NOTICE_BYTES = 4096
+
+
+class InterfaceDetails(NamedTuple):
+    """Details of one CAN interface; None is not known.
+
+    Attributes:
+        driver_echoes: our frames come back from the driver once they have left; where it does
+            not, the kernel sends them back at once, which proves nothing.
+        queue_is_used: False where frames go to the driver without any queue (vcan).
+        state: of the controller; None too where there is no controller.
+        bit_rate_bit_s: that the controller is set to.
+        carrier: as it is at this instant.
+    """
+
+    driver_echoes: bool | None = None
+    queue_is_used: bool | None = None
+    state: LinkState | None = None
+    bit_rate_bit_s: int | None = None
+    carrier: bool | None = None
+
+
+class ControllerMode(IntFlag):
+    """Modes of a controller (CAN_CTRLMODE)."""
+
+    LOOPBACK = 0x01
+    LISTEN_ONLY = 0x02
+    ONE_SHOT = 0x08
+    ERROR_REPORTING = 0x10
+    FD = 0x20
+    PRESUME_ACK = 0x40
+
+
+class ErrorCounters(NamedTuple):
+    """The CAN protocol's error counters, 0..255."""
+
+    transmit: int
+    receive: int
+
+
+class DeviceCounters(NamedTuple):
+    """Counters of a controller since its driver was loaded."""
+
+    bus_errors: int
+    warnings: int
+    passives: int
+    bus_offs: int
+    arbitrations_lost: int
+    restarts: int
+
+
+class CanController(NamedTuple):
+    """A CAN controller; None is what its driver does not report.
+
+    Attributes:
+        restart_ms: time from bus-off to its restart by itself; 0 is never.
+    """
+
+    restart_ms: int | None = None
+    modes: ControllerMode | None = None
+    errors: ErrorCounters | None = None
+    counters: DeviceCounters | None = None
+
+
+class InterfaceTraffic(NamedTuple):
+    """Frame counters since the interface exists."""
+
+    received: int
+    sent: int
+    receive_dropped: int
+    send_dropped: int
+    overruns: int
+
+
+class InterfaceInfo(NamedTuple):
+    """Everything known of an interface; None and empty are not known.
+
+    Attributes:
+        kind: the kernel's word, such as vcan; can is any with a controller.
+        discipline: the queueing discipline; noqueue is none.
+        controller: None where there is none.
+    """
+
+    details: InterfaceDetails
+    up: bool
+    is_can: bool
+    kind: str = ""
+    discipline: str = ""
+    tx_queue_frames: int | None = None
+    controller: CanController | None = None
+    traffic: InterfaceTraffic | None = None
 
 
 def subscribe() -> socket.socket:
@@ -178,3 +262,58 @@ def _attributes(area: bytes) -> Iterator[tuple[int, bytes]]:
             return
         yield kind & _TYPE_MASK, area[_attribute.size : length]
         area = area[length + -length % 4 :]
+
+
+class LinkWatch:
+    """Waits for rtnetlink's notices of links, for other input, a wake-up or a time-out.
+
+    A notice says only that it is time to look; whatever it says of which interface is not read.
+    The kernel reports lost notices as an error, which is as good as a notice.
+
+    It waits for the time alone before it is opened.
+
+    Attributes:
+        is_told: False where the kernel refuses notices: one has to look from time to time.
+    """
+
+    def __init__(self) -> None:
+        self.is_told = False
+        self._poll = select.poll()
+        self._wakeup: int | None = None
+        self._notices: socket.socket | None = None
+
+    def open(self) -> None:
+        """Subscribe to notices, and take wake-ups from now on."""
+        self._wakeup = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self.watch(self._wakeup)
+        with contextlib.suppress(OSError):
+            self._notices = subscribe()
+            self.watch(self._notices.fileno())
+            self.is_told = True
+
+    def watch(self, descriptor: int) -> None:
+        """Let input on this descriptor end a wait, too."""
+        self._poll.register(descriptor, select.POLLIN)
+
+    def wake(self) -> None:
+        """End the wait, or the next one; from any thread."""
+        if (wakeup := self._wakeup) is not None:
+            os.eventfd_write(wakeup, 1)
+
+    def wait(self, at_most_s: float) -> None:
+        """Wait until there may be something to look at, or this time is over."""
+        self._poll.poll(at_most_s * 1000)
+        with contextlib.suppress(BlockingIOError):
+            if self._wakeup is not None:
+                os.eventfd_read(self._wakeup)
+        with contextlib.suppress(OSError):  # none is left, or some were lost
+            while self._notices is not None:
+                self._notices.recv(_NOTICE_BYTES)
+
+    def close(self) -> None:
+        """Give the descriptors back; nobody waits any more."""
+        wakeup, self._wakeup = self._wakeup, None
+        if wakeup is not None:
+            os.close(wakeup)
+        if self._notices is not None:
+            self._notices.close()

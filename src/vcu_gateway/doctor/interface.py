@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from vcu_gateway.bus import netlink
 from vcu_gateway.bus.interface import can_socket_error
-from vcu_gateway.bus.interface_info import (
+from vcu_gateway.bus.netlink import (
     CanController,
     ControllerMode,
     DeviceCounters,
