@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.doctor.judged import not_ok, only, well
-from vcu_gateway.doctor import configuration, protocol
+from vcu_gateway.doctor import configuration
 from vcu_gateway.doctor.configuration import judge, read
 from vcu_gateway.doctor.permissions import FilePermissions
 from vcu_gateway.doctor.procfs import Unreadable
@@ -146,21 +146,21 @@ def test_a_stranger_finds_a_private_file_unknown(path):
 
 
 def test_the_packaged_dbc_is_well():
-    facts = protocol.read(read(None).in_effect)
-    assert not_ok(protocol.judge(facts)) == {}
-    assert "the packaged DBC: 12 messages" in well(protocol.judge(facts))
+    facts = configuration.read_protocol(read(None).in_effect)
+    assert not_ok(configuration.judge_protocol(facts)) == {}
+    assert "the packaged DBC: 12 messages" in well(configuration.judge_protocol(facts))
 
 
-def with_dbc(path: Path, text: str) -> protocol.ProtocolFacts:
+def with_dbc(path: Path, text: str) -> configuration.ProtocolFacts:
     (path.parent / "own.dbc").write_text(text)
     path.write_text("protocol: {dbc: own.dbc}\n")
-    return protocol.read(read(path).in_effect)
+    return configuration.read_protocol(read(path).in_effect)
 
 
 def test_a_copy_of_the_packaged_dbc_is_well_and_named(path):
     facts = with_dbc(path, packaged("vcu.dbc").read_text())
-    assert not_ok(protocol.judge(facts)) == {}
-    assert str(path.parent / "own.dbc") in well(protocol.judge(facts))
+    assert not_ok(configuration.judge_protocol(facts)) == {}
+    assert str(path.parent / "own.dbc") in well(configuration.judge_protocol(facts))
 
 
 @pytest.mark.parametrize(
@@ -168,11 +168,11 @@ def test_a_copy_of_the_packaged_dbc_is_well_and_named(path):
 )
 def test_a_dbc_that_contradicts_the_rules_or_is_none_is_wrong(path, old, new):
     facts = with_dbc(path, packaged("vcu.dbc").read_text().replace(old, new))
-    assert set(not_ok(protocol.judge(facts)).values()) == {"wrong"}
+    assert set(not_ok(configuration.judge_protocol(facts)).values()) == {"wrong"}
 
 
 def test_a_message_that_the_protocol_does_not_have_is_wrong(path):
     path.write_text("freshness: {stale_after_ms: {BMS_Stats: 900}}\n")
-    found = only(protocol.judge(protocol.read(read(path).in_effect)))
+    found = only(configuration.judge_protocol(configuration.read_protocol(read(path).in_effect)))
     assert found.check == "names"
     assert 'did you mean "BMS_Status"?' in found.remedy

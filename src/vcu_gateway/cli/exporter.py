@@ -43,6 +43,7 @@ def _say(sentence: str) -> None:
 
 @contextlib.contextmanager
 def _prometheus_client_needed() -> Iterator[None]:
+    """UnavailableError, with what to do, where prometheus_client is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vcu_gateway.doctor import (
-    buffers,
     bus_traffic,
     clock,
     configuration,
     interface,
     libraries,
-    other_units,
     permissions,
     process,
-    protocol,
     recorder,
     running_gateway,
     service,
@@ -75,8 +72,8 @@ def _recorder(shared: _SharedFacts) -> Iterable[CheckResult]:
     return recorder.judge(recorder.read(socket, gateway_runs=runs))
 
 
-def _other_unit(unit: other_units.OtherUnit) -> Iterable[CheckResult]:
-    return other_units.judge(unit, service.read(unit.name))
+def _other_unit(unit: service.OtherUnit) -> Iterable[CheckResult]:
+    return service.judge_other(unit, service.read(unit.name))
 
 
 def _guarded(name: str, check: Callable[[], Iterable[CheckResult]]) -> list[CheckResult]:
@@ -119,7 +116,7 @@ def _bus(shared: _SharedFacts) -> Iterable[CheckResult]:
     config = shared.file.in_effect
     if config.bus.interface != "socketcan":
         return []
-    spec = protocol.read(config).spec
+    spec = configuration.read_protocol(config).spec
     if spec is None:
         return [bus_traffic.SUBJECT.unknown("listen", "needs a valid protocol")]
     observed = bus_traffic.listen(config.bus.channel)
@@ -148,12 +145,17 @@ def _process(shared: _SharedFacts) -> Iterable[CheckResult]:
     return process.judge(process.read(shared.pid, *map(shared.unit.get, names)))
 
 
+def _protocol(shared: _SharedFacts) -> Iterable[CheckResult]:
+    return configuration.judge_protocol(configuration.read_protocol(shared.file.in_effect))
+
+
 def _buffers(shared: _SharedFacts) -> Iterable[CheckResult]:
-    return buffers.judge(buffers.read(shared.file.in_effect.bus.receive_buffer_bytes))
+    wanted = shared.file.in_effect.bus.receive_buffer_bytes
+    return process.judge_buffers(process.read_buffers(wanted))
 
 
 _CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
-    "protocol": lambda shared: protocol.judge(protocol.read(shared.file.in_effect)),
+    "protocol": _protocol,
     "interface": _interface,
     "bus": _bus,
     "time": lambda _: clock.judge(clock.read()),
@@ -164,8 +166,8 @@ _CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
     "libraries": lambda _: libraries.judge(libraries.read()),
     "gateway": lambda shared: running_gateway.judge(shared.gateway),
     "recorder": _recorder,
-    "exporter": lambda _: _other_unit(other_units.EXPORTER),
-    "web": lambda _: _other_unit(other_units.WEB),
+    "exporter": lambda _: _other_unit(service.EXPORTER),
+    "web": lambda _: _other_unit(service.WEB),
 }
 """In the order of the output."""
 _OF_CONFIGURATION = ("protocol", "interface", "bus", "permissions", "buffers")

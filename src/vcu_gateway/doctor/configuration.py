@@ -1,4 +1,4 @@
-"""Configuration file: found, valid, writable only by its owner."""
+"""Configuration file: found, valid, writable only by its owner; the DBC in use."""
 
 import os
 import shlex
@@ -9,12 +9,14 @@ from typing import NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
+from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
 from vcu_gateway.doctor.permissions import FilePermissions, permissions_of, user_name
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.errors import GatewayError, Problem
 
 SUBJECT = CheckSubject("configuration")
+PROTOCOL = CheckSubject("protocol")
 _ROOT = 0
 
 
@@ -121,3 +123,44 @@ def _permissions(
         parent = shlex.quote(os.path.dirname(os.path.abspath(path)))
         what = f"{path} may be replaced by everybody: its folder is open to all"
         yield SUBJECT.wrong("folder", what, f"sudo chmod o-w {parent}")
+
+
+class ProtocolFacts(NamedTuple):
+    """Facts about the protocol.
+
+    Attributes:
+        file: the configured DBC; None is the packaged one.
+        spec: None where it cannot be read.
+        contradictions: with the protocol of the safety rules.
+        unknown_names: messages of the configuration that the protocol does not have.
+    """
+
+    file: str | None
+    spec: ProtocolSpec | None = None
+    contradictions: tuple[Problem, ...] = ()
+    unknown_names: tuple[Problem, ...] = ()
+
+
+def read_protocol(config: Config) -> ProtocolFacts:
+    """Read it as the gateway does; cantools is imported only here."""
+    from vcu_gateway.config.protocol import check_protocol, load_protocol
+
+    facts = ProtocolFacts(None if config.protocol.dbc is None else str(config.protocol.dbc))
+    try:
+        spec = load_protocol(config)
+        facts = facts._replace(spec=spec)
+        check_protocol(config, spec)
+    except GatewayError as error:
+        return facts._replace(contradictions=error.problems)
+    return facts._replace(unknown_names=tuple(configuration.check_against(config, spec)))
+
+
+def judge_protocol(facts: ProtocolFacts) -> Iterator[CheckResult]:
+    for problem in facts.contradictions:
+        yield PROTOCOL.problem("dbc", problem)
+    for problem in facts.unknown_names:
+        yield PROTOCOL.problem("names", problem)
+    if facts.spec is not None and not facts.contradictions:
+        which = facts.file or "the packaged DBC"
+        messages = len(facts.spec.messages)
+        yield PROTOCOL.ok("dbc", f"{which}: {messages} messages, compatible with the safety rules")

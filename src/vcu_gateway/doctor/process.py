@@ -1,4 +1,4 @@
-"""Process of the gateway and its machine: priority, memory, processor, disk."""
+"""Process of the gateway and its machine: priority, memory, processor, disk, receive buffer."""
 
 import os
 import platform
@@ -9,11 +9,16 @@ from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable, fields, names, number, text, unreadable
 
 SUBJECT = CheckSubject("process")
+BUFFERS = CheckSubject("buffers")
 STATE_FOLDER = "/var/lib/vcu-gateway"
 _NOT_REAL_TIME = ("0", "3", "5")  # systemd shows the kernel's numbers: other, batch, idle
 _REAL_TIME = {os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr"}
 _MEMORY_AT_LEAST_KB = 100 * 1024
 _DISK_AT_LEAST_MB = 200
+# With so much, 555 frames of a full bus of 1 Mbit/s may wait, and 380 come between two ticks.
+_LEAST_BYTES = 212_992
+_LIMIT = "/proc/sys/net/core/rmem_max"
+_SYSCTL_FILE = "/etc/sysctl.d/60-vcu-gateway.conf"
 _CPUS = "/sys/devices/system/cpu/cpufreq"
 # Their "powersave" follows the load; it is not the slowest speed.
 _OWN_GOVERNORS = ("intel_pstate", "amd-pstate-epp", "amd_pstate_epp")
@@ -192,3 +197,31 @@ def _disk(facts: ProcessFacts) -> Outcome | None:
         return f"{facts.disk_mb} MB disk free"
     what = f"only {facts.disk_mb} MB are free below {STATE_FOLDER}"
     return SUBJECT.warning("disk", what, f"make room: du -ah {STATE_FOLDER} | sort -h | tail")
+
+
+class BufferFacts(NamedTuple):
+    """Facts about buffers; `wanted_bytes` is bus.receive_buffer_bytes, None where it is not set."""
+
+    wanted_bytes: int | None
+    max_bytes: int | Unreadable
+
+
+def read_buffers(wanted_bytes: int | None) -> BufferFacts:
+    return BufferFacts(wanted_bytes, number(_LIMIT))
+
+
+def judge_buffers(facts: BufferFacts) -> Iterator[CheckResult]:
+    wanted = facts.wanted_bytes or _LEAST_BYTES
+    who = "a full bus" if facts.wanted_bytes is None else "bus.receive_buffer_bytes"
+    if isinstance(facts.max_bytes, Unreadable):
+        yield BUFFERS.unknown("rmem_max", facts.max_bytes.reason)
+    elif facts.max_bytes < wanted:
+        what = f"the kernel gives {facts.max_bytes} bytes, {who} wants {wanted}"
+        yield BUFFERS.warning("rmem_max", what, _set("rmem_max", wanted))
+    else:
+        yield BUFFERS.ok("rmem_max", f"receive buffer of {wanted} bytes is available")
+
+
+def _set(name: str, value: int) -> str:
+    write = f"echo net.core.{name}={value} | sudo tee -a {_SYSCTL_FILE}"
+    return f"{write} && sudo sysctl -p {_SYSCTL_FILE}"
