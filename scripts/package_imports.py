@@ -36,7 +36,7 @@ def package_edges(graph: grimp.ImportGraph) -> Edges:
 
 
 def package_of(module: str) -> str:
-    """`bus` of `vcu_gateway.bus.receiver`; empty for the root."""
+    """`bus` of `vcu_gateway.bus.reader`; empty for the root."""
     return module.partition(".")[2].partition(".")[0]
 
 

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from vcu_gateway.bus import diagnostics
+from vcu_gateway.bus import interface
 from vcu_gateway.bus.settings import BusSettings
 
 CAN0 = BusSettings("socketcan", "can0")
@@ -25,19 +25,19 @@ NEW_INTERFACE = "; for an adapter: plug it in and ip link set can0 up type can b
 )
 def test_each_failure_of_opening_has_its_remedy(settings, error, remedy):
     text = os.strerror(error)
-    problem = diagnostics.unopened(OSError(error, text), settings)
+    problem = interface.unopened(OSError(error, text), settings)
     opening = f"cannot open {settings.interface} {settings.channel}: "
     assert problem.what == f"{opening}[Errno {error}] {text}"
     assert problem.remedy.startswith(remedy)
 
 
 def test_a_multicast_bus_without_its_library_is_told_which_extra_to_install():
-    problem = diagnostics.unopened(ImportError("msgpack not installed"), MULTICAST)
+    problem = interface.unopened(ImportError("msgpack not installed"), MULTICAST)
     assert problem.remedy == "install the extra: pip install 'vcu-gateway[multicast]'"
 
 
 @pytest.mark.parametrize(("configured", "named"), [(None, 250_000), (500_000, 500_000)])
 def test_an_adapter_is_set_up_with_the_configured_bit_rate_or_the_usual(configured, named):
     settings = BusSettings("socketcan", "can0", bit_rate_bit_s=configured)
-    problem = diagnostics.unopened(OSError(errno.ENODEV, "No such device"), settings)
+    problem = interface.unopened(OSError(errno.ENODEV, "No such device"), settings)
     assert problem.remedy.endswith(f"{NEW_INTERFACE}{named}")

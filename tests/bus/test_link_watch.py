@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.link_watch import LinkWatch
+from vcu_gateway.bus.netlink import LinkWatch
 
 LONG_S = 30.0
 

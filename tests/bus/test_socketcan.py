@@ -12,10 +12,8 @@ import can
 import pytest
 from can.interfaces.socketcan import socketcan as library
 
-from vcu_gateway.bus.adapters import DrainedBus
 from vcu_gateway.bus.connection import BusConnection, BusSettings
-from vcu_gateway.bus.reader import DrainingReader
-from vcu_gateway.bus.receiver import FrameListener
+from vcu_gateway.bus.reader import DrainedBus, DrainingReader, FrameListener
 from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.core.frame import Frame

@@ -6,7 +6,7 @@ from tests.controller.conftest import GATEWAY, SETTING, VEHICLE, link, set_link
 from tests.vcan.conftest import Stand, ip
 from tests.vcan.test_doctor import examined, examined_until
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.interface_info import ControllerMode, DeviceCounters, ErrorCounters
+from vcu_gateway.bus.netlink import ControllerMode, DeviceCounters, ErrorCounters
 from vcu_gateway.core.link import LinkState
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.bus.test_interface import answer, attribute
 from vcu_gateway.bus import netlink
-from vcu_gateway.bus.interface_info import (
+from vcu_gateway.bus.netlink import (
     CanController,
     ControllerMode,
     DeviceCounters,
@@ -15,8 +15,8 @@ from vcu_gateway.bus.interface_info import (
     InterfaceDetails,
     InterfaceInfo,
     InterfaceTraffic,
+    described,
 )
-from vcu_gateway.bus.netlink import described
 from vcu_gateway.core.link import LinkState
 
 TIMING = attribute(1, struct.pack("=8I", 250_000, 875, 0, 0, 0, 0, 0, 0))

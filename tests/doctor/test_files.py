@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.doctor.judged import not_ok, only, well
-from vcu_gateway.doctor import configuration, protocol
-from vcu_gateway.doctor.configuration import FilePermissions, judge, read
+from vcu_gateway.doctor import configuration
+from vcu_gateway.doctor.configuration import judge, read
+from vcu_gateway.doctor.permissions import FilePermissions
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.errors import Problem
 from vcu_gateway.protocol import packaged
@@ -28,8 +29,8 @@ def path(tmp_path: Path) -> Path:
 @pytest.fixture
 def healthy(path: Path) -> configuration.ConfigurationFacts:
     return read(path)._replace(
-        file=FilePermissions(stat.S_IFREG | 0o644, 0, 0),
-        folder=FilePermissions(stat.S_IFDIR | 0o755, 0, 0),
+        file=FilePermissions("", stat.S_IFREG | 0o644, 0, 0),
+        folder=FilePermissions("", stat.S_IFDIR | 0o755, 0, 0),
         own_uid=ME,
     )
 
@@ -42,9 +43,19 @@ def test_a_valid_file_is_one_line_with_its_digest(path, healthy):
 @pytest.mark.parametrize(
     ("file", "check", "kind", "command"),
     [
-        (FilePermissions(stat.S_IFREG | 0o646, 0, 0), "mode", "wrong", "sudo chmod o-w "),
-        (FilePermissions(stat.S_IFREG | 0o664, 0, OTHER), "group", "warning", "sudo chmod g-w "),
-        (FilePermissions(stat.S_IFREG | 0o644, OTHER, 0), "owner", "warning", "sudo chown root: "),
+        (FilePermissions("", stat.S_IFREG | 0o646, 0, 0), "mode", "wrong", "sudo chmod o-w "),
+        (
+            FilePermissions("", stat.S_IFREG | 0o664, 0, OTHER),
+            "group",
+            "warning",
+            "sudo chmod g-w ",
+        ),
+        (
+            FilePermissions("", stat.S_IFREG | 0o644, OTHER, 0),
+            "owner",
+            "warning",
+            "sudo chown root: ",
+        ),
     ],
 )
 def test_a_file_that_others_may_change_is_told(path, healthy, file, check, kind, command):
@@ -56,8 +67,8 @@ def test_a_file_that_others_may_change_is_told(path, healthy, file, check, kind,
 @pytest.mark.parametrize(
     "file",
     [
-        FilePermissions(stat.S_IFREG | 0o664, 0, 0),
-        FilePermissions(stat.S_IFREG | 0o600, ME, OTHER),
+        FilePermissions("", stat.S_IFREG | 0o664, 0, 0),
+        FilePermissions("", stat.S_IFREG | 0o600, ME, OTHER),
     ],
 )
 def test_a_file_of_roots_or_of_whoever_asks_is_well(healthy, file):
@@ -66,7 +77,7 @@ def test_a_file_of_roots_or_of_whoever_asks_is_well(healthy, file):
 
 @pytest.mark.parametrize(("mode", "kinds"), [(0o777, {"folder": "wrong"}), (0o1777, {})])
 def test_a_folder_where_everybody_may_replace_the_file_is_wrong_unless_sticky(healthy, mode, kinds):
-    folder = FilePermissions(stat.S_IFDIR | mode, 0, 0)
+    folder = FilePermissions("", stat.S_IFDIR | mode, 0, 0)
     assert not_ok(judge(healthy._replace(folder=folder))) == kinds
 
 
@@ -135,21 +146,21 @@ def test_a_stranger_finds_a_private_file_unknown(path):
 
 
 def test_the_packaged_dbc_is_well():
-    facts = protocol.read(read(None).in_effect)
-    assert not_ok(protocol.judge(facts)) == {}
-    assert "the packaged DBC: 12 messages" in well(protocol.judge(facts))
+    facts = configuration.read_protocol(read(None).in_effect)
+    assert not_ok(configuration.judge_protocol(facts)) == {}
+    assert "the packaged DBC: 12 messages" in well(configuration.judge_protocol(facts))
 
 
-def with_dbc(path: Path, text: str) -> protocol.ProtocolFacts:
+def with_dbc(path: Path, text: str) -> configuration.ProtocolFacts:
     (path.parent / "own.dbc").write_text(text)
     path.write_text("protocol: {dbc: own.dbc}\n")
-    return protocol.read(read(path).in_effect)
+    return configuration.read_protocol(read(path).in_effect)
 
 
 def test_a_copy_of_the_packaged_dbc_is_well_and_named(path):
     facts = with_dbc(path, packaged("vcu.dbc").read_text())
-    assert not_ok(protocol.judge(facts)) == {}
-    assert str(path.parent / "own.dbc") in well(protocol.judge(facts))
+    assert not_ok(configuration.judge_protocol(facts)) == {}
+    assert str(path.parent / "own.dbc") in well(configuration.judge_protocol(facts))
 
 
 @pytest.mark.parametrize(
@@ -157,11 +168,11 @@ def test_a_copy_of_the_packaged_dbc_is_well_and_named(path):
 )
 def test_a_dbc_that_contradicts_the_rules_or_is_none_is_wrong(path, old, new):
     facts = with_dbc(path, packaged("vcu.dbc").read_text().replace(old, new))
-    assert set(not_ok(protocol.judge(facts)).values()) == {"wrong"}
+    assert set(not_ok(configuration.judge_protocol(facts)).values()) == {"wrong"}
 
 
 def test_a_message_that_the_protocol_does_not_have_is_wrong(path):
     path.write_text("freshness: {stale_after_ms: {BMS_Stats: 900}}\n")
-    found = only(protocol.judge(protocol.read(read(path).in_effect)))
+    found = only(configuration.judge_protocol(configuration.read_protocol(read(path).in_effect)))
     assert found.check == "names"
     assert 'did you mean "BMS_Status"?' in found.remedy

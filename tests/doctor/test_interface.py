@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from tests.doctor.judged import not_ok, only, well
-from vcu_gateway.bus.interface_info import (
+from vcu_gateway.bus.netlink import (
     CanController,
     ControllerMode,
     DeviceCounters,

@@ -5,14 +5,13 @@ import pytest
 from tests.doctor.judged import not_ok, only
 from tests.doctor.test_service import TOLD
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
-from vcu_gateway.doctor.other_units import EXPORTER, WEB, OtherUnit, judge
-from vcu_gateway.doctor.service import ServiceFacts
+from vcu_gateway.doctor.service import EXPORTER, WEB, OtherUnit, ServiceFacts, judge_other
 
 BOTH = pytest.mark.parametrize("unit", [EXPORTER, WEB], ids=lambda unit: unit.name)
 
 
 def judged(unit: OtherUnit, **changed: str) -> list[CheckResult]:
-    return list(judge(unit, ServiceFacts(unit.name, {**TOLD, **changed})))
+    return list(judge_other(unit, ServiceFacts(unit.name, {**TOLD, **changed})))
 
 
 @BOTH
@@ -46,4 +45,4 @@ def test_one_that_should_run_and_does_not_is_a_warning(unit, changed, remedy):
 
 @pytest.mark.parametrize("properties", [None, {"LoadState": "not-found"}])
 def test_nothing_is_said_where_it_is_not_installed(properties):
-    assert list(judge(WEB, ServiceFacts(WEB.name, properties))) == []
+    assert list(judge_other(WEB, ServiceFacts(WEB.name, properties))) == []

@@ -11,16 +11,16 @@ from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.config import ApiSection, Config, ProtocolSection
 from vcu_gateway.doctor import permissions
-from vcu_gateway.doctor.permissions import Account, PermissionFacts, ResourcePermissions, judge
+from vcu_gateway.doctor.permissions import Account, FilePermissions, PermissionFacts, judge
 from vcu_gateway.doctor.procfs import Unreadable
 
 DRIVER = Account("driver", 1000, frozenset({1000, 500}))
 GATEWAY = Account("vcu-gateway", 900, frozenset({900}))
-SOCKET = ResourcePermissions("/run/vcu-gateway/control.sock", stat.S_IFSOCK | 0o660, 900, 500)
-FOLDER = ResourcePermissions("/run/vcu-gateway", stat.S_IFDIR | 0o755, 900, 900)
-ETC = ResourcePermissions("/etc", stat.S_IFDIR | 0o755, 0, 0)
-OWN = ResourcePermissions("/etc/vcu-gateway", stat.S_IFDIR | 0o755, 0, 0)
-FILE = ResourcePermissions("/etc/vcu-gateway/gateway.yaml", stat.S_IFREG | 0o644, 0, 0)
+SOCKET = FilePermissions("/run/vcu-gateway/control.sock", stat.S_IFSOCK | 0o660, 900, 500)
+FOLDER = FilePermissions("/run/vcu-gateway", stat.S_IFDIR | 0o755, 900, 900)
+ETC = FilePermissions("/etc", stat.S_IFDIR | 0o755, 0, 0)
+OWN = FilePermissions("/etc/vcu-gateway", stat.S_IFDIR | 0o755, 0, 0)
+FILE = FilePermissions("/etc/vcu-gateway/gateway.yaml", stat.S_IFREG | 0o644, 0, 0)
 HEALTHY = PermissionFacts(
     me=DRIVER,
     service=GATEWAY,
@@ -141,7 +141,7 @@ def test_without_a_service_the_sockets_folder_is_made_by_hand():
     ],
 )
 def test_the_first_class_of_bits_that_fits_decides(mode, uid, gid, may):
-    assert ResourcePermissions("x", mode, uid, gid).grants(DRIVER, 6) is may
+    assert FilePermissions("x", mode, uid, gid).grants(DRIVER, 6) is may
 
 
 def test_this_machines_accounts_and_files_are_read(tmp_path: Path):
@@ -152,7 +152,7 @@ def test_this_machines_accounts_and_files_are_read(tmp_path: Path):
     assert facts.me.uid == os.geteuid()
     assert isinstance(facts.service, Account)
     assert facts.socket is None
-    assert isinstance(facts.folder, ResourcePermissions)
+    assert isinstance(facts.folder, FilePermissions)
     assert [place.path for place in facts.files[0]][0 :: len(facts.files[0]) - 1] == [
         "/",
         str(file),

@@ -178,7 +178,7 @@ def test_what_the_map_does_not_know_runs_all(path):
         ("doctor/checks", "tests/doctor/test_verb.py tests/docs/test_install.py", 25),
         ("watch/layout", "tests/watch/test_layout.py tests/watch/test_demo.py", 20),
         ("web/guard", "tests/web/test_server.py tests/web/test_demo.py", 20),
-        ("exporter/families", "tests/exporter/test_verb.py tests/monitoring/test_alerts.py", 20),
+        ("exporter/program", "tests/exporter/test_verb.py tests/monitoring/test_alerts.py", 20),
         ("replay/equality", "tests/replay/test_equality.py tests/golden/test_golden.py", 20),
     ],
 )

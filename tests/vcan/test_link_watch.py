@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from tests.vcan.conftest import ip
-from vcu_gateway.bus.link_watch import LinkWatch
+from vcu_gateway.bus.netlink import LinkWatch
 
 LONG_S = 30.0
 

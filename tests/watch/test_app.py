@@ -13,8 +13,7 @@ from textual.pilot import Pilot
 from tests.watch import view_models
 from tests.watch.screenshot import draw
 from vcu_gateway.watch import app as app_module
-from vcu_gateway.watch.app import WatchApp
-from vcu_gateway.watch.lines_widget import LinesWidget
+from vcu_gateway.watch.app import LinesWidget, WatchApp
 
 WAIT_S = 60.0
 BLACK = Color(0, 0, 0)

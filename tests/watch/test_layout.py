@@ -7,15 +7,11 @@ import pytest
 from rich.text import Text
 
 from tests.watch import view_models
-from vcu_gateway.watch.bus import panel_lines, short_lines
-from vcu_gateway.watch.controllers import controller_lines
-from vcu_gateway.watch.formatting import cell, duration, wrapped
-from vcu_gateway.watch.header import mode_lines, title_line
-from vcu_gateway.watch.layout import upper_lines
-from vcu_gateway.watch.plain_text import plain
-from vcu_gateway.watch.reasons import reason_lines
-from vcu_gateway.watch.signals import signal_lines
-from vcu_gateway.watch.view_model import ViewModel
+from vcu_gateway.watch.figures import controller_lines, panel_lines, short_lines
+from vcu_gateway.watch.formatting import cell, wrapped
+from vcu_gateway.watch.layout import mode_lines, reason_lines, title_line, upper_lines
+from vcu_gateway.watch.signals import plain, signal_lines
+from vcu_gateway.watch.source import ViewModel
 
 VIEWS = [
     view_models.driving,
@@ -357,23 +353,6 @@ def test_as_plain_text_the_sentence_is_whole_and_no_word_is_torn():
     assert "MotorSpeed 6400 rpm!" in text
     assert "\u00a0" not in text
     assert max(map(len, text.splitlines())) <= 120
-
-
-@pytest.mark.parametrize(
-    ("duration_ms", "shown"),
-    [
-        (None, "never"),
-        (0.4, "0 ms"),
-        (999, "999 ms"),
-        (1000, "1.0 s"),
-        (59_900, "59.9 s"),
-        (60_000, "1:00"),
-        (3_599_000, "59:59"),
-        (3_600_000, "1:00:00"),
-    ],
-)
-def test_durations_are_as_exact_as_needed(duration_ms, shown):
-    assert duration(duration_ms) == shown
 
 
 def test_a_cell_is_exactly_as_wide_as_it_is_told():

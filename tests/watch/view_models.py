@@ -17,7 +17,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.server import views
-from vcu_gateway.watch.view_model import SourceProblem, SourceRefusedError, ViewModel
+from vcu_gateway.watch.source import SourceProblem, SourceRefusedError, ViewModel
 
 HEALTH: Health = {
     "pid": 812,

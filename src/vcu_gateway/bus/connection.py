@@ -11,11 +11,9 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from vcu_gateway.bus.adapters import Bus, open_bus
-from vcu_gateway.bus.diagnostics import unopened
 from vcu_gateway.bus.instance_lock import InstanceLock
-from vcu_gateway.bus.reader import Reader
-from vcu_gateway.bus.receiver import FrameListener
+from vcu_gateway.bus.interface import unopened
+from vcu_gateway.bus.reader import Bus, FrameListener, Reader, open_bus
 from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.core import j1939
 from vcu_gateway.core.frame import Frame
@@ -88,7 +86,6 @@ class BusConnection:
         return opening.reader.drains if opening is not None and self.is_open else None
 
     def report(self) -> dict[str, Any]:
-        """The counters as plain data."""
         return {**dataclasses.asdict(self.counters), "dropped": self.dropped, "lost": self.lost}
 
     def acquire_lock(self) -> None:
@@ -110,12 +107,10 @@ class BusConnection:
         return None if self._instance_lock is None else self._instance_lock.descriptor
 
     def answer_lock_queries(self) -> None:
-        """Answer processes that ask for the lock's holder."""
         if self._instance_lock is not None:
             self._instance_lock.answer()
 
     def release_lock(self) -> None:
-        """Let another gateway use the interface."""
         lock, self._instance_lock = self._instance_lock, None
         if lock is not None:
             lock.release()
@@ -158,7 +153,6 @@ class BusConnection:
         self._read_since_loss.wait(patience_s)
 
     def start_sending(self) -> None:
-        """Send on the open bus from now on."""
         opening = self._opening
         self._sending_bus = opening.bus if opening is not None and self.is_open else None
 

@@ -77,7 +77,6 @@ class InstanceLock:
                 self._socket.accept()[0].close()
 
     def release(self) -> None:
-        """Let another gateway have it."""
         self._socket.close()
 
 

@@ -34,7 +34,6 @@ class EchoingMulticastBus(UdpMulticastBus):
         super().__init__(channel=channel, can_filters=can_filters)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send one frame; it is stamped with the time."""
         msg.timestamp = time.time()
         datagram = pack_message(msg)
         with self._sending:

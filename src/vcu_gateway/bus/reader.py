@@ -1,8 +1,9 @@
-"""Readers of an open bus: python-can's Notifier on the ticking thread, or on one of its own.
+"""Reading of an open bus: python-can's Notifier on the ticking thread, or on one of its own.
 
 A bus whose frames wait in a socket of ours (socketcan) is drained by the ticking thread: all frames
 of a period cost no wake-up of their own. On any other bus the Notifier has a thread, and what that
-one has received waits for the ticking thread.
+one has received waits for the ticking thread. A listener makes the core's frames of python-can's
+messages.
 """
 
 import functools
@@ -11,12 +12,70 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
-from vcu_gateway.bus.receiver import FrameListener
+from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
+from vcu_gateway.bus.timestamps import read_clocks
+from vcu_gateway.core.arrival_time import arrival_ns
+from vcu_gateway.core.frame import Frame
 from vcu_gateway.python_can import can
+from vcu_gateway.units import NS_PER_S, NS_PER_US
 
 # The Notifier's thread looks this often whether it is to end.
 _NOTIFIER_TIMEOUT_S = 0.1
+
+
+class FrameListener:
+    """Hands each frame to `receive`, on the ticking thread; errors may come on another one."""
+
+    def __init__(
+        self,
+        receive: Callable[[Frame], None],
+        counters: BusCounters,
+        lost: Callable[[str], None],
+        stamps_are_monotonic: bool,
+    ) -> None:
+        self._receive = receive
+        self._counters = counters
+        self._lost = lost
+        self._stamps_are_monotonic = stamps_are_monotonic
+        self._clocks = read_clocks()
+
+    def __call__(self, message: can.Message) -> None:
+        """Hand one frame on, with its stamp in whole microseconds.
+
+        No kernel and no reading of two clocks is more exact; what is below would be noise, and a
+        tenth of every recording.
+        """
+        self._counters.received += 1
+        stamp_ns = int(message.timestamp * NS_PER_S)
+        if not self._stamps_are_monotonic:
+            stamp_ns = self._to_monotonic(stamp_ns)
+        self._receive(
+            Frame(
+                message.arbitration_id,
+                message.data,
+                stamp_ns - stamp_ns % NS_PER_US,
+                message.is_extended_id,
+                message.is_remote_frame,
+                message.is_error_frame,
+                not message.is_rx,
+            )
+        )
+
+    def _to_monotonic(self, stamp_wall_ns: int) -> int:
+        before, self._clocks = self._clocks, read_clocks()
+        return arrival_ns(stamp_wall_ns, before, self._clocks)
+
+    def on_error(self, error: Exception) -> None:
+        """Report a failed interface as lost; count a bug of ours, which costs its frame."""
+        if isinstance(error, (OSError, can.CanError)):
+            self._lost(str(error))
+        else:
+            self._counters.receiver_bugs += 1
+            self._counters.last_bug = repr(error)
+
+    def stop(self) -> None:
+        """Nothing to flush."""
 
 
 class Reader(Protocol):
@@ -52,12 +111,10 @@ class DrainingReader:
         self._notifier = can.Notifier(bus, [listener], loop=cast(Any, self))
 
     def add_reader(self, descriptor: int, callback: Callable[..., object], *arguments: Any) -> None:
-        """Take the Notifier's callback."""
         del descriptor
         self._receive_one = functools.partial(callback, *arguments)
 
     def remove_reader(self, descriptor: int) -> None:
-        """Drop the Notifier's callback."""
         del descriptor
         self._receive_one = None
 
@@ -125,7 +182,6 @@ class _Inbox:
         self.on_error = listener.on_error
 
     def __call__(self, message: can.Message) -> None:
-        """Keep one frame."""
         self.messages.append(message)
 
     def stop(self) -> None:
@@ -138,3 +194,72 @@ def _hand_on(receive_one: Callable[[], object], count: int, listener: FrameListe
             receive_one()
         except Exception as error:  # noqa: BLE001 - as the Notifier's thread does
             listener.on_error(error)
+
+
+class Bus(Protocol):
+    """One open bus; OSError or can.CanError where its interface fails."""
+
+    @property
+    def stamps_are_monotonic(self) -> bool:
+        """True where `Message.timestamp` is of the monotonic clock, not of the wall clock."""
+
+    @property
+    def receive_buffer_bytes(self) -> int | None:
+        """Receive buffer that the kernel granted; None where the bus has none."""
+
+    def start_reader(self, listener: FrameListener) -> Reader:
+        """Begin to receive; the reader closes the bus."""
+
+    def send_now(self, can_id: int, data: bytes) -> None:
+        """Send one extended data frame without waiting."""
+
+
+class DrainedBus:
+    """SocketCAN, read by the ticking thread."""
+
+    stamps_are_monotonic = True
+
+    def __init__(self, library_bus: DrainingSocketcanBus) -> None:
+        self._library_bus = library_bus
+        self.receive_buffer_bytes = library_bus.receive_buffer_bytes
+        self.send_now = library_bus.send_now
+
+    def start_reader(self, listener: FrameListener) -> Reader:
+        """Begin to receive, when the reader is told to read."""
+        return DrainingReader(self._library_bus, listener)
+
+
+class PlainBus:
+    """A bus that is read by a thread of its own."""
+
+    stamps_are_monotonic = False
+    receive_buffer_bytes = None
+
+    def __init__(self, library_bus: can.BusABC) -> None:
+        self._library_bus = library_bus
+
+    def start_reader(self, listener: FrameListener) -> Reader:
+        return ThreadReader(self._library_bus, listener)
+
+    def send_now(self, can_id: int, data: bytes) -> None:
+        self._library_bus.send(can.Message(arbitration_id=can_id, data=data))
+
+
+def open_bus(settings: BusSettings, filters: list[Any] | None, counters: BusCounters) -> Bus:
+    """Open a bus; OSError, can.CanError or ImportError where that cannot be."""
+    if settings.interface == "socketcan":
+        return DrainedBus(
+            DrainingSocketcanBus(settings.channel, filters, settings.receive_buffer_bytes, counters)
+        )
+    if settings.interface == "udp_multicast":
+        from vcu_gateway.bus.multicast import EchoingMulticastBus
+
+        return PlainBus(EchoingMulticastBus(settings.channel, filters, counters))
+    return PlainBus(
+        can.Bus(
+            interface=settings.interface,
+            channel=settings.channel,
+            can_filters=filters,
+            receive_own_messages=True,
+        )
+    )

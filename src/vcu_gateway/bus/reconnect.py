@@ -1,19 +1,21 @@
 """Reconnector: opens the bus and opens it again, on its own thread, because both wait.
 
-It hands the changes of the link to the ticking thread, in order, and decides nothing else.
+It hands the changes of the link to the ticking thread, in order, and decides nothing else. Faults
+of the set-up of an interface that can be used all the same are warnings.
 """
 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from vcu_gateway.bus import diagnostics, netlink
+from vcu_gateway.bus import interface, netlink
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface import Interface, Interfaces
-from vcu_gateway.bus.interface_info import InterfaceDetails
-from vcu_gateway.bus.link_watch import LinkWatch
+from vcu_gateway.bus.netlink import InterfaceDetails, LinkWatch
+from vcu_gateway.bus.settings import BusSettings
+from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.units import NS_PER_MS
@@ -30,6 +32,7 @@ _END_WITHIN_S = 1.0
 
 # A bus without a network interface: always there.
 _NO_INTERFACE = Interface(number=0, is_can=True, up=True, carrier=True, tx_queue_frames=0)
+_TX_QUEUE_AT_MOST = 4
 
 
 class LinkOpened(NamedTuple):
@@ -131,7 +134,6 @@ class Reconnector:
     # The thread.
 
     def start(self) -> None:
-        """Start the thread."""
         self._watch.open()
         if (descriptor := self._connection.lock_descriptor) is not None:
             self._watch.watch(descriptor)
@@ -179,7 +181,7 @@ class Reconnector:
 
     def _check(self, opened: Interface, found: Interface | None, now_ns: int) -> None:
         channel = self._connection.settings.channel
-        why = diagnostics.left(opened, found, channel, self._name_of)
+        why = interface.left(opened, found, channel, self._name_of)
         if why is not None or not self._connection.is_open:
             self._give_up(why or self._connection.lost or "closed", now_ns)
         elif found is not None and found.carrier != opened.carrier:
@@ -201,7 +203,7 @@ class Reconnector:
     def _try_to_open(self, found: Interface | None, now_ns: int) -> None:
         gone = found is None and self._last_number is not None
         renamed_to = self._name_of(self._last_number or 0) if gone else None
-        if problem := diagnostics.unfit(found, self._connection.settings, renamed_to):
+        if problem := interface.unfit(found, self._connection.settings, renamed_to):
             self._report_unavailable(str(problem))
         elif found is not None and now_ns >= self._next_ns:
             self._next_ns = now_ns + self._pause_ns
@@ -227,3 +229,45 @@ class Reconnector:
         if why != self._reported_problem:
             self._reported_problem = why
             self.changes.append(Unavailable(why))
+
+
+def interface_warnings(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
+    """Warnings about an interface that was opened, each with the command that fixes it."""
+    yield from _queue(opened, settings.channel)
+    yield from _buffer(opened, settings.receive_buffer_bytes)
+    yield from _bit_rate(opened, settings)
+    yield from _echo(opened)
+
+
+def _queue(opened: LinkOpened, channel: str) -> Iterator[Event]:
+    """Frames that wait there are stale when they leave."""
+    frames, is_used = opened.interface.tx_queue_frames, opened.details.queue_is_used
+    if frames > _TX_QUEUE_AT_MOST and is_used is not False:
+        command = f"ip link set {channel} txqueuelen {_TX_QUEUE_AT_MOST}"
+        yield _warning("tx_queue_long", command, frames=frames)
+
+
+def _buffer(opened: LinkOpened, wanted_bytes: int | None) -> Iterator[Event]:
+    given = opened.receive_buffer_bytes
+    if wanted_bytes is not None and given is not None and given < wanted_bytes:
+        command = f"sysctl -w net.core.rmem_max={wanted_bytes}"
+        yield _warning("receive_buffer_small", command, asked_bytes=wanted_bytes, given_bytes=given)
+
+
+def _bit_rate(opened: LinkOpened, settings: BusSettings) -> Iterator[Event]:
+    found, wanted = opened.details.bit_rate_bit_s, settings.bit_rate_bit_s
+    if None not in (found, wanted) and found != wanted:
+        link = f"ip link set {settings.channel}"  # only one that is down takes a bit rate
+        command = f"{link} down && {link} up type can bitrate {wanted}"
+        yield _warning("bit_rate_differs", command, wanted_bit_s=wanted, found_bit_s=found)
+
+
+def _echo(opened: LinkOpened) -> Iterator[Event]:
+    """A controller whose driver does not send our frames back: the kernel does, unasked."""
+    if opened.details.state is not None and opened.details.driver_echoes is False:
+        reason = "the driver confirms nothing: only the controllers' answers tell that frames left"
+        yield Event("echo_unproven", Severity.WARNING, {"reason": reason})
+
+
+def _warning(name: str, command: str, **fields: object) -> Event:
+    return Event(name, Severity.WARNING, {**fields, "command": command})

@@ -9,8 +9,7 @@ import click
 
 from vcu_gateway import config as configuration
 from vcu_gateway.app import bus_settings
-from vcu_gateway.bus.diagnostics import unfit
-from vcu_gateway.bus.interface import Interfaces
+from vcu_gateway.bus.interface import Interfaces, unfit
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config import BenchDemandSection, Config
 from vcu_gateway.config.protocol import startable

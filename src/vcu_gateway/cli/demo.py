@@ -152,8 +152,8 @@ def _in_terminal(wanted: DemoOptions, recordings: Path | None) -> str:
     """Show it here; the summary."""
     with tui_needed():
         from vcu_gateway.watch import terminal
-        from vcu_gateway.watch.plain_text import plain
-        from vcu_gateway.watch.poller import GatewaySource
+        from vcu_gateway.watch.signals import plain
+        from vcu_gateway.watch.source import GatewaySource
     with DemoProcess(wanted) as child, GatewaySource(child.socket_path) as source:
         click.echo(f"{_TITLE} on {wanted.channel} ({wanted.interface}), until q or Ctrl-C")
         _echo_for_others(wanted, recordings)

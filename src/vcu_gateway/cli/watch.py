@@ -19,7 +19,7 @@ def command(socket_path: Path | None) -> None:
     """
     with tui_needed():
         from vcu_gateway.watch import terminal
-        from vcu_gateway.watch.poller import GatewaySource
+        from vcu_gateway.watch.source import GatewaySource
     if not terminal.is_full():
         remedy = "`vcu-gateway status` prints the same once, as text or JSON"
         what = "the live view needs a terminal for input, output and errors"

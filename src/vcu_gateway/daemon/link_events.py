@@ -1,8 +1,14 @@
 """Link events: the reconnector's changes handed to the gateway and emitted as events."""
 
 from vcu_gateway.bus.connection import BusConnection
-from vcu_gateway.bus.interface_warnings import interface_warnings
-from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
+from vcu_gateway.bus.reconnect import (
+    CarrierChanged,
+    LinkLost,
+    LinkOpened,
+    Reconnector,
+    Unavailable,
+    interface_warnings,
+)
 from vcu_gateway.core.calls import ChangeCarrier, LoseLink, OpenLink
 from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway

@@ -87,15 +87,13 @@ def _received(bus: socket.socket, duration_s: float) -> ObservedTraffic:
 
 
 def judge(facts: TrafficFacts) -> Iterator[CheckResult]:
-    """Judge the traffic."""
     observed = facts.observed
     if isinstance(observed, Unreadable):
         yield SUBJECT.unknown("listen", observed.reason)
     elif not observed.local and not observed.remote:
         what = f"{facts.channel}: no frame was received for {observed.duration_s:g} s"
-        yield SUBJECT.wrong(
-            "silent", what, "check that the vehicle is on, bit rate, wiring and termination"
-        )
+        remedy = "check that the vehicle is on, bit rate, wiring and termination"
+        yield SUBJECT.wrong("silent", what, remedy)
     else:
         yield from SUBJECT.summarise(facts.channel, _checks(facts, observed))
 
@@ -116,11 +114,9 @@ def _message(
     if count == 0:
         return _missing(facts, observed, message, is_required)
     rate_hz = count / observed.duration_s
-    period_ms = message.period_ms
-    expected = observed.duration_s * _MS_PER_S / period_ms if period_ms else 0.0
-    if period_ms is None or count >= _TOO_FEW * expected:
+    wanted_hz = _MS_PER_S / message.period_ms if message.period_ms else 0.0
+    if rate_hz >= _TOO_FEW * wanted_hz:
         return f"{message.name} {rate_hz:.0f}/s"
-    wanted_hz = _MS_PER_S / period_ms
     what = f"{message.name} was received {rate_hz:.1f} times a second instead of {wanted_hz:.0f}"
     return SUBJECT.warning("slow", what, f"check {message.sender}")
 
@@ -142,6 +138,7 @@ def _missing(
 def _command(
     facts: TrafficFacts, observed: ObservedTraffic, message: MessageSpec
 ) -> Outcome | None:
+    """Senders of command frames of this kind, at any source address."""
     groups = (
         j1939.group_key(message.can_id),
         j1939.group_key_to(message.can_id, j1939.GLOBAL_ADDRESS),
@@ -150,24 +147,12 @@ def _command(
         Counter({one: n for one, n in side.items() if j1939.group_key(one) in groups})
         for side in (observed.remote, observed.local)
     )
-    return _senders(facts, observed, message, remote, local)
-
-
-def _senders(
-    facts: TrafficFacts,
-    observed: ObservedTraffic,
-    message: MessageSpec,
-    remote: Counter[int],
-    local: Counter[int],
-) -> Outcome | None:
-    """Senders of command frames of this kind, at any source address; counts by identifier."""
     if remote:
         rate_hz = remote.total() / observed.duration_s
         names = ", ".join(f"{one:08X}" for one in sorted(remote))
         what = f"another node on the bus sends {message.name}, {rate_hz:.0f}/s ({names})"
-        return SUBJECT.wrong(
-            "other_sender", what, "find it and switch it off: two command sources conflict"
-        )
+        remedy = "find it and switch it off: two command sources conflict"
+        return SUBJECT.wrong("other_sender", what, remedy)
     if not local:
         return None
     expected = observed.duration_s * _MS_PER_S / (message.period_ms or _MS_PER_S)

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Iterator
 from enum import Enum
 from typing import NamedTuple
 
+from vcu_gateway.errors import Problem
+
 
 class CheckStatus(Enum):
     """Status of a check; only WRONG keeps the gateway from driving safely."""
@@ -54,6 +56,10 @@ class CheckSubject(NamedTuple):
     def unknown(self, check: str, what: str, remedy: str = "") -> CheckResult:
         """It could not be checked; `what` says why."""
         return CheckResult(self.name, check, CheckStatus.UNKNOWN, what, remedy)
+
+    def problem(self, check: str, problem: Problem) -> CheckResult:
+        where = f"{problem.where}: " if problem.where else ""
+        return self.wrong(check, f"{where}{problem.what}", problem.remedy)
 
     def summarise(self, heading: str, outcomes: Iterable[Outcome | None]) -> Iterator[CheckResult]:
         """All that is ok in one line, then every other result; None is left out."""

@@ -2,20 +2,18 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from vcu_gateway.doctor import (
-    buffers,
     bus_traffic,
     clock,
     configuration,
     interface,
     libraries,
-    other_units,
     permissions,
     process,
-    protocol,
     recorder,
     running_gateway,
     service,
@@ -26,11 +24,6 @@ from vcu_gateway.errors import Problem
 _NETWORK_FILES = "/usr/share/vcu-gateway/network"
 _NETWORKD_RUNS = "/run/systemd/netif/state"
 _PACKAGED_CHANNEL, _PACKAGED_BIT_S = "can0", 250_000
-_ORDER = (
-    *("protocol", "interface", "bus", "time", "permissions", "buffers", "process", "service"),
-    *("libraries", "gateway", "recorder", "exporter", "web"),
-)
-_Check = Callable[[], Iterable[CheckResult]]
 _DEFAULT_SERVICE_USER = "root"  # what systemd takes where a unit names nobody
 
 
@@ -43,7 +36,6 @@ class _SharedFacts(NamedTuple):
 
     @property
     def is_of_the_service(self) -> bool:
-        """Whether the service is started with the checked configuration."""
         return self.unit.runs_with(self.file.path)
 
     @property
@@ -65,41 +57,12 @@ def run_checks(
     Raises nothing: a check that fails by itself is an unknown result.
     """
     shared = _shared_facts(path, missing)
-    checks = _machine_checks(shared)
-    if shared.file.can_be_checked:
-        checks |= _configuration_checks(shared, listen=listen)
     yield from _guarded("configuration", lambda: configuration.judge(shared.file))
-    for name in _ORDER:
-        if name in checks:
-            yield from _guarded(name, checks[name])
-
-
-def _configuration_checks(shared: _SharedFacts, *, listen: bool) -> dict[str, _Check]:
-    """Checks of the machine against the configuration."""
-    config = shared.file.in_effect
-    checks: dict[str, _Check] = {
-        "protocol": lambda: protocol.judge(protocol.read(config)),
-        "interface": lambda: _interface(shared),
-        "permissions": lambda: _permissions(shared),
-        "buffers": lambda: buffers.judge(buffers.read(config.bus.receive_buffer_bytes)),
-    }
-    if listen and config.bus.interface == "socketcan":
-        checks["bus"] = lambda: _bus(shared)
-    return checks
-
-
-def _machine_checks(shared: _SharedFacts) -> dict[str, _Check]:
-    """Checks that do not depend on the configuration."""
-    return {
-        "time": lambda: clock.judge(clock.read()),
-        "process": lambda: _process(shared),
-        "service": lambda: service.judge(shared.unit),
-        "libraries": lambda: libraries.judge(libraries.read()),
-        "gateway": lambda: running_gateway.judge(shared.gateway),
-        "recorder": lambda: _recorder(shared),
-        "exporter": lambda: _other_unit(other_units.EXPORTER),
-        "web": lambda: _other_unit(other_units.WEB),
-    }
+    left_out = set() if shared.file.can_be_checked else set(_OF_CONFIGURATION)
+    left_out |= set() if listen else {"bus"}
+    for name, check in _CHECKS.items():
+        if name not in left_out:
+            yield from _guarded(name, partial(check, shared))
 
 
 def _recorder(shared: _SharedFacts) -> Iterable[CheckResult]:
@@ -109,11 +72,11 @@ def _recorder(shared: _SharedFacts) -> Iterable[CheckResult]:
     return recorder.judge(recorder.read(socket, gateway_runs=runs))
 
 
-def _other_unit(unit: other_units.OtherUnit) -> Iterable[CheckResult]:
-    return other_units.judge(unit, service.read(unit.name))
+def _other_unit(unit: service.OtherUnit) -> Iterable[CheckResult]:
+    return service.judge_other(unit, service.read(unit.name))
 
 
-def _guarded(name: str, check: _Check) -> list[CheckResult]:
+def _guarded(name: str, check: Callable[[], Iterable[CheckResult]]) -> list[CheckResult]:
     """Results of a subject; an exception there must not hide the others."""
     try:
         return list(check())
@@ -135,9 +98,8 @@ def _interface(shared: _SharedFacts) -> Iterable[CheckResult]:
         what = f"{bus.interface} {bus.channel} needs no CAN interface"
         return [interface.SUBJECT.ok("exists", what)]
     fits = (bus.channel, bus.bit_rate_bit_s) == (_PACKAGED_CHANNEL, _PACKAGED_BIT_S)
-    return interface.judge(
-        interface.read(bus.channel, bus.bit_rate_bit_s, _networkd_command() if fits else "")
-    )
+    persistent = _networkd_command() if fits else ""
+    return interface.judge(interface.read(bus.channel, bus.bit_rate_bit_s, persistent))
 
 
 def _networkd_command() -> str:
@@ -152,27 +114,61 @@ def _networkd_command() -> str:
 
 def _bus(shared: _SharedFacts) -> Iterable[CheckResult]:
     config = shared.file.in_effect
-    spec = protocol.read(config).spec
+    if config.bus.interface != "socketcan":
+        return []
+    spec = configuration.read_protocol(config).spec
     if spec is None:
         return [bus_traffic.SUBJECT.unknown("listen", "needs a valid protocol")]
     observed = bus_traffic.listen(config.bus.channel)
-    required = config.safety.required_messages
-    runs = shared.pid is not None
-    return bus_traffic.judge(
-        bus_traffic.TrafficFacts(config.bus.channel, observed, spec, required, runs)
+    facts = bus_traffic.TrafficFacts(
+        config.bus.channel,
+        observed,
+        spec,
+        required=config.safety.required_messages,
+        gateway_runs=shared.pid is not None,
     )
+    return bus_traffic.judge(facts)
 
 
 def _permissions(shared: _SharedFacts) -> Iterable[CheckResult]:
     unit, user = shared.unit, None
     if shared.is_of_the_service:
         user = unit.get("User") or _DEFAULT_SERVICE_USER
+    file = shared.file
     return permissions.judge(
-        permissions.read(shared.file.in_effect, shared.file.path, user, unit.visible_folders)
+        permissions.read(file.in_effect, file.path, user, unit.visible_folders)
     )
 
 
 def _process(shared: _SharedFacts) -> Iterable[CheckResult]:
-    unit = [shared.unit.get(name) for name in ("LimitMEMLOCK", "CPUSchedulingPolicy")]
-    known = shared.is_of_the_service
-    return process.judge(process.read(shared.pid, *unit) if known else process.read(shared.pid))
+    names = ("LimitMEMLOCK", "CPUSchedulingPolicy") if shared.is_of_the_service else ()
+    return process.judge(process.read(shared.pid, *map(shared.unit.get, names)))
+
+
+def _protocol(shared: _SharedFacts) -> Iterable[CheckResult]:
+    return configuration.judge_protocol(configuration.read_protocol(shared.file.in_effect))
+
+
+def _buffers(shared: _SharedFacts) -> Iterable[CheckResult]:
+    wanted = shared.file.in_effect.bus.receive_buffer_bytes
+    return process.judge_buffers(process.read_buffers(wanted))
+
+
+_CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
+    "protocol": _protocol,
+    "interface": _interface,
+    "bus": _bus,
+    "time": lambda _: clock.judge(clock.read()),
+    "permissions": _permissions,
+    "buffers": _buffers,
+    "process": _process,
+    "service": lambda shared: service.judge(shared.unit),
+    "libraries": lambda _: libraries.judge(libraries.read()),
+    "gateway": lambda shared: running_gateway.judge(shared.gateway),
+    "recorder": _recorder,
+    "exporter": lambda _: _other_unit(service.EXPORTER),
+    "web": lambda _: _other_unit(service.WEB),
+}
+"""In the order of the output."""
+_OF_CONFIGURATION = ("protocol", "interface", "bus", "permissions", "buffers")
+"""Checks of the machine against the configuration."""

@@ -49,7 +49,6 @@ class _Timex(ctypes.Structure):
 
 
 def read() -> ClockFacts:
-    """Read them from the kernel."""
     synchronised, error_us = _wall_clock()
     return ClockFacts(
         synchronised,
@@ -72,7 +71,6 @@ def _wall_clock() -> tuple[bool | Unreadable, int | None]:
 
 
 def judge(facts: ClockFacts) -> Iterator[CheckResult]:
-    """Judge the clocks."""
     return SUBJECT.summarise("", (_synchronised(facts), _resolution(facts), _slack(facts)))
 
 

@@ -1,7 +1,6 @@
-"""Configuration file: found, valid, writable only by its owner."""
+"""Configuration file: found, valid, writable only by its owner; the DBC in use."""
 
 import os
-import pwd
 import shlex
 import stat
 from collections.abc import Iterator
@@ -10,21 +9,15 @@ from typing import NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
+from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
+from vcu_gateway.doctor.permissions import FilePermissions, permissions_of, user_name
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.errors import GatewayError, Problem
 
 SUBJECT = CheckSubject("configuration")
-_OTHERS_WRITE, _GROUP_WRITES = stat.S_IWOTH, stat.S_IWGRP
+PROTOCOL = CheckSubject("protocol")
 _ROOT = 0
-
-
-class FilePermissions(NamedTuple):
-    """Owner and mode of a file or folder."""
-
-    mode: int
-    uid: int
-    gid: int
 
 
 class ConfigurationFacts(NamedTuple):
@@ -56,18 +49,17 @@ class ConfigurationFacts(NamedTuple):
 
     @property
     def in_effect(self) -> Config:
-        """The configuration, or the defaults where there is none."""
         return self.config or Config()
 
 
 def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> ConfigurationFacts:
-    """Read the file at `path`; `missing` says why there is none."""
     if path is None:
         return ConfigurationFacts(None, problems=missing)
     facts = ConfigurationFacts(path, own_uid=os.geteuid())
     try:
-        file, folder = _permissions(path), _permissions(path.absolute().parent)
-        facts = facts._replace(file=file, folder=folder, owner=_name(file.uid))
+        file = permissions_of(str(path))
+        folder = permissions_of(str(path.absolute().parent))
+        facts = facts._replace(file=file, folder=folder, owner=user_name(file.uid))
     except PermissionError as error:
         return facts._replace(unread=Unreadable(f"this user may not access it: {error.strerror}"))
     except OSError as error:
@@ -85,25 +77,12 @@ def _with_contents(facts: ConfigurationFacts, path: Path) -> ConfigurationFacts:
     return facts._replace(config=config, accounts=tuple(configuration.check_accounts(config)))
 
 
-def _permissions(path: Path) -> FilePermissions:
-    found = path.stat()
-    return FilePermissions(found.st_mode, found.st_uid, found.st_gid)
-
-
-def _name(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return str(uid)
-
-
 def judge(facts: ConfigurationFacts) -> Iterator[CheckResult]:
-    """Judge the configuration file."""
     if facts.unread is not None:
         what = f"{facts.path}: {facts.unread.reason}"
         yield SUBJECT.unknown("readable", what, "sudo vcu-gateway doctor")
     for problem in facts.problems:
-        yield _problem("valid", problem)
+        yield SUBJECT.problem("valid", problem)
     if facts.path is None:
         yield SUBJECT.ok("defaults", "the following checks use the default of every key")
     elif facts.config is None:
@@ -114,14 +93,9 @@ def judge(facts: ConfigurationFacts) -> Iterator[CheckResult]:
         yield SUBJECT.ok("valid", f"{facts.path}: valid, digest {digest}")
         yield from _doubtful(facts.path, facts.config)
     for problem in facts.accounts:
-        yield _problem("accounts", problem)
+        yield SUBJECT.problem("accounts", problem)
     if facts.path is not None and facts.file is not None:
-        yield from _permission_results(facts, str(facts.path), facts.file)
-
-
-def _problem(check: str, problem: Problem) -> CheckResult:
-    where = f"{problem.where}: " if problem.where else ""
-    return SUBJECT.wrong(check, f"{where}{problem.what}", problem.remedy)
+        yield from _permissions(facts, str(facts.path), facts.file)
 
 
 def _doubtful(path: Path | None, config: Config) -> Iterator[CheckResult]:
@@ -133,21 +107,60 @@ def _doubtful(path: Path | None, config: Config) -> Iterator[CheckResult]:
     yield SUBJECT.warning("bench", what, "in a vehicle, remove the section bench")
 
 
-def _permission_results(
+def _permissions(
     facts: ConfigurationFacts, path: str, file: FilePermissions
 ) -> Iterator[CheckResult]:
     quoted = shlex.quote(path)
-    if file.mode & _OTHERS_WRITE:
+    if file.mode & stat.S_IWOTH:
         yield SUBJECT.wrong("mode", f"{path}: everybody may change it", f"sudo chmod o-w {quoted}")
-    if file.mode & _GROUP_WRITES and file.gid != _ROOT:
-        yield SUBJECT.warning(
-            "group", f"{path}: its group may change it", f"sudo chmod g-w {quoted}"
-        )
+    if file.mode & stat.S_IWGRP and file.gid != _ROOT:
+        what = f"{path}: its group may change it"
+        yield SUBJECT.warning("group", what, f"sudo chmod g-w {quoted}")
     if file.uid not in (_ROOT, facts.own_uid):
         what = f"{path} belongs to {facts.owner}, who may change every limit in it"
         yield SUBJECT.warning("owner", what, f"sudo chown root: {quoted}")
-    folder = facts.folder
-    if folder is not None and folder.mode & _OTHERS_WRITE and not folder.mode & stat.S_ISVTX:
+    if facts.folder is not None and facts.folder.lets_all_replace:
         parent = shlex.quote(os.path.dirname(os.path.abspath(path)))
         what = f"{path} may be replaced by everybody: its folder is open to all"
         yield SUBJECT.wrong("folder", what, f"sudo chmod o-w {parent}")
+
+
+class ProtocolFacts(NamedTuple):
+    """Facts about the protocol.
+
+    Attributes:
+        file: the configured DBC; None is the packaged one.
+        spec: None where it cannot be read.
+        contradictions: with the protocol of the safety rules.
+        unknown_names: messages of the configuration that the protocol does not have.
+    """
+
+    file: str | None
+    spec: ProtocolSpec | None = None
+    contradictions: tuple[Problem, ...] = ()
+    unknown_names: tuple[Problem, ...] = ()
+
+
+def read_protocol(config: Config) -> ProtocolFacts:
+    """Read it as the gateway does; cantools is imported only here."""
+    from vcu_gateway.config.protocol import check_protocol, load_protocol
+
+    facts = ProtocolFacts(None if config.protocol.dbc is None else str(config.protocol.dbc))
+    try:
+        spec = load_protocol(config)
+        facts = facts._replace(spec=spec)
+        check_protocol(config, spec)
+    except GatewayError as error:
+        return facts._replace(contradictions=error.problems)
+    return facts._replace(unknown_names=tuple(configuration.check_against(config, spec)))
+
+
+def judge_protocol(facts: ProtocolFacts) -> Iterator[CheckResult]:
+    for problem in facts.contradictions:
+        yield PROTOCOL.problem("dbc", problem)
+    for problem in facts.unknown_names:
+        yield PROTOCOL.problem("names", problem)
+    if facts.spec is not None and not facts.contradictions:
+        which = facts.file or "the packaged DBC"
+        messages = len(facts.spec.messages)
+        yield PROTOCOL.ok("dbc", f"{which}: {messages} messages, compatible with the safety rules")

@@ -145,7 +145,6 @@ def _normal(name: str) -> str:
 
 
 def judge(facts: LibraryFacts) -> Iterator[CheckResult]:
-    """Judge the libraries."""
     yield from _in_the_gateway(facts.foreign)
     found = facts.asammdf
     if isinstance(found, Unreadable):

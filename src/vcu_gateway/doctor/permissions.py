@@ -25,7 +25,7 @@ class Account(NamedTuple):
     gids: frozenset[int]
 
 
-class ResourcePermissions(NamedTuple):
+class FilePermissions(NamedTuple):
     """Owner and mode of a file, folder or socket."""
 
     path: str
@@ -39,6 +39,25 @@ class ResourcePermissions(NamedTuple):
             return True
         shift = 6 if who.uid == self.uid else 3 if self.gid in who.gids else 0
         return (self.mode >> shift) & bits == bits
+
+    @property
+    def lets_all_replace(self) -> bool:
+        """Whether everybody may replace the files of this folder."""
+        return bool(self.mode & stat.S_IWOTH) and not self.mode & stat.S_ISVTX
+
+
+def permissions_of(path: str) -> FilePermissions:
+    """Owner and mode now; OSError where this user cannot see them."""
+    found = os.stat(path)
+    return FilePermissions(path, found.st_mode, found.st_uid, found.st_gid)
+
+
+def user_name(uid: int) -> str:
+    """Name of a user; the number where there is none."""
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return str(uid)
 
 
 class PermissionFacts(NamedTuple):
@@ -61,9 +80,9 @@ class PermissionFacts(NamedTuple):
     service: Account | Unreadable | None
     policy: Policy | None
     socket_path: str | None
-    socket: ResourcePermissions | Unreadable | None
-    folder: ResourcePermissions | Unreadable | None
-    files: tuple[tuple[ResourcePermissions, ...], ...] = ()
+    socket: FilePermissions | Unreadable | None
+    folder: FilePermissions | Unreadable | None
+    files: tuple[tuple[FilePermissions, ...], ...] = ()
     has_operators: bool = True
     socket_group: str = ""
     visible_folders: tuple[str, ...] | None = None
@@ -79,10 +98,8 @@ def read(
     api = config.api
     service = None if service_user is None else _account(service_user)
     path = api.socket_path if api.enabled else None
-    sock = None if path is None else _permissions_of(path)
-    group = (
-        _group_name(sock.gid) if isinstance(sock, ResourcePermissions) else api.socket_group or ""
-    )
+    sock = None if path is None else _resource(path)
+    group = _group_name(sock.gid) if isinstance(sock, FilePermissions) else api.socket_group or ""
     files = [one for one in (file, config.protocol.dbc) if one is not None]
     return PermissionFacts(
         me=_me(),
@@ -90,7 +107,7 @@ def read(
         policy=_policy(config, service),
         socket_path=path,
         socket=sock,
-        folder=None if path is None else _permissions_of(os.path.dirname(path)),
+        folder=None if path is None else _resource(os.path.dirname(path)),
         files=tuple(tuple(_path_to(one)) for one in files),
         has_operators=bool(api.operator_users or api.operator_groups),
         socket_group=group,
@@ -100,11 +117,7 @@ def read(
 
 def _me() -> Account:
     uid = os.geteuid()
-    try:
-        name = pwd.getpwuid(uid).pw_name
-    except KeyError:
-        name = str(uid)
-    return Account(name, uid, frozenset({os.getegid(), *os.getgroups()}))
+    return Account(user_name(uid), uid, frozenset({os.getegid(), *os.getgroups()}))
 
 
 def _account(name: str) -> Account | Unreadable:
@@ -136,27 +149,25 @@ def _policy(config: Config, service: Account | Unreadable | None) -> Policy | No
         return None  # a result of configuration names it
 
 
-def _permissions_of(path: str) -> ResourcePermissions | Unreadable | None:
+def _resource(path: str) -> FilePermissions | Unreadable | None:
     try:
-        found = os.stat(path)
+        return permissions_of(path)
     except FileNotFoundError:
         return None
     except OSError as error:
         return unreadable(path, error)
-    return ResourcePermissions(path, found.st_mode, found.st_uid, found.st_gid)
 
 
-def _path_to(file: Path) -> Iterator[ResourcePermissions]:
+def _path_to(file: Path) -> Iterator[FilePermissions]:
     """The folders above and the file, as far as this user can access them."""
     whole = file.absolute()
     for one in (*reversed(whole.parents), whole):
-        place = _permissions_of(str(one))
-        if isinstance(place, ResourcePermissions):
+        place = _resource(str(one))
+        if isinstance(place, FilePermissions):
             yield place
 
 
 def judge(facts: PermissionFacts) -> Iterator[CheckResult]:
-    """Judge the permissions."""
     service = _service(facts)
     return SUBJECT.summarise("", (*service, _folder(facts), _operators(facts), _mine(facts)))
 
@@ -167,21 +178,18 @@ def _service(facts: PermissionFacts) -> Iterator[Outcome]:
         yield SUBJECT.wrong("service_user", user.reason, "sudo systemd-sysusers")
     elif user is not None:
         paths = [places for places in facts.files if places]
-        refused = [
-            one for places in paths if (one := _file_result(user, places, facts.visible_folders))
-        ]
+        results = [_file_result(user, places, facts.visible_folders) for places in paths]
+        refused = [one for one in results if one]
         yield from refused
         if paths and not refused:
             yield f"{user.name} can read its files"
 
 
 def _file_result(
-    user: Account, places: tuple[ResourcePermissions, ...], visible_folders: tuple[str, ...] | None
+    user: Account, places: tuple[FilePermissions, ...], visible_folders: tuple[str, ...] | None
 ) -> CheckResult | None:
     path = places[-1].path
-    if visible_folders is not None and not any(
-        Path(path).is_relative_to(folder) for folder in visible_folders
-    ):
+    if visible_folders is not None and not any(map(Path(path).is_relative_to, visible_folders)):
         bound = " and ".join(visible_folders)
         what = f"{path} is not visible to the service: its unit binds only {bound}"
         return SUBJECT.wrong("service_files", what, "keep it in /etc/vcu-gateway")
@@ -192,13 +200,10 @@ def _file_result(
     return SUBJECT.wrong("service_files", what, f"sudo chmod o+rX {denied}")
 
 
-def _first_denied(user: Account, places: tuple[ResourcePermissions, ...]) -> str | None:
+def _first_denied(user: Account, places: tuple[FilePermissions, ...]) -> str | None:
     """The first place of the path that denies this user; None where none does."""
-    for place in places:
-        needed = 1 if stat.S_ISDIR(place.mode) else 4
-        if not place.grants(user, needed):
-            return place.path
-    return None
+    needed = ((one, 1 if stat.S_ISDIR(one.mode) else 4) for one in places)
+    return next((one.path for one, bits in needed if not one.grants(user, bits)), None)
 
 
 def _folder(facts: PermissionFacts) -> Outcome | None:
@@ -207,7 +212,7 @@ def _folder(facts: PermissionFacts) -> Outcome | None:
         return SUBJECT.unknown("folder", folder.reason)
     if folder is None:
         return _no_folder(facts)
-    if folder.mode & stat.S_IWOTH and not folder.mode & stat.S_ISVTX:
+    if folder.lets_all_replace:
         what = f"everybody may replace the API's socket: {folder.path} is open to all"
         return SUBJECT.wrong("folder", what, f"sudo chmod o-w {folder.path}")
     return None
@@ -225,16 +230,15 @@ def _operators(facts: PermissionFacts) -> Outcome | None:
     if facts.has_operators or facts.service is None or facts.socket_path is None:
         return None
     what = "only root and the gateway's own user may demand and arm"
-    return SUBJECT.warning(
-        "operators", what, "name them in api.operator_groups of the configuration"
-    )
+    remedy = "name them in api.operator_groups of the configuration"
+    return SUBJECT.warning("operators", what, remedy)
 
 
 def _mine(facts: PermissionFacts) -> Outcome | None:
     me = facts.me
     if isinstance(facts.socket, Unreadable):
         return SUBJECT.unknown("mine", facts.socket.reason)
-    if isinstance(facts.socket, ResourcePermissions) and not facts.socket.grants(me, 2):
+    if isinstance(facts.socket, FilePermissions) and not facts.socket.grants(me, 2):
         what = f"{me.name} may not open {facts.socket.path}, so neither read nor stop"
         command = f"sudo usermod -aG {facts.socket_group} {me.name}, and log in again"
         return SUBJECT.warning("mine", what, command)

@@ -1,4 +1,4 @@
-"""Process of the gateway and its machine: priority, memory, processor, disk."""
+"""Process of the gateway and its machine: priority, memory, processor, disk, receive buffer."""
 
 import os
 import platform
@@ -9,11 +9,16 @@ from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable, fields, names, number, text, unreadable
 
 SUBJECT = CheckSubject("process")
+BUFFERS = CheckSubject("buffers")
 STATE_FOLDER = "/var/lib/vcu-gateway"
 _NOT_REAL_TIME = ("0", "3", "5")  # systemd shows the kernel's numbers: other, batch, idle
 _REAL_TIME = {os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr"}
 _MEMORY_AT_LEAST_KB = 100 * 1024
 _DISK_AT_LEAST_MB = 200
+# With so much, 555 frames of a full bus of 1 Mbit/s may wait, and 380 come between two ticks.
+_LEAST_BYTES = 212_992
+_LIMIT = "/proc/sys/net/core/rmem_max"
+_SYSCTL_FILE = "/etc/sysctl.d/60-vcu-gateway.conf"
 _CPUS = "/sys/devices/system/cpu/cpufreq"
 # Their "powersave" follows the load; it is not the slowest speed.
 _OWN_GOVERNORS = ("intel_pstate", "amd-pstate-epp", "amd_pstate_epp")
@@ -52,7 +57,6 @@ class ProcessFacts(NamedTuple):
 
 
 def read(pid: int | None, memory_lock: str = "", policy: str = "") -> ProcessFacts:
-    """Read them from the kernel."""
     return ProcessFacts(
         None if pid is None else _running(pid),
         fields("/proc/meminfo"),
@@ -75,11 +79,9 @@ def _running(pid: int) -> RunningProcess:
 
 
 def governors(cpus: str = _CPUS) -> Iterator[tuple[str, str]]:
-    """Cpufreq driver and governor of each group of processors."""
     for folder in names(cpus):
-        driver, governor = (
-            text(f"{cpus}/{folder}/scaling_{what}") for what in ("driver", "governor")
-        )
+        driver = text(f"{cpus}/{folder}/scaling_driver")
+        governor = text(f"{cpus}/{folder}/scaling_governor")
         if isinstance(driver, str) and isinstance(governor, str):
             yield driver, governor
 
@@ -103,7 +105,6 @@ def free_mb(folder: str) -> int | Unreadable | None:
 
 
 def judge(facts: ProcessFacts) -> Iterator[CheckResult]:
-    """Judge the process and the machine."""
     running = facts.running
     if running is not None:
         checks = (_policy(running), _locked(running), _swapped(running))
@@ -159,9 +160,8 @@ def _memory(facts: ProcessFacts) -> Outcome:
     if free_kb >= _MEMORY_AT_LEAST_KB:
         return f"{free_kb >> 10} MB memory free"
     what = f"only {free_kb >> 10} MB memory are free"
-    return SUBJECT.warning(
-        "memory", what, "find the largest process: ps --sort=-rss -eo rss,comm | head"
-    )
+    remedy = "find the largest process: ps --sort=-rss -eo rss,comm | head"
+    return SUBJECT.warning("memory", what, remedy)
 
 
 def _swap(facts: ProcessFacts) -> Outcome | None:
@@ -180,10 +180,7 @@ def _kb(found: dict[str, str] | Unreadable, name: str) -> int | Unreadable:
 
 
 def _governor(governors: tuple[tuple[str, str], ...]) -> Outcome | None:
-    slow = any(
-        governor == "powersave" and driver not in _OWN_GOVERNORS for driver, governor in governors
-    )
-    if slow:
+    if any(name == "powersave" and driver not in _OWN_GOVERNORS for driver, name in governors):
         what = "the processor runs at its lowest speed (governor powersave)"
         command = f"echo performance | sudo tee {_CPUS}/policy*/scaling_governor"
         return SUBJECT.warning("governor", what, command)
@@ -200,3 +197,31 @@ def _disk(facts: ProcessFacts) -> Outcome | None:
         return f"{facts.disk_mb} MB disk free"
     what = f"only {facts.disk_mb} MB are free below {STATE_FOLDER}"
     return SUBJECT.warning("disk", what, f"make room: du -ah {STATE_FOLDER} | sort -h | tail")
+
+
+class BufferFacts(NamedTuple):
+    """Facts about buffers; `wanted_bytes` is bus.receive_buffer_bytes, None where it is not set."""
+
+    wanted_bytes: int | None
+    max_bytes: int | Unreadable
+
+
+def read_buffers(wanted_bytes: int | None) -> BufferFacts:
+    return BufferFacts(wanted_bytes, number(_LIMIT))
+
+
+def judge_buffers(facts: BufferFacts) -> Iterator[CheckResult]:
+    wanted = facts.wanted_bytes or _LEAST_BYTES
+    who = "a full bus" if facts.wanted_bytes is None else "bus.receive_buffer_bytes"
+    if isinstance(facts.max_bytes, Unreadable):
+        yield BUFFERS.unknown("rmem_max", facts.max_bytes.reason)
+    elif facts.max_bytes < wanted:
+        what = f"the kernel gives {facts.max_bytes} bytes, {who} wants {wanted}"
+        yield BUFFERS.warning("rmem_max", what, _set("rmem_max", wanted))
+    else:
+        yield BUFFERS.ok("rmem_max", f"receive buffer of {wanted} bytes is available")
+
+
+def _set(name: str, value: int) -> str:
+    write = f"echo net.core.{name}={value} | sudo tee -a {_SYSCTL_FILE}"
+    return f"{write} && sudo sysctl -p {_SYSCTL_FILE}"

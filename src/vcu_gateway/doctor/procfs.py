@@ -37,7 +37,6 @@ def fields(path: str) -> dict[str, str] | Unreadable:
 
 
 def unreadable(what: str, error: OSError) -> Unreadable:
-    """The fact `what` as unreadable, with the error as reason."""
     return Unreadable(f"{what}: {error.strerror or error}")
 
 

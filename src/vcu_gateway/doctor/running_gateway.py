@@ -13,7 +13,6 @@ from vcu_gateway.doctor.procfs import Unreadable
 
 SUBJECT = CheckSubject("gateway")
 _TIMEOUT_S = 0.5
-_ACTIVE = "active"
 
 
 class GatewayFacts(NamedTuple):
@@ -35,7 +34,6 @@ class GatewayFacts(NamedTuple):
 
     @property
     def pid(self) -> int | None:
-        """The process that answered."""
         if self.answers is None or isinstance(self.answers, Unreadable):
             return None
         return self.answers[1]["pid"]
@@ -61,7 +59,6 @@ def _with_answers(facts: GatewayFacts) -> GatewayFacts:
 
 
 def judge(facts: GatewayFacts) -> Iterator[CheckResult]:
-    """Judge the running gateway."""
     if facts.answers is None:
         yield SUBJECT.ok("answers", "api.enabled is false: it cannot be asked")
     elif not isinstance(facts.answers, Unreadable):
@@ -86,7 +83,7 @@ def _judge_answers(
 
 def _mode(why: results.Why) -> CheckResult:
     sentence = why["sentence"]
-    if why["mode"] == _ACTIVE:
+    if why["mode"] == "active":
         return SUBJECT.ok("mode", f"{sentence}; it is driving: change nothing now")
     if why["mode"] == "standby":
         return SUBJECT.ok("mode", sentence)
@@ -131,9 +128,8 @@ def _same(facts: GatewayFacts, health: results.Health) -> Outcome | None:
         return SUBJECT.warning("config_file", what, f"vcu-gateway doctor -c {running}")
     if health["config_digest"] != facts.digest:
         what = f"{facts.file} has changed since the gateway read it"
-        return SUBJECT.warning(
-            "config_digest", what, "vcu-gateway reload, while the vehicle stands"
-        )
+        remedy = "vcu-gateway reload, while the vehicle stands"
+        return SUBJECT.warning("config_digest", what, remedy)
     return "configuration as on disk"
 
 

@@ -1,4 +1,4 @@
-"""Systemd unit: installed, enabled, running, number of restarts."""
+"""Systemd units: the gateway's, and those of the exporter and the web page where installed."""
 
 import os
 import shutil
@@ -35,7 +35,6 @@ class ServiceFacts(NamedTuple):
 
     @property
     def is_installed(self) -> bool:
-        """Whether the unit is installed and loaded."""
         return self.get("LoadState") == "loaded"
 
     @property
@@ -45,8 +44,21 @@ class ServiceFacts(NamedTuple):
 
     @property
     def is_active(self) -> bool:
-        """Whether the service has started."""
         return self.get("ActiveState") == "active"
+
+    @property
+    def is_enabled(self) -> bool:
+        return self.get("UnitFileState").startswith("enabled")
+
+    @property
+    def fails(self) -> bool:
+        """Whether it has failed, or is restarted again and again."""
+        return self.get("ActiveState") == "failed" or self.get("SubState") == "auto-restart"
+
+    @property
+    def end(self) -> str:
+        """How its process ended last."""
+        return f"{self.get('Result')}, status {self.get('ExecMainStatus')}"
 
     @property
     def visible_folders(self) -> tuple[str, ...] | None:
@@ -96,13 +108,11 @@ def read(unit: str, booted: str = _BOOTED) -> ServiceFacts:
 
 
 def parsed(output: str) -> dict[str, str]:
-    """The lines `Name=value` of `systemctl show`."""
     pairs = (line.partition("=") for line in output.splitlines())
     return {name: value for name, equals, value in pairs if equals}
 
 
 def judge(facts: ServiceFacts) -> Iterator[CheckResult]:
-    """Judge the service."""
     if facts.properties is None:
         yield SUBJECT.ok("systemd", "no systemd here: the gateway is started by hand")
     elif isinstance(facts.properties, Unreadable):
@@ -121,7 +131,7 @@ def judge(facts: ServiceFacts) -> Iterator[CheckResult]:
 
 def _enabled(facts: ServiceFacts) -> Outcome:
     state = facts.get("UnitFileState")
-    if state.startswith("enabled") or state in ("static", "generated"):
+    if facts.is_enabled or state in ("static", "generated"):
         return "starts at boot"
     what = f"{facts.unit} does not start at boot ({state or 'state unknown'})"
     remedy = "unmask" if state.startswith("masked") else "enable"
@@ -133,27 +143,19 @@ def _active(facts: ServiceFacts) -> Outcome:
     text = facts.get("StatusText")
     if state == "active":
         return f"running as {facts.pid}" + (f' ("{text}")' if text else "")
-    journal = f"journalctl -u {unit} -n 50"
-    if state == "failed":
-        return SUBJECT.wrong("active", f"{unit} has failed: {_why(facts)}", _remedy(facts, journal))
-    if facts.get("SubState") == "auto-restart":
-        what = f"{unit} restarts repeatedly: {_why(facts)}"
-        return SUBJECT.wrong("active", what, _remedy(facts, journal))
+    if facts.fails:
+        how = "has failed" if state == "failed" else "restarts repeatedly"
+        what = f"{unit} {how}: {facts.end}" + (f" ({text})" if text else "")
+        return SUBJECT.wrong("active", what, _remedy(facts))
     if state in ("activating", "reloading", "deactivating"):
         return SUBJECT.warning("active", f"{unit} is {state}", "check again in some seconds")
     return SUBJECT.warning("active", f"{unit} does not run", f"sudo systemctl start {unit}")
 
 
-def _why(facts: ServiceFacts) -> str:
-    status = facts.get("ExecMainStatus")
-    exited = f"{facts.get('Result')}, status {status}"
-    return f"{exited} ({facts.get('StatusText')})" if facts.get("StatusText") else exited
-
-
-def _remedy(facts: ServiceFacts, otherwise: str) -> str:
+def _remedy(facts: ServiceFacts) -> str:
     if facts.get("ExecMainStatus") in _BAD_CONFIGURATION:
         return f"fix the configuration, then sudo systemctl start {facts.unit}"
-    return otherwise
+    return f"journalctl -u {facts.unit} -n 50"
 
 
 def _restarts(facts: ServiceFacts) -> Outcome | None:
@@ -169,3 +171,34 @@ def _changed_on_disk(facts: ServiceFacts) -> Outcome | None:
         return None
     what = f"{facts.unit} has changed on disk since systemd read it"
     return SUBJECT.warning("changed", what, "sudo systemctl daemon-reload")
+
+
+class OtherUnit(NamedTuple):
+    """Unit of a program beside the gateway; `lost` is what is not there without it."""
+
+    subject: CheckSubject
+    name: str
+    lost: str
+
+
+EXPORTER = OtherUnit(
+    CheckSubject("exporter"), "vcu-gateway-exporter.service", "no metrics for Prometheus"
+)
+WEB = OtherUnit(CheckSubject("web"), "vcu-gateway-web.service", "no page, and no stop in a browser")
+
+
+def judge_other(unit: OtherUnit, facts: ServiceFacts) -> Iterator[CheckResult]:
+    """Judge the unit; nothing where it is not installed. No fault of it is `wrong`."""
+    if not facts.is_installed:
+        return
+    subject, name = unit.subject, unit.name
+    if facts.is_active:
+        yield subject.ok("active", f"{name}: running as {facts.pid}")
+    elif facts.fails:
+        what = f"{name} does not stay up: {facts.end}; {unit.lost}"
+        yield subject.warning("active", what, f"journalctl -u {name} -n 20")
+    elif facts.is_enabled:
+        what = f"{name} does not run: {unit.lost}"
+        yield subject.warning("active", what, f"sudo systemctl start {name}")
+    else:
+        yield subject.ok("active", f"{name} is not enabled: {unit.lost}")

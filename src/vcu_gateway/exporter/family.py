@@ -50,7 +50,6 @@ def counter(
 
 
 def gauge(name: str, text: str, read: Callable[[GatewayAnswers], Samples], *labels: str) -> Family:
-    """A value that rises and falls."""
     return Family(PREFIX + name, "gauge", text, labels, read)
 
 

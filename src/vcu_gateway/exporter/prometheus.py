@@ -14,7 +14,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from vcu_gateway.errors import Problem, UnavailableError
-from vcu_gateway.exporter.families import FAMILIES
+from vcu_gateway.exporter import FAMILIES
 from vcu_gateway.exporter.family import Family, Samples
 from vcu_gateway.exporter.reader import GatewayAnswers
 
@@ -42,14 +42,12 @@ class HttpServer:
         self.port: int = self._server.server_port
 
     def close(self) -> None:
-        """Take no more connections."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
 
 
 def text(read: Callable[[], GatewayAnswers]) -> bytes:
-    """The metrics in Prometheus's text format."""
     return generate_latest(_registry(read))
 
 
@@ -75,7 +73,6 @@ class _Families(Collector):
             yield _metric(family, {})
 
     def collect(self) -> Iterator[Metric]:
-        """Every family with the samples that it has now."""
         reading = self._read()
         for family in FAMILIES:
             yield _metric(family, family.samples(reading))

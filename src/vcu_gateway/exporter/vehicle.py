@@ -54,7 +54,6 @@ def _demand_age(why: results.Why) -> Samples:
 
 
 def _demand(name: str, text: str, value: Callable[[results.DemandedValues], float]) -> Family:
-    """A value of the demand for each controller."""
     return gauge(
         f"demand_{name}",
         f"{text} that the demand asks for, 0 to 1; absent where none counted.",
@@ -64,12 +63,10 @@ def _demand(name: str, text: str, value: Callable[[results.DemandedValues], floa
 
 
 def _decided(state: results.State) -> Mapping[str, results.ControllerCommand]:
-    """Commands by controller; none while the gateway listens."""
     return {name: one for name, one in state["commands"].items() if one["decided"] is not None}
 
 
 def _command(name: str, text: str, value: Callable[[results.ControllerCommand], float]) -> Family:
-    """A value that the last tick decided for each controller."""
     return gauge(
         f"command_{name}",
         f"{text} in the last tick; absent while listening.",
@@ -97,7 +94,6 @@ def _stop_obeyed(state: results.State) -> Samples:
 
 
 def _limit(name: str, text: str, key: str, divisor: float = 1) -> Family:
-    """A value of the configuration's section `limits`."""
 
     def read(reading: GatewayAnswers) -> Samples:
         config = reading.config

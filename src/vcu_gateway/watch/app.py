@@ -11,24 +11,82 @@ from textual.binding import Binding, BindingType
 from textual.color import Color
 from textual.events import Resize
 from textual.filter import LineFilter
+from textual.geometry import Size
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
 from textual.widgets import Input, Static
 
-from vcu_gateway.watch import keys
 from vcu_gateway.watch.formatting import cell, line
 from vcu_gateway.watch.layout import upper_lines
-from vcu_gateway.watch.lines_widget import LinesWidget
 from vcu_gateway.watch.signals import signal_lines
-from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel, ViewSource
+from vcu_gateway.watch.source import SourceRefusedError, ViewModel, ViewSource
 
 REFRESH_HZ = 5.0
 _NOTICE_S = 6.0
+HINTS = "q quit  space pause  m message  / find  e stop  d disarm  ? help"
+NAMES = {"estop": "emergency stop", "disarm": "disarming"}
+_QUESTIONS = {
+    "estop": "Emergency stop: cut the power of both controllers? Shift-E yes, Esc no",
+    "disarm": "Disarm: from active to standby? Shift-D yes, Esc no",
+}
+HELP = """\
+Keys
+  q, Ctrl-C       quit; the gateway goes on
+  up, down        scroll the signals by a line; PgUp, PgDn by a page
+  Home, End       to either end of them
+  space, p        freeze the view, and resume
+  m, M            only the next message, the one before; all of them at the end
+  /               find a part of a name: Enter keeps it, Esc shows all again
+  e then E        emergency stop: cuts the power of both controllers
+  d then D        disarm: from active to standby
+  ?, h            this page, and back
+
+Words
+  commanded       what the gateway sent to a controller
+  reported        what the controller sends back
+  max             a commanded limit
+  temp            of the controller / of the motor
+  !               the value is not good; the list of signals says why
+  good            valid; out of range, saturated, stale and never are not
+  foreign         command frames of another sender
+  late ms         lateness of the 50 ms ticks: median, 99th percentile, maximum
+  old             the gateway is not reachable; these are its last values
+"""
+
+
+class LinesWidget(ScrollView):
+    """Shows lines of text; scrolls where there are more than fit."""
+
+    DEFAULT_CSS = "LinesWidget { scrollbar-size: 0 0; }"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(id=name)
+        self._lines: list[Text] = []
+
+    def show(self, lines: Sequence[Text]) -> None:
+        # As spans: Rich forgets the style of a whole text, in comparing and in drawing.
+        before, self._lines = self._lines, [line(text) for text in lines]
+        self.virtual_size = Size(self.size.width, len(lines))
+        for row in range(max(len(before), len(lines))):
+            if before[row : row + 1] != self._lines[row : row + 1]:
+                self.refresh_line(row)
+
+    def position(self) -> str:
+        """Range of the visible lines as `1-20/80`; empty where all are visible."""
+        count, top, height = len(self._lines), round(self.scroll_y), self.size.height
+        return f"{top + 1}-{min(top + height, count)}/{count}" if count > height > 0 else ""
+
+    def render_line(self, y: int) -> Strip:
+        width, row = self.size.width, y + round(self.scroll_y)
+        if row >= len(self._lines):
+            return Strip.blank(width)
+        return Strip(self._lines[row].render(self.app.console)).adjust_cell_length(width)
 
 
 class Colourless(LineFilter):
     """Line filter for NO_COLOR: removes colours; bold, dim and reverse stay."""
 
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
-        """The same text without colour."""
         del background
         return [
             Segment(text, style.without_color if style else None, control)
@@ -103,18 +161,16 @@ class WatchApp(App[None]):
             LinesWidget("hints"),
         )
         self._find = Input(id="find", placeholder="part of a name; Enter keeps it, Esc ends it")
-        self._help = Static(keys.HELP, id="help", markup=False)
+        self._help = Static(HELP, id="help", markup=False)
 
     def get_line_filters(self) -> Sequence[LineFilter]:
         """NO_COLOR means none at all, not shades of grey."""
         return [Colourless()] if os.environ.get("NO_COLOR") else []
 
     def compose(self) -> ComposeResult:
-        """Help or upper lines, the signals, and the line of hints or of the text to find."""
         yield from (self._help, self._upper, self._signals, self._keys, self._find)
 
     def on_mount(self) -> None:
-        """Start refreshing."""
         self.screen.set_focus(self._signals)
         self._notice_timer = self.set_timer(_NOTICE_S, self._clear_notice)
         self.set_interval(self._refresh_s, self._refresh_view)
@@ -130,7 +186,6 @@ class WatchApp(App[None]):
             self._show()
 
     def on_resize(self, event: Resize) -> None:
-        """Lay everything out again."""
         del event
         self._show()
 
@@ -153,12 +208,12 @@ class WatchApp(App[None]):
 
     def _hints(self) -> Text:
         if self._pending:
-            return Text(keys.confirmation(self._pending), "bold reverse")
+            return Text(_QUESTIONS[self._pending], "bold reverse")
         if self._notice:
             return Text(self._notice, "bold")
         if self._filter:
             return Text(f"only {self._filter}: Esc shows all, m the next message, / find another")
-        return Text(keys.HINTS, "dim")
+        return Text(HINTS, "dim")
 
     # Keys
 
@@ -170,11 +225,9 @@ class WatchApp(App[None]):
         return action != "keep"
 
     def action_end(self) -> None:
-        """Quit."""
         self.exit()
 
     def action_pause(self) -> None:
-        """Freeze the view, or resume."""
         self._paused = not self._paused
         self._show()
 
@@ -191,30 +244,25 @@ class WatchApp(App[None]):
         self._show()
 
     def action_find(self) -> None:
-        """Ask for a text to find."""
         self._keys.display, self._find.display = False, True
         self._find.value = ""
         # At once: focus() comes after the next keys.
         self.screen.set_focus(self._find)
 
     def on_input_changed(self, event: Input.Changed) -> None:
-        """Filter signals by the text while it is typed."""
         self._set_filter(event.value.strip())
 
     def action_keep(self) -> None:
-        """Keep the filter."""
         self._keys.display, self._find.display = True, False
         self.screen.set_focus(self._signals)
 
     def action_leave(self) -> None:
-        """Cancel question, help, search and filter."""
         self._pending = self._notice = ""
         self._show_help(False)
         self.action_keep()
         self._set_filter("")
 
     def action_help(self) -> None:
-        """Show or hide the help."""
         self._show_help(not self._help.display)
 
     def _show_help(self, shown: bool) -> None:
@@ -226,13 +274,11 @@ class WatchApp(App[None]):
     # Stopping
 
     def action_ask(self, what: str) -> None:
-        """Ask for confirmation: a key is pressed easily."""
         self._show_notice("", pending=what)
 
     def action_confirm(self, what: str) -> None:
-        """Send the request whose confirmation is pending."""
         if self._pending == what:
-            self._show_notice(f"{keys.NAMES[what]} ...")
+            self._show_notice(f"{NAMES[what]} ...")
             self.run_worker(lambda: self._send_request(what), thread=True)
 
     def _send_request(self, what: str) -> None:
@@ -240,9 +286,9 @@ class WatchApp(App[None]):
         try:
             request()
         except SourceRefusedError as refusal:
-            answer = f"{keys.NAMES[what]} not granted: {refusal}"
+            answer = f"{NAMES[what]} not granted: {refusal}"
         else:
-            answer = f"{keys.NAMES[what]} granted"
+            answer = f"{NAMES[what]} granted"
         self.call_from_thread(lambda: self._show_notice(answer, self._pending))
 
     def _show_notice(self, notice: str, pending: str = "") -> None:

@@ -1,14 +1,23 @@
-"""Formatting of values and cells."""
+"""Formatting of values and cells; a quality is a colour and a word or mark, never colour alone."""
 
 import textwrap
 from typing import Literal
 
 from rich.text import Text
 
+from vcu_gateway.api.results import Message, QualityName, Signal
+
 ABSENT = "-"
+NOT_GOOD_MARK = "!"
+QUALITY_STYLES: dict[QualityName, str] = {
+    "good": "green",
+    "out of range": "yellow",
+    "saturated": "yellow",
+    "stale": "red",
+    "never": "dim",
+}
 _MS_PER_S = 1000
-_S_PER_MINUTE = 60
-_MINUTES_PER_HOUR = 60
+_DECIMALS = 2
 
 
 def cell(content: str | Text, width: int, style: str = "", align: Literal["<", ">"] = "<") -> Text:
@@ -40,24 +49,28 @@ def wrapped(sentence: str, width: int, max_lines: int, indent: int = 0) -> list[
 
 
 def number(value: float | None, decimals: int = 0) -> str:
-    """The value with `decimals`; a dash for None."""
     return ABSENT if value is None else f"{value:.{decimals}f}"
 
 
-def milliseconds(duration_us: float | None) -> str:
-    """Microseconds as milliseconds, for lateness."""
-    return ABSENT if duration_us is None else f"{duration_us / _MS_PER_S:.2f}"
+def marked(shown: str, signal: Signal) -> Text:
+    """The value, with a mark where it is not good."""
+    mark = "" if signal["quality"] == "good" else NOT_GOOD_MARK
+    return Text(shown + mark, value_style(signal))
 
 
-def duration(duration_ms: float | None) -> str:
-    """340 ms, 3.2 s, 12:44, 3:12:44: as exact as a person needs it."""
-    if duration_ms is None:
-        return "never"
-    if duration_ms < _MS_PER_S:
-        return f"{duration_ms:.0f} ms"
-    seconds = duration_ms / _MS_PER_S
-    if seconds < _S_PER_MINUTE:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(int(seconds), _S_PER_MINUTE)
-    hours, minutes = divmod(minutes, _MINUTES_PER_HOUR)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+def value_style(signal: Signal) -> str:
+    """Style of a value: none where it is good, so that the others stand out."""
+    quality = signal["quality"]
+    return "" if quality == "good" else QUALITY_STYLES[quality]
+
+
+def value_text(signal: Signal) -> str:
+    """The name of its code, or its value."""
+    value = signal["value"]
+    return signal.get("name", number(value, _DECIMALS if isinstance(value, float) else 0))
+
+
+def rate_text(message: Message) -> str:
+    """Frames a second, from the measured period; empty where none is."""
+    period_ms = message["period_ms"]
+    return f"{_MS_PER_S / period_ms:.1f}" if period_ms else ""

@@ -1,21 +1,37 @@
-"""List of received signals: value, unit and quality, under message, age and rate."""
+"""Received signals as a list in columns; the whole view model as plain text, for a pipe."""
+
+from collections.abc import Iterator
 
 from rich.text import Text
 
 from vcu_gateway.api.results import Message, Signal, State
-from vcu_gateway.watch.formatting import cell, duration, line, number
-from vcu_gateway.watch.quality import QUALITY_STYLES, value_style
+from vcu_gateway.text import narrow_duration
+from vcu_gateway.watch import figures, layout
+from vcu_gateway.watch.formatting import (
+    ABSENT,
+    QUALITY_STYLES,
+    cell,
+    line,
+    marked,
+    number,
+    rate_text,
+    value_style,
+    value_text,
+    wrapped,
+)
+from vcu_gateway.watch.source import ViewModel
 
-COLUMNS = 59
+LIST_COLUMNS = 59
 """Least width of one column of signals."""
 
 _GAP = 2
 _NAME_COLUMNS = 25
 _VALUE_COLUMNS = 16
 _UNIT_COLUMNS = 6
-_DECIMALS = 2
 _KNOWN_COLUMNS = _NAME_COLUMNS + _VALUE_COLUMNS + _UNIT_COLUMNS
-_MS_PER_S = 1000
+_COLUMNS = 120
+_MOST_LINES = 12
+_NO_BREAK_SPACE = "\u00a0"
 
 
 def signal_lines(
@@ -33,7 +49,7 @@ def signal_lines(
     if not blocks:
         nothing = f"no message or signal has “{filter_text}” in its name" if filter_text else ""
         return [Text(nothing, "dim")]
-    count = max(1, (width + _GAP) // (COLUMNS + _GAP))
+    count = max(1, (width + _GAP) // (LIST_COLUMNS + _GAP))
     columns = _columns(blocks, count)
     height = max(len(column) for column in columns)
     column_width = (width - _GAP * (count - 1)) // count
@@ -84,25 +100,20 @@ def _blocks(state: State, wanted: str, old: bool) -> list[list[Text]]:
 
 def _message(name: str, message: Message) -> Text:
     age_ms = message["age_ms"]
-    age = "never" if age_ms is None else f"{duration(age_ms)} old"
-    style = "red" if message["stale"] else ""
+    age = "never" if age_ms is None else f"{narrow_duration(age_ms)} old"
+    style, rate = "red" if message["stale"] else "", rate_text(message)
     return line(
         cell(name, _NAME_COLUMNS, f"bold {style}"),
         cell(age, _VALUE_COLUMNS, style, ">"),
-        cell(_rate(message), _UNIT_COLUMNS + 5, align=">"),
+        cell(rate and f"{rate} Hz", _UNIT_COLUMNS + 5, align=">"),
         Text(" stale" if message["stale"] else "", style),
     )
-
-
-def _rate(message: Message) -> str:
-    period_ms = message["period_ms"]
-    return f"{_MS_PER_S / period_ms:.1f} Hz" if period_ms else ""
 
 
 def _signal(name: str, signal: Signal) -> Text:
     return line(
         cell(f"  {name}", _NAME_COLUMNS),
-        cell(_value(signal), _VALUE_COLUMNS, value_style(signal), ">"),
+        cell(value_text(signal), _VALUE_COLUMNS, value_style(signal), ">"),
         cell(f" {signal['unit']}", _UNIT_COLUMNS, "dim"),
         Text(signal["quality"], QUALITY_STYLES[signal["quality"]]),
     )
@@ -112,8 +123,51 @@ def _old_signal(name: str, signal: Signal) -> Text:
     return Text(f"{_signal(name, signal).plain[:_KNOWN_COLUMNS]}old", "dim")
 
 
+def plain(title: str, view: ViewModel) -> str:
+    """The whole view model; ends with a line feed."""
+    lines = [
+        layout.title_line(title, view, _COLUMNS),
+        *_sentence(view),
+        *layout.reason_lines(view.why, _COLUMNS, _MOST_LINES),
+        *figures.controller_lines(view.state, roomy=True),
+        *figures.short_lines(view.health),
+    ]
+    shown = [line.plain.rstrip() for line in lines]
+    if view.state is not None:
+        shown += _messages(view.state)
+    return "\n".join(shown) + "\n"
+
+
+def _sentence(view: ViewModel) -> list[Text]:
+    """The gateway's summary and its own sentence, whole; or why there is none."""
+    if view.why is None or view.problem is not None:
+        return layout.mode_lines(view, _COLUMNS, _MOST_LINES)
+    sentences = view.why.get("summary"), view.why["sentence"]
+    return [Text(part) for one in sentences if one for part in wrapped(one, _COLUMNS, _MOST_LINES)]
+
+
+def _messages(state: State) -> Iterator[str]:
+    yield f"{'received':<20}{'age ms':>7}{'Hz':>7}  signals"
+    for name, message in state["messages"].items():
+        age = number(message["age_ms"]) if message["age_ms"] is not None else "never"
+        begin = f"{name:<20}{age:>7}{rate_text(message) or ABSENT:>7}  "
+        first, *rest = wrapped(_signals(message), _COLUMNS - len(begin), _MOST_LINES)
+        yield _spaced(begin + first)
+        yield from (_spaced(" " * len(begin) + more) for more in rest)
+
+
+def _signals(message: Message) -> str:
+    """Quantities, and codes that are not 0: what a person looks for."""
+    return ", ".join(
+        f"{name} {_value(signal)}".replace(" ", _NO_BREAK_SPACE)
+        for name, signal in message["signals"].items()
+        if signal["value"] is not None and (signal["unit"] or signal["raw"])
+    )
+
+
 def _value(signal: Signal) -> str:
-    if "name" in signal:
-        return signal["name"]
-    value = signal["value"]
-    return number(value, _DECIMALS if isinstance(value, float) else 0)
+    return marked(f"{value_text(signal)} {signal['unit']}".rstrip(), signal).plain
+
+
+def _spaced(line: str) -> str:
+    return line.replace(_NO_BREAK_SPACE, " ").rstrip()

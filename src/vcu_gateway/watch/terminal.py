@@ -15,7 +15,7 @@ from typing import Any
 
 from vcu_gateway import streams
 from vcu_gateway.watch.app import WatchApp
-from vcu_gateway.watch.view_model import ViewSource
+from vcu_gateway.watch.source import ViewSource
 
 _EXIT_SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 _EXIT_TIMEOUT_S = 2.0
@@ -65,7 +65,6 @@ class TerminalExit:
             threading.Thread(target=self._enforce, name="exit", daemon=True).start()
 
     def finished(self) -> None:
-        """Note that the view has ended and the terminal is restored."""
         self._finished.set()
 
     def _enforce(self) -> None:

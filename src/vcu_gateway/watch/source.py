@@ -1,22 +1,59 @@
-"""Poller: a thread that fills the view model from the running gateway."""
+"""Source of the live view: what it shows, polled from the running gateway on a thread."""
 
 import dataclasses
 import functools
 import threading
 import time
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 from pydantic import TypeAdapter, ValidationError
 
 from vcu_gateway.api.results import Health, State, Why
 from vcu_gateway.client import Client, ClientError
-from vcu_gateway.watch.view_model import SourceProblem, SourceRefusedError, ViewModel
 
 _STATE_PERIOD_S = 0.2
 _REST_PERIOD_S = 0.5
 _JOIN_TIMEOUT_S = 3.0
+
+
+class SourceProblem(NamedTuple):
+    """Reason why the gateway cannot be polled, and since when, in local time."""
+
+    sentence: str
+    since: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class ViewModel:
+    """Latest results of the gateway; None before the first.
+
+    Attributes:
+        problem: None while the gateway answers; else the rest are its last results.
+    """
+
+    state: State | None = None
+    why: Why | None = None
+    health: Health | None = None
+    problem: SourceProblem | None = None
+
+
+class SourceRefusedError(Exception):
+    """A request was refused or not answered; the message says why."""
+
+
+class ViewSource(Protocol):
+    """Source of view models. `latest` never waits; the others may, for a second or two."""
+
+    def latest(self) -> ViewModel: ...
+
+    def estop(self) -> None:
+        """Cut the power of both controllers; SourceRefusedError where it was not granted."""
+
+    def disarm(self) -> None:
+        """From active to standby; SourceRefusedError where it was not granted."""
 
 
 class GatewaySource:
@@ -33,15 +70,12 @@ class GatewaySource:
         self._thread = threading.Thread(target=self._run, name="poller", daemon=True)
 
     def latest(self) -> ViewModel:
-        """The latest view model."""
         return self._view
 
     def estop(self) -> None:
-        """Cut the power of both controllers; SourceRefusedError where it was not granted."""
         self._request(Client.estop)
 
     def disarm(self) -> None:
-        """From active to standby; SourceRefusedError where it was not granted."""
         self._request(Client.disarm)
 
     def _request(self, method: Any) -> None:

@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.watch import view_models
-from vcu_gateway.watch import poller
-from vcu_gateway.watch.poller import GatewaySource
-from vcu_gateway.watch.view_model import SourceRefusedError, ViewModel
+from vcu_gateway.watch import source as source_module
+from vcu_gateway.watch.source import GatewaySource, SourceRefusedError, ViewModel
 
 WAIT_S = 60.0
 
@@ -104,7 +103,7 @@ def test_new_values_arrive(path):
 
 
 def test_a_new_mode_is_explained_at_once(path, monkeypatch):
-    monkeypatch.setattr(poller, "_REST_PERIOD_S", 3600)
+    monkeypatch.setattr(source_module, "_REST_PERIOD_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
         seen(source, lambda view: view.state)
         made.view = view_models.faulty()
@@ -113,7 +112,7 @@ def test_a_new_mode_is_explained_at_once(path, monkeypatch):
 
 
 def test_the_state_is_asked_for_more_often_than_the_rest(path, monkeypatch):
-    monkeypatch.setattr(poller, "_REST_PERIOD_S", 3600)
+    monkeypatch.setattr(source_module, "_REST_PERIOD_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
         seen(source, lambda _: made.requests.count("state.get") >= 3)
     assert made.requests.count("why") == made.requests.count("health") == 1
@@ -141,7 +140,7 @@ def test_a_gateway_that_goes_away_is_told_with_the_time_and_found_again(path):
 
 
 def test_an_error_of_the_gateway_is_a_problem_and_passes(path, monkeypatch):
-    monkeypatch.setattr(poller, "_REST_PERIOD_S", 3600)
+    monkeypatch.setattr(source_module, "_REST_PERIOD_S", 3600)
     with gateway(path) as made, GatewaySource(path) as source:
         seen(source, lambda view: view.state)
         made.error = {"code": -32004, "message": "the gateway is ending", "data": {}}
