@@ -1,10 +1,7 @@
 """`vcu-gateway dbc`: the DBC and its module, from the definition."""
 
-import contextlib
 import difflib
-import os
 import shlex
-import tempfile
 from collections.abc import Callable, Iterable
 from itertools import islice
 from pathlib import Path
@@ -12,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from vcu_gateway import files
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
 from vcu_gateway.protocol import cantools_dbc, dbc_module, definition
 
@@ -107,17 +105,7 @@ def replace(path: Path, text: str) -> None:
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o644
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        beside = Path(name)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="") as file:
-                file.write(text)
-            beside.chmod(mode)
-            beside.replace(target)
-        except BaseException:
-            with contextlib.suppress(FileNotFoundError):
-                beside.unlink()
-            raise
+        files.replace(target, text, mode)
     except OSError as error:
         problem = Problem(f"cannot be written: {error.strerror or error}", str(path))
         raise UnavailableError(problem) from error
