@@ -305,7 +305,7 @@ lint: $(TESTED) $(LINTED)  ## style, types, spelling, import contracts, generate
 	$(BIN)/lint-imports
 	$(BIN)/codespell
 	$(BIN)/vcu-gateway dbc --check
-	$(BIN)/vcu-gateway schema --yaml --check
+	$(BIN)/python -m scripts.documents --check
 	$(BIN)/python scripts/import-graph --check
 
 bench: $(TESTED)  ## compare with the naive way, and with AGAINST=TREE; writes docs/benchmarks.md

@@ -6,8 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from scripts.documents import api_page
 
-from vcu_gateway.api import docs_page, openrpc, rights
+from vcu_gateway.api import openrpc, rights
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
 from vcu_gateway.core.demand import Refusal
 
@@ -59,7 +60,7 @@ def test_the_document_is_printed_as_json():
 
 def test_the_page_is_current(document):
     text = (ROOT / "docs" / "api.md").read_text()
-    assert docs_page.page(document) in text, "run scripts/api-page"
+    assert api_page.within(text, document) == text, "run `python -m scripts.documents`"
 
 
 def test_a_reset_needs_the_right_of_its_level():

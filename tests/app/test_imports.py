@@ -18,7 +18,7 @@ UNWANTED = {
         f"vcu_gateway.{name}"
         for name in (
             *("client", "demo", "doctor", "exporter", "recording", "simulator", "watch"),
-            *("protocol.cantools_dbc", "protocol.definition", "protocol.docs_page"),
+            *("protocol.cantools_dbc", "protocol.definition"),
         )
     ),
 }

@@ -14,7 +14,7 @@ from tests.app.verbs import stage_of, vcu
 from tests.driven import Driven, driven, wait_until
 from tests.recorder.gateway import RecorderProcess
 from vcu_gateway.api import openrpc, results
-from vcu_gateway.simulator.motor import MotorCommand
+from vcu_gateway.core.commands import Command
 
 TRIES = 8
 
@@ -84,7 +84,7 @@ def test_status_is_one_json_object_for_a_program(ask):
 def test_status_says_what_is_known_of_a_stop(fresh):
     assert "stop " not in vcu(fresh.socket_path, "status").stdout
     fresh.nodes.vehicle.motors["PCU2"].ignores_commands = True
-    fresh.nodes.vehicle.motors["PCU2"].order = MotorCommand()
+    fresh.nodes.vehicle.motors["PCU2"].order = Command()
     with fresh.client() as client:
         client.estop()
     fresh.until(lambda: stage_of(fresh) == "not obeyed", "its status")

@@ -9,7 +9,8 @@ import pytest
 
 from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.api.rights import Policy
-from vcu_gateway.config import ApiSection, Config, ProtocolSection
+from vcu_gateway.config import Config
+from vcu_gateway.config.model import ApiSection, ProtocolSection
 from vcu_gateway.doctor import permissions
 from vcu_gateway.doctor.permissions import Account, FilePermissions, PermissionFacts, judge
 from vcu_gateway.doctor.procfs import Unreadable

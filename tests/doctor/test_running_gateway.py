@@ -13,6 +13,7 @@ from tests.doctor.judged import not_ok, only, well
 from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
 from vcu_gateway.client import Client
+from vcu_gateway.config.model import ApiSection
 from vcu_gateway.doctor import running_gateway
 from vcu_gateway.doctor.running_gateway import GatewayFacts, judge
 
@@ -114,7 +115,7 @@ def test_only_two_requests_are_made_and_none_that_changes(running):
 
 
 def at(path: Path, expected: bool) -> GatewayFacts:
-    api = configuration.ApiSection(socket_path=str(path))
+    api = ApiSection(socket_path=str(path))
     return running_gateway.read(configuration.Config(api=api), expected)
 
 
@@ -149,5 +150,5 @@ def test_a_socket_that_this_user_may_not_open_is_unknown(tmp_path):
 
 
 def test_a_gateway_without_an_api_is_well():
-    api = configuration.ApiSection(enabled=False)
+    api = ApiSection(enabled=False)
     assert not_ok(judge(running_gateway.read(configuration.Config(api=api), expected=True))) == {}

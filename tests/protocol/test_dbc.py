@@ -6,6 +6,7 @@ import sys
 
 import cantools
 import pytest
+from scripts.documents import protocol_page
 
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError
@@ -14,7 +15,6 @@ from vcu_gateway.protocol import (
     dbc,
     dbc_module,
     definition,
-    docs_page,
     packaged,
     vcu_dbc,
 )
@@ -30,7 +30,7 @@ def test_the_committed_dbc_is_what_the_definition_says():
 
 
 def test_the_committed_page_is_what_the_definition_says():
-    assert docs_page.write(DEFINITION) == (REPOSITORY / "docs/protocol.md").read_text(
+    assert protocol_page.write(DEFINITION) == (REPOSITORY / "docs/protocol.md").read_text(
         encoding="utf-8"
     )
 
@@ -332,7 +332,9 @@ def test_a_comment_with_quotes_survives():
     defined = definition.parse(text)
     assert cantools_dbc.parse(cantools_dbc.write(defined)).messages == defined.spec.messages
     row = next(
-        line for line in docs_page.write(defined).splitlines() if line.startswith("| LifeSignal")
+        line
+        for line in protocol_page.write(defined).splitlines()
+        if line.startswith("| LifeSignal")
     )
     assert row.replace("\\|", "").count("|") == 9
 

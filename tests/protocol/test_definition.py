@@ -412,14 +412,14 @@ def test_a_broadcast_identifier_needs_no_addressee():
 def test_the_aliases_and_notes_are_read():
     read = definition.parse(TEXT)
     assert read.spec.aliases == {0x08F02DE2: "IMU_Attitude"}
-    assert read.notes["IMU_Attitude"].source_id == "0x240CD079 (0x08f02de2)"
-    assert read.notes["PCU1_Status1"].source_id == ""
-    assert read.notes["PCU2_Status1"].source_id == "the same as controller 1, SA 168"
-    assert read.notes["VCU_PCU2_Command"].source_id == "PS is 168"
-    assert read.notes["PCU2_Status1"].note.startswith("B1 to B3 are laid out as in the command")
-    assert "(LSB)" in read.readings[0]
-    assert read.notes["PCU2_Status1"].signals["PowerMode"].meanings[3] == "Safety Mode"
-    assert read.errata["E2"][0] == "30-bit identifiers"
+    row, node = read.rows["IMU_Attitude"]
+    assert (row.source_id, node) == ("0x240CD079 (0x08f02de2)", "")
+    row, node = read.rows["PCU2_Status1"]
+    assert row.source_ids == {node: "the same as controller 1, SA 168"}
+    assert row.note.startswith("B1 to B3 are laid out as in the command")
+    assert read.rows["PCU1_Status1"] == (row, "PCU1")
+    assert "(LSB)" in read.file.readings[0]
+    assert read.file.errata["E2"][0] == "30-bit identifiers"
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,9 @@
 import re
 
 import pytest
+from scripts.documents import protocol_page
 
-from vcu_gateway.protocol import definition, docs_page, packaged, requirements
+from vcu_gateway.protocol import definition, packaged, requirements
 
 TEXT = packaged("vcu.yaml").read_text(encoding="utf-8")
 
@@ -15,7 +16,7 @@ def written(*replaced: tuple[str, str]) -> list[str]:
     for old, new in replaced:
         assert old in text
         text = text.replace(old, new)
-    return docs_page.write(definition.parse(text)).splitlines()
+    return protocol_page.write(definition.parse(text)).splitlines()
 
 
 def line(beginning: str, lines: list[str]) -> str:

@@ -250,7 +250,7 @@ def test_a_configured_dbc_that_lets_the_gateway_send_more_is_refused(tmp_path):
     further = replace(own.spec.message("VCU_PCU1_Command"), name="Own", can_id=0x0009A7D0)
     spec = replace(own.spec, messages=(*own.spec.messages, further))
     what = "Own (0x0009A7D0): VCU commands PCU1 and PCU2 and sends nothing else"
-    text = cantools_dbc.write(replace(own, spec=spec))
+    text = cantools_dbc.write(own._replace(spec=spec))
     assert refused(tmp_path, text) == [f"{tmp_path}/own.dbc: {what}; {REMEDY}"]
 
 

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import PowerMode
-from vcu_gateway.simulator.motor import MotorCommand, order_of
+from vcu_gateway.simulator.motor import order_of
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT, STEP_NS, Vehicle
 
 S_NS = 1_000_000_000
@@ -155,7 +156,7 @@ def test_a_controller_without_a_command_for_500_ms_goes_to_zero_torque_by_itself
     assert drive.silence(0.45).motors[LEFT].torque_nm > 0
     silent = drive.silence(STEP_NS / S_NS)
     assert silent.motors[LEFT].torque_nm == 0
-    assert silent.motors[LEFT].order == MotorCommand()
+    assert silent.motors[LEFT].order == Command()
 
 
 def test_the_time_out_of_one_controller_leaves_the_other_alone() -> None:

@@ -1,20 +1,26 @@
-"""`vcu-gateway dbc`: the DBC, its module and the protocol page, from the definition."""
+"""`vcu-gateway dbc`: the DBC and its module, from the definition."""
 
+import difflib
 import shlex
+from collections.abc import Callable, Iterable
+from itertools import islice
 from pathlib import Path
+from typing import Any, TypeVar
 
 import click
 
-from vcu_gateway.cli import generated as files
-from vcu_gateway.errors import MissingInputError, Problem
-from vcu_gateway.protocol import cantools_dbc, dbc_module, definition, docs_page
+from vcu_gateway import files
+from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
+from vcu_gateway.protocol import cantools_dbc, dbc_module, definition
 
 _DEFINITION = Path("dbc/vcu.yaml")
 _OUTPUT = Path("dbc/vcu.dbc")
 _MODULE = Path("src/vcu_gateway/protocol/vcu_dbc.py")
-_PAGE = Path("docs/protocol.md")
+_SHOWN_LINES = 20
 
-_HELP = """Generate the DBC, its module and the protocol page from the definition.
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+_HELP = """Generate the DBC and its module from the definition.
 
 The module is what cantools reads in the DBC, as Python data: the gateway starts without cantools,
 unless its configuration names another DBC.
@@ -27,67 +33,79 @@ the first differing lines are shown.
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
+def _file(name: str, parameter: str, usual: Path, text: str) -> Callable[[_Command], _Command]:
+    return click.option(
+        name, parameter, metavar="FILE", type=_FILE, default=usual, show_default=True, help=text
+    )
+
+
 @click.command("dbc", help=_HELP)
 @click.option("--check", is_flag=True, help="Write nothing; exit 1 where a file is stale.")
-@click.option(
-    "--definition",
-    "source",
-    metavar="FILE",
-    type=_FILE,
-    default=_DEFINITION,
-    show_default=True,
-    help="The protocol, written once.",
-)
-@click.option(
-    "--output", metavar="FILE", type=_FILE, default=_OUTPUT, show_default=True, help="The DBC."
-)
-@click.option(
-    "--module",
-    "module_path",
-    metavar="FILE",
-    type=_FILE,
-    default=_MODULE,
-    show_default=True,
-    help="What the DBC says, as Python data.",
-)
-@click.option(
-    "--page",
-    "page_path",
-    metavar="FILE",
-    type=_FILE,
-    default=_PAGE,
-    show_default=True,
-    help="The protocol as a page for people.",
-)
-def command(check: bool, source: Path, output: Path, module_path: Path, page_path: Path) -> None:
-    """Generate the files, or compare them."""
+@_file("--definition", "source", _DEFINITION, "The protocol, written once.")
+@_file("--output", "output", _OUTPUT, "The DBC.")
+@_file("--module", "module_path", _MODULE, "What the DBC says, as Python data.")
+def command(check: bool, source: Path, output: Path, module_path: Path) -> None:
     if not source.exists() and source == _DEFINITION:
         remedy = "run this in the source tree, or name the file with --definition"
         raise MissingInputError(Problem("is not here", str(source), remedy))
-    defined = definition.load(source)
-    dbc_text = cantools_dbc.write(defined)
-    generated = {
-        output: dbc_text,
-        module_path: dbc_module.write(dbc_text),
-        page_path: docs_page.write(defined),
-    }
+    dbc_text = cantools_dbc.write(definition.load(source))
+    generated = {output: dbc_text, module_path: dbc_module.write(dbc_text)}
+    stale = {path: text for path, text in generated.items() if _current(path) != text}
     if check:
-        how_to_fix = _command_line(source, output, module_path, page_path)
-        files.check(generated, "the definition", how_to_fix)
-        return
+        for path, text in stale.items():
+            _report(path, text, _command_line(source, output, module_path))
+        raise SystemExit(1 if stale else 0)
     for path, text in generated.items():
-        is_stale = files.current(path) != text
-        if is_stale:
-            files.replace(path, text)
-        click.echo(f"{path} {'written' if is_stale else 'is current'}")
+        if path in stale:
+            replace(path, text)
+        click.echo(f"{path} {'written' if path in stale else 'is current'}")
 
 
-def _command_line(source: Path, output: Path, module_path: Path, page_path: Path) -> str:
+def _command_line(source: Path, output: Path, module_path: Path) -> str:
     chosen = (
         ("--definition", source, _DEFINITION),
         ("--output", output, _OUTPUT),
         ("--module", module_path, _MODULE),
-        ("--page", page_path, _PAGE),
     )
     named = [part for name, path, usual in chosen if path != usual for part in (name, str(path))]
     return shlex.join(["vcu-gateway", "dbc", *named])
+
+
+def _current(path: Path) -> str | None:
+    """The file's text; None where there is none, or none that could be ours."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return file.read()
+    except (FileNotFoundError, UnicodeDecodeError):
+        return None
+    except OSError as error:
+        problem = Problem(f"cannot be read: {error.strerror or error}", str(path))
+        raise MissingInputError(problem) from error
+
+
+def _report(path: Path, text: str, how_to_fix: str) -> None:
+    there = _current(path)
+    what = "is missing" if there is None else "is not what the definition says"
+    click.echo(f"{path} {what}: run `{how_to_fix}`", err=True)
+    for line in differences(path, there or "", text):
+        click.echo(line, err=True)
+
+
+def differences(path: Path | str, there: str, text: str) -> Iterable[str]:
+    """The first lines in which the file's text is not the generated one."""
+    lines = difflib.unified_diff(
+        there.splitlines(), text.splitlines(), f"{path} as it is", "generated", lineterm=""
+    )
+    return (f"  {line}" for line in islice(lines, _SHOWN_LINES))
+
+
+def replace(path: Path, text: str) -> None:
+    """Write the whole file or nothing, also through a symbolic link."""
+    target = path.resolve()
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        mode = target.stat().st_mode & 0o777 if target.exists() else 0o644
+        files.replace(target, text, mode)
+    except OSError as error:
+        problem = Problem(f"cannot be written: {error.strerror or error}", str(path))
+        raise UnavailableError(problem) from error

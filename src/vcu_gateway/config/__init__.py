@@ -10,34 +10,13 @@ from vcu_gateway.config.checks import (
 from vcu_gateway.config.core_settings import core_settings
 from vcu_gateway.config.effective import digest, effective, schema, yaml_text
 from vcu_gateway.config.load import load, of_values, parse
-from vcu_gateway.config.model import (
-    ApiSection,
-    BusSection,
-    Config,
-    FreshnessSection,
-    LogSection,
-    ProtocolSection,
-)
-from vcu_gateway.config.vehicle import (
-    BenchDemandSection,
-    BenchSection,
-    DemandSection,
-    LimitsSection,
-    SafetySection,
-)
+from vcu_gateway.config.model import Config
+from vcu_gateway.config.vehicle import BenchDemandSection, BenchSection
 
 __all__ = [
-    "ApiSection",
     "BenchDemandSection",
     "BenchSection",
-    "BusSection",
     "Config",
-    "DemandSection",
-    "FreshnessSection",
-    "LimitsSection",
-    "LogSection",
-    "ProtocolSection",
-    "SafetySection",
     "check_accounts",
     "check_against",
     "check_effect",

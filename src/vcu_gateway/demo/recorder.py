@@ -7,7 +7,6 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from vcu_gateway.drive_format import layout
@@ -63,14 +62,9 @@ class DemoRecorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._end()
-        if error is None and self._process.returncode != 0:
+        if kind is None and self._process.returncode != 0:
             raise self._failure()
         self._errors.close()
 

@@ -34,22 +34,22 @@ _Definitions = OrderedDict[str, Any]
 
 def write(definition: "Definition") -> str:
     """The DBC of a definition, the same text every time."""
-    spec = definition.spec
+    file, spec = definition.file, definition.spec
     definitions = _attribute_definitions()
     database = Database(
         messages=[_message(message, definitions) for message in spec.messages],
         nodes=[
             Node(
                 name,
-                definition.node_comments.get(name) or None,
+                file.nodes[name].comment or None,
                 _specifics(definitions, NmStationAddress=address),
             )
             for name, address in spec.nodes.items()
         ],
-        version=definition.version,
+        version=file.version,
         dbc_specifics=DbcSpecifics(
             attributes=_attributes(
-                definitions, BusType="CAN", ProtocolType="J1939", DBName=definition.name
+                definitions, BusType="CAN", ProtocolType="J1939", DBName=file.name
             ),
             attribute_definitions=definitions,
         ),

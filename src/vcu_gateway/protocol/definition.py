@@ -1,58 +1,30 @@
 """Definition file dbc/vcu.yaml, read and checked: the protocol and its documentation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.protocol import requirements
 from vcu_gateway.protocol.builder import Builder
-from vcu_gateway.protocol.definition_model import DefinitionFile, MessageRow, SignalRow
+from vcu_gateway.protocol.definition_model import DefinitionFile, MessageRow
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.problems import problems
 
 
-@dataclass(frozen=True)
-class SignalNote:
-    """Documentation of a signal beyond its numbers."""
-
-    bits: str
-    source_term: str
-    meanings: Mapping[int, str]
-
-
-@dataclass(frozen=True)
-class MessageNote:
-    """Documentation of a message beyond its numbers."""
-
-    source_id: str
-    note: str
-    signals: Mapping[str, SignalNote]
-    reserved: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class Definition:
+class Definition(NamedTuple):
     """The definition file, read and checked.
 
     Attributes:
-        source: what the protocol was read from; readings: how that is to be read.
-        spec: the protocol as the core knows it.
-        notes: per message, for the documentation.
-        errata: number -> (title, decision).
+        file: its rows; spec: the protocol as the core knows it.
+        rows: the row of each message, by the message's name, and the node that it was built for;
+            empty where it is not one for each node.
     """
 
-    name: str
-    version: str
-    source: str
-    readings: tuple[str, ...]
-    bit_rate_default_bit_s: int
+    file: DefinitionFile
     spec: ProtocolSpec
-    notes: Mapping[str, MessageNote]
-    node_comments: Mapping[str, str]
-    alias_comments: Mapping[int, str]
-    errata: Mapping[str, tuple[str, str]]
+    rows: Mapping[str, tuple[MessageRow, str]]
 
 
 def load(path: Path) -> Definition:
@@ -73,35 +45,4 @@ def parse(text: str, where: str = "definition") -> Definition:
     spec = builder.build()
     if found := builder.problems or requirements.unmet(spec, builder.where):
         raise DataError(*found)
-    return Definition(
-        name=file.name,
-        version=file.version,
-        source=file.source,
-        readings=tuple(file.readings),
-        bit_rate_default_bit_s=file.bit_rate_default_bit_s,
-        spec=spec,
-        notes={name: _note(file, row, node) for name, (row, node) in builder.rows.items()},
-        node_comments={name: node.comment for name, node in file.nodes.items()},
-        alias_comments={alias.id: alias.comment for alias in file.aliases},
-        errata=file.errata,
-    )
-
-
-def _note(file: DefinitionFile, row: MessageRow, node: str) -> MessageNote:
-    signals: dict[str, SignalRow] = {}
-    for group in row.use:
-        signals |= file.signal_groups[group]
-    signals |= row.signals
-    return MessageNote(
-        source_id=row.source_ids.get(node, row.source_id),
-        note=row.note,
-        signals={
-            name: SignalNote(
-                signal.bits,
-                signal.source_term,
-                {code: meaning for code, (_, meaning) in signal.values.items()},
-            )
-            for name, signal in signals.items()
-        },
-        reserved=row.reserved,
-    )
+    return Definition(file, spec, builder.rows)

@@ -20,7 +20,6 @@ from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.daemon.event_log import LoggedEvent
-from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W
 from vcu_gateway.server import views
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.service import Caller
@@ -149,17 +148,11 @@ def demand_of(params: methods.DemandParams, settings: Settings) -> Demand:
 
 
 def _controller_demand(values: methods.ControllerParams, settings: Settings) -> ControllerDemand:
-    speed_rpm, power_w = values.speed_limit_rpm, values.power_limit_w
-    return ControllerDemand(
-        throttle_pct=values.throttle_pct,
-        throttle_track2_pct=values.throttle_track2_pct,
-        brake_pct=values.brake_pct,
-        power_mode=PowerMode[values.power_mode.upper()],
-        motor_reverse=values.motor_reverse,
-        regen_brake=values.regen_brake,
-        speed_limit_rpm=settings.speed_limit_max_rpm if speed_rpm is None else speed_rpm,
-        power_limit_w=POWER_LIMIT_HIGHEST_W if power_w is None else power_w,
-    )
+    given = {
+        "speed_limit_rpm": settings.speed_limit_max_rpm,
+        **values.model_dump(exclude_none=True),
+    }
+    return ControllerDemand(**given | {"power_mode": PowerMode[values.power_mode.upper()]})
 
 
 def _too_late(demand: Demand, now_ns: int) -> str:

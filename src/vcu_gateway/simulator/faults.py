@@ -32,37 +32,25 @@ Report = Callable[[str], None]
 
 
 def whole(frame: NodeFrame) -> Iterable[NodeFrame]:
-    """The frame unchanged."""
     return (frame,)
 
 
-def lost(frame: NodeFrame) -> Iterable[NodeFrame]:
-    """No frame: it is lost."""
-    del frame
+def lost(_: NodeFrame) -> Iterable[NodeFrame]:
     return ()
 
 
 def doubled(frame: NodeFrame) -> Iterable[NodeFrame]:
-    """The frame twice."""
     return (frame, frame)
 
 
 def delayed(delay_ms: int) -> Transform:
     """The frame, sent later by this delay."""
-
-    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        return (frame._replace(due_ns=frame.due_ns + delay_ms * NS_PER_MS),)
-
-    return transform
+    return lambda frame: (frame._replace(due_ns=frame.due_ns + delay_ms * NS_PER_MS),)
 
 
 def shortened(length_bytes: int) -> Transform:
     """The frame, cut to this number of bytes."""
-
-    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        return (frame._replace(data=frame.data[:length_bytes]),)
-
-    return transform
+    return lambda frame: (frame._replace(data=frame.data[:length_bytes]),)
 
 
 def corrupted(flip_bits: int, seed: int) -> Transform:
@@ -72,54 +60,64 @@ def corrupted(flip_bits: int, seed: int) -> Transform:
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         bits = len(frame.data) * _BYTE_BITS
         flips = sum(1 << position for position in chance.sample(range(bits), min(flip_bits, bits)))
-        return (frame._replace(data=_bytes(_number(frame.data) ^ flips, len(frame.data))),)
+        return (_with_number(frame, _number(frame.data) ^ flips),)
 
     return transform
 
 
 def overridden(signal: SignalSpec, raw: int) -> Transform:
     """The frame with one signal at this code."""
-    mask = _placed(signal, -1)
-    bits = _placed(signal, raw)
-
-    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        return (_with_bits(frame, mask, bits),)
-
-    return transform
+    return _recoded(signal, lambda _: raw)
 
 
 def frozen(signal: SignalSpec) -> Transform:
     """The frame with one signal frozen at the code of the first frame."""
-    mask = _placed(signal, -1)
-    kept: list[int] = []
-
-    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        if not kept:
-            kept.append(_number(frame.data) & mask)
-        return (_with_bits(frame, mask, kept[0]),)
-
-    return transform
+    kept: dict[str, int] = {}
+    return _recoded(signal, lambda raw: kept.setdefault(signal.name, raw))
 
 
 def shifted(signal: SignalSpec, by: int) -> Transform:
     """The frame with one signal raised by this number of codes, at most to its last code."""
-    mask = _placed(signal, -1)
-
-    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        raw = max(signal.raw_lowest, min(signal.raw_highest, _raw(signal, frame) + by))
-        return (_with_bits(frame, mask, _placed(signal, raw)),)
-
-    return transform
+    return _recoded(signal, lambda raw: max(signal.raw_lowest, min(signal.raw_highest, raw + by)))
 
 
 def negated(signal: SignalSpec) -> Transform:
     """The frame with one signal negated, in two's complement."""
+    return _recoded(signal, lambda raw: -raw)
+
+
+def _recoded(signal: SignalSpec, code_of: Callable[[int], int]) -> Transform:
+    """The frame with one signal at another code, by the code that it has."""
     mask = _placed(signal, -1)
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        return (_with_bits(frame, mask, _placed(signal, -_raw(signal, frame))),)
+        number = _number(frame.data)
+        bits = _placed(signal, code_of(_raw(signal, number)))
+        return (_with_number(frame, number & ~mask | bits),)
 
     return transform
+
+
+def _number(data: bytes) -> int:
+    return int.from_bytes(data, "little")
+
+
+def _with_number(frame: NodeFrame, number: int) -> NodeFrame:
+    """The frame with these bits, as far as it is long."""
+    length = len(frame.data)
+    data = (number & (1 << length * _BYTE_BITS) - 1).to_bytes(length, "little")
+    return frame._replace(data=data)
+
+
+def _placed(signal: SignalSpec, raw: int) -> int:
+    """The bits of a code where the signal has them in the frame; -1 is all of them."""
+    return sum((raw >> i & 1) << bit for i, bit in enumerate(signal.bit_positions()))
+
+
+def _raw(signal: SignalSpec, number: int) -> int:
+    """The code of a signal in a frame of these bits."""
+    raw = sum((number >> bit & 1) << i for i, bit in enumerate(signal.bit_positions()))
+    return raw - (1 << signal.length_bits) if raw > signal.raw_highest else raw
 
 
 # To which frames.
@@ -145,7 +143,7 @@ def _random(seed: int) -> random.Random:
 # What may happen to the controllers.
 
 
-def untouched(vehicle: Vehicle, broken: bool) -> None:
+def untouched(_vehicle: Vehicle, _broken: bool) -> None:
     """The vehicle unchanged."""
 
 
@@ -235,30 +233,3 @@ class FaultInterval:
         """Frames sent in place of a due frame while the fault lasts."""
         lasts = self._begin_ns <= frame.due_ns < self._end_ns
         return self._fault.transform(frame) if lasts else (frame,)
-
-
-def _number(data: bytes) -> int:
-    return int.from_bytes(data, "little")
-
-
-def _bytes(number: int, length: int) -> bytes:
-    """The lowest `length` bytes of a number."""
-    return (number & (1 << length * _BYTE_BITS) - 1).to_bytes(length, "little")
-
-
-def _placed(signal: SignalSpec, raw: int) -> int:
-    """The bits of a code where the signal has them in the frame; -1 is all of them."""
-    return sum((raw >> i & 1) << bit for i, bit in enumerate(signal.bit_positions()))
-
-
-def _raw(signal: SignalSpec, frame: NodeFrame) -> int:
-    """The code of a signal in this frame."""
-    number = _number(frame.data)
-    bits = enumerate(signal.bit_positions())
-    raw = sum((number >> bit & 1) << i for i, bit in bits)
-    return raw - (1 << signal.length_bits) if raw > signal.raw_highest else raw
-
-
-def _with_bits(frame: NodeFrame, mask: int, bits: int) -> NodeFrame:
-    number = _number(frame.data) & ~mask | bits
-    return frame._replace(data=_bytes(number, len(frame.data)))

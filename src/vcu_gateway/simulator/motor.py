@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
+from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import PowerMode
 
 COMMAND_TIMEOUT_NS = 500_000_000
@@ -43,23 +43,7 @@ _VOLTAGE_LEVELS_V = (50.0, 56.0, 86.0, 92.0)
 _RAD_S_PER_RPM = math.pi / 30
 
 
-class MotorCommand(NamedTuple):
-    """Command to a controller; the defaults make no torque.
-
-    throttle_pct and brake_pct 0..100, speed_limit_rpm and power_limit_w 0 and up.
-    """
-
-    power_mode: PowerMode = PowerMode.SAFETY
-    reverse: bool = False
-    regen_brake: bool = False
-    power_cut: bool = False
-    throttle_pct: float = 0.0
-    brake_pct: float = 0.0
-    speed_limit_rpm: float = 0.0
-    power_limit_w: float = 0.0
-
-
-def order_of(values: Mapping[str, float]) -> MotorCommand:
+def order_of(values: Mapping[str, float]) -> Command:
     """The order in a command's physical values, by the protocol's signal names.
 
     Whatever is missing, not a number or unknown makes no torque.
@@ -69,9 +53,9 @@ def order_of(values: Mapping[str, float]) -> MotorCommand:
         return min(highest, max(0.0, values.get(name, 0.0)))
 
     mode = values.get("PowerMode")
-    return MotorCommand(
+    return Command(
         power_mode=next((known for known in PowerMode if known == mode), PowerMode.SAFETY),
-        reverse=values.get("MotorReverse") == 1,
+        motor_reverse=values.get("MotorReverse") == 1,
         regen_brake=values.get("RegenBrake") == 1,
         power_cut=values.get("PowerCut", 1) != 0,
         throttle_pct=at_most("Throttle", 100.0),
@@ -95,7 +79,7 @@ class Motor:
     """
 
     def __init__(self, ambient_c: float) -> None:
-        self.order = MotorCommand()
+        self.order = Command()
         self.speed_rpm = 0.0
         self.torque_nm = 0.0
         self.power_w = 0.0
@@ -104,10 +88,10 @@ class Motor:
         self.ignores_commands = False
         self.turned_round = False
         self._ambient_c = ambient_c
-        self._received = MotorCommand()
+        self._received = Command()
         self._received_ns: int | None = None
 
-    def command(self, order: MotorCommand, now_ns: int) -> None:
+    def command(self, order: Command, now_ns: int) -> None:
         """Take an order; it counts from the next step on."""
         self._received, self._received_ns = order, now_ns
 
@@ -143,15 +127,15 @@ class Motor:
     def _hotter_than(self, limits_c: Mapping[str, float]) -> bool:
         return self.controller_c > limits_c["controller"] or self.motor_c > limits_c["motor"]
 
-    def _obeyed(self, now_ns: int) -> MotorCommand:
+    def _obeyed(self, now_ns: int) -> Command:
         """The order as far as the time-out and the temperatures let it pass."""
         if self.ignores_commands:
             return self.order
         received = self._received
         if self.turned_round:
-            received = received._replace(reverse=not received.reverse)
+            received = received._replace(motor_reverse=not received.motor_reverse)
         if self._received_ns is None or now_ns - self._received_ns > COMMAND_TIMEOUT_NS:
-            return MotorCommand(reverse=received.reverse)
+            return Command(motor_reverse=received.motor_reverse)
         level = self.temperature_protect_level
         if level == 1 and received.power_mode is PowerMode.TURBO:
             return received._replace(power_mode=PowerMode.NORMAL)
@@ -169,7 +153,7 @@ class Motor:
         room_rpm = min(order.speed_limit_rpm, _TOP_SPEED_RPM) - abs(rpm)
         fade = max(0.0, min(1.0, room_rpm / _SPEED_BAND_RPM))
         torque_nm = min(asked_nm, _torque_for_power_nm(power_w, abs(rpm))) * fade
-        return -torque_nm if order.reverse else torque_nm
+        return -torque_nm if order.motor_reverse else torque_nm
 
     def _warm(self, loss_w: float, dt_s: float) -> None:
         for_motor_w = loss_w * _MOTOR_HEAT_SHARE

@@ -186,9 +186,8 @@ def _senders(codec: Codec, known: Mapping[str, Source]) -> dict[str, _Sender]:
     }
 
 
-def _nearest_to_0(count: int) -> Mapping[str, float]:
+def _nearest_to_0(_: int) -> Mapping[str, float]:
     """Values of a message that the vehicle does not model: each signal's nearest to 0."""
-    del count
     return {}
 
 

@@ -42,8 +42,7 @@ def sources(vehicle: Vehicle, noise: random.Random) -> Mapping[str, Source]:
     return sources
 
 
-def _steering_wheel(vehicle: Vehicle, noise: random.Random, count: int) -> Values:
-    del count
+def _steering_wheel(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
     return {
         "SteeringAngle": vehicle.steering_deg + noise.gauss(0, _STEERING_NOISE_DEG),
         "WheelSpeedFL": _wheel_speed_km_h(vehicle.left_speed_m_s, noise),
@@ -75,8 +74,7 @@ def _bms_status(vehicle: Vehicle, noise: random.Random, count: int) -> Values:
     }
 
 
-def _bms_temperatures(vehicle: Vehicle, count: int) -> Values:
-    del count
+def _bms_temperatures(vehicle: Vehicle, _: int) -> Values:
     middle_c = vehicle.battery.temperature_c
     return {
         f"PackTemperature{number}": middle_c + offset_k
@@ -84,40 +82,45 @@ def _bms_temperatures(vehicle: Vehicle, count: int) -> Values:
     }
 
 
-def _acceleration(vehicle: Vehicle, noise: random.Random, count: int) -> Values:
-    del count
-    return {
-        "AccelerationX": vehicle.acceleration_m_s2 + noise.gauss(0, _ACCELERATION_NOISE_M_S2),
-        "AccelerationY": vehicle.lateral_acceleration_m_s2
-        + noise.gauss(0, _ACCELERATION_NOISE_M_S2),
-        "AccelerationZ": _GRAVITY_M_S2 + noise.gauss(0, _ACCELERATION_NOISE_M_S2),
-    }
+def _acceleration(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
+    return _noisy(
+        noise,
+        _ACCELERATION_NOISE_M_S2,
+        AccelerationX=vehicle.acceleration_m_s2,
+        AccelerationY=vehicle.lateral_acceleration_m_s2,
+        AccelerationZ=_GRAVITY_M_S2,
+    )
 
 
-def _angular_rate(vehicle: Vehicle, noise: random.Random, count: int) -> Values:
-    del count
-    return {
-        "AngularRateX": vehicle.roll_rate_deg_s + noise.gauss(0, _ANGULAR_RATE_NOISE_DEG_S),
-        "AngularRateY": vehicle.pitch_rate_deg_s + noise.gauss(0, _ANGULAR_RATE_NOISE_DEG_S),
-        "AngularRateZ": vehicle.yaw_rate_deg_s + noise.gauss(0, _ANGULAR_RATE_NOISE_DEG_S),
-    }
+def _angular_rate(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
+    return _noisy(
+        noise,
+        _ANGULAR_RATE_NOISE_DEG_S,
+        AngularRateX=vehicle.roll_rate_deg_s,
+        AngularRateY=vehicle.pitch_rate_deg_s,
+        AngularRateZ=vehicle.yaw_rate_deg_s,
+    )
 
 
-def _attitude(vehicle: Vehicle, noise: random.Random, count: int) -> Values:
-    del count
-    return {
-        "AttitudeX": vehicle.roll_deg + noise.gauss(0, _ATTITUDE_NOISE_DEG),
-        "AttitudeY": vehicle.pitch_deg + noise.gauss(0, _ATTITUDE_NOISE_DEG),
-        "AttitudeZ": vehicle.heading_deg + noise.gauss(0, _ATTITUDE_NOISE_DEG),
-    }
+def _attitude(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
+    return _noisy(
+        noise,
+        _ATTITUDE_NOISE_DEG,
+        AttitudeX=vehicle.roll_deg,
+        AttitudeY=vehicle.pitch_deg,
+        AttitudeZ=vehicle.heading_deg,
+    )
 
 
-def _status1(vehicle: Vehicle, controller: str, count: int) -> Values:
-    del count
+def _noisy(noise: random.Random, deviation: float, **values: float) -> Values:
+    return {name: value + noise.gauss(0, deviation) for name, value in values.items()}
+
+
+def _status1(vehicle: Vehicle, controller: str, _: int) -> Values:
     motor = vehicle.motors[controller]
     return {
         "PowerMode": motor.order.power_mode,
-        "MotorReverse": motor.order.reverse,
+        "MotorReverse": motor.order.motor_reverse,
         "RegenBrake": motor.order.regen_brake,
         "PowerCut": motor.order.power_cut,
         "Throttle": motor.order.throttle_pct,
@@ -132,9 +135,8 @@ def _status1(vehicle: Vehicle, controller: str, count: int) -> Values:
     }
 
 
-def _status2(vehicle: Vehicle, controller: str, count: int) -> Values:
+def _status2(vehicle: Vehicle, controller: str, _: int) -> Values:
     """BatteryCurrent is positive while the motor draws, negative while it regenerates."""
-    del count
     motor = vehicle.motors[controller]
     voltage_v = vehicle.battery.voltage_v
     return {

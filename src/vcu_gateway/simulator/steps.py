@@ -35,10 +35,6 @@ class Step(Section):
     fault: str
 
     def broken(self, codec: Codec) -> Fault:
-        """The fault itself."""
-        return self._fault(codec)
-
-    def _fault(self, codec: Codec) -> Fault:
         raise NotImplementedError
 
     def sentence(self) -> str:
@@ -54,7 +50,7 @@ class _FrameStep(Step):
     share_pct: float = Field(default=100.0, ge=0, le=100, description="How many of the frames.")
     seed: int = Field(default=0, description="Of the chance.")
 
-    def _fault(self, codec: Codec) -> Fault:
+    def broken(self, codec: Codec) -> Fault:
         transform = faults.sometimes(self.share_pct, self.seed, self._transform())
         if self.of is None:
             return Fault(transform)
@@ -153,7 +149,7 @@ class Set(Step):
             raise refusal(f"must be {ends[0]:g} to {ends[1]:g} {spec.unit}".rstrip())
         return value
 
-    def _fault(self, codec: Codec) -> Fault:
+    def broken(self, codec: Codec) -> Fault:
         spec = signal_spec(self.signal, codec.protocol)
         raw = _code(spec, self.value) if self.raw is None and self.value is not None else self.raw
         return _of_signal(self.signal, faults.overridden(spec, raw or 0))
@@ -183,7 +179,7 @@ class Shift(Step):
                 raise refusal(f"must be -{most:g} to {most:g} {spec.unit}".rstrip())
         return by
 
-    def _fault(self, codec: Codec) -> Fault:
+    def broken(self, codec: Codec) -> Fault:
         spec = signal_spec(self.signal, codec.protocol)
         return _of_signal(self.signal, faults.shifted(spec, round(self.by / spec.factor)))
 
@@ -193,7 +189,7 @@ class Freeze(Step):
 
     signal: SignalName = Field(description="MESSAGE.SIGNAL, such as BMS_Status.LifeSignal.")
 
-    def _fault(self, codec: Codec) -> Fault:
+    def broken(self, codec: Codec) -> Fault:
         return _of_signal(self.signal, faults.frozen(signal_spec(self.signal, codec.protocol)))
 
 
@@ -211,7 +207,7 @@ class _ControllerStep(Step):
 class WrongDirection(_ControllerStep):
     """Forwards is reverse and reverse is forwards, and the speed is counted below 0."""
 
-    def _fault(self, codec: Codec) -> Fault:
+    def broken(self, codec: Codec) -> Fault:
         messages = [f"{name}_Status2" for name in self.controllers]
         speed = codec.protocol.message(messages[0]).signal("MotorSpeed")
         return Fault(
@@ -226,8 +222,7 @@ class IgnoreCommands(_ControllerStep):
         default=None, ge=0, le=100, description="Of the order obeyed; without it, as it was."
     )
 
-    def _fault(self, codec: Codec) -> Fault:
-        del codec
+    def broken(self, _: Codec) -> Fault:
         return Fault(change=faults.ignoring(self.controllers, self.throttle_pct))
 
 
@@ -238,7 +233,7 @@ class ForeignSender(Step):
     period_ms: int = Field(default=50, ge=1, le=60_000, description="Between two frames.")
     throttle_pct: float = Field(default=0.0, ge=0, le=100, description="What it asks for.")
 
-    def _fault(self, codec: Codec) -> Fault:
+    def broken(self, codec: Codec) -> Fault:
         command = codec.by_name[message_name(self.controller)]
         values = {"PowerMode": PowerMode.NORMAL, "Throttle": self.throttle_pct}
         limits = {"SpeedLimit": SPEED_LIMIT_HIGHEST_RPM, "PowerLimit": POWER_LIMIT_HIGHEST_W}

@@ -115,8 +115,7 @@ class _Reader:
             what = f"aliases (*{event.anchor}) are not read here"
             raise _NotReadableError(what, "write the value out", _line(event))
         if event.tag is not None:
-            what = "tags such as !!str are not read here"
-            self.findings.append(FileProblem(path, what, "remove the tag", _line(event)))
+            self._find(path, "tags such as !!str are not read here", event, "remove the tag")
         if isinstance(event, yaml.ScalarEvent):
             return self._scalar(event, path)
         if len(path) >= _MAX_DEPTH:
@@ -128,9 +127,7 @@ class _Reader:
         text: str = event.value
         hidden = next((character for character in text if not character.isprintable()), None)
         if hidden is not None:
-            self.findings.append(
-                FileProblem(path, f"holds {_code_point(hidden)}", "", _line(event))
-            )
+            self._find(path, f"holds {_code_point(hidden)}", event)
         return text if event.style else plain(text)
 
     def _mapping(self, path: Path) -> dict[str | int, Any]:
@@ -145,22 +142,22 @@ class _Reader:
         return content
 
     def _is_new_key(self, key: Any, path: Path, content: dict[str | int, Any], event: Any) -> bool:
-        line = _line(event)
         if isinstance(key, bool) or not isinstance(key, str | int):
-            what = f"a key must be a word or a whole number, not {shown(key)}"
-            self.findings.append(FileProblem(path, what, "", line))
+            self._find(path, f"a key must be a word or a whole number, not {shown(key)}", event)
             return False
         if isinstance(key, str) and not key.isprintable():
             return False  # a finding already
         if key in content:
             at = (*path, key)
             what = f"duplicate key, first defined in line {self.lines.line(at)}"
-            self.findings.append(FileProblem(at, what, "remove one of them", line))
+            self._find(at, what, event, "remove one of them")
             return False
         return True
 
+    def _find(self, path: Path, what: str, event: Any, remedy: str = "") -> None:
+        self.findings.append(FileProblem(path, what, remedy, _line(event)))
+
     def _skip(self) -> None:
-        """Pass over one value."""
         depth = 0
         while True:
             event = next(self._events)

@@ -6,7 +6,7 @@ from typing import Any
 from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.api.methods import METHODS
 
-BEGIN, END = "<!-- generated: scripts/api-page -->\n", "<!-- end of what is generated -->\n"
+BEGIN, END = "<!-- generated: scripts/documents -->\n", "<!-- end of what is generated -->\n"
 
 _PARAMS_MODELS = {method.params.__name__ for method in METHODS.values()}
 """Described with their methods, so not again among the types."""
@@ -31,25 +31,29 @@ _ERRORS: Mapping[ErrorCode, str] = {
 }
 
 
-def page(document: Mapping[str, Any]) -> str:
-    """Markdown, from BEGIN to END."""
-    types = {
-        name: schema
-        for name, schema in document["components"]["schemas"].items()
-        if name not in _PARAMS_MODELS
-    }
-    lines = [BEGIN, "\n## Methods\n"]
+def within(text: str, document: Mapping[str, Any]) -> str:
+    """The page with its generated part, from BEGIN to END, made from this document."""
+    before, after = text.partition(BEGIN)[0], text.partition(END)[2]
+    return "".join([before, *_lines(document), after])
+
+
+def _lines(document: Mapping[str, Any]) -> Iterator[str]:
+    yield BEGIN
+    yield "\n## Methods\n"
     for method in document["methods"]:
-        lines += _method(method)
+        yield from _method(method)
     for notification in document["x-notifications"]:
-        lines += [f"\n### Notification `{notification['name']}`\n"]
-        lines += [f"\n{notification['summary']} Parameters: {_type(notification['schema'])}.\n"]
-    lines += ["\n## Errors\n", "\n| code | word | meaning |\n| --- | --- | --- |\n"]
-    lines += [f"| {code.value} | `{code.name.lower()}` | {_ERRORS[code]} |\n" for code in ErrorCode]
-    lines += ["\n## Types\n"]
-    for name, schema in types.items():
-        lines += _named_type(name, schema)
-    return "".join([*lines, "\n", END])
+        yield f"\n### Notification `{notification['name']}`\n"
+        yield f"\n{notification['summary']} Parameters: {_type(notification['schema'])}.\n"
+    yield "\n## Errors\n\n| code | word | meaning |\n| --- | --- | --- |\n"
+    for code in ErrorCode:
+        yield f"| {code.value} | `{code.name.lower()}` | {_ERRORS[code]} |\n"
+    yield "\n## Types\n"
+    for name, schema in document["components"]["schemas"].items():
+        if name not in _PARAMS_MODELS:
+            yield from _named_type(name, schema)
+    yield "\n"
+    yield END
 
 
 def _method(method: Mapping[str, Any]) -> Iterator[str]:

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
-from vcu_gateway.protocol.definition import Definition, MessageNote, SignalNote
+from vcu_gateway.protocol.definition import Definition
+from vcu_gateway.protocol.definition_model import DefinitionFile, MessageRow, SignalRow
 
 _MAY_CHANGE = (
     (
@@ -60,34 +61,36 @@ def write(definition: Definition) -> str:
 
 
 def _lines(definition: Definition) -> Iterator[str]:
-    spec = definition.spec
+    file, spec, rows = definition
     yield "# The vehicle's CAN protocol"
     yield ""
-    yield "Generated from `dbc/vcu.yaml` by `vcu-gateway dbc`; edit that file, not this page."
-    yield from _source(definition)
-    yield from _bus(definition)
+    yield (
+        "Generated from `dbc/vcu.yaml` by `python -m scripts.documents`; edit that file, not this "
+        "page."
+    )
+    yield from _source(file)
+    yield from _bus(file)
     yield from _identifiers(spec)
     yield from ("", "## Nodes", "", "| node | address | |", "| --- | --- | --- |")
     for name, address in spec.nodes.items():
-        yield _row(name, f"0x{address:02X} ({address})", definition.node_comments[name])
+        yield _row(name, f"0x{address:02X} ({address})", file.nodes[name].comment)
     yield from ("", "## Messages", "")
     yield _how_to_read(spec)
-    for reading in definition.readings:
+    for reading in file.readings:
         yield from ("", reading)
     yield ""
     yield "| message | identifier | in the source | priority | PGN | from → to | period ms |"
     yield "| --- | --- | --- | --- | --- | --- | --- |"
     for message in spec.messages:
-        yield _message_row(message, definition.notes[message.name])
+        yield _message_row(message, *rows[message.name])
     if spec.aliases:
         yield ""
-        for can_id, name in spec.aliases.items():
-            comment = definition.alias_comments[can_id]
-            yield f"0x{can_id:08X} is received as {name}: {comment}."
+        for alias in file.aliases:
+            yield f"0x{alias.id:08X} is received as {alias.message}: {alias.comment}."
     for message in spec.messages:
-        yield from _message_section(message, definition.notes[message.name])
+        yield from _message_section(message, rows[message.name][0], file)
     yield from ("", "## Errata and decisions", "")
-    for number, (title, decision) in definition.errata.items():
+    for number, (title, decision) in file.errata.items():
         yield f'- <a id="{number.lower()}"></a>**{number} {title}.** {decision}'
     yield from _own_definition()
 
@@ -97,9 +100,10 @@ def _own_definition() -> Iterator[str]:
     yield from ("", "## What your own definition may change", "")
     yield (
         "For a vehicle whose devices differ, change `dbc/vcu.yaml` in the source tree "
-        "and run `vcu-gateway dbc`: it makes the DBC and this page, and refuses by file"
-        " and line what the gateway cannot run with. `demo`, `run`, `check-config` and "
-        "`doctor` refuse a DBC for the same reasons (`protocol/requirements.py`)."
+        "and run `vcu-gateway dbc` and `python -m scripts.documents`: they make the DBC, its "
+        "module and this page, and refuse by file and line what the gateway cannot run with. "
+        "`demo`, `run`, `check-config` and `doctor` refuse a DBC for the same reasons "
+        "(`protocol/requirements.py`)."
     )
     yield from ("", "| | may change | must stay |", "| --- | --- | --- |")
     for cells in _MAY_CHANGE:
@@ -120,23 +124,23 @@ def _own_definition() -> Iterator[str]:
     )
 
 
-def _source(definition: Definition) -> Iterator[str]:
+def _source(file: DefinitionFile) -> Iterator[str]:
     """Where the page comes from, and what counts where that is in doubt."""
     yield ""
     yield (
-        f"Source: {definition.source}. This page is the specification: the reading of the source "
+        f"Source: {file.source}. This page is the specification: the reading of the source "
         "that the gateway implements. Where the source contradicts itself or is silent, "
         "[Errata and decisions](#errata-and-decisions) says what was decided and why. Where the "
         "source is found to say otherwise than this page, the source wins."
     )
 
 
-def _bus(definition: Definition) -> Iterator[str]:
+def _bus(file: DefinitionFile) -> Iterator[str]:
     yield from ("", "## Bus", "")
     yield (
         "CAN 2.0B, classic CAN in the manner of J1939: 29-bit extended identifiers, 8 data bytes. "
         "The bit rate is not in the source, it is configuration: "
-        f"{definition.bit_rate_default_bit_s // 1000} kbit/s by default; J1939-11 has 250."
+        f"{file.bit_rate_default_bit_s // 1000} kbit/s by default; J1939-11 has 250."
     )
 
 
@@ -182,12 +186,12 @@ def _row(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _message_row(message: MessageSpec, note: MessageNote) -> str:
+def _message_row(message: MessageSpec, row: MessageRow, node: str) -> str:
     identifier = j1939.parse(message.can_id)
     return _row(
         f"[{message.name}](#{message.name.lower()})",
         f"0x{message.can_id:08X}",
-        note.source_id or "the same",
+        row.source_ids.get(node, row.source_id) or "the same",
         str(identifier.priority),
         f"{identifier.pgn} (0x{identifier.pgn:05X})",
         f"{message.sender} → {', '.join(message.receivers)}",
@@ -195,30 +199,33 @@ def _message_row(message: MessageSpec, note: MessageNote) -> str:
     )
 
 
-def _message_section(message: MessageSpec, note: MessageNote) -> Iterator[str]:
+def _message_section(message: MessageSpec, row: MessageRow, file: DefinitionFile) -> Iterator[str]:
     yield from ("", f"## {message.name}", "")
-    if texts := [text for text in (message.comment, note.note) if text]:
+    if texts := [text for text in (message.comment, row.note) if text]:
         yield from (" ".join(f"{text}." for text in texts), "")
     yield "| signal | bits | factor | offset | unit | range | in the source | meaning |"
     yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
+    rows = dict(row.signals)
+    for group in row.use:
+        rows |= file.signal_groups[group]
     for signal in message.signals:
-        yield _signal_row(signal, note.signals[signal.name])
-    for bits, why in note.reserved.items():
+        yield _signal_row(signal, rows[signal.name])
+    for bits, why in row.reserved.items():
         yield _row("(reserved)", bits, "", "", "", "", "", why)
 
 
-def _signal_row(signal: SignalSpec, note: SignalNote) -> str:
+def _signal_row(signal: SignalSpec, row: SignalRow) -> str:
     signedness = " signed" if signal.signed else ""
-    meaning = [f"{code} {signal.names[code]}: {text}" for code, text in note.meanings.items()]
-    extra = signal.comment.removeprefix(note.source_term).removeprefix("; ")
+    meaning = [f"{code} {name}: {text}" for code, (name, text) in row.values.items()]
+    extra = signal.comment.removeprefix(row.source_term).removeprefix("; ")
     return _row(
         signal.name,
-        note.bits + signedness,
+        row.bits + signedness,
         _number(signal.factor),
         _number(signal.offset),
         signal.unit,
         f"{_number(signal.minimum)}…{_number(signal.maximum)}",
-        note.source_term,
+        row.source_term,
         "<br>".join([*meaning, *([extra] if extra else [])]),
     )
 
