@@ -17,6 +17,7 @@ from vcu_gateway.drive.checkpoint import StateError
 from vcu_gateway.drive.reader import Drive, open_drive
 from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.judge import DriveVerdict
 from vcu_gateway.recordings import RecordingPath, check_recording
 from vcu_gateway.recordings.check import RecordingState
 from vcu_gateway.replay import drive_records, equality_text, what_if_text
@@ -28,7 +29,6 @@ from vcu_gateway.replay.open_loop import OpenLoop
 from vcu_gateway.replay.series import CommandSeries
 from vcu_gateway.replay.tables import counted
 from vcu_gateway.replay.time_of_day import TimeOfDay
-from vcu_gateway.replay.verdict import DriveVerdict
 from vcu_gateway.replay.what_if_values import what_if_values
 from vcu_gateway.strict_yaml import file_text
 

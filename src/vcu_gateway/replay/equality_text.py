@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
+from vcu_gateway.judge import DriveVerdict
 from vcu_gateway.replay.equality import Difference, Equality, NotReplayed
 from vcu_gateway.replay.tables import counted, duration, number, table
 from vcu_gateway.replay.time_of_day import TimeOfDay
-from vcu_gateway.replay.verdict import DriveVerdict
 from vcu_gateway.units import NS_PER_S
 
 _MOST_FIELDS = 12
