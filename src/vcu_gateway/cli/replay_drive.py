@@ -22,11 +22,11 @@ from vcu_gateway.recordings import RecordingPath, check_recording
 from vcu_gateway.recordings.check import RecordingState
 from vcu_gateway.replay import drive_records, equality_text, what_if_text
 from vcu_gateway.replay.closed_loop import ClosedLoop
+from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
 from vcu_gateway.replay.given_settings import GivenConfiguration, given
 from vcu_gateway.replay.judged import JudgedRecords
 from vcu_gateway.replay.open_loop import OpenLoop
-from vcu_gateway.replay.series import CommandSeries
 from vcu_gateway.replay.tables import counted
 from vcu_gateway.replay.time_of_day import TimeOfDay
 from vcu_gateway.replay.what_if_values import what_if_values

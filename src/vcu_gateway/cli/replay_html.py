@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from vcu_gateway.cli.replay_options import ReplayOptions
 from vcu_gateway.export.html_report import Overlay, write_report
 from vcu_gateway.export.output import written_text
-from vcu_gateway.replay.series import CommandSeries
+from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.time_of_day import TimeOfDay
 from vcu_gateway.replay.what_if import WhatIfResult
 from vcu_gateway.replay.what_if_text import command_table

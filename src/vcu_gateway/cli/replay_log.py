@@ -16,10 +16,10 @@ from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.recording import RecordedFrame, Recording, open_recording
 from vcu_gateway.replay import what_if_text
+from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.drive_records import with_aliases
 from vcu_gateway.replay.given_settings import given
 from vcu_gateway.replay.log_records import LogReplay
-from vcu_gateway.replay.series import CommandSeries
 from vcu_gateway.replay.time_of_day import TimeOfDay
 from vcu_gateway.replay.what_if_values import timeline_values, what_if_values
 from vcu_gateway.strict_yaml import file_text

@@ -30,7 +30,7 @@ from vcu_gateway.drive.records import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.replay.command_fields import CommandFields
+from vcu_gateway.replay.commands import CommandFields, answer_text
 
 BUGS = (
     ArithmeticError,
@@ -186,7 +186,7 @@ class EqualityCheck:
             self._compared["answers"] += 1
             if answer != record.answer:
                 what = type(one).__name__.removesuffix("Input").lower()
-                self._differs(f"answer to {what}", _told(record.answer), _told(answer))
+                self._differs(f"answer to {what}", answer_text(record.answer), answer_text(answer))
 
     def _begin_tick(self, now_ns: int) -> None:
         self._end_tick()
@@ -310,10 +310,6 @@ class EqualityCheck:
 
 def _is_sent(record: FrameRun | CoreRecord) -> bool:
     return isinstance(record, InputRecord) and isinstance(record.input, SentInput)
-
-
-def _told(answer: RequestResult) -> str:
-    return "granted" if answer.granted else f"refused: {answer.sentence}"
 
 
 def _events(events: tuple[Event, ...]) -> list[str]:

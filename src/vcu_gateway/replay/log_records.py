@@ -16,8 +16,7 @@ from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.recording.recorded import RecordedFrame
-from vcu_gateway.replay.series import CommandSeries
-from vcu_gateway.replay.told_commands import ToldCommands
+from vcu_gateway.replay.commands import CommandSeries, RecordedCommands
 from vcu_gateway.replay.what_if import WhatIf
 
 _LONGEST_PAUSE_NS = 60_000_000_000
@@ -58,7 +57,7 @@ class LogReplay:
         self.pauses: list[tuple[int, int]] = []
         self._codec = codec
         self._series = series
-        self._told = ToldCommands(codec)
+        self._told = RecordedCommands(codec)
         self._settings = (before,) if after is None else (before, after)
         self._period_ns = before.period_ns
         self._own = {codec.by_name[message_name(name)].spec.can_id: name for name in CONTROLLERS}

@@ -18,7 +18,7 @@ from vcu_gateway.core.events import Event
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.cause_spans import CauseKey, CauseSpan
-from vcu_gateway.replay.command_fields import CommandFields, FieldChange
+from vcu_gateway.replay.commands import CommandFields, FieldChange, answer_text
 from vcu_gateway.replay.timelines import DriveEnd, Timeline
 
 _MOST_ANSWERS = 200
@@ -168,7 +168,9 @@ class WhatIf:
             return
         self._answer_counts[request] += 1
         if len(self._answers) < _MOST_ANSWERS:
-            self._answers.append(AnswerChange(now_ns, request, told(before), told(after)))
+            self._answers.append(
+                AnswerChange(now_ns, request, answer_text(before), answer_text(after))
+            )
 
     def _note(self, change: FieldChange, now_ns: int) -> None:
         key, values = (change.controller, change.field), (change.before, change.after)
@@ -203,11 +205,6 @@ class WhatIf:
             before=before,
             after=after,
         )
-
-
-def told(answer: RequestResult) -> str:
-    """An answer in words."""
-    return "granted" if answer.granted else f"refused: {answer.sentence}"
 
 
 def _alone(stops: list[DriveEnd], others: list[DriveEnd]) -> tuple[DriveEnd, ...]:
