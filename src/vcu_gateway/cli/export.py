@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.recording_names import recording_path
 from vcu_gateway.errors import did_you_mean
 from vcu_gateway.export import formats
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import ReadOptions, Source, read, title
+from vcu_gateway.recordings.names import recording_path
 from vcu_gateway.time_window import Moment, Window, moment
 
 _HELP = """Write the recording NAME in a format that other programs read.

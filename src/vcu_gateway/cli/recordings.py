@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from vcu_gateway.cli import recordings_text as text
-from vcu_gateway.cli.recording_names import DEFAULT_FOLDER
 from vcu_gateway.drive_format.layout import plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import MissingInputError, Problem
@@ -23,6 +22,7 @@ from vcu_gateway.recordings import (
     remove_recording,
     summarise,
 )
+from vcu_gateway.recordings.names import DEFAULT_FOLDER
 from vcu_gateway.recordings.running_recorder import keep_now, running
 from vcu_gateway.time_window import Moment, Window, moment
 
