@@ -8,11 +8,12 @@ from pathlib import Path
 import click
 
 from vcu_gateway import text
+from vcu_gateway.cli.options import moment_of
 from vcu_gateway.recordings.names import recorded_path
 from vcu_gateway.replay.configuration import Changes
 from vcu_gateway.replay.drive_replay import replay_drive
 from vcu_gateway.replay.log_replay import replay_log
-from vcu_gateway.time_window import Moment, Window, moment
+from vcu_gateway.time_window import Window
 
 _HELP = """Decide a recorded drive again: is it the same to the byte, and what if?
 
@@ -91,7 +92,7 @@ def command(
 ) -> None:
     """Replay, print, and exit with what was found."""
     changes = Changes(config_path, assignments)
-    window = Window(_moment(begin, "--from"), _moment(end, "--to"))
+    window = Window(moment_of(begin, "--from"), moment_of(end, "--to"))
     plotted, progress = html_path is not None, text.Progress(wanted=not quiet)
     gc.disable()  # next to no garbage in a replay has cycles, and looking for it takes a tenth
     found = recorded_path(recording)
@@ -119,11 +120,3 @@ def command(
         click.echo(values or "\n".join(report.lines))
     if report.exit_code:
         sys.exit(report.exit_code)
-
-
-def _moment(written: str | None, option: str) -> Moment | None:
-    try:
-        return None if written is None else moment(written)
-    except ValueError:
-        what = f"{written!r} is no time such as 90.5, 12:03:14.150 or 2026-11-23T12:03:14."
-        raise click.BadParameter(what, param_hint=f"'{option}'") from None
