@@ -138,7 +138,7 @@ test-recorder: $(TESTED)
 	$(NEEDS) compiler
 	$(PYTEST) tests/recorder
 
-RECORDED_DATA := $(addprefix tests/,drive drive_format recordings replay export)
+RECORDED_DATA := $(addprefix tests/,drive drive_format judge recordings replay export)
 test-recordings: $(TESTED)  ## what reads, replays and exports recorded drives
 	$(NEEDS) browser export
 	$(PYTEST) $(RECORDED_DATA)

@@ -117,7 +117,7 @@ def _own_definition() -> Iterator[str]:
     yield ""
     yield (
         "The verdict of `replay` and the tests decode by tables of their own, written"
-        " by hand, so that a mistake is not made twice: `replay/verdict/wire.py`, "
+        " by hand, so that a mistake is not made twice: `judge/wire.py`, "
         "`tests/oracle/wire.py` and `tests/protocol/test_dbc.py`. With another "
         "identifier, place or scaling change them as well. Until then tests fail, and "
         "the verdict judges a drive as if nothing had changed."

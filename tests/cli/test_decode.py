@@ -22,7 +22,7 @@ import can
 import pytest
 from click.testing import CliRunner
 
-from vcu_gateway import cli
+from vcu_gateway import cli, text
 from vcu_gateway.cli import decode
 from vcu_gateway.core.codec import Codec, compile_message
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
@@ -756,21 +756,16 @@ def test_a_million_identifiers_are_counted_in_bounded_memory():
 
 
 def test_progress_is_shown_for_a_large_file(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(decode, "_FRAMES_BETWEEN_LOOKS", 10)
-    monkeypatch.setattr(decode, "_PROGRESS_PERIOD_S", -1)
+    monkeypatch.setattr(text, "_LOOK_EVERY", 10)
+    monkeypatch.setattr(text, "_PROGRESS_EVERY_S", -1)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     path = log(tmp_path, *[line(ACCELERATION)] * 1000)
     with open_recording(str(path), print) as recording:
-        assert len(list(decode._with_progress(recording))) == 1000
+        assert len(list(decode._watched(recording))) == 1000
         assert recording.size_bytes == path.stat().st_size
-    shown = capsys.readouterr().err.split("\r")
+    shown = capsys.readouterr().err.split("\r\033[K")
     assert shown[1].startswith(" ")
     assert shown[-2] == "100%, 1000 frames "
-
-
-def test_no_progress_is_shown_where_nobody_looks(tmp_path):
-    with open_recording(str(log(tmp_path, line(ACCELERATION))), print) as recording:
-        assert decode._watched(recording) is recording
-        assert recording.share_read() is not None
 
 
 def test_a_reader_that_leaves_ends_it_quietly(tmp_path):

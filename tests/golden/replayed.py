@@ -23,17 +23,17 @@ class Replayed(NamedTuple):
 
     @property
     def is_equal(self) -> bool:
-        return self.equality is not None and self.equality.equal and not self.equality.gaps
+        return self.equality is not None and self.equality.equal and not self.equality.not_replayed
 
     def lines(self) -> list[str]:
         """Report: how much is different, and the first place; empty where all is equal."""
         if self.equality is None:
             return [f"{self.golden.name}: {self.cannot}"]
-        first, found = self.equality.first, self.equality
+        first, found = self.equality.first_difference, self.equality
         if first is None:
             return []
         at_s = (first.now_ns - self.golden.start_ns) / NS_PER_S
-        fields = sorted(found.counts.items(), key=lambda item: -item[1])[:FIELDS_SHOWN]
+        fields = sorted(found.differences.items(), key=lambda item: -item[1])[:FIELDS_SHOWN]
         counts = ", ".join(f"{name} {count}" for name, count in fields)
         ticks = f"{found.ticks - found.equal_ticks} of {found.ticks} ticks differ"
         return [

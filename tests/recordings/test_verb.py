@@ -63,7 +63,7 @@ def test_the_list_names_drives_and_incidents_with_duration_size_gaps_and_why(dri
     lines = said(drive, "list").stdout.splitlines()
     (of_drive,) = (line for line in lines if drive.name in line)
     assert "2025-11-23 17:46:40" in of_drive
-    assert " 6 s " in of_drive
+    assert " 6.0 s " in of_drive
     assert "1 (7 frames)" in of_drive
     (of_incident,) = (line for line in lines if "fault_latched" in line)
     assert "none" in of_incident

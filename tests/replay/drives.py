@@ -18,7 +18,7 @@ from vcu_gateway.drive.hello import Hello
 from vcu_gateway.drive.tap import Tap, TappedGateway
 from vcu_gateway.drive.writer import DriveWriter
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
-from vcu_gateway.replay.drive_records import with_aliases
+from vcu_gateway.replay.configuration import with_aliases
 from vcu_gateway.simulator.nodes import VehicleFault
 
 MS = 1_000_000

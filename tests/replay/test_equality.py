@@ -11,8 +11,8 @@ import pytest
 
 from tests.replay.drives import SimulatedDrive
 from tests.replay.ran import changed, replay, rewrite
-from vcu_gateway.cli import recording_names
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.recordings import names
 
 
 def core(drive: Path, number: int = 1) -> Path:
@@ -287,7 +287,7 @@ def test_a_time_of_which_there_is_nothing_is_refused(every):
 
 
 def test_a_recording_is_found_by_its_name(every, monkeypatch, tmp_path):
-    monkeypatch.setattr(recording_names, "DEFAULT_FOLDER", tmp_path)
+    monkeypatch.setattr(names, "DEFAULT_FOLDER", tmp_path)
     monkeypatch.chdir("/")
     assert replay("every", "-q").code == 66
     (tmp_path / "drives").mkdir()
@@ -299,11 +299,11 @@ def test_a_recording_is_found_by_its_name(every, monkeypatch, tmp_path):
 def test_who_may_not_look_is_told_which_group_to_join():
     with tempfile.TemporaryDirectory() as name:
         code = (
-            "import os; from pathlib import Path; from vcu_gateway.cli import recording_names;"
+            "import os; from pathlib import Path; from vcu_gateway.recordings import names;"
             "os.setgroups([]); os.setresgid(65534, 65534, 65534);"
             "os.setresuid(65534, 65534, 65534);"
-            f" recording_names.DEFAULT_FOLDER = Path({name!r});"
-            f" recording_names.recording_path('20261123T180412Z-1f3a9c2e')"
+            f" names.DEFAULT_FOLDER = Path({name!r});"
+            f" names.recording_path('20261123T180412Z-1f3a9c2e')"
         )
         done = subprocess.run(
             [sys.executable, "-c", code], cwd="/", capture_output=True, text=True, check=False

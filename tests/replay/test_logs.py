@@ -16,7 +16,7 @@ from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.replay.told_commands import ToldCommands
+from vcu_gateway.replay.commands import RecordedCommands
 
 __all__ = ["export_folder"]
 
@@ -124,7 +124,7 @@ def test_an_empty_log_and_options_that_do_not_fit_are_refused(tmp_path, recorded
 
 
 def test_a_told_command_is_what_the_core_would_have_kept_of_it():
-    told = ToldCommands(CODEC)
+    told = RecordedCommands(CODEC)
     gateway = Gateway(CODEC, Settings(), 0)
     for raw in range(256):
         for first in (0x04, 0x14):

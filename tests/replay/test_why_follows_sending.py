@@ -15,8 +15,8 @@ def test_the_first_frames_of_a_gateway_without_a_vehicle_change_no_later_tick(tm
     for record in open_drive(folder).records():
         check.note(record)
     result = check.result()
-    assert result.equal, result.first
-    assert (result.ticks, result.sentences) == (60, 2)
+    assert result.equal, result.first_difference
+    assert (result.ticks, result.why_sentences) == (60, 2)
 
 
 def test_a_sentence_that_was_left_out_is_a_difference(tmp_path):
@@ -28,6 +28,6 @@ def test_a_sentence_that_was_left_out_is_a_difference(tmp_path):
     check = EqualityCheck(CODEC)
     for record in records[: told[1]] + records[told[1] + 1 :]:
         check.note(record)
-    first = check.result().first
+    first = check.result().first_difference
     assert first is not None
     assert (first.field, first.recorded) == ("why", "nothing")

@@ -5,13 +5,13 @@ import dataclasses
 import io
 import os
 import sys
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TextIO
 
 import click
 
+from vcu_gateway import text
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.errors import (
     DataError,
@@ -52,10 +52,6 @@ bytes, CAN FD. Frames are matched at any priority.
 vcu-gateway decode drive.log | jq -c 'select(.message == "BMS_Status") | .signals.SOC.value'
 candump -L can0 | vcu-gateway decode -
 """
-
-_LARGE_BYTES = 16 * 2**20
-_FRAMES_BETWEEN_LOOKS = 8192
-_PROGRESS_PERIOD_S = 0.5
 
 
 @click.command("decode", help=_HELP)
@@ -117,7 +113,7 @@ def command(
 
 
 def _report(problem: Problem) -> None:
-    click.echo(str(problem), err=True)
+    text.say(str(problem))
 
 
 def _codec(dbc_path: Path | None, *, aliased: bool) -> Codec:
@@ -202,24 +198,15 @@ def _decode(
 
 
 def _watched(recording: Recording) -> Iterable[RecordedFrame]:
-    """The frames, with a line of progress where a person waits for a large file."""
-    if recording.size_bytes < _LARGE_BYTES or not sys.stderr.isatty():
+    """The frames, with a line of progress where a person waits for a file."""
+    if recording.live:
         return recording
-    return _with_progress(recording)
-
-
-def _with_progress(recording: Recording) -> Iterator[RecordedFrame]:
-    shown_s = time.monotonic()
-    for count, recorded in enumerate(recording, 1):
-        if count % _FRAMES_BETWEEN_LOOKS == 0 and time.monotonic() - shown_s > _PROGRESS_PERIOD_S:
-            shown_s = time.monotonic()
-            share = recording.share_read()
-            if share is not None:
-                click.echo(f"\r{share:4.0%}, {count} frames ", nl=False, err=True)
-        yield recorded
-    click.echo("\r\033[K", nl=False, err=True)
+    progress = text.Progress()
+    return progress.over(
+        recording, lambda count: progress.show_frames(recording.share_read(), count)
+    )
 
 
 def _sum_up(summary: Summary, recording: Recording) -> None:
     for line in summary.lines(recording.problems.unreadable):
-        click.echo(line, err=True)
+        text.say(line)

@@ -1,18 +1,17 @@
 """`vcu-gateway export`: a drive, an incident or a log as MF4, CSV, Parquet, MCAP or HTML."""
 
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.recording_names import recording_path
-from vcu_gateway.errors import did_you_mean
+from vcu_gateway import text
+from vcu_gateway.cli.options import moment_of
+from vcu_gateway.errors import Problem, did_you_mean
 from vcu_gateway.export import formats
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import ReadOptions, Source, read, title
-from vcu_gateway.time_window import Moment, Window, moment
+from vcu_gateway.recordings.names import recording_path
+from vcu_gateway.time_window import Window
 
 _HELP = """Write the recording NAME in a format that other programs read.
 
@@ -37,7 +36,6 @@ vcu-gateway export 20261123T180412Z-1f3a9c2e --to html
 vcu-gateway export drive.log --to csv --signals 'PCU1*' --signals SOC -o pcu1.csv
 vcu-gateway export drive.log --to mf4 --from 12:03 --to 12:05
 """
-_PROGRESS_PERIOD_S = 0.5
 
 
 @click.command("export", help=_HELP)
@@ -92,9 +90,14 @@ def command(
     path = _target(output, name, kind)
     formats.check(kind)
     selection = Selection(patterns)
-    options = ReadOptions(window, _report, _progress(), dbc_path, not no_alias)
-    source = read(name, options)
-    _clear_progress()
+    progress = text.Progress()
+
+    def report(problem: Problem) -> None:
+        progress.clear()
+        text.say(str(problem))
+
+    source = read(name, ReadOptions(window, report, progress.show_frames, dbc_path, not no_alias))
+    progress.clear()
     try:
         tables = formats.tables_of(source, selection)
         _check_selection(source, selection)
@@ -102,13 +105,8 @@ def command(
     finally:
         source.store.close()
     for line in source.store.summary.lines(source.unreadable):
-        click.echo(line, err=True)
+        text.say(line)
     click.echo(path)
-
-
-def _report(problem: object) -> None:
-    _clear_progress()
-    click.echo(str(problem), err=True)
 
 
 def _format_and_window(ends: tuple[str, ...], begin: str | None) -> tuple[str, Window]:
@@ -119,20 +117,12 @@ def _format_and_window(ends: tuple[str, ...], begin: str | None) -> tuple[str, W
         known = ", ".join(formats.FORMATS)
         what = f"one format is needed, of {known}, and at most one end. {near}".strip()
         raise click.BadParameter(what, param_hint="'--to'")
-    first = None if begin is None else _moment(begin, "--from")
-    last = _moment(times[0], "--to") if times else None
+    near = did_you_mean(times[0], formats.FORMATS) if times else ""
+    first = moment_of(begin, "--from")
+    last = moment_of(times[0] if times else None, "--to", near)
     if first and last and first.kind == last.kind != "time of day" and first.ns > last.ns:
         raise click.BadParameter(f"{begin} is later than {times[0]}.", param_hint="'--from'")
     return kinds[0], Window(first, last)
-
-
-def _moment(text: str, option: str) -> Moment:
-    try:
-        return moment(text)
-    except ValueError:
-        near = did_you_mean(text, formats.FORMATS) if option == "--to" else ""
-        what = f"{text!r} is no time such as 90.5, 12:03:14.150 or 2026-11-23T12:03:14. {near}"
-        raise click.BadParameter(what.strip(), param_hint=f"'{option}'") from None
 
 
 def _target(output: Path | None, name: str, kind: str) -> Path:
@@ -157,22 +147,3 @@ def _check_selection(source: Source, selection: Selection) -> None:
     near = did_you_mean(unused[0].rpartition(".")[2], known, cutoff=0.5)
     what = f"no signal of this recording is called {unused[0]}; {near or 'see vcu-gateway decode'}"
     raise click.BadParameter(what, param_hint="'--signals'")
-
-
-def _progress() -> Callable[[float | None, int], None]:
-    """Shows a line where a person waits."""
-    shown_s = time.monotonic()
-
-    def show(share: float | None, frames: int) -> None:
-        nonlocal shown_s
-        if sys.stderr.isatty() and time.monotonic() - shown_s > _PROGRESS_PERIOD_S:
-            shown_s = time.monotonic()
-            part = "" if share is None else f"{share:4.0%}, "
-            click.echo(f"\r{part}{frames} frames ", nl=False, err=True)
-
-    return show
-
-
-def _clear_progress() -> None:
-    if sys.stderr.isatty():
-        click.echo("\r\033[K", nl=False, err=True)

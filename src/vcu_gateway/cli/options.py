@@ -7,6 +7,7 @@ import click
 
 from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.protocol import packaged
+from vcu_gateway.time_window import Moment, moment
 
 DEFAULT_CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
 
@@ -34,6 +35,15 @@ def resolve_config(given: Path | None, default: Path = DEFAULT_CONFIG) -> Path:
         f" sudo install -D -m 644 {packaged('gateway.yaml')} {default}"
     )
     raise MissingInputError(Problem("there is no configuration file", str(default), remedy))
+
+
+def moment_of(written: str | None, option: str, hint: str = "") -> Moment | None:
+    """A moment as it was written for this option; BadParameter, with a hint, for what is none."""
+    try:
+        return None if written is None else moment(written)
+    except ValueError:
+        what = f"{written!r} is no time such as 90.5, 12:03:14.150 or 2026-11-23T12:03:14. {hint}"
+        raise click.BadParameter(what.strip(), param_hint=f"'{option}'") from None
 
 
 socket_option = click.option(

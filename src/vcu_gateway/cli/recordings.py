@@ -2,13 +2,13 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
 
-from vcu_gateway.cli import recordings_text as text
-from vcu_gateway.cli.recording_names import DEFAULT_FOLDER
+from vcu_gateway import text
+from vcu_gateway.cli.options import moment_of
 from vcu_gateway.drive_format.layout import plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import MissingInputError, Problem
@@ -16,17 +16,23 @@ from vcu_gateway.recordings import (
     CheckedRecording,
     RecordingFolder,
     RecordingPath,
+    RecordingSummary,
     act_as_owner,
     check_recording,
+    check_text,
     keep_part,
     keep_whole,
     remove_recording,
     summarise,
 )
+from vcu_gateway.recordings.names import DEFAULT_FOLDER
 from vcu_gateway.recordings.running_recorder import keep_now, running
-from vcu_gateway.time_window import Moment, Window, moment
+from vcu_gateway.time_window import Window
 
 _NOW = "now"
+_UNKNOWN = "-"
+_HEAD = ("NAME", "BEGAN (UTC)", "DURATION", "SIZE", "GAPS", "")
+_MOST_FAULTS = 100
 
 folder_option = click.option(
     "--folder",
@@ -63,10 +69,39 @@ def list_command(folder_path: Path, as_json: bool) -> None:
     """List drives and incidents: begin, duration, size, gaps, and why an incident is kept."""
     found = [summarise(recording) for recording in _opened(folder_path).recordings()]
     if as_json:
-        click.echo(json.dumps({"recordings": [text.summary_json(one) for one in found]}))
+        values = [{**one._asdict(), "lost": one.lost and one.lost._asdict()} for one in found]
+        click.echo(json.dumps({"recordings": values}))
         return
-    for line in text.listed(found, str(folder_path)):
+    for line in _listed(found, str(folder_path)):
         click.echo(line)
+
+
+def _listed(found: Sequence[RecordingSummary], folder: str) -> Iterator[str]:
+    """The list: drives, incidents, and what all of it takes."""
+    for kind in ("drive", "incident"):
+        rows = [_row(one) for one in found if one.kind == kind]
+        yield f"{text.counted(len(rows), kind)} in {folder}/{kind}s"
+        if rows:
+            yield from text.table([_HEAD, *rows], indent="  ")
+        yield ""
+    drives_bytes = sum(one.size_bytes for one in found if one.kind == "drive")
+    yield f"{text.size(drives_bytes)} of drives; while a drive is there, its incidents take no room"
+
+
+def _row(one: RecordingSummary) -> tuple[str, ...]:
+    notes = [*one.reasons, *(["being written"] if one.is_written else [])]
+    notes += ["kept"] if one.kept else []
+    gaps = _UNKNOWN if one.lost is None else "none"
+    if one.lost is not None and one.lost.gaps:
+        gaps = f"{one.lost.gaps} ({one.lost.frames} frames)"
+    return (
+        one.name,
+        _UNKNOWN if one.begun_wall_ns is None else text.utc(one.begun_wall_ns),
+        _UNKNOWN if one.duration_s is None else text.duration(one.duration_s * 1000),
+        text.size(one.size_bytes),
+        gaps,
+        "; ".join([*notes, *one.problems]),
+    )
 
 
 @command.command("check")
@@ -98,10 +133,12 @@ def check_command(
     for result in _checked(chosen, allowed_signers):
         results.append(result)
         if not as_json:
-            click.echo("\n".join(text.check_lines(result)))
+            click.echo(f"{result.name}: {check_text.headline(result)}; {_sum(result)}")
+            for line in check_text.fault_lines(result, _MOST_FAULTS):
+                click.echo(line)
     if as_json:
         whole = all(result.is_whole for result in results)
-        document = {"whole": whole, "recordings": [text.check_json(one) for one in results]}
+        document = {"whole": whole, "recordings": [check_text.values(one) for one in results]}
         click.echo(json.dumps(document))
     if code := max((result.exit_code for result in results), default=0):
         sys.exit(code)
@@ -120,24 +157,26 @@ def _checked(
     chosen: list[RecordingPath], allowed_signers: Path | None
 ) -> Iterator[CheckedRecording]:
     """Each in turn, with a line of progress where a person waits."""
-    shown = sys.stderr.isatty()
+    progress = text.Progress()
     for number, recording in enumerate(chosen, 1):
-        where = f"{recording.name} ({number} of {len(chosen)})"
-        progress = _progress(where) if shown else lambda _: None
-        yield check_recording(recording, progress, allowed_signers)
-        if shown:
-            click.echo("\r\033[K", nl=False, err=True)
+        where, read_bytes = f"{recording.name} ({number} of {len(chosen)})", [0]
+
+        def show(size: int, where: str = where, read_bytes: list[int] = read_bytes) -> None:
+            read_bytes[0] += size
+            progress.show(f"{where}: {text.size(read_bytes[0])}")
+
+        yield check_recording(recording, show, allowed_signers)
+        progress.clear()
 
 
-def _progress(where: str) -> Callable[[int], None]:
-    read_bytes = 0
-
-    def show(size: int) -> None:
-        nonlocal read_bytes
-        read_bytes += size
-        click.echo(f"\r{where}: {text.size(read_bytes)} ", nl=False, err=True)
-
-    return show
+def _sum(found: CheckedRecording) -> str:
+    gaps = found.gaps
+    received = found.frames + gaps.frames + found.missing_frames
+    in_gaps = f" + {gaps.frames} in {text.counted(gaps.gaps, 'gap')}"
+    missing = f" + {found.missing_frames} missing" if found.missing_frames else ""
+    ticks = f", {found.missing_ticks} ticks missing" if found.missing_ticks else ""
+    frames = f"{received} frames received = {found.frames} recorded{in_gaps}{missing}"
+    return f"{text.counted(found.segments, 'segment')}, {frames}{ticks}"
 
 
 @command.command("keep")
@@ -182,20 +221,13 @@ def keep_command(
         kept = keep_whole(recording)
         click.echo(f"{name} stays until somebody removes it" if kept else f"{name} is kept already")
         return
-    window = Window(_moment("--from", begin), _moment("--to", end))
+    window = Window(moment_of(begin, "--from"), moment_of(end, "--to"))
     start_ns = summarise(recording).begun_wall_ns or 0
     begin_ns, end_ns = window.bounds_ns(start_ns)
     if begin_ns > end_ns:
         raise click.UsageError(f"--from {begin} is after --to {end}: exchange them")
     made = keep_part(folder, recording, begin_ns, end_ns, plain_reason(reason or ""))
     click.echo(made.name)
-
-
-def _moment(option: str, text: str | None) -> Moment | None:
-    try:
-        return None if text is None else moment(text)
-    except ValueError as error:
-        raise click.BadParameter(str(error), param_hint=option) from error
 
 
 @command.command("remove")
@@ -224,8 +256,7 @@ def remove_command(names: tuple[str, ...], folder_path: Path, yes: bool) -> None
 
 def _ask(chosen: list[RecordingPath]) -> None:
     """Ask on a terminal; without one, --yes has to be said."""
-    found = [summarise(recording) for recording in chosen]
-    for line in text.chosen_lines(found):
+    for line in text.table([_row(summarise(one)) for one in chosen], indent="  "):
         click.echo(line)
     if not sys.stdin.isatty():
         raise click.UsageError("nobody is there to be asked: say --yes")

@@ -4,13 +4,16 @@ import gc
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
-from vcu_gateway.cli import replay_drive, replay_log
-from vcu_gateway.cli.recording_names import recorded_path
-from vcu_gateway.cli.replay_options import ReplayOptions
+from vcu_gateway import text
+from vcu_gateway.cli.options import moment_of
+from vcu_gateway.recordings.names import recorded_path
+from vcu_gateway.replay.configuration import Changes
+from vcu_gateway.replay.drive_replay import replay_drive
+from vcu_gateway.replay.log_replay import replay_log
+from vcu_gateway.time_window import Window
 
 _HELP = """Decide a recorded drive again: is it the same to the byte, and what if?
 
@@ -75,16 +78,45 @@ differs, 3 where nothing does and the recording is incomplete, 65 where it was c
     help="Also write an offline report with plots; an old FILE is replaced.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing; the exit code tells.")
-def command(**options: Any) -> None:
+def command(
+    recording: str,
+    config_path: Path | None,
+    assignments: tuple[str, ...],
+    closed_loop: bool,
+    begin: str | None,
+    end: str | None,
+    demand_pct: float | None,
+    as_json: bool,
+    html_path: Path | None,
+    quiet: bool,
+) -> None:
     """Replay, print, and exit with what was found."""
-    asked = ReplayOptions(**options)
+    changes = Changes(config_path, assignments)
+    window = Window(moment_of(begin, "--from"), moment_of(end, "--to"))
+    plotted, progress = html_path is not None, text.Progress(wanted=not quiet)
     gc.disable()  # next to no garbage in a replay has cycles, and looking for it takes a tenth
-    found = recorded_path(asked.recording)
-    report = replay_log.report(asked) if found is None else replay_drive.report(asked, found)
-    if asked.as_json and not asked.quiet:
-        click.echo(json.dumps(report.values, ensure_ascii=False))
-    elif not asked.quiet:
-        for line in report.lines:
-            click.echo(line)
+    found = recorded_path(recording)
+    if found is not None:
+        if demand_pct is not None:
+            raise click.BadParameter("a recorded drive has its own demands", param_hint="--demand")
+        report = replay_drive(found, changes, window, closed_loop, plotted, progress)
+    elif closed_loop:
+        what = "a log has no demands to drive with"
+        raise click.BadParameter(what, param_hint="--closed-loop")
+    else:
+        report = replay_log(
+            recording,
+            changes,
+            window,
+            demand_pct,
+            plotted,
+            progress,
+            lambda one: text.say(str(one)),
+        )
+    if html_path is not None:
+        report.write_html(html_path)
+    if not quiet:
+        values = json.dumps(report.values, ensure_ascii=False) if as_json else ""
+        click.echo(values or "\n".join(report.lines))
     if report.exit_code:
         sys.exit(report.exit_code)

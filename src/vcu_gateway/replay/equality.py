@@ -1,6 +1,6 @@
 """Equality: a drive's inputs replayed with its own configuration must give its results again.
 
-    check = EqualityCheck(codec, fields)
+    check = EqualityCheck(codec)
     for record in drive.runs():
         check.note(record)
     check.result()
@@ -30,7 +30,7 @@ from vcu_gateway.drive.records import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.replay.command_fields import CommandFields
+from vcu_gateway.replay.commands import CommandFields, answer_text
 
 BUGS = (
     ArithmeticError,
@@ -87,34 +87,33 @@ class EndedByBug(NamedTuple):
 
 
 class Equality(NamedTuple):
-    """Result of a check.
+    """Result of a check, with the names and the order of the verb's JSON.
 
     Attributes:
-        ticks, equal_ticks, frames, answers, sentences, checkpoints: how many were compared.
         began_ns, ended_ns: first and last tick.
-        first: the first difference; None where there is none.
-        counts: differences by field.
-        gaps: what was not replayed.
+        ticks, equal_ticks, frames, answers, why_sentences, checkpoints: how many were compared.
+        first_difference: None where there is none; differences: how many, by field.
         ended_by_bug: the last tick, where it was the end of the gateway's process.
+        not_replayed: gaps of the recording.
     """
 
+    began_ns: int
+    ended_ns: int
     ticks: int
     equal_ticks: int
     frames: int
     answers: int
-    sentences: int
+    why_sentences: int
     checkpoints: int
-    began_ns: int
-    ended_ns: int
-    first: Difference | None
-    counts: dict[str, int]
-    gaps: tuple[NotReplayed, ...]
+    first_difference: Difference | None
+    differences: dict[str, int]
     ended_by_bug: EndedByBug | None
+    not_replayed: tuple[NotReplayed, ...]
 
     @property
     def equal(self) -> bool:
         """True where everything that was compared is the same."""
-        return self.first is None
+        return self.first_difference is None
 
 
 class EqualityCheck:
@@ -185,7 +184,8 @@ class EqualityCheck:
         if record.answer is not None and isinstance(answer, RequestResult):
             self._compared["answers"] += 1
             if answer != record.answer:
-                self._differs(f"answer to {WORDS[type(one)]}", _told(record.answer), _told(answer))
+                what = f"answer to {WORDS[type(one)]}"
+                self._differs(what, answer_text(record.answer), answer_text(answer))
 
     def _begin_tick(self, now_ns: int) -> None:
         self._end_tick()
@@ -254,7 +254,7 @@ class EqualityCheck:
         )
 
     def _explain(self, gateway: Gateway, record: WhyRecord) -> None:
-        self._compared["sentences"] += 1
+        self._compared["why_sentences"] += 1
         self._unsaid = None
         sentence = gateway.why(record.now_ns).sentence()
         if sentence != record.sentence:
@@ -290,29 +290,21 @@ class EqualityCheck:
     def result(self) -> Equality:
         """What was found; the end of the records."""
         self._end_tick()
-        compared = self._compared
+        counts = ("ticks", "frames", "answers", "why_sentences", "checkpoints")
         return Equality(
-            ticks=compared["ticks"],
-            equal_ticks=self._equal_ticks,
-            frames=compared["frames"],
-            answers=compared["answers"],
-            sentences=compared["sentences"],
-            checkpoints=compared["checkpoints"],
             began_ns=self._began_ns or 0,
             ended_ns=self._now_ns,
-            first=self._first,
-            counts=dict(self._counts),
-            gaps=tuple(self._gaps),
+            equal_ticks=self._equal_ticks,
+            **{name: self._compared[name] for name in counts},
+            first_difference=self._first,
+            differences=dict(self._counts),
             ended_by_bug=self._ended_by_bug,
+            not_replayed=tuple(self._gaps),
         )
 
 
 def _is_sent(record: FrameRun | CoreRecord) -> bool:
     return isinstance(record, InputRecord) and isinstance(record.input, NoteSent)
-
-
-def _told(answer: RequestResult) -> str:
-    return "granted" if answer.granted else f"refused: {answer.sentence}"
 
 
 def _events(events: tuple[Event, ...]) -> list[str]:

@@ -15,7 +15,7 @@ from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
-from vcu_gateway.replay.verdict import (
+from vcu_gateway.judge import (
     DriveVerdict,
     Findings,
     GrantedDemand,

@@ -24,8 +24,7 @@ from vcu_gateway.drive.records import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.replay.series import CommandSeries
-from vcu_gateway.replay.told_commands import ToldCommands
+from vcu_gateway.replay.commands import CommandSeries, RecordedCommands
 from vcu_gateway.replay.what_if import WhatIf
 
 REQUESTS: dict[type, str] = {
@@ -56,7 +55,7 @@ class OpenLoop:
         self._codec = codec
         self._settings = settings
         self._series = series
-        self._told = ToldCommands(codec)
+        self._told = RecordedCommands(codec)
         self._gateway: Gateway | None = None
         self._frames: dict[str, OutFrame] = {}
         self._stopped_before = False

@@ -4,13 +4,114 @@ The gate's rules and the invariants of docs/safety.md, on bytes. A rule yields i
 what was seen; `CommandRules.broken` runs all of them on one frame.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.replay.verdict import expected_effects
-from vcu_gateway.replay.verdict.limits import JudgedDemand, VerdictLimits
-from vcu_gateway.replay.verdict.ramps import LimitRamps
-from vcu_gateway.replay.verdict.wire import PERCENT_PER_BIT, SAFETY_MODE, CommandBytes
+from vcu_gateway.judge.causes import CUT, POWER_LIMIT, REGEN_LIMIT, REGEN_OFF, STOP, TURBO_OFF
+from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
+from vcu_gateway.judge.wire import (
+    CONTROLLERS,
+    MS,
+    PERCENT_PER_BIT,
+    REVERSE,
+    SAFETY_MODE,
+    CommandBytes,
+)
+
+_FULL_PCT = 100.0
+_HIGHEST_RAW = 255
+
+
+class LimitRamps:
+    """Limits of both controllers on their way along the slews.
+
+    Attributes:
+        power_w, brake_pct: by controller.
+    """
+
+    def __init__(self, limits: VerdictLimits) -> None:
+        self.power_w = dict.fromkeys(CONTROLLERS, limits.power_limit_max_w)
+        self.brake_pct = dict.fromkeys(CONTROLLERS, _FULL_PCT)
+
+    def move(
+        self,
+        effects: set[str],
+        limits: VerdictLimits,
+        told: dict[str, bytes],
+        elapsed_s: float,
+    ) -> None:
+        """One tick; `told` are the commands that left last, a falling limit starts from them."""
+        power_w, brake_pct = limits.power_limit_max_w, _FULL_PCT
+        if POWER_LIMIT in effects:
+            power_w = min(limits.derated_power_w, power_w)
+        if REGEN_LIMIT in effects:
+            brake_pct = limits.regen_limit_pct
+        power_step_w = limits.power_slew_w_per_s * elapsed_s
+        brake_step_pct = limits.regen_slew_pct_per_s * elapsed_s
+        for name in CONTROLLERS:
+            data = told.get(name, bytes(8))
+            told_pct = _FULL_PCT if data[2] == _HIGHEST_RAW else data[2] * PERCENT_PER_BIT
+            told_w = data[6] | data[7] << 8
+            self.power_w[name] = _moved(self.power_w[name], told_w, power_w, power_step_w)
+            self.brake_pct[name] = _moved(self.brake_pct[name], told_pct, brake_pct, brake_step_pct)
+            if REGEN_OFF in effects:
+                self.brake_pct[name] = 0.0
+
+
+def _moved(limit: float, told: float, target: float, step: float) -> float:
+    if target >= limit:
+        return min(target, limit + step)
+    return max(target, min(limit, told) - step)
+
+
+_LENGTH = 8
+
+
+class SentFrame(NamedTuple):
+    """A command frame of one tick, and whether the bus took it."""
+
+    can_id: int
+    data: bytes
+    left: bool
+
+
+SentFrames = Mapping[str, SentFrame]
+"""Frames of a tick, by controller."""
+
+
+class FramePairs:
+    """Listening time and pairs, from tick to tick; `complete`: from the gateway's start on."""
+
+    def __init__(self, *, complete: bool) -> None:
+        self._complete = complete
+        self._talking = False
+        self._quiet_until_ns: int | None = None
+
+    def listen(self, limits: VerdictLimits, now_ns: int) -> None:
+        """The listening time begins."""
+        self._quiet_until_ns = now_ns + round(limits.listen_before_talk_ms * MS)
+
+    def broken(
+        self, sent: SentFrames, limits: VerdictLimits, now_ns: int, *, disturbed: bool
+    ) -> Iterator[tuple[str, str]]:
+        """Rules that the frames of a tick break together; `disturbed`: it has to listen again."""
+        if disturbed and not self._talking:
+            self.listen(limits, now_ns)
+        listening = self._quiet_until_ns is not None and now_ns < self._quiet_until_ns
+        if len(sent) not in (0, len(CONTROLLERS)) or (not sent and self._talking):
+            yield "I13 both frames in every tick", f"{len(sent)} frames"
+        if sent and not self._talking and listening and self._complete:
+            yield "listening before talking", "a frame while it has to listen"
+        self._talking = self._talking or bool(sent)
+        if not limits.independent_directions and _two_directions(sent):
+            yield "gate directions", "throttle with two directions"
+
+
+def _two_directions(sent: SentFrames) -> bool:
+    """True where one turns forwards and one in reverse, with throttle."""
+    whole = [one.data for one in sent.values() if len(one.data) == _LENGTH]
+    return len({data[0] & REVERSE for data in whole}) > 1 and any(data[1] for data in whole)
+
 
 _SPEED_LIMIT_MIN_RPM = 500
 # Half a bit now and half a bit before.
@@ -132,15 +233,15 @@ def _direction(one: Judged, before: SentBefore, facts: TickFacts) -> Broken:
 
 def _effects(one: Judged, facts: TickFacts) -> Broken:
     command, effects = one.command, facts.effects
-    stopping = effects & {expected_effects.STOP, expected_effects.CUT}
+    stopping = effects & {STOP, CUT}
     if stopping and not command.safe:
         yield "a STOP or CUT leaves no torque", _seen(command)
-    if expected_effects.TURBO_OFF in effects and command.power_mode == _TURBO:
+    if TURBO_OFF in effects and command.power_mode == _TURBO:
         yield "TURBO_OFF", "PowerMode is turbo"
-    limited = expected_effects.POWER_LIMIT in effects
+    limited = POWER_LIMIT in effects
     if limited and command.power_mode not in (_ECO, SAFETY_MODE):
         yield "POWER_LIMIT", f"PowerMode is {command.power_mode}, not eco"
-    if expected_effects.REGEN_OFF in effects and (command.regenerates or command.brake_raw):
+    if REGEN_OFF in effects and (command.regenerates or command.brake_raw):
         yield "I10 regeneration", f"though it is off: {_seen(command)}"
     if command.regenerates and not facts.regenerates:
         least_rpm = facts.limits.regen_min_rpm

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
-from vcu_gateway.replay.verdict.wire import BATTERY_LATE_AFTER_MS, MS, STALE_AFTER_MS
+from vcu_gateway.judge.wire import BATTERY_LATE_AFTER_MS, MS, STALE_AFTER_MS
 
 
 class JudgedDemand(NamedTuple):

@@ -13,25 +13,31 @@ which mode was told is believed.
 
 from collections.abc import Iterable
 
-from vcu_gateway.replay.verdict import command_rules, expected_effects, wire
-from vcu_gateway.replay.verdict.arrivals import Arrivals, BusFrame
-from vcu_gateway.replay.verdict.bus_state import BusState
-from vcu_gateway.replay.verdict.command_rules import Judged, SentBefore, TickFacts
-from vcu_gateway.replay.verdict.demands import GrantedDemand, GrantedDemands
-from vcu_gateway.replay.verdict.expected_effects import (
+from vcu_gateway.judge import causes as expected
+from vcu_gateway.judge import command_rules, wire
+from vcu_gateway.judge.arrivals import Arrivals, BusFrame
+from vcu_gateway.judge.causes import (
     CUT,
     STOP,
+    BusState,
     HeldEffects,
     Seen,
     Unconfirmed,
 )
-from vcu_gateway.replay.verdict.frame_pairs import FramePairs, SentFrame, SentFrames
-from vcu_gateway.replay.verdict.limits import VerdictLimits
-from vcu_gateway.replay.verdict.mode_rules import ModeRules, TickCauses
-from vcu_gateway.replay.verdict.ramps import LimitRamps
-from vcu_gateway.replay.verdict.reactions import Reactions
-from vcu_gateway.replay.verdict.result import Findings
-from vcu_gateway.replay.verdict.wire import MS
+from vcu_gateway.judge.command_rules import (
+    FramePairs,
+    Judged,
+    LimitRamps,
+    SentBefore,
+    SentFrame,
+    SentFrames,
+    TickFacts,
+)
+from vcu_gateway.judge.demands import GrantedDemand, GrantedDemands
+from vcu_gateway.judge.limits import VerdictLimits
+from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
+from vcu_gateway.judge.result import Findings, Reactions
+from vcu_gateway.judge.wire import MS
 
 _REGEN_RETURN_RPM = 50
 _SPEED_HIGHEST_RPM = 6_000
@@ -183,7 +189,7 @@ class Judge:
         # What never came may have come before this recording began.
         found = [
             one
-            for one in expected_effects.seen(arrivals, self.limits, now_ns)
+            for one in expected.seen(arrivals, self.limits, now_ns)
             if self._complete or not one.cause.endswith(" stale") or self._known(one.cause)
         ]
         if self._unconfirmed.tick(arrivals.echoed_ns):

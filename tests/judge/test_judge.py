@@ -20,9 +20,9 @@ from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.reader import open_drive
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord, TickRecord
+from vcu_gateway.judge import DriveVerdict, VerdictLimits
 from vcu_gateway.protocol import DEFAULT_ALIASES
 from vcu_gateway.replay.judged import JudgedRecords
-from vcu_gateway.replay.verdict import DriveVerdict, VerdictLimits
 
 Records = list[FrameRun | CoreRecord]
 ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")

@@ -4,9 +4,9 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-from vcu_gateway.replay.verdict import wire
-from vcu_gateway.replay.verdict.limits import VerdictLimits
-from vcu_gateway.replay.verdict.wire import CONTROLLERS, MS, PERCENT_PER_BIT
+from vcu_gateway.judge import wire
+from vcu_gateway.judge.limits import VerdictLimits
+from vcu_gateway.judge.wire import CONTROLLERS, MS, PERCENT_PER_BIT
 
 _SENT_FRAMES = 80
 _THROTTLE_WINDOW_NS = 1_000 * MS

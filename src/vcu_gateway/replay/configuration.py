@@ -1,18 +1,23 @@
-"""Given settings: a drive's configuration, another file, or single keys of one set otherwise."""
+"""Configuration and DBC of a replay: the recorded ones, another file, single keys set otherwise."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.errors import ConfigError, Problem
-from vcu_gateway.strict_yaml import parser
+from vcu_gateway.drive.reader import Drive
+from vcu_gateway.drive_format import layout
+from vcu_gateway.errors import ConfigError, DataError, Problem
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, requirements
+from vcu_gateway.strict_yaml import file_text, parser
 
 SET = "--set"
 _EXAMPLE = "write section.key=value, such as limits.throttle_slew_pct_per_s=50"
 _USED_SECTIONS = {key.section for key in KEYS.values()} | {"bench"}
-_USED_OF_PROTOCOL = ("aliases", "transmit_priority")
+_MOST_PROBLEMS = 5
 
 
 class GivenConfiguration(NamedTuple):
@@ -28,16 +33,64 @@ class GivenConfiguration(NamedTuple):
     without_effect: tuple[str, ...]
 
 
+class Changes(NamedTuple):
+    """What if: the file of another configuration, and keys to be set, as "section.key=value"."""
+
+    config_path: Path | None = None
+    assignments: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """Everything that is given; empty where nothing is."""
+        path = self.config_path
+        return [*([] if path is None else [str(path)]), *self.assignments]
+
+    def configuration(
+        self, text: str | None, where: str, protocol: ProtocolSpec
+    ) -> GivenConfiguration:
+        """The text, or the other file in its place, with the keys set; None: every default."""
+        if self.config_path is not None:
+            text, where = file_text.read(self.config_path), str(self.config_path)
+        return given(text, where, self.assignments, protocol)
+
+
+def protocol_of(drive: Drive) -> ProtocolSpec:
+    """The DBC beside a drive, with the aliases of its configuration.
+
+    DataError where no gateway can drive with it.
+    """
+    path = drive.folder / layout.DBC_FILE
+    protocol = dbc.load(path)
+    if unmet := requirements.unmet(protocol, lambda *_: str(path)):
+        raise DataError(*unmet[:_MOST_PROBLEMS])
+    return with_aliases(protocol, recorded_aliases(drive.info.config))
+
+
+def with_aliases(protocol: ProtocolSpec, aliases: Mapping[int, str]) -> ProtocolSpec:
+    """The same messages with these further identifiers."""
+    return dataclasses.replace(protocol, aliases=dict(aliases))
+
+
+def recorded_aliases(config: str) -> Mapping[int, str]:
+    """Further identifiers of messages in a recorded configuration, whatever wrote it."""
+    values = parser.read(config).value
+    section = values.get("protocol") if isinstance(values, dict) else None
+    aliases: Any = section.get("aliases") if isinstance(section, dict) else None
+    if not isinstance(aliases, dict):
+        return DEFAULT_ALIASES
+    return {int(str(key), 0): str(name) for key, name in aliases.items()}
+
+
 def given(
-    text: str, where: str, assignments: Sequence[str], protocol: ProtocolSpec
+    text: str | None, where: str, assignments: Sequence[str], protocol: ProtocolSpec
 ) -> GivenConfiguration:
-    """The configuration of a text with these keys of it set, for a protocol.
+    """The configuration of a text, or every default, with these keys of it set, for a protocol.
 
     Its DBC is left out: a recording is decoded with its own. ConfigError names everything wrong.
     """
-    if not assignments:
+    if text is not None and not assignments:
         configuration.parse(_without_dbc(text), where)  # for problems with their lines
-    values = _values(text, where)
+    values = {} if text is None else _values(text, where)
     without_effect = _drop_dbc(values)
     for assignment in assignments:
         path, value = _assignment(assignment)

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from vcu_gateway.replay.verdict.result import Findings
+from vcu_gateway.judge.result import Findings
 
 _AFTER: dict[str, set[str]] = {
     "starting": {"starting", "standby", "fault", "stopping"},
