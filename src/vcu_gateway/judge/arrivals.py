@@ -18,6 +18,7 @@ _LENGTH = 8
 _LIFE = 0x80
 _REVERSE = 0x10
 _NEVER = -(1 << 63)
+_FUTURE_NS = 20 * MS
 _PRIORITY_BIT = 26
 _STATUS1 = tuple(f"{name}_Status1" for name in CONTROLLERS)
 _STATUS2 = tuple(f"{name}_Status2" for name in CONTROLLERS)
@@ -223,13 +224,16 @@ class Arrivals:
         last = self.latest.get(name)
         return self.since_tick.get(name) or ([] if last is None else [last])
 
+    def came(self, name: str) -> bool:
+        return self.latest_ns.get(name, _NEVER) != _NEVER
+
     def age_ns(self, name: str, now_ns: int) -> int | None:
-        """Age of the newest frame; None where none came."""
-        at_ns = self.latest_ns.get(name)
-        return None if at_ns is None or at_ns == _NEVER else now_ns - at_ns
+        """Age of the newest frame; None where none came, or it is stamped in the future."""
+        age_ns = now_ns - self.latest_ns.get(name, _NEVER)
+        return age_ns if self.came(name) and age_ns >= -_FUTURE_NS else None
 
     def stale(self, name: str, now_ns: int) -> bool:
-        """True where a message is too old, or never came."""
+        """True where a message is too old, never came, or is stamped in the future."""
         age_ns = self.age_ns(name, now_ns)
         return age_ns is None or age_ns > self.limits.stale_ns[name]
 
@@ -242,7 +246,6 @@ class Arrivals:
         return [wire.speed_rpm(frame.data) for name in _STATUS2 for frame in self.judged(name)]
 
     def note_sent(self, controller: str, data: bytes, at_ns: int) -> None:
-        """A command that left."""
         if self._first_sent_ns is None:
             self._first_sent_ns = at_ns
         self.sent[controller].append(LeftCommand(at_ns, data[1], bool(data[0] & _REVERSE)))

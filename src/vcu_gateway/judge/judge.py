@@ -89,7 +89,6 @@ class Judge:
                 self._reactions.left(frame.arrival_ns)
 
     def link_lost(self, at_ns: int) -> None:
-        """The interface is gone."""
         self._bus.lost(at_ns)
 
     def link_opened(self, at_ns: int, *, up: bool) -> None:
@@ -100,7 +99,6 @@ class Judge:
         self._pairs.listen(self.limits, at_ns)
 
     def carrier(self, present: bool, at_ns: int) -> None:
-        """The carrier came or went."""
         self._bus.carrier(present, at_ns)
 
     def offered(self, now_ns: int) -> None:
@@ -110,16 +108,13 @@ class Judge:
         self._demands.offered(now_ns)
 
     def demand(self, demand: GrantedDemand, now_ns: int) -> None:
-        """A demand was granted."""
         self._demands.granted(demand, now_ns, driving=self.requests.may_be_active)
 
     def end_demand(self) -> None:
-        """The owner ended its demand."""
         self._demands.ended()
         self.requests.left_active()
 
     def armed(self, now_ns: int) -> None:
-        """`arm` was granted."""
         demands, reason = self._demands, ""
         released_ns = demands.released_for_ns(now_ns)
         if self._held.blocking:
@@ -130,30 +125,34 @@ class Judge:
             reason = "there is no fresh demand"
         elif self._complete and (released_ns is None or released_ns < 200 * MS):
             reason = "the throttle was not 0 for 200 ms"
+        elif self._turns(demands):
+            reason = "a change of direction is pending"
         self.requests.armed(self._tick, now_ns, reason)
+
+    def _turns(self, demands: GrantedDemands) -> bool:
+        demanded = [(one.command, demands.of(name)) for name, one in self._before.items()]
+        return any(one and one.motor_reverse is not sent.reverse for sent, one in demanded)
 
     def restart_state(self, *, kept: bool) -> None:
         """Keeping the restart state was tried."""
         self._restart_state_kept = kept
 
     def reset(self, now_ns: int, *, service: bool) -> None:
-        """`reset` was granted."""
-        self.requests.reset(self._tick, now_ns, service=service, blocking=self._held.blocking)
+        against = "a cause stands" if self._held.blocking else ""
+        if self._demands.asks_throttle(now_ns):
+            against = "the demanded throttle is not 0"
+        self.requests.reset(self._tick, now_ns, against, service=service)
 
     def emergency_stop(self) -> None:
-        """An emergency stop was requested."""
         self._emergency = True
 
     def disarmed(self) -> None:
-        """`disarm` was done."""
         self.requests.left_active()
 
     def reload(self, limits: VerdictLimits) -> None:
-        """New settings were taken."""
         self.limits = self._arrivals.limits = limits
 
     def end(self) -> None:
-        """The stretch is over."""
         self._reactions.settle()
 
     # The tick.
@@ -190,7 +189,9 @@ class Judge:
         found = [
             one
             for one in expected.seen(arrivals, self.limits, now_ns)
-            if self._complete or not one.cause.endswith(" stale") or self._known(one.cause)
+            if self._complete
+            or not one.cause.endswith(" stale")
+            or arrivals.came(one.cause.removesuffix(" stale"))
         ]
         if self._unconfirmed.tick(arrivals.echoed_ns):
             found.append(Seen(STOP, "own frames not confirmed", now_ns))
@@ -204,9 +205,6 @@ class Judge:
             span_ns = now_ns - asked_ns
             found.append(Seen(CUT, "emergency stop", asked_ns, span_ns=span_ns))
         return found
-
-    def _known(self, cause: str) -> bool:
-        return self._arrivals.age_ns(cause.removesuffix(" stale"), 0) is not None
 
     def _facts(self, now_ns: int, mode: str, elapsed_ns: int) -> TickFacts:
         limits, active = self.limits, mode == "active"
