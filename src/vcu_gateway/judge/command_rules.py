@@ -218,7 +218,8 @@ def _speed_limit(one: Judged, facts: TickFacts) -> Broken:
         step_rpm = limits.speed_slew_rpm_per_s * facts.elapsed_ns / _NS_PER_S
         falls_to_rpm = one.before.command.speed_limit_rpm - step_rpm
         highest_rpm, lowest_rpm = max(highest_rpm, falls_to_rpm), max(lowest_rpm, falls_to_rpm)
-    if rpm > highest_rpm + _ROUNDING or rpm < _SPEED_LIMIT_MIN_RPM:
+    rounding_rpm = _ROUNDING if highest_rpm != limits.speed_limit_max_rpm else 0
+    if rpm > highest_rpm + rounding_rpm or rpm < _SPEED_LIMIT_MIN_RPM:
         yield "gate SpeedLimit", f"{rpm} rpm, not {lowest_rpm:.0f} to {highest_rpm:.0f}"
     elif rpm < lowest_rpm - _ROUNDING:
         yield "gate SpeedLimit slew", f"{rpm} rpm, at least {lowest_rpm:.0f}"
@@ -287,7 +288,8 @@ def _throttle(one: Judged, facts: TickFacts) -> Broken:
 
 def _ramps(one: Judged, facts: TickFacts) -> Broken:
     power_w = facts.ramps.power_w[one.controller]
-    if one.command.power_limit_w > power_w + _ROUNDING:
+    rounding_w = _ROUNDING if power_w != facts.limits.power_limit_max_w else 0
+    if one.command.power_limit_w > power_w + rounding_w:
         yield "I1 PowerLimit", f"{one.command.power_limit_w} W, at most {power_w:.0f}"
     brake_pct = facts.ramps.brake_pct[one.controller]
     if one.command.brake_raw * PERCENT_PER_BIT > brake_pct + PERCENT_PER_BIT:
