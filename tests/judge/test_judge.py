@@ -338,7 +338,7 @@ def test_an_expired_demand_ends_the_drive(records):
 def test_a_drive_that_a_request_ended_or_began_is_one_that_a_stop_or_a_late_tick_ends(armed):
     calm = TickCauses(stop="", cut="", foreign=False, late=False, demand_fresh=True)
     findings = Findings()
-    rules = ModeRules(findings, complete=True)
+    rules = ModeRules(findings)
     if armed:
         rules.tick(0, 0, "standby", calm)
         rules.armed(0, 0, "")

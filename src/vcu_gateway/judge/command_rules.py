@@ -11,6 +11,7 @@ from vcu_gateway.judge.causes import CUT, POWER_LIMIT, REGEN_LIMIT, REGEN_OFF, S
 from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
 from vcu_gateway.judge.wire import (
     CONTROLLERS,
+    LENGTH,
     MS,
     PERCENT_PER_BIT,
     REVERSE,
@@ -64,9 +65,6 @@ def _moved(limit: float, told: float, target: float, step: float) -> float:
     return max(target, min(limit, told) - step)
 
 
-_LENGTH = 8
-
-
 class SentFrame(NamedTuple):
     """A command frame of one tick, and whether the bus took it."""
 
@@ -108,7 +106,7 @@ class FramePairs:
 
 
 def _two_directions(sent: SentFrames) -> bool:
-    whole = [one.data for one in sent.values() if len(one.data) == _LENGTH]
+    whole = [one.data for one in sent.values() if len(one.data) == LENGTH]
     return len({data[0] & REVERSE for data in whole}) > 1 and any(data[1] for data in whole)
 
 

@@ -4,11 +4,11 @@ Nothing of the gateway's decisions is used here: frames are decoded from their b
 effects are those of the specification, and of the recording only what came in, what was sent and
 which mode was told is believed.
 
-    judge = Judge(limits, complete=True)
+    judge = Judge(limits, findings, complete=True)
     judge.frames(frames)                         # as often as frames came
     judge.demand(demand, now_ns)                 # granted demands, requests, the link
     judge.tick(now_ns, "active", {"PCU1": command, "PCU2": command})
-    judge.verdict()
+    findings.kept, findings.reactions
 """
 
 from collections.abc import Iterable
@@ -37,7 +37,7 @@ from vcu_gateway.judge.demands import GrantedDemand, GrantedDemands
 from vcu_gateway.judge.limits import VerdictLimits
 from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
 from vcu_gateway.judge.result import Findings, Reactions
-from vcu_gateway.judge.wire import MS
+from vcu_gateway.judge.wire import LENGTH, MS
 
 _REGEN_RETURN_RPM = 50
 _SPEED_HIGHEST_RPM = 6_000
@@ -59,7 +59,7 @@ class Judge:
         self, limits: VerdictLimits, findings: Findings, *, complete: bool, tick: int = 0
     ) -> None:
         self.limits = limits
-        self.requests = ModeRules(findings, complete=complete)
+        self.requests = ModeRules(findings)
         self._findings = findings
         self._arrivals = Arrivals(limits, complete=complete)
         self._bus = BusState()
@@ -134,7 +134,6 @@ class Judge:
         return any(one and one.motor_reverse is not sent.reverse for sent, one in demanded)
 
     def restart_state(self, *, kept: bool) -> None:
-        """Keeping the restart state was tried."""
         self._restart_state_kept = kept
 
     def reset(self, now_ns: int, *, service: bool) -> None:
@@ -244,7 +243,7 @@ class Judge:
 
     def _judge_frame(self, controller: str, frame: SentFrame, facts: TickFacts) -> None:
         own_id = wire.command_id(controller, self.limits.transmit_priority)
-        if frame.can_id != own_id or len(frame.data) != 8:
+        if frame.can_id != own_id or len(frame.data) != LENGTH:
             seen = f"{frame.can_id:08X} with {len(frame.data)} bytes, not {own_id:08X} with 8"
             self._broken("gate identifier and length", facts.now_ns, seen)
             return
@@ -262,7 +261,7 @@ class Judge:
 
     def _end_tick(self, now_ns: int, sent: SentFrames) -> None:
         for controller, frame in sent.items():
-            if frame.left and len(frame.data) == 8:
+            if frame.left and len(frame.data) == LENGTH:
                 self._before[controller] = SentBefore(wire.command_bytes(frame.data), now_ns)
                 self._told[controller] = frame.data
                 self._arrivals.note_sent(controller, frame.data, now_ns)

@@ -81,10 +81,8 @@ class VerdictLimits:
 
     @cached_property
     def battery_late_ns(self) -> int:
-        """Age from which the battery's status is late."""
         return MS * self.late_after_ms.get("BMS_Status", BATTERY_LATE_AFTER_MS)
 
     @cached_property
     def period_ns(self) -> int:
-        """Period of the command frames."""
         return round(self.period_ms * MS)

@@ -38,12 +38,11 @@ class ModeRules:
         cut_latched: POWER_CUT until a reset at service level.
     """
 
-    def __init__(self, findings: Findings, *, complete: bool) -> None:
+    def __init__(self, findings: Findings) -> None:
         self.mode: str | None = None
         self.may_be_active = False
         self.cut_latched = False
         self._findings = findings
-        self._complete = complete
         self._was_reset = self._bench_arms = False
 
     def bench(self) -> None:
