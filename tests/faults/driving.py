@@ -17,7 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tests.faults import invariants
+from tests.faults import judged_bus
 from tests.unrecorded import unrecorded
 from tests.vcan.conftest import (
     COMMANDS,
@@ -210,7 +210,7 @@ class Driving:
         """docs/safety.md, Invariants: on what was recorded since the last check."""
         frames, log = self.recording.frames(), self.gateway.log()
         begin, self._checked_to = self._checked_to, len(frames)
-        invariants.check(frames[begin:], log=log, foreign=self.foreign)
+        judged_bus.check(frames[begin:], log=log, foreign=self.foreign)
 
     def ended(self) -> dict[str, Any]:
         """Stop the vehicle, then the gateway; its last word on its counters."""

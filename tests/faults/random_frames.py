@@ -13,8 +13,15 @@ import sys
 import time
 from typing import NamedTuple
 
-from tests.core.reference_model import COMMAND_IDS, ID_OF, MS, RECEIVED_IDS
-from tests.core.test_invariants import CODEC, COUNTS, GatewayMachine
+from tests.core.test_invariants import (
+    ALL_RECEIVED_IDS,
+    CODEC,
+    COMMAND_IDS,
+    COUNTS,
+    ID_OF,
+    MS,
+    GatewayMachine,
+)
 from tests.faults.machine import resident_kb
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.frame import Frame
@@ -29,8 +36,8 @@ WARM_UP = 5  # the first fifth: by then the allocator has grown to its size
 DECIDING = frozenset(
     can_id for name, can_id in ID_OF.items() if name.startswith(("BMS_Status", "PCU"))
 )
-ALL_IDS = (*RECEIVED_IDS, *COMMAND_IDS)
-CALM_IDS = tuple(can_id for can_id in RECEIVED_IDS if can_id not in DECIDING)
+ALL_IDS = (*ALL_RECEIVED_IDS, *COMMAND_IDS)
+CALM_IDS = tuple(can_id for can_id in ALL_RECEIVED_IDS if can_id not in DECIDING)
 HEALTHY = {
     ID_OF[name] & 0x03FF_FFFF: bytes.fromhex(data)
     for name, data in {

@@ -24,7 +24,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tests.faults import invariants
+from tests.faults import judged_bus
 from tests.faults.breakable_vehicle import Breaking, Step
 from tests.faults.driving import THROTTLE_PCT, BusStand, record, set_up
 from tests.faults.flood import EFF, ERR, RTR, send
@@ -36,7 +36,7 @@ from vcu_gateway.client import ClientError
 MS = 1_000_000
 PERIOD_S = 0.05
 GROWTH_MAX_KB = 1024
-WATCHED = (*COMMANDS, *invariants.STATUS2)
+WATCHED = (*COMMANDS, *judged_bus.STATUS2)
 FOREIGN_DATA = bytes((0x04, 231, 0, 0, 0xE0, 0x2E, 0x60, 0xEA))  # 90 %, which nobody asks here
 RECEIVED = (0x1808D0F4, 0x1809D0F4, 0x0808D0A7, 0x0809D0A7, 0x0809D0A8, 0x040AD092, 0x040AD079)
 TELL_EVERY_S = 30.0
@@ -91,7 +91,7 @@ class Watcher:
             if line.startswith("{"):
                 self._note(json.loads(line))
         before = sum(map(_is_own, self._context))
-        checked = invariants.check([*self._context, *new], log=self._modes, foreign=_is_foreign)
+        checked = judged_bus.check([*self._context, *new], log=self._modes, foreign=_is_foreign)
         self.frames += checked.frames - before
         self.with_torque += sum(_is_own(frame) and frame.data[1] > 0 for frame in new)
         self._context = [*self._context, *new][-12:]

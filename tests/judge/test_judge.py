@@ -1,28 +1,35 @@
 """The verdict finds every rule that a recording breaks: one drive, one thing broken in it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.replay.drives import MS, SimulatedDrive
 from tests.replay.ran import replay
 from vcu_gateway.core import calls
+from vcu_gateway.core.demand import PowerMode
+from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.calls import (
     Arm,
     EmergencyStop,
-    NoteRestartState,
-    NoteSent,
     Offer,
     Reset,
+    NoteRestartState,
+    NoteSent,
 )
+from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.reader import open_drive
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord, TickRecord
-from vcu_gateway.judge import DriveVerdict, VerdictLimits
+from vcu_gateway.judge import DriveVerdict, Findings
+from vcu_gateway.judge.arrivals import Arrivals
+from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
 from vcu_gateway.protocol import DEFAULT_ALIASES
-from vcu_gateway.replay.judged import JudgedRecords
+from vcu_gateway.replay.judged import JudgedRecords, limits_of
 
 Records = list[FrameRun | CoreRecord]
 ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
@@ -190,6 +197,47 @@ def armed_without_restart_state(records: Records) -> None:
     records.insert(1, InputRecord(NoteRestartState("No space"), None))
 
 
+def first_frames(records: Records) -> int:
+    """The first tick that sends, at the end of the listening time."""
+    return next(
+        place
+        for place, record in enumerate(records)
+        if isinstance(record, TickRecord) and record.frames
+    )
+
+
+def says_nothing(records: Records) -> None:
+    place = first_frames(records)
+    records[place] = tick(records, place)._replace(frames=())
+    del records[place + 1 : place + 3]
+
+
+def talks_at_once(records: Records) -> None:
+    frames = tick(records, first_frames(records)).frames
+    place = ticks(records, Mode.STARTING)[5]
+    records[place] = tick(records, place)._replace(frames=frames)
+
+
+def reset_in_active(records: Records) -> None:
+    place = ticks(records)[60]
+    reset = Reset(FaultClass.DRIVER, tick(records, place).now_ns)
+    records.insert(place, InputRecord(reset, None))
+
+
+def with_demands(**changes: Any) -> Callable[[Records], None]:
+    """Every demand asks for something else than the gateway was asked."""
+
+    def mutate(records: Records) -> None:
+        for place, record in enumerate(records):
+            if isinstance(record, InputRecord) and isinstance(record.input, Offer):
+                demand = record.input.demand
+                both = {name: replace(one, **changes) for name, one in demand.controllers.items()}
+                changed = record.input._replace(demand=replace(demand, controllers=both))
+                records[place] = record._replace(input=changed)
+
+    return mutate
+
+
 SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "unused bits": ("ordinary", "gate unused bits", with_data(put(b3=1))),
     "POWER_CUT with torque": ("ordinary", "gate POWER_CUT without torque", with_data(put(b0=0x84))),
@@ -205,6 +253,23 @@ SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     ),
     "throttle rises": ("ordinary", "I3 throttle slew", with_data(put(b1=200), 3)),
     "more than demanded": ("ordinary", "I1 throttle as demanded", with_data(put(b1=110), 60)),
+    "SpeedLimit more than demanded": (
+        "limits",
+        "gate SpeedLimit",
+        with_data(put(b4=0xE0, b5=0x2E), 300),
+    ),
+    "PowerMode more than demanded": (
+        "ordinary",
+        "PowerMode as demanded",
+        with_demands(power_mode=PowerMode.ECO),
+    ),
+    "POWER_CUT without a cause": (
+        "ordinary",
+        "POWER_CUT in ACTIVE",
+        with_data(put(b0=0x8C, b1=0, b6=0, b7=0)),
+    ),
+    "silent after listening": ("ordinary", "I13 both frames in every tick", says_nothing),
+    "talks before listening": ("ordinary", "listening before talking", talks_at_once),
     "brake not demanded": ("ordinary", "I1 brake as demanded", with_data(put(b2=10), 60)),
     "safety mode": ("ordinary", "gate throttle in PowerMode safety", with_data(put(b0=0x0C), 60)),
     "power mode": ("ordinary", "gate PowerMode rise", with_data(put(b0=0x08), 60)),
@@ -218,6 +283,10 @@ SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "one frame": ("ordinary", "I13 both frames in every tick", one_frame),
     "too early": ("ordinary", "I4 half a period apart", too_early),
     "restart state": ("ordinary", "arming", armed_without_restart_state),
+    "arm with throttle": ("ordinary", "arming", with_demands(throttle_pct=5.0)),
+    "arm with another direction": ("ordinary", "arming", with_demands(motor_reverse=True)),
+    "reset with throttle": ("stops", "reset", with_demands(throttle_pct=5.0)),
+    "reset in ACTIVE": ("ordinary", "reset", reset_in_active),
     "no arm": ("ordinary", "I2 ACTIVE by arm alone", without(Arm)),
     "no reset": ("stops", "I6 modes", without(Reset)),
     "a fault that ends by itself": ("stops", "I6 modes", with_mode(10, Mode.STANDBY, Mode.FAULT)),
@@ -266,26 +335,29 @@ def test_an_expired_demand_ends_the_drive(records):
     assert "an expired demand ends ACTIVE" in judged(mutated).counts
 
 
-def test_an_arm_without_a_released_throttle_is_told(records):
-    mutated = [
-        record._replace(
-            input=record.input._replace(
-                demand=record.input.demand.__class__(
-                    "driver",
-                    record.input.demand.sequence,
-                    200,
-                    {
-                        name: one.__class__(throttle_pct=5.0)
-                        for name, one in record.input.demand.controllers.items()
-                    },
-                )
-            )
-        )
-        if isinstance(record, InputRecord) and isinstance(record.input, Offer)
-        else record
-        for record in records["ordinary"]
-    ]
-    assert "arming" in judged(mutated).counts
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_drive_that_a_request_ended_or_began_is_one_that_a_stop_or_a_late_tick_ends(armed):
+    calm = TickCauses(stop="", cut="", foreign=False, late=False, demand_fresh=True)
+    findings = Findings()
+    rules = ModeRules(findings)
+    if armed:
+        rules.tick(0, 0, "standby", calm)
+        rules.armed(0, 0, "")
+        rules.tick(1, 50 * MS, "standby", calm._replace(stop="BMS_Status stale"))
+        assert list(findings.counts) == ["a STOP in ACTIVE latches FAULT"]
+    else:
+        rules.armed(0, 0, "")
+        rules.tick(0, 0, "active", calm)
+        rules.left_active()
+        rules.tick(1, 300 * MS, "standby", calm._replace(late=True))
+        assert list(findings.counts) == ["a late tick latches FAULT"]
+
+
+@pytest.mark.parametrize(("ahead_ns", "stale"), [(20 * MS, False), (20 * MS + 1, True)])
+def test_a_frame_from_the_future_is_as_good_as_none(ahead_ns, stale):
+    arrivals = Arrivals(limits_of(Settings(), {}), complete=True)
+    arrivals.receive([Frame(0x1808D0F4, bytes(8), ahead_ns)])
+    assert arrivals.stale("BMS_Status", 0) is stale
 
 
 def test_reaction_times_are_told_with_their_bound(records):
@@ -313,7 +385,7 @@ def test_a_drive_that_breaks_a_rule_is_exit_1_with_the_rule(recorded, monkeypatc
     """The replay is equal, and what it is equal to is wrong."""
 
     def stricter(settings, aliases):
-        return VerdictLimits(throttle_slew_pct_per_s=50.0, aliases=aliases)
+        return replace(limits_of(settings, aliases), throttle_slew_pct_per_s=50.0)
 
     monkeypatch.setattr("vcu_gateway.replay.judged.limits_of", stricter)
     ran = replay(recorded["ordinary"])

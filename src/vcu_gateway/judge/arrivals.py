@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 from vcu_gateway.judge import wire
 from vcu_gateway.judge.limits import VerdictLimits
-from vcu_gateway.judge.wire import CONTROLLERS, MS, PERCENT_PER_BIT
+from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MS, PERCENT_PER_BIT, REVERSE
 
 _SENT_FRAMES = 80
 _THROTTLE_WINDOW_NS = 1_000 * MS
@@ -14,10 +14,9 @@ _DIRECTION_WINDOW_NS = 1_100 * MS
 _ABOVE_MAX_PCT = 5.0
 _STEP_WITHIN_NS = 100 * MS
 _PLAUSIBLE_FRAMES = 3
-_LENGTH = 8
 _LIFE = 0x80
-_REVERSE = 0x10
 _NEVER = -(1 << 63)
+_FUTURE_NS = 20 * MS
 _PRIORITY_BIT = 26
 _STATUS1 = tuple(f"{name}_Status1" for name in CONTROLLERS)
 _STATUS2 = tuple(f"{name}_Status2" for name in CONTROLLERS)
@@ -87,7 +86,7 @@ class Deviations:
 
 
 def _is_whole(frame: BusFrame) -> bool:
-    return len(frame.data) == _LENGTH and not frame.remote
+    return len(frame.data) == LENGTH and not frame.remote
 
 
 class Arrivals:
@@ -158,7 +157,7 @@ class Arrivals:
             return False
         controller = wire.controller_commanded(frame.can_id)
         if frame.own_echo:
-            if controller is not None and len(frame.data) == _LENGTH:
+            if controller is not None and len(frame.data) == LENGTH:
                 self.echoed_ns[controller] = frame.arrival_ns
             return True
         if wire.commands_somebody(frame.can_id) and self.foreign_ns is None:
@@ -198,7 +197,7 @@ class Arrivals:
         low = whole and bool(raws) and lack_pct > self.limits.echo_below_max_pct
         self.below[name].note(low, at_ns, latest=latest)
         told = {one.reverse for one in sent if at_ns - one.at_ns <= _DIRECTION_WINDOW_NS}
-        odd = bool(told) and bool(frame.data[0] & _REVERSE) not in told
+        odd = bool(told) and bool(frame.data[0] & REVERSE) not in told
         self.turned[name].note(odd, at_ns, latest=latest)
         excess_pct = (echoed - max(raws, default=0)) * PERCENT_PER_BIT - _ABOVE_MAX_PCT
         self.above[name].note(excess_pct > 1e-6, at_ns, latest=latest)
@@ -223,13 +222,16 @@ class Arrivals:
         last = self.latest.get(name)
         return self.since_tick.get(name) or ([] if last is None else [last])
 
+    def came(self, name: str) -> bool:
+        return self.latest_ns.get(name, _NEVER) != _NEVER
+
     def age_ns(self, name: str, now_ns: int) -> int | None:
-        """Age of the newest frame; None where none came."""
-        at_ns = self.latest_ns.get(name)
-        return None if at_ns is None or at_ns == _NEVER else now_ns - at_ns
+        """Age of the newest frame; None where none came, or it is stamped in the future."""
+        age_ns = now_ns - self.latest_ns.get(name, _NEVER)
+        return age_ns if self.came(name) and age_ns >= -_FUTURE_NS else None
 
     def stale(self, name: str, now_ns: int) -> bool:
-        """True where a message is too old, or never came."""
+        """True where a message is too old, never came, or is stamped in the future."""
         age_ns = self.age_ns(name, now_ns)
         return age_ns is None or age_ns > self.limits.stale_ns[name]
 
@@ -242,13 +244,11 @@ class Arrivals:
         return [wire.speed_rpm(frame.data) for name in _STATUS2 for frame in self.judged(name)]
 
     def note_sent(self, controller: str, data: bytes, at_ns: int) -> None:
-        """A command that left."""
         if self._first_sent_ns is None:
             self._first_sent_ns = at_ns
-        self.sent[controller].append(LeftCommand(at_ns, data[1], bool(data[0] & _REVERSE)))
+        self.sent[controller].append(LeftCommand(at_ns, data[1], bool(data[0] & REVERSE)))
 
     def end_tick(self) -> None:
-        """What came before this tick has been judged."""
         self.since_tick.clear()
         self.echoed_ns.clear()
         self.foreign_ns = None

@@ -32,7 +32,6 @@ class BusState:
         return min((one for one in known if one is not None), default=None)
 
     def error_frame(self, can_id: int, data: bytes, at_ns: int) -> None:
-        """Take in an error frame; the identifier carries the classes."""
         if can_id & _BUS_OFF:
             self._note_off(at_ns)
         elif can_id & _RESTARTED:
@@ -70,7 +69,6 @@ class BusState:
             self._note_off(at_ns)
 
     def lost(self, at_ns: int) -> None:
-        """The interface is down or gone."""
         self._lost_ns = at_ns if self._lost_ns is None else self._lost_ns
 
     def opened(self) -> None:
@@ -92,11 +90,9 @@ class BusState:
 
     @property
     def is_lost(self) -> bool:
-        """True while there is no interface."""
         return self._lost_ns is not None
 
     def end_tick(self) -> None:
-        """A bus-off that is over has been judged."""
         self._went_off_ns = None
 
 
@@ -218,7 +214,7 @@ class Unconfirmed:
         self._emitted = False
 
     def tick(self, echoed: dict[str, int]) -> bool:
-        """Whether three have passed at this tick."""
+        """True from the third on."""
         for controller in CONTROLLERS:
             if controller in echoed:
                 self._missed[controller] = 0
@@ -227,7 +223,6 @@ class Unconfirmed:
         return max(self._missed.values()) >= _UNCONFIRMED_TICKS
 
     def note_emitted(self, emitted: bool) -> None:
-        """Whether this tick gave frames at all."""
         self._emitted = emitted
 
 
@@ -255,7 +250,6 @@ class HeldEffects:
 
     @property
     def effects(self) -> set[str]:
-        """Every effect that counts."""
         return {effect for effect, _ in self._absent_since_ns}
 
     @property

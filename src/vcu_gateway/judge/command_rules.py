@@ -1,7 +1,7 @@
 """Command rules: what each command frame must be, beside the ones before it and what is asked.
 
 The gate's rules and the invariants of docs/safety.md, on bytes. A rule yields its short name and
-what was seen; `CommandRules.broken` runs all of them on one frame.
+what was seen; `broken` runs all of them on one frame, `FramePairs` those on both frames of a tick.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,6 +11,7 @@ from vcu_gateway.judge.causes import CUT, POWER_LIMIT, REGEN_LIMIT, REGEN_OFF, S
 from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
 from vcu_gateway.judge.wire import (
     CONTROLLERS,
+    LENGTH,
     MS,
     PERCENT_PER_BIT,
     REVERSE,
@@ -64,9 +65,6 @@ def _moved(limit: float, told: float, target: float, step: float) -> float:
     return max(target, min(limit, told) - step)
 
 
-_LENGTH = 8
-
-
 class SentFrame(NamedTuple):
     """A command frame of one tick, and whether the bus took it."""
 
@@ -88,7 +86,6 @@ class FramePairs:
         self._quiet_until_ns: int | None = None
 
     def listen(self, limits: VerdictLimits, now_ns: int) -> None:
-        """The listening time begins."""
         self._quiet_until_ns = now_ns + round(limits.listen_before_talk_ms * MS)
 
     def broken(
@@ -97,10 +94,11 @@ class FramePairs:
         """Rules that the frames of a tick break together; `disturbed`: it has to listen again."""
         if disturbed and not self._talking:
             self.listen(limits, now_ns)
-        listening = self._quiet_until_ns is not None and now_ns < self._quiet_until_ns
-        if len(sent) not in (0, len(CONTROLLERS)) or (not sent and self._talking):
+        until_ns = self._quiet_until_ns if self._complete else None
+        has_to = self._talking or (until_ns is not None and now_ns >= until_ns)
+        if len(sent) not in (0, len(CONTROLLERS)) or (not sent and has_to):
             yield "I13 both frames in every tick", f"{len(sent)} frames"
-        if sent and not self._talking and listening and self._complete:
+        if sent and until_ns is not None and not has_to:
             yield "listening before talking", "a frame while it has to listen"
         self._talking = self._talking or bool(sent)
         if not limits.independent_directions and _two_directions(sent):
@@ -108,8 +106,7 @@ class FramePairs:
 
 
 def _two_directions(sent: SentFrames) -> bool:
-    """True where one turns forwards and one in reverse, with throttle."""
-    whole = [one.data for one in sent.values() if len(one.data) == _LENGTH]
+    whole = [one.data for one in sent.values() if len(one.data) == LENGTH]
     return len({data[0] & REVERSE for data in whole}) > 1 and any(data[1] for data in whole)
 
 
@@ -207,17 +204,23 @@ def _shape(one: Judged, facts: TickFacts) -> Broken:
 
 
 def _speed_limit(one: Judged, facts: TickFacts) -> Broken:
+    """What is demanded, else the maximum; it falls along the slew and rises at once."""
     rpm, limits = one.command.speed_limit_rpm, facts.limits
-    step_rpm = limits.speed_slew_rpm_per_s * limits.period_ns / _NS_PER_S
-    before_rpm = None if one.before is None else one.before.command.speed_limit_rpm
-    if rpm < _SPEED_LIMIT_MIN_RPM:
-        yield "gate SpeedLimit", f"{rpm} rpm is below {_SPEED_LIMIT_MIN_RPM}"
-    # Above the maximum it may only be on its way down to one that a reload made stricter.
-    falling = before_rpm is not None and rpm <= before_rpm - step_rpm / 2 + _ROUNDING
-    if rpm > limits.speed_limit_max_rpm and not falling:
-        yield "gate SpeedLimit", f"{rpm} rpm is above {limits.speed_limit_max_rpm:g}"
-    if before_rpm is not None and before_rpm - rpm > step_rpm + _ROUNDING:
-        yield "gate SpeedLimit slew", f"from {before_rpm} to {rpm} rpm"
+    highest_rpm = lowest_rpm = limits.speed_limit_max_rpm
+    if facts.active and one.demanded is None:
+        lowest_rpm = _SPEED_LIMIT_MIN_RPM
+    elif facts.active and one.demanded is not None:
+        asked_rpm = max(one.demanded.speed_limit_rpm, _SPEED_LIMIT_MIN_RPM)
+        highest_rpm = lowest_rpm = min(asked_rpm, highest_rpm)
+    if one.before is not None:
+        step_rpm = limits.speed_slew_rpm_per_s * facts.elapsed_ns / _NS_PER_S
+        falls_to_rpm = one.before.command.speed_limit_rpm - step_rpm
+        highest_rpm, lowest_rpm = max(highest_rpm, falls_to_rpm), max(lowest_rpm, falls_to_rpm)
+    rounding_rpm = _ROUNDING if highest_rpm != limits.speed_limit_max_rpm else 0
+    if rpm > highest_rpm + rounding_rpm or rpm < _SPEED_LIMIT_MIN_RPM:
+        yield "gate SpeedLimit", f"{rpm} rpm, not {lowest_rpm:.0f} to {highest_rpm:.0f}"
+    elif rpm < lowest_rpm - _ROUNDING:
+        yield "gate SpeedLimit slew", f"{rpm} rpm, at least {lowest_rpm:.0f}"
 
 
 def _direction(one: Judged, before: SentBefore, facts: TickFacts) -> Broken:
@@ -236,6 +239,8 @@ def _effects(one: Judged, facts: TickFacts) -> Broken:
     stopping = effects & {STOP, CUT}
     if stopping and not command.safe:
         yield "a STOP or CUT leaves no torque", _seen(command)
+    if command.cut:
+        yield "POWER_CUT in ACTIVE", "without a cause that cuts"
     if TURBO_OFF in effects and command.power_mode == _TURBO:
         yield "TURBO_OFF", "PowerMode is turbo"
     limited = POWER_LIMIT in effects
@@ -248,11 +253,16 @@ def _effects(one: Judged, facts: TickFacts) -> Broken:
         yield "I10 regeneration", f"with a motor unknown or below {least_rpm:g} rpm"
 
 
+def _rank(power_mode: int) -> int:
+    """Place among safety, eco, normal, turbo."""
+    return (power_mode + 1) % 4
+
+
 def _power_mode(one: Judged, facts: TickFacts) -> Broken:
     if one.before is None or facts.released:
         return
     mode, then = one.command.power_mode, one.before.command.power_mode
-    if mode != SAFETY_MODE and (then == SAFETY_MODE or mode > then):
+    if _rank(mode) > _rank(then):
         yield "gate PowerMode rise", f"from {then} to {mode} while a throttle is not below 5 %"
 
 
@@ -276,7 +286,8 @@ def _throttle(one: Judged, facts: TickFacts) -> Broken:
 
 def _ramps(one: Judged, facts: TickFacts) -> Broken:
     power_w = facts.ramps.power_w[one.controller]
-    if one.command.power_limit_w > power_w + _ROUNDING:
+    rounding_w = _ROUNDING if power_w != facts.limits.power_limit_max_w else 0
+    if one.command.power_limit_w > power_w + rounding_w:
         yield "I1 PowerLimit", f"{one.command.power_limit_w} W, at most {power_w:.0f}"
     brake_pct = facts.ramps.brake_pct[one.controller]
     if one.command.brake_raw * PERCENT_PER_BIT > brake_pct + PERCENT_PER_BIT:
@@ -291,6 +302,8 @@ def _as_demanded(one: Judged, demanded: JudgedDemand) -> Broken:
         yield "I1 brake as demanded", f"{_seen(command)}, demanded {demanded.brake_pct:g} %"
     if command.power_limit_w > demanded.power_limit_w + _ROUNDING:
         yield "I1 power as demanded", f"{_seen(command)}, demanded {demanded.power_limit_w:g} W"
+    if _rank(command.power_mode) > _rank(demanded.power_mode):
+        yield "PowerMode as demanded", f"{command.power_mode}, demanded {demanded.power_mode}"
     if command.regenerates and not demanded.regen_brake:
         yield "I10 regeneration", "nobody demanded it"
     if command.throttle_raw and command.reverse is not demanded.motor_reverse:

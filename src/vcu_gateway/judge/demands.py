@@ -19,7 +19,6 @@ class GrantedDemand(NamedTuple):
     ttl_ms: int | None
 
     def fresh(self, now_ns: int) -> bool:
-        """True while it counts."""
         return self.ttl_ms is None or 0 <= now_ns - self.made_ns <= self.ttl_ms * MS
 
 
@@ -58,7 +57,6 @@ class GrantedDemands:
         self._judge(demand.controllers, demand.made_ns, now_ns)
 
     def ended(self) -> None:
-        """The owner ended its demand."""
         if self.current is not None:
             self.current = self.current._replace(made_ns=-(10**18), ttl_ms=0)
 
@@ -71,14 +69,18 @@ class GrantedDemands:
         return None if self.current is None else self.current.controllers[controller]
 
     def released_for_ns(self, now_ns: int) -> int | None:
-        """How long every demand had a throttle of 0; None where the last has not.
-
-        The bench's own reads as 0 before ACTIVE: it never changes, so it could never be released.
-        """
+        """How long every demand had a throttle of 0; None where the last has not."""
         if self.current is not None and self.current.ttl_ms is None:
-            return now_ns
+            return now_ns  # a static demand's throttle reads as 0 until ACTIVE
         since_ns = self._released_since_ns
         return None if since_ns is None else now_ns - since_ns
+
+    def asks_throttle(self, now_ns: int) -> bool:
+        """True where a fresh demand has throttle; a static one's reads as 0 until ACTIVE."""
+        one = self.current
+        if one is None or one.ttl_ms is None or not one.fresh(now_ns):
+            return False
+        return any(each.throttle_pct > 0 for each in one.controllers.values())
 
     def _hold(self, reason: str) -> None:
         self._held.add(reason)
@@ -126,7 +128,6 @@ class GrantedDemands:
         return found
 
     def end_tick(self) -> None:
-        """Directions of the interval have been judged."""
         self.directions.clear()
 
 

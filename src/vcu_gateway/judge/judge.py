@@ -4,11 +4,11 @@ Nothing of the gateway's decisions is used here: frames are decoded from their b
 effects are those of the specification, and of the recording only what came in, what was sent and
 which mode was told is believed.
 
-    judge = Judge(limits, complete=True)
+    judge = Judge(limits, findings, complete=True)
     judge.frames(frames)                         # as often as frames came
     judge.demand(demand, now_ns)                 # granted demands, requests, the link
     judge.tick(now_ns, "active", {"PCU1": command, "PCU2": command})
-    judge.verdict()
+    findings.kept, findings.reactions
 """
 
 from collections.abc import Iterable
@@ -37,7 +37,7 @@ from vcu_gateway.judge.demands import GrantedDemand, GrantedDemands
 from vcu_gateway.judge.limits import VerdictLimits
 from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
 from vcu_gateway.judge.result import Findings, Reactions
-from vcu_gateway.judge.wire import MS
+from vcu_gateway.judge.wire import LENGTH, MS
 
 _REGEN_RETURN_RPM = 50
 _SPEED_HIGHEST_RPM = 6_000
@@ -59,7 +59,7 @@ class Judge:
         self, limits: VerdictLimits, findings: Findings, *, complete: bool, tick: int = 0
     ) -> None:
         self.limits = limits
-        self.requests = ModeRules(findings, complete=complete)
+        self.requests = ModeRules(findings)
         self._findings = findings
         self._arrivals = Arrivals(limits, complete=complete)
         self._bus = BusState()
@@ -89,7 +89,6 @@ class Judge:
                 self._reactions.left(frame.arrival_ns)
 
     def link_lost(self, at_ns: int) -> None:
-        """The interface is gone."""
         self._bus.lost(at_ns)
 
     def link_opened(self, at_ns: int, *, up: bool) -> None:
@@ -100,7 +99,6 @@ class Judge:
         self._pairs.listen(self.limits, at_ns)
 
     def carrier(self, present: bool, at_ns: int) -> None:
-        """The carrier came or went."""
         self._bus.carrier(present, at_ns)
 
     def offered(self, now_ns: int) -> None:
@@ -110,16 +108,13 @@ class Judge:
         self._demands.offered(now_ns)
 
     def demand(self, demand: GrantedDemand, now_ns: int) -> None:
-        """A demand was granted."""
         self._demands.granted(demand, now_ns, driving=self.requests.may_be_active)
 
     def end_demand(self) -> None:
-        """The owner ended its demand."""
         self._demands.ended()
         self.requests.left_active()
 
     def armed(self, now_ns: int) -> None:
-        """`arm` was granted."""
         demands, reason = self._demands, ""
         released_ns = demands.released_for_ns(now_ns)
         if self._held.blocking:
@@ -130,30 +125,33 @@ class Judge:
             reason = "there is no fresh demand"
         elif self._complete and (released_ns is None or released_ns < 200 * MS):
             reason = "the throttle was not 0 for 200 ms"
+        elif self._turns(demands):
+            reason = "a change of direction is pending"
         self.requests.armed(self._tick, now_ns, reason)
 
+    def _turns(self, demands: GrantedDemands) -> bool:
+        demanded = [(one.command, demands.of(name)) for name, one in self._before.items()]
+        return any(one and one.motor_reverse is not sent.reverse for sent, one in demanded)
+
     def restart_state(self, *, kept: bool) -> None:
-        """Keeping the restart state was tried."""
         self._restart_state_kept = kept
 
     def reset(self, now_ns: int, *, service: bool) -> None:
-        """`reset` was granted."""
-        self.requests.reset(self._tick, now_ns, service=service, blocking=self._held.blocking)
+        against = "a cause stands" if self._held.blocking else ""
+        if self._demands.asks_throttle(now_ns):
+            against = "the demanded throttle is not 0"
+        self.requests.reset(self._tick, now_ns, against, service=service)
 
     def emergency_stop(self) -> None:
-        """An emergency stop was requested."""
         self._emergency = True
 
     def disarmed(self) -> None:
-        """`disarm` was done."""
         self.requests.left_active()
 
     def reload(self, limits: VerdictLimits) -> None:
-        """New settings were taken."""
         self.limits = self._arrivals.limits = limits
 
     def end(self) -> None:
-        """The stretch is over."""
         self._reactions.settle()
 
     # The tick.
@@ -190,7 +188,9 @@ class Judge:
         found = [
             one
             for one in expected.seen(arrivals, self.limits, now_ns)
-            if self._complete or not one.cause.endswith(" stale") or self._known(one.cause)
+            if self._complete
+            or not one.cause.endswith(" stale")
+            or arrivals.came(one.cause.removesuffix(" stale"))
         ]
         if self._unconfirmed.tick(arrivals.echoed_ns):
             found.append(Seen(STOP, "own frames not confirmed", now_ns))
@@ -204,9 +204,6 @@ class Judge:
             span_ns = now_ns - asked_ns
             found.append(Seen(CUT, "emergency stop", asked_ns, span_ns=span_ns))
         return found
-
-    def _known(self, cause: str) -> bool:
-        return self._arrivals.age_ns(cause.removesuffix(" stale"), 0) is not None
 
     def _facts(self, now_ns: int, mode: str, elapsed_ns: int) -> TickFacts:
         limits, active = self.limits, mode == "active"
@@ -246,7 +243,7 @@ class Judge:
 
     def _judge_frame(self, controller: str, frame: SentFrame, facts: TickFacts) -> None:
         own_id = wire.command_id(controller, self.limits.transmit_priority)
-        if frame.can_id != own_id or len(frame.data) != 8:
+        if frame.can_id != own_id or len(frame.data) != LENGTH:
             seen = f"{frame.can_id:08X} with {len(frame.data)} bytes, not {own_id:08X} with 8"
             self._broken("gate identifier and length", facts.now_ns, seen)
             return
@@ -264,7 +261,7 @@ class Judge:
 
     def _end_tick(self, now_ns: int, sent: SentFrames) -> None:
         for controller, frame in sent.items():
-            if frame.left and len(frame.data) == 8:
+            if frame.left and len(frame.data) == LENGTH:
                 self._before[controller] = SentBefore(wire.command_bytes(frame.data), now_ns)
                 self._told[controller] = frame.data
                 self._arrivals.note_sent(controller, frame.data, now_ns)

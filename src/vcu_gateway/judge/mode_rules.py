@@ -38,47 +38,43 @@ class ModeRules:
         cut_latched: POWER_CUT until a reset at service level.
     """
 
-    def __init__(self, findings: Findings, *, complete: bool) -> None:
+    def __init__(self, findings: Findings) -> None:
         self.mode: str | None = None
         self.may_be_active = False
         self.cut_latched = False
         self._findings = findings
-        self._complete = complete
-        self._left_active = self._was_reset = self._bench_arms = False
+        self._was_reset = self._bench_arms = False
 
     def bench(self) -> None:
-        """A bench arms once by itself."""
         self._bench_arms = True
 
     def armed(self, tick: int, now_ns: int, against: str) -> None:
-        """`arm` was granted; `against` is what the judge knows against it."""
+        """`arm` was granted; `against`: what the judge knows against it, else empty."""
         if against or self.mode not in (None, "standby"):
             why = against or f"in {self.mode}"
             self._findings.broken("arming", tick, now_ns, f"granted although {why}")
         self.may_be_active = True
 
     def left_active(self) -> None:
-        """A request ended the drive."""
         self.may_be_active = False
-        self._left_active = True
 
-    def reset(self, tick: int, now_ns: int, *, service: bool, blocking: bool) -> None:
-        """`reset` was granted."""
+    def reset(self, tick: int, now_ns: int, against: str, *, service: bool) -> None:
+        """`reset` was granted; `against` as of `armed`."""
         if self.cut_latched and not service:
             self._findings.broken("reset", tick, now_ns, "a CUT was reset below service level")
-        if blocking:
-            self._findings.broken("reset", tick, now_ns, "granted although a cause stands")
+        if against or self.mode not in (None, "fault"):
+            why = against or f"in {self.mode}"
+            self._findings.broken("reset", tick, now_ns, f"granted although {why}")
         self._was_reset, self.cut_latched = True, False
 
     def tick(self, number: int, now_ns: int, mode: str, causes: TickCauses) -> None:
-        """Judge the mode that a tick tells."""
         for rule, sentence in self._broken(mode, causes):
             self._findings.broken(rule, number, now_ns, sentence)
         if causes.cut and mode in ("fault", "stopping"):
             self.cut_latched = True
         self.mode = mode
         self.may_be_active = mode == "active"
-        self._left_active = self._was_reset = False
+        self._was_reset = False
 
     def _broken(self, mode: str, causes: TickCauses) -> list[tuple[str, str]]:
         before, found = self.mode, []
@@ -114,9 +110,9 @@ class ModeRules:
             return [("a CUT latches FAULT", f"{causes.cut}, and the mode is {mode}")]
         if causes.foreign:
             return [("another sender latches FAULT", f"the mode is {mode}")]
-        drove = before == "active" and not self._left_active
-        if drove and causes.late:
+        # A request in time that ended the drive does not excuse the late tick of it.
+        if causes.late and (before == "active" or self.may_be_active):
             return [("a late tick latches FAULT", f"the mode is {mode}")]
-        if drove and causes.stop:
+        if causes.stop and self.may_be_active:
             return [("a STOP in ACTIVE latches FAULT", f"{causes.stop}, and the mode is {mode}")]
         return []

@@ -1,4 +1,4 @@
-"""Frames of the bus in the verdict's own arithmetic, from docs/protocol.md by hand."""
+"""Frames of the bus in the judge's own arithmetic, from docs/protocol.md by hand."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -7,10 +7,11 @@ MS = 1_000_000
 CONTROLLERS = ("PCU1", "PCU2")
 PERCENT_PER_BIT = 0.39
 SAFETY_MODE = 3
+LENGTH = 8
 _RELEASED_RAW = 12
 
 COMMAND_IDS: Mapping[str, int] = {"PCU1": 0x0008A7D0, "PCU2": 0x0008A8D0}
-_RECEIVED_IDS: Mapping[int, str] = {
+RECEIVED_IDS: Mapping[int, str] = {
     0x040AD092: "ARD2_SteeringWheel",
     0x1808D0F4: "BMS_Status",
     0x1809D0F4: "BMS_Temperatures",
@@ -22,27 +23,11 @@ _RECEIVED_IDS: Mapping[int, str] = {
     0x0808D0A8: "PCU2_Status1",
     0x0809D0A8: "PCU2_Status2",
 }
-STALE_AFTER_MS: Mapping[str, int] = {
-    "ARD2_SteeringWheel": 300,
-    "BMS_Status": 1600,
-    "BMS_Temperatures": 1600,
-    "IMU_Acceleration": 100,
-    "IMU_AngularRate": 100,
-    "IMU_Attitude": 100,
-    "PCU1_Status1": 1600,
-    "PCU1_Status2": 200,
-    "PCU2_Status1": 1600,
-    "PCU2_Status2": 200,
-}
-"""Ages of docs/safety.md, Causes; a configuration may say otherwise."""
-
-BATTERY_LATE_AFTER_MS = 1100
-
 MATCH = 0x03FF_FFFF
 """What tells a frame: PF, PS and SA, whatever its priority (E1)."""
 
 _PRIORITY = 0x1C00_0000
-_MESSAGE_BY_KEY = {can_id & MATCH: name for can_id, name in _RECEIVED_IDS.items()}
+_MESSAGE_BY_KEY = {can_id & MATCH: name for can_id, name in RECEIVED_IDS.items()}
 _COMMAND_BY_KEY = {can_id & MATCH: name for name, can_id in COMMAND_IDS.items()}
 # PF 8 on page 0 and the receiver; the last byte is the sender.
 _COMMANDED = {0x0008A7, 0x0008A8, 0x0008FF}
@@ -75,7 +60,6 @@ class CommandBytes(NamedTuple):
 
 
 def command_bytes(data: bytes) -> CommandBytes:
-    """Take apart a command of eight bytes."""
     first = data[0]
     return CommandBytes(
         first >> 2 & 3,
@@ -91,7 +75,6 @@ def command_bytes(data: bytes) -> CommandBytes:
 
 
 def command_id(controller: str, priority: int) -> int:
-    """Identifier of a controller's command at this priority."""
     return COMMAND_IDS[controller] & ~_PRIORITY | priority << 26
 
 
@@ -111,5 +94,4 @@ def commands_somebody(can_id: int) -> bool:
 
 
 def speed_rpm(status2: bytes) -> int:
-    """MotorSpeed of a Status2."""
     return status2[6] | status2[7] << 8

@@ -24,7 +24,7 @@ from tests.core.simulated_drive import (
 )
 from tests.driven import driven
 from tests.faults.conftest import Seen
-from tests.faults.invariants import is_safe
+from tests.faults.judged_bus import is_safe
 from tests.faults.line_client import LineClient
 from tests.faults.machine import resident_kb
 from vcu_gateway import config as configuration

@@ -21,7 +21,7 @@ import pytest
 from tests.core.simulated_drive import ZERO_TORQUE
 from tests.driven import Driven, driven, wait_until
 from tests.faults.conftest import ROOT, Seen
-from tests.faults.invariants import Checked, check
+from tests.faults.judged_bus import Checked, check
 from tests.faults.line_client import LineClient
 from tests.faults.machine import Program, program
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more

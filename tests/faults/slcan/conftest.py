@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults import invariants
+from tests.faults import judged_bus
 from tests.faults.driving import RECORDER, BusStand, Driving
 from tests.faults.slcan.adapter import Adapter
 from tests.vcan.conftest import Recording, ended_after, wait_until
@@ -34,7 +34,7 @@ class Adapted(Driving):
         """docs/safety.md, Invariants: on what the gateway sent since the last check."""
         frames, log = self.near.frames(), self.gateway.log()
         begin, self._near_checked_to = self._near_checked_to, len(frames)
-        checked = invariants.check(frames[begin:], log=log)
+        checked = judged_bus.check(frames[begin:], log=log)
         assert checked.frames > 0
 
 

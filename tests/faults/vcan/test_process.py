@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.faults import invariants, reference_ticks
+from tests.faults import judged_bus, reference_ticks
 from tests.faults.conftest import Seen
 from tests.faults.driving import (
     MS,
@@ -24,7 +24,7 @@ from tests.faults.driving import (
     Driving,
     record,
 )
-from tests.faults.invariants import is_safe
+from tests.faults.judged_bus import is_safe
 from tests.vcan.conftest import COMMANDS, Recorded, Recording, ended_after, program, wait_until
 
 # A busy machine has what is measured taken once more.
@@ -164,7 +164,7 @@ def test_f50_after_3_s_without_running_only_zero_torque_follows_and_no_burst(
         after = since(frames(), held_ns)
         assert after[0].stamp_ns >= woken_ns, "nothing was sent meanwhile"
         assert {frame.data for frame in after} == {ZERO_TORQUE}
-        checked = invariants.check(after, log=gateway.log())
+        checked = judged_bus.check(after, log=gateway.log())
         wait_until(lambda: gateway.has_logged("fault_latched"), "the latch")
         told = [entry for entry in gateway.log() if entry["event"] == "ticks_skipped"]
         skipped = max(int(str(entry["skipped"])) for entry in told)
@@ -268,7 +268,7 @@ def test_f52_a_hangup_reads_the_configuration_again_and_drives_on(road: Road, se
         one.check()
         mode = one.mode()
         missed = not_sent(one) - before
-        checked = invariants.check(frames)
+        checked = judged_bus.check(frames)
         assert checked.missing <= missed
         seen(f"SIGHUP: {checked}, {missed} ticks without frames, {mode}")
         if not missed:
@@ -331,7 +331,7 @@ class Hogged(NamedTuple):
     stalls: int
     calm: int
     late_ms: float
-    checked: invariants.Checked
+    checked: judged_bus.Checked
 
     @property
     def good(self) -> bool:
@@ -372,7 +372,7 @@ def hogged(road: Road, one: Driving) -> Hogged:
         stalls=stalls,
         calm=before["skipped"] - calm["skipped"],
         late_ms=(after["lateness_p99_us"] or 0) / 1000,
-        checked=invariants.check(frames),
+        checked=judged_bus.check(frames),
     )
 
 
@@ -421,7 +421,7 @@ def test_f84_a_restart_while_moving_is_zero_torque_to_the_end_and_unarmed(road: 
 
     def turning(since_ns: int) -> int:
         """The highest speed told since then, rpm."""
-        status = (f for f in road.recording.frames() if f.can_id == invariants.STATUS2[0])
+        status = (f for f in road.recording.frames() if f.can_id == judged_bus.STATUS2[0])
         told = [int.from_bytes(f.data[6:8], "little") for f in status if f.stamp_ns > since_ns]
         return max(told, default=0)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.faults import invariants
+from tests.faults import judged_bus
 from tests.faults.conftest import Seen
 from tests.faults.driving import MS, PATIENCE_S, BusStand, Driving
 from tests.faults.vcan.test_process import not_sent
@@ -103,8 +103,8 @@ def test_f55_steps_of_the_wall_clock_change_neither_cadence_nor_torque(
     frames = clock.monotonic(one.recording.frames())
     for drive in drives:
         driven = [f for f in frames if drive.begun_ns < f.stamp_ns < drive.ended_ns]
-        checked = invariants.check(driven)
-        throttles = {f.data[1] for f in driven if f.can_id in invariants.COMMANDS}
+        checked = judged_bus.check(driven)
+        throttles = {f.data[1] for f in driven if f.can_id in judged_bus.COMMANDS}
         assert checked.missing <= drive.missed
         assert checked.narrowest_ms >= 25
         assert checked.frames + 2 * drive.missed >= 2 * (len(STEPS_NS) + 2) * 15

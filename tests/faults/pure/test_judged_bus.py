@@ -1,10 +1,10 @@
-"""The checker of a recorded bus finds what it is there to find."""
+"""A recorded bus before the judge: what is wrong on it is found."""
 
 from typing import NamedTuple
 
 import pytest
 
-from tests.faults.invariants import COMMANDS, EXTENDED, MS, STATUS2, check
+from tests.faults.judged_bus import COMMANDS, EXTENDED, MS, STATUS2, check
 
 ZERO = bytes.fromhex("0c000000e02e0000")
 START_NS = 1_700_000_000_000_000_000
@@ -64,10 +64,10 @@ def replaced(index, **changes):
     ("frames", "found"),
     [
         (drive([None, 0, 14]), "I3"),
-        (drive([None, 0, 12], power=60_001), "I1 power"),
+        (drive([None, 0, 12], power=60_001), "I1 PowerLimit"),
         (replaced(2, stamp_ns=START_NS + 24 * MS), "I4"),
         (replaced(2, data=ZERO[:7]), "eight bytes"),
-        (replaced(2, data=bytes.fromhex("0c000000e12e0000")), "I1 speed"),
+        (replaced(2, data=bytes.fromhex("0c000000e12e0000")), "gate SpeedLimit"),
         (replaced(2, data=bytes.fromhex("0d000000e02e0000")), "unused bits"),
         (replaced(2, data=bytes.fromhex("0c000001e02e0000")), "unused bits"),
         (replaced(2, data=bytes.fromhex("04410f00e02e0000")), "I11"),
