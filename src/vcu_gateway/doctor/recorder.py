@@ -49,7 +49,6 @@ class RecorderFacts(NamedTuple):
 
 
 def read(socket: ServiceFacts, *, gateway_runs: bool) -> RecorderFacts:
-    """Read them from the recorder's status file and the kernel."""
     status: RecorderStatus | Problem | None
     try:
         status = read_status()

@@ -86,7 +86,6 @@ def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
 
 
 def _lines_of_begin(files: SegmentFiles) -> list[bytes]:
-    """The second line of a segment; empty where it cannot be read."""
     try:
         first = None if files.core is None else next(read_members(files.core), None)
     except OSError:
@@ -148,7 +147,6 @@ class Drive:
         self._read: SegmentReader | None = None
 
     def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
-        """As `runs`, each frame as a `FrameInput`."""
         for record in self.runs(first_segment):
             if type(record) is FrameRun:
                 for frame in record.frames:

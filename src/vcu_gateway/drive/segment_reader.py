@@ -59,7 +59,6 @@ class _FrameSource:
         self._waiting: list[Frame] = []
 
     def take(self, count: int) -> list[Frame]:
-        """The next frames, fewer where there are no more."""
         waiting = self._waiting
         while len(waiting) < count and (member := next(self._members, None)) is not None:
             waiting += self._frames(member)
@@ -67,7 +66,6 @@ class _FrameSource:
         return taken
 
     def rest(self) -> Iterator[list[Frame]]:
-        """Every further frame."""
         if self._waiting:
             yield self.take(len(self._waiting))
         for member in self._members:
@@ -128,7 +126,6 @@ class SegmentReader:
         yield from self._in_order(second, placed)
 
     def _missing(self, begin: Checkpoint, told: Gap | None) -> Iterator[Gap]:
-        """What is missing between the segment before and this one."""
         before = self._before
         if before is None:
             if told is not None:

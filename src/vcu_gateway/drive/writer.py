@@ -79,7 +79,6 @@ class DriveWriter:
         self._segment.flush((now_ns + self._distance_ns) // NS_PER_S)
 
     def close(self, now_ns: int) -> None:
-        """Write what is left, and end the drive."""
         self._take()
         self._flush(now_ns)
         self._segment.close()

@@ -59,12 +59,10 @@ class SegmentFiles(NamedTuple):
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Those that are there."""
         return tuple(path for path in (self.frames, self.core) if path is not None)
 
 
 def frames_name(number: int) -> str:
-    """File of a segment's frames."""
     return f"{number:04d}{FRAMES_SUFFIX}"
 
 
@@ -88,7 +86,6 @@ def _utc(wall_ns: int) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text without what has a meaning in a path or a shell."""
     return re.sub(r"[^0-9A-Za-z_-]", "_", text)
 
 
@@ -238,6 +235,5 @@ def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path
 
 
 def remove_partial_folders(parent: Path) -> None:
-    """Remove what an interrupted `create_folder` left behind."""
     for path in parent.glob(f"{_PARTIAL}*"):
         shutil.rmtree(path, ignore_errors=True)

@@ -105,7 +105,6 @@ class _Header(NamedTuple):
 
 
 def digest_of(member: bytes) -> bytes:
-    """What the link of the member that is written next names."""
     return hashlib.sha256(member).digest()
 
 
@@ -229,7 +228,6 @@ def _inflated(body: bytes) -> bytes | None:
 def _foreign_or_damaged(
     descriptor: int, offset: int, end: int, lines: int
 ) -> Member | MemberDamage:
-    """A member of another program, or damaged bytes."""
     start = os.pread(descriptor, _HEADER.size, offset)
     if start.startswith(_GZIP) and start[_SIGNATURE_OFFSET:16] not in _SIGNATURES:
         inflate = zlib.decompressobj(_ANY_GZIP)

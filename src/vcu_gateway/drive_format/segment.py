@@ -41,7 +41,6 @@ class MemberFile:
             raise
 
     def sync(self) -> None:
-        """Have it on the disk."""
         os.fdatasync(self._descriptor)
 
     @property
@@ -54,7 +53,6 @@ class MemberFile:
         return os.path.samestat(found, os.fstat(self._descriptor))
 
     def close(self) -> None:
-        """Close it."""
         os.close(self._descriptor)
 
 
@@ -88,17 +86,14 @@ class SegmentWriter:
 
     @property
     def size(self) -> int:
-        """Bytes of both files."""
         return self._frames_file.size + self._core_file.size
 
     @property
     def recorded_frames(self) -> int:
-        """Frames that are in the file."""
         return self._frames_file.lines
 
     @property
     def is_in_place(self) -> bool:
-        """False where somebody removed a file of it, or its folder."""
         return self._frames_file.is_in_place and self._core_file.is_in_place
 
     def add(self, frame_lines: list[str], core_text: str) -> None:
@@ -126,7 +121,6 @@ class SegmentWriter:
         return (self._frames_file, self._frame_text), (self._core_file, self._core_text)
 
     def sync(self) -> None:
-        """Have on the disk what was written."""
         for file, _ in self._files():
             file.sync()
 

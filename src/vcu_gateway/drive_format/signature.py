@@ -48,7 +48,6 @@ def link_name(segment: int) -> str:
 
 
 def is_link(name: str) -> bool:
-    """True for a file that names the last member of a segment."""
     return _LINK.fullmatch(name) is not None
 
 

@@ -72,7 +72,6 @@ class Disk:
 
     @property
     def state(self) -> DiskState:
-        """The state as a word."""
         return "stalled" if self._is_stalled() else self._trouble
 
     @property
@@ -98,13 +97,11 @@ class Disk:
         self._pause_s = min(_LONGEST_PAUSE_S, 2 * self._pause_s)
 
     def worked(self) -> None:
-        """It took what was to be written."""
         if self._trouble != "ok":
             self._say(f"the disk works again, after {time.monotonic() - self._since_s:.1f} s")
         self._trouble, self._pause_s = "ok", _FIRST_PAUSE_S
 
     def busy(self, is_busy: bool) -> None:
-        """The writer begins to work, or is done."""
         self._busy_since_s = time.monotonic() if is_busy else None
 
     def _is_stalled(self) -> bool:
@@ -112,7 +109,6 @@ class Disk:
         return since_s is not None and time.monotonic() - since_s > _STALLED_S
 
     def watch(self) -> None:
-        """Tell of a disk that stalls, and of its end."""
         stalled = self._is_stalled()
         if stalled and not self._stall_told:
             self._say(

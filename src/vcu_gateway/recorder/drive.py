@@ -106,7 +106,6 @@ class DriveRecorder:
         return rest
 
     def _begin_lines(self, number: int, begins: Position, not_handed_on: int) -> str:
-        """What came before this segment, and what of it is missing."""
         frames = max(0, begins.frames - self._position.frames)
         ticks = max(0, begins.ticks - self._position.ticks)
         gap = ""
@@ -133,7 +132,6 @@ class DriveRecorder:
         return _line({"f": 0, "begin": begin}) + gap
 
     def _open_folder(self) -> None:
-        """Make the drive's folder, or find it as an earlier recorder left it."""
         if self._hold is not None:
             if os.path.isdir(self.folder):
                 return

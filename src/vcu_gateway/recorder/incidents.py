@@ -76,7 +76,6 @@ class Incidents:
         self._open.append(OpenIncident(folder, drive.folder, 1, now_s, until_s))
 
     def segment_began(self, drive: DriveRecorder) -> None:
-        """Link a segment that begins within the time after an incident."""
         now_s = time.monotonic()
         for one in self._open:
             if one.drive == drive.folder and one.until_s > now_s:
@@ -93,7 +92,6 @@ class Incidents:
     def _lengthen(
         self, opened: OpenIncident, trigger: Trigger, drive: DriveRecorder, now_s: float
     ) -> None:
-        """Take in what came while an incident is open."""
         _link(open_files(drive), opened.folder)
         reasons = opened.reasons
         if reasons < _MOST_REASONS:
@@ -176,7 +174,6 @@ class Incidents:
 
 
 def open_files(drive: DriveRecorder) -> list[Path]:
-    """Files that a drive is writing."""
     if drive.segment is None:
         return []
     number = drive.segment.number

@@ -28,7 +28,6 @@ class Lost(NamedTuple):
     gaps: int = 0
 
     def with_gap(self, frames: int, ticks: int) -> "Lost":
-        """One gap more."""
         return Lost(self.frames + frames, self.ticks + ticks, self.gaps + 1)
 
 
@@ -42,7 +41,6 @@ class Recorded(NamedTuple):
 
 
 def ticks_of(core_lines: bytes) -> int:
-    """How many of these core lines are ticks."""
     return sum(1 for _ in _TICK.finditer(core_lines))
 
 

@@ -99,7 +99,6 @@ def free_bytes(folder: Path) -> int:
 
 
 def total_bytes(folder: Path) -> int:
-    """Size of the file system."""
     found = os.statvfs(folder)
     return found.f_blocks * found.f_frsize
 
@@ -126,7 +125,6 @@ def _written_since(path: Path, wall_s: float) -> bool:
 
 
 def _remove_empty_drive(folder: Path) -> None:
-    """Remove a drive without segments; one that holds anything else stays."""
     with contextlib.suppress(OSError):
         if layout.segments(folder):
             return

@@ -47,7 +47,6 @@ class Signer:
         self._put(lambda: self._sign_incident(incident, drive))
 
     def stop(self, timeout_s: float) -> None:
-        """Sign what waits, for at most this time."""
         self._put(None)
         self._thread.join(timeout_s)
 

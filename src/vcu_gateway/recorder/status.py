@@ -111,7 +111,6 @@ class StatusFile:
         return self._space
 
     def _rate(self) -> float:
-        """Bytes a second of the last minute."""
         now_s, size = time.monotonic(), self._writer.totals.bytes
         self._written.append((now_s, size))
         then_s, before = self._written[0]

@@ -31,13 +31,11 @@ class Totals:
     _sync_times: deque[tuple[float, float]] = field(default_factory=deque)
 
     def lost(self, frames: int, ticks: int) -> None:
-        """A gap was told."""
         self.gaps += 1
         self.frames_lost += frames
         self.ticks_lost += ticks
 
     def synced(self, took_s: float) -> None:
-        """A segment is on the disk."""
         now_s = time.monotonic()
         self.syncs += 1
         self.last_sync_s = took_s

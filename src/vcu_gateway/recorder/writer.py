@@ -78,15 +78,12 @@ class Writer:
         self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
 
     def start(self) -> None:
-        """Begin to write."""
         self._thread.start()
 
     def wake(self) -> None:
-        """Something in the backlog should be on the disk at once."""
         self._wake.set()
 
     def request_incident(self) -> None:
-        """Keep what surrounds this moment."""
         self._requested = True
         self._wake.set()
 
@@ -279,7 +276,6 @@ class Writer:
 
     @property
     def drives_bytes(self) -> int:
-        """Bytes of all drives, those being written too."""
         segments = [drive.segment for drive in tuple(self.drives.values())]
         return self.ring.size + sum(one.size for one in segments if one is not None)
 

@@ -51,7 +51,6 @@ def commands_in(line: Mapping[str, Any]) -> Iterator[BusCommand]:
 
 
 def echoes_in(data: bytes, first_line: int) -> Iterator[BusCommand]:
-    """Echoes among these frames' lines."""
     place, counted = first_line, 0
     for found in _ECHO.finditer(data):
         place += data.count(b"\n", counted, found.start())

@@ -81,7 +81,6 @@ class CheckedRecording(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """True where nothing is missing, changed or damaged."""
         return self.state in (RecordingState.WHOLE, RecordingState.WRITTEN)
 
     @property
@@ -191,7 +190,6 @@ class _Sums:
         self._echoes = EchoCheck()
 
     def add(self, one: CheckedSegment) -> None:
-        """Take the next segment, and compare its begin with the one before."""
         if self.last is not None:
             self._compare(self.last, one)
         before = self.last

@@ -109,7 +109,6 @@ def _ended(kind: FaultKind) -> FaultKind:
 
 
 def _read_frames(segment: SegmentFiles) -> tuple[int, list[BusCommand], list[FileFault]]:
-    """How many frames there are, those that are echoes, and what is wrong."""
     file, faults = layout.frames_name(segment.number), list[FileFault]()
     echoes: list[BusCommand] = []
     if segment.frames is None:

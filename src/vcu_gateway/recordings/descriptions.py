@@ -19,7 +19,6 @@ _UNTIL_WRITTEN_S = 2
 
 
 def description_faults(recording: RecordingPath) -> Iterator[FileFault]:
-    """Descriptions that cannot be read."""
     descriptions = layout.incident_files(recording.path)
     if recording.kind == "incident" and not descriptions:
         yield FileFault(layout.INCIDENT_FILE, "is missing", FaultKind.MISSING)

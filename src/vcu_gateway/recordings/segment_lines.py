@@ -23,7 +23,6 @@ class Losses(NamedTuple):
     gaps: int = 0
 
     def __add__(self, other: object) -> "Losses":
-        """Both together."""
         if not isinstance(other, Losses):
             return NotImplemented
         return Losses(*(one + two for one, two in zip(self, other, strict=True)))
