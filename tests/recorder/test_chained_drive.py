@@ -24,15 +24,16 @@ from vcu_gateway.drive_format import chain, datagram, layout, signature
 from vcu_gateway.drive_format.chain import BreakKind, Linked
 from vcu_gateway.drive_format.datagram import TickHeader
 from vcu_gateway.drive_format.members import NO_LINK, packed
+from vcu_gateway.drive_format.recorder_status import RecorderTotals
 from vcu_gateway.recorder import resume
 from vcu_gateway.recorder.backlog import Backlog
+from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.ring import Ring
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
-from vcu_gateway.recorder.totals import Totals
 
 HELLO: dict[str, Any] = {
     "run": "1f3a9c2e4b",
@@ -62,7 +63,9 @@ class Drive:
 
     def start_recorder(self):
         """Another process: it knows what is on the disk."""
-        self.recorder = DriveRecorder(self.drives, 1, HELLO, Totals(), lambda *_: None, self.signer)
+        self.recorder = DriveRecorder(
+            self.drives, 1, HELLO, RecorderTotals(), Disk(print), lambda *_: None, self.signer
+        )
 
     @property
     def folder(self):

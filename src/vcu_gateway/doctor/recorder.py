@@ -116,10 +116,11 @@ def _connected(status: RecorderStatus, gateway_runs: bool) -> Outcome:
 
 
 def _lost(status: RecorderStatus) -> Outcome:
-    handed_on = status.frames + status.frames_lost
-    gaps = f"{status.gaps} gaps with {status.frames_lost} of {handed_on} frames"
-    if status.frames_lost <= _LOST_AT_MOST * handed_on:
-        return gaps if status.gaps else "no gaps"
+    totals = status.totals
+    handed_on = totals.frames + totals.frames_lost
+    gaps = f"{totals.gaps} gaps with {totals.frames_lost} of {handed_on} frames"
+    if totals.frames_lost <= _LOST_AT_MOST * handed_on:
+        return gaps if totals.gaps else "no gaps"
     return SUBJECT.warning("gaps", gaps, f"why: journalctl -u {UNIT}; vcu-gateway recordings check")
 
 

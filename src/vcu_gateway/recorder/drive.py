@@ -14,12 +14,13 @@ from vcu_gateway.drive_format import chain, layout, lock
 from vcu_gateway.drive_format.candump import CandumpLines
 from vcu_gateway.drive_format.datagram import TickParts
 from vcu_gateway.drive_format.members import NO_LINK
+from vcu_gateway.drive_format.recorder_status import RecorderTotals
 from vcu_gateway.drive_format.segment import SegmentWriter
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recorder import resume
+from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.resume import Lost, Position
 from vcu_gateway.recorder.signing import Signer
-from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.units import NS_PER_S
 
 _MEMORY_FULL = "the recorder's memory was full"
@@ -40,7 +41,8 @@ class DriveRecorder:
         drives: Path,
         number: int,
         hello: Mapping[str, Any],
-        totals: Totals,
+        totals: RecorderTotals,
+        disk: Disk,
         segment_ended: Callable[[Path, int], None],
         signer: Signer | None = None,
     ) -> None:
@@ -50,6 +52,7 @@ class DriveRecorder:
         self.hello = hello
         self._number = number
         self._totals = totals
+        self._disk = disk
         self._segment_ended = segment_ended
         self._signer = signer
         self._lost = Lost()
@@ -111,7 +114,9 @@ class DriveRecorder:
         gap = ""
         if frames or ticks:
             self._lost = self._lost.with_gap(frames, ticks)
-            self._totals.lost(frames, ticks)
+            self._totals.gaps += 1
+            self._totals.frames_lost += frames
+            self._totals.ticks_lost += ticks
             if not_handed_on - self._frames_not_handed_on >= frames > 0:
                 self._missing_because = "the recorder did not take them in time"
             why = self._missing_because or _MEMORY_FULL
@@ -197,7 +202,8 @@ class DriveRecorder:
         except OSError:
             self._totals.sync_failures += 1
             raise
-        self._totals.synced(time.monotonic() - begin_s)
+        self._totals.syncs += 1
+        self._disk.synced(time.monotonic() - begin_s)
         if not self.segment.is_in_place:
             what = "somebody removed what was being written"
             raise FileNotFoundError(errno.ENOENT, what, str(self.folder))
