@@ -1,6 +1,5 @@
 """Reader of one segment: frames and core lines of its two files, put into one order."""
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -10,7 +9,7 @@ from vcu_gateway.drive.core_line_parser import LineParser, Placed
 from vcu_gateway.drive.frame_lines import frame_of, frames_of
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, TickRecord
 from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
+from vcu_gateway.drive_format.members import Member, MemberDamage, whole_members
 from vcu_gateway.errors import DataError, Problem
 
 _NO_CHECKPOINT = "does not begin with a checkpoint"
@@ -35,18 +34,19 @@ class _SegmentMembers:
     def __iter__(self) -> Iterator[Member]:
         if self._path is None:
             self.damage = "a file of the segment is not there"
-            return
-        for part in read_members(self._path):
-            if isinstance(part, MemberDamage):
-                self.damage = f"{self._path.name}: {part.what}"
+        for member in whole_members(self._path, self._end):
+            if self.damage:
                 return
-            yield part
+            yield member
+
+    def _end(self, damage: MemberDamage) -> None:
+        if self._path is not None and not self.damage:
+            self.damage = f"{self._path.name}: {damage.what}"
 
 
 def _lines(member: Member) -> Iterator[_Line]:
-    text = member.data.decode(errors="replace")  # a list of its lines may not fit into memory
-    for number, line in enumerate(io.StringIO(text, newline="\n"), member.first_line + 1):
-        yield _Line(line.removesuffix("\n"), number)
+    for number, line in member.numbered_lines():
+        yield _Line(line.decode(errors="replace"), number)
 
 
 class _FrameSource:

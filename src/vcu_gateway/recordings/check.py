@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from vcu_gateway.drive_format import layout, lock
 from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.drive_format.segment_lines import Losses
 from vcu_gateway.recordings.bus_commands import EchoCheck
 from vcu_gateway.recordings.chained import chain_of
 from vcu_gateway.recordings.checked_segment import (
@@ -27,7 +28,6 @@ from vcu_gateway.recordings.checked_segment import (
 )
 from vcu_gateway.recordings.descriptions import description_faults, digest_faults, incident_faults
 from vcu_gateway.recordings.folder import RecordingPath, read_error
-from vcu_gateway.recordings.segment_lines import Losses
 from vcu_gateway.recordings.signatures import Signatures, check_signatures
 
 EX_INCOMPLETE, EX_CHANGED = 3, 65

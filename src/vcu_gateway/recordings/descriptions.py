@@ -8,10 +8,10 @@ from typing import Any
 
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.drive_format.segment_lines import last_second
 from vcu_gateway.errors import DataError, GatewayError
 from vcu_gateway.recordings.checked_segment import CheckedSegment, FaultKind, FileFault
 from vcu_gateway.recordings.folder import RecordingPath
-from vcu_gateway.recordings.segment_lines import last_second
 from vcu_gateway.units import NS_PER_S
 
 _KEPT_PART = "requested"

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from vcu_gateway.drive_format import layout, signature
 from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.drive_format.segment_lines import last_second, read_begin
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath, write_error
-from vcu_gateway.recordings.segment_lines import last_second, read_begin
 from vcu_gateway.units import NS_PER_S
 
 _REASON = "requested"
@@ -70,7 +70,7 @@ def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
     begun = [
         (segment, begin.wall_ns)
         for segment in layout.segments(drive)
-        if segment.core is not None and (begin := read_begin(segment.core)) is not None
+        if (begin := read_begin(segment.core)) is not None
     ]
     ends = [wall_ns for _, wall_ns in begun[1:]]
     if begun:
