@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.inputs import FrameInput
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.drive.frame_lines import frame_of
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord
 from vcu_gateway.drive.segment_reader import SegmentReader
 from vcu_gateway.drive.settings_json import settings_of
@@ -24,6 +23,7 @@ from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.drive_format.members import whole_members
 from vcu_gateway.drive_format.segment_lines import SegmentBegin, read_begin
 from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.recording import candump
 from vcu_gateway.recording.recorded import RecordedFrame
 
 
@@ -178,5 +178,5 @@ class Drive:
             for member in whole_members(files.frames):
                 for _, line in member.numbered_lines():
                     number += 1
-                    frame = frame_of(line.decode(errors="replace"))
+                    frame = candump.recorded_frame(line.decode(errors="replace"))
                     yield RecordedFrame(frame, self.info.channel, number, len(frame.data) > 8)

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.drive.core_line_parser import LineParser, Placed
-from vcu_gateway.drive.frame_lines import frame_of, frames_of
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, TickRecord
 from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.drive_format.members import Member, MemberDamage, whole_members
 from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.recording.candump import recorded_frame, recorded_frames
 
 _NO_CHECKPOINT = "does not begin with a checkpoint"
 
@@ -72,14 +72,14 @@ class _FrameSource:
             yield self._frames(member)
 
     def _frames(self, member: Member) -> list[Frame]:
-        frames = frames_of(member.data.decode(errors="replace"), self._distance_ns)
+        frames = recorded_frames(member.data, self._distance_ns)
         if frames is not None:
             return frames
         return [self._frame(line) for line in _lines(member)]
 
     def _frame(self, line: _Line) -> Frame:
         try:
-            return frame_of(line.text, self._distance_ns)
+            return recorded_frame(line.text, self._distance_ns)
         except ValueError as error:
             raise _problem(error, self._path, line) from error
 
