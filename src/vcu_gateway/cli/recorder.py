@@ -7,8 +7,9 @@ from typing import Any
 
 import click
 
+from vcu_gateway.drive_format.layout import DEFAULT_FOLDER
 from vcu_gateway.recorder import Recorder, RecorderOptions
-from vcu_gateway.recorder.options import DEFAULT_FOLDER, DEFAULT_SOCKET, size_bytes
+from vcu_gateway.recorder.options import DEFAULT_SOCKET, size_bytes
 
 _DEFAULTS = RecorderOptions()
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway.cli import recordings_text as text
-from vcu_gateway.cli.recording_names import DEFAULT_FOLDER
-from vcu_gateway.drive_format.layout import plain_reason
+from vcu_gateway.drive_format.layout import DEFAULT_FOLDER, plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.recordings import (

@@ -9,13 +9,13 @@ from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.doctor.recorder_disk import RecordingDisk
 from vcu_gateway.doctor.service import ServiceFacts
+from vcu_gateway.drive_format.layout import DEFAULT_FOLDER as FOLDER
 from vcu_gateway.drive_format.recorder_status import STALE_S, RecorderStatus, read_status
 from vcu_gateway.errors import GatewayError, NotPermittedError, Problem
 
 SUBJECT = CheckSubject("recorder")
 SOCKET_UNIT = "vcu-gateway-recorder.socket"
 UNIT = "vcu-gateway-recorder.service"
-FOLDER = Path("/var/lib/vcu-gateway-recorder")
 
 _NOMINAL_BYTES_A_S = 16e6 / 3600
 _DAY_S, _YEAR_S = 86_400, 365 * 86_400

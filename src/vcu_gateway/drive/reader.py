@@ -77,7 +77,7 @@ def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
     if begin is None or not begin.files:
         return
     found = chain.file_digests(folder)
-    for name in (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE):
+    for name in layout.FILES_BESIDE:
         if found.get(name) != begin.files.get(name):
             what = "is not the file that the recorder wrote: the recording names another SHA-256"
             remedy = "vcu-gateway recordings check says what else was changed"

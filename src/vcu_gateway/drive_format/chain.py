@@ -92,8 +92,8 @@ def end(folder: Path) -> Linked | None:
 
 def file_digests(folder: Path) -> dict[str, str]:
     """SHA-256 of the files beside the members, as they are on the disk; absent ones left out."""
-    names = (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE)
-    return {name: _sha256(folder / name) for name in names if (folder / name).is_file()}
+    paths = [folder / name for name in layout.FILES_BESIDE]
+    return {path.name: _sha256(path) for path in paths if path.is_file()}
 
 
 def _sha256(path: Path) -> str:

@@ -29,11 +29,14 @@ from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Probl
 from vcu_gateway.units import NS_PER_S
 
 FORMAT = 1
+DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
+"""Of all recordings, where the service keeps them."""
 DRIVES = "drives"
 INCIDENTS = "incidents"
 DRIVE_FILE = "drive.json"
 CONFIG_FILE = "config.yaml"
 DBC_FILE = "vcu.dbc"
+FILES_BESIDE = (DRIVE_FILE, CONFIG_FILE, DBC_FILE)
 INCIDENT_FILE = "incident.json"
 KEEP_FILE = "keep"
 REASON_FILE = ".reason"
@@ -79,6 +82,15 @@ def drive_name(start_wall_ns: int, run: str) -> str:
 def incident_name(wall_ns: int, reason: str) -> str:
     """Folder of an incident; another of the same second gets `-2`, `-3` behind it."""
     return f"{_utc(wall_ns)}-{_plain(reason)}"
+
+
+def free_path(folder: Path) -> Path:
+    """This path, or with the first of -2, -3 behind its name that is free."""
+    path, count = folder, 1
+    while os.path.lexists(path):
+        count += 1
+        path = folder.with_name(f"{folder.name}-{count}")
+    return path
 
 
 def _utc(wall_ns: int) -> str:
@@ -172,13 +184,21 @@ def description_bytes(described: Mapping[str, Any]) -> bytes:
 
 
 def incident_bytes(
-    incident: Mapping[str, Any], links: Iterable[Path], copies: Mapping[str, bytes]
+    incident: Mapping[str, Any],
+    drive: Mapping[str, Any],
+    links: Iterable[Path],
+    copies: Mapping[str, bytes],
 ) -> bytes:
-    """JSON text of an incident.json: with its segments, its copies' digests and its own digest."""
+    """JSON text of an incident.json: with its segments, its copies' digests and its own digest.
+
+    `drive`: the description of its drive, which it says its run, channel and configuration of.
+    """
     found = [segment_number(path.name) for path in links]
     numbers = [number for number in found if number is not None]
     described = {
         **incident,
+        **{key: drive.get(key) for key in ("run", "channel", "config_digest")},
+        "format": FORMAT,
         "segments": [min(numbers), max(numbers)] if numbers else None,
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in copies.items()},
     }

@@ -96,12 +96,8 @@ class SegmentWriter:
     def is_in_place(self) -> bool:
         return self._frames_file.is_in_place and self._core_file.is_in_place
 
-    def add(self, frame_lines: list[str], core_text: str) -> None:
-        """Frame lines, and core lines after them; each with its line end."""
-        self.add_text("".join(frame_lines), len(frame_lines), core_text)
-
-    def add_text(self, frame_text: str, frames: int, core_text: str) -> None:
-        """As `add`, with the lines of that many frames in one text."""
+    def add(self, core_text: str, frame_text: str = "", frames: int = 0) -> None:
+        """Core lines, and that many frame lines before them; each with its line end."""
         self.frames += frames
         self.waiting += len(frame_text) + len(core_text)
         self._frame_text.append(frame_text)

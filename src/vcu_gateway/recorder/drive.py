@@ -93,7 +93,7 @@ class DriveRecorder:
     def _add(self, tick: TickParts, lines: bytes) -> None:
         frame_text = self._candump.text(tick, self._clock_ns)
         if self.segment is not None:
-            self.segment.add_text(frame_text, tick.frame_count, lines.decode(errors="replace"))
+            self.segment.add(lines.decode(errors="replace"), frame_text, tick.frame_count)
         self._waiting_ticks += resume.ticks_of(lines)
         self._next_sequence = tick.header.sequence + 1
 
@@ -106,7 +106,7 @@ class DriveRecorder:
         checkpoint, line_end, rest = tick.lines.partition(b"\n")
         begins = Position(tick.header.frames - tick.frame_count, _ticks_so_far(checkpoint))
         head = (checkpoint + line_end).decode(errors="replace")
-        segment.add([], head + self._begin_lines(number, begins, tick.header.frames_lost))
+        segment.add(head + self._begin_lines(number, begins, tick.header.frames_lost))
         self.segment, self._end_stands = segment, False
         self._begin_position = self._position = begins
         self._segment_ticks = self._waiting_ticks = 0
@@ -215,7 +215,7 @@ class DriveRecorder:
             return
         if not self._end_stands:
             ticks = self._segment_ticks + self._waiting_ticks
-            self.segment.add([], SegmentEnd(self.segment.frames, ticks, closes, why).line())
+            self.segment.add(SegmentEnd(self.segment.frames, ticks, closes, why).line())
             self._end_stands = True
         self.flush()
         self.sync()

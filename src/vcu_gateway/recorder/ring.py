@@ -105,9 +105,8 @@ def total_bytes(folder: Path) -> int:
 
 def _paths(folder: Path, number: int) -> tuple[Path, ...]:
     """Its files; those of its signature are not always there."""
-    link = signature.link_name(number)
-    names = (layout.frames_name(number), layout.core_name(number), link, link + signature.SUFFIX)
-    return tuple(folder / name for name in names)
+    names = (layout.frames_name(number), layout.core_name(number))
+    return (*(folder / name for name in names), *signature.link_paths(folder, number))
 
 
 def _size(path: Path) -> int:
@@ -128,7 +127,7 @@ def _remove_empty_drive(folder: Path) -> None:
     with contextlib.suppress(OSError):
         if layout.segments(folder):
             return
-        for name in (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE):
+        for name in layout.FILES_BESIDE:
             (folder / name).unlink(missing_ok=True)
         folder.rmdir()
 

@@ -39,7 +39,7 @@ def digest_faults(folder: Path, segment: CheckedSegment) -> Iterator[FileFault]:
     if begin.segment != segment.number:
         what = f"was segment {begin.segment}, and has another number now"
         yield FileFault(core, what, FaultKind.CHANGED)
-    missing = {layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE} - set(begin.files)
+    missing = set(layout.FILES_BESIDE) - set(begin.files)
     if missing:
         what = f"does not name the digest of {', '.join(sorted(missing))}"
         yield FileFault(core, what, FaultKind.CHANGED)
