@@ -1,5 +1,6 @@
 """The recorder: running and connected, room, disk, latency, gaps."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,8 @@ def test_what_this_user_may_not_read_is_unknown():
 
 @pytest.mark.parametrize(("lost", "found"), [(5000, {}), (5100, {"gaps": "warning"})])
 def test_more_than_a_thousandth_in_gaps_is_a_warning(lost, found):
-    assert not_ok(of(gaps=3, frames_lost=lost)) == found
+    totals = dataclasses.replace(STATUS.totals, gaps=3, frames_lost=lost)
+    assert not_ok(of(totals=totals)) == found
 
 
 @pytest.mark.parametrize("state", ["full", "failing", "stalled"])

@@ -540,7 +540,7 @@ def test_memory_does_not_grow_over_200_scrapes():
 def test_a_recorder_that_tells_its_state_is_up_and_counted():
     scrape = Program().scrape()
     assert scrape.value("recorder_up") == 1
-    assert scrape.value("recorder_frames_total") == STATUS.frames
+    assert scrape.value("recorder_frames_total") == STATUS.totals.frames
     assert scrape.value("recorder_connections") == 1
     assert scrape.by("recorder_disk_state", "state") == {
         "ok": 1,

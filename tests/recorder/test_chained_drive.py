@@ -24,15 +24,17 @@ from vcu_gateway.drive_format import chain, datagram, layout, signature
 from vcu_gateway.drive_format.chain import BreakKind, Linked
 from vcu_gateway.drive_format.datagram import TickHeader
 from vcu_gateway.drive_format.members import NO_LINK, packed
+from vcu_gateway.drive_format.recorder_status import RecorderTotals
+from vcu_gateway.drive_format.segment_lines import CoreLineError, begin_of
 from vcu_gateway.recorder import resume
 from vcu_gateway.recorder.backlog import Backlog
+from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.ring import Ring
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
-from vcu_gateway.recorder.totals import Totals
 
 HELLO: dict[str, Any] = {
     "run": "1f3a9c2e4b",
@@ -62,7 +64,9 @@ class Drive:
 
     def start_recorder(self):
         """Another process: it knows what is on the disk."""
-        self.recorder = DriveRecorder(self.drives, 1, HELLO, Totals(), lambda *_: None, self.signer)
+        self.recorder = DriveRecorder(
+            self.drives, 1, HELLO, RecorderTotals(), Disk(print), lambda *_: None, self.signer
+        )
 
     @property
     def folder(self):
@@ -233,10 +237,13 @@ def test_a_tick_in_an_events_fields_is_counted_once():
     assert resume.ticks_of(line * 2) == 2
 
 
-def test_what_a_begin_line_says_of_losses_is_a_number_or_nothing():
-    for lost in ("1", None, {"frames": 1e999, "ticks": "7"}):
-        assert resume._lost({"lost": lost}) == (0, 0, 0)
-    assert resume._lost({"lost": {"frames": 3, "ticks": 2, "gaps": 1}}) == (3, 2, 1)
+def test_a_begin_whose_losses_are_no_numbers_is_none():
+    begin = {"frames": 0, "ticks": 0, "wall_ns": 0}
+    for lost in ("1", None, {"frames": 1e999, "ticks": "7", "gaps": 1}):
+        with pytest.raises(CoreLineError, match="no usable begin"):
+            begin_of([{"begin": {**begin, "lost": lost}}])
+    lost = {"frames": 3, "ticks": 2, "gaps": 1}
+    assert begin_of([{"begin": {**begin, "lost": lost}}]).lost == (3, 2, 1)
 
 
 @pytest.mark.parametrize("ended_by", ["gateway", "recorder", "error"])

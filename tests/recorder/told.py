@@ -1,11 +1,16 @@
 """What a healthy recorder tells of itself."""
 
-from vcu_gateway.drive_format.recorder_status import RecordedConnection, RecorderStatus
+from vcu_gateway.drive_format.recorder_status import (
+    RecordedConnection,
+    RecorderStatus,
+    RecorderTotals,
+)
 
 STATUS = RecorderStatus(
     pid=123,
     version="0.1.0",
     started_wall_ns=1_763_920_000_000_000_000,
+    written_wall_ns=1_763_923_600_000_000_000,
     written_monotonic_ns=5_000_000_000,
     folder="/var/lib/vcu-gateway-recorder",
     total_bytes=32_000_000_000,
@@ -22,17 +27,8 @@ STATUS = RecorderStatus(
     memory_bytes=32 << 20,
     last_sync_s=0.003,
     longest_sync_s=0.02,
-    bytes=50_000_000,
+    totals=RecorderTotals(bytes=50_000_000, frames=5_000_000, ticks=250_000, syncs=2500),
+    refused={},
     bytes_a_second=4000.0,
-    frames=5_000_000,
-    ticks=250_000,
-    gaps=0,
-    frames_lost=0,
-    ticks_lost=0,
-    syncs=2500,
-    sync_failures=0,
-    signing_failures=0,
-    removed_segments=0,
-    removed_incidents=0,
     connections=(RecordedConnection("can0", "1f3a9c2e", "20251123T174640Z-1f3a9c2e"),),
 )

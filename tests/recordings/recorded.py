@@ -73,12 +73,12 @@ class WrittenDrive:
         self._ticks += gap_frames + silently + ticks_silently
         self._other = other
         writer = SegmentWriter(self.path, self._number, self._link)
-        writer.add([], self._begin(gap_frames))
+        writer.add(self._begin(gap_frames))
         for _ in range(SECONDS):
             self._one_second(writer)
         if ended:
             end = {"frames": writer.frames, "ticks": writer.frames, "closes": closes, "why": "end"}
-            writer.add([], _line({"f": writer.frames, "end": end}))
+            writer.add(_line({"f": writer.frames, "end": end}))
             writer.flush(self._second)
         self._link = writer.link
         self._handed_on += writer.frames
@@ -113,10 +113,10 @@ class WrittenDrive:
             sent = self._command("sent", writer.frames).hex()
             command = ["PCU1", f"{COMMAND_ID:08X}", sent]
             tick = {"f": writer.frames, "tick": wall_ns, "frames": [command], "ok": [True]}
-            writer.add([], _line(tick))
-            writer.add([line], "")
+            writer.add(_line(tick))
+            writer.add("", line, 1)
         why = f"active; {self._second % 60} s"
-        writer.add([], _line({"f": writer.frames, "why": why, "now": wall_ns}))
+        writer.add(_line({"f": writer.frames, "why": why, "now": wall_ns}))
         writer.flush(self._second)
         self._second += 1
 

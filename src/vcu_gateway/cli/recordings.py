@@ -9,7 +9,7 @@ import click
 
 from vcu_gateway import text
 from vcu_gateway.cli.options import moment_of
-from vcu_gateway.drive_format.layout import plain_reason
+from vcu_gateway.drive_format.layout import DEFAULT_FOLDER, plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.recordings import (

@@ -9,13 +9,13 @@ from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.doctor.recorder_disk import RecordingDisk
 from vcu_gateway.doctor.service import ServiceFacts
+from vcu_gateway.drive_format.layout import DEFAULT_FOLDER as FOLDER
 from vcu_gateway.drive_format.recorder_status import STALE_S, RecorderStatus, read_status
 from vcu_gateway.errors import GatewayError, NotPermittedError, Problem
 
 SUBJECT = CheckSubject("recorder")
 SOCKET_UNIT = "vcu-gateway-recorder.socket"
 UNIT = "vcu-gateway-recorder.service"
-FOLDER = Path("/var/lib/vcu-gateway-recorder")
 
 _NOMINAL_BYTES_A_S = 16e6 / 3600
 _DAY_S, _YEAR_S = 86_400, 365 * 86_400
@@ -49,7 +49,6 @@ class RecorderFacts(NamedTuple):
 
 
 def read(socket: ServiceFacts, *, gateway_runs: bool) -> RecorderFacts:
-    """Read them from the recorder's status file and the kernel."""
     status: RecorderStatus | Problem | None
     try:
         status = read_status()
@@ -117,10 +116,11 @@ def _connected(status: RecorderStatus, gateway_runs: bool) -> Outcome:
 
 
 def _lost(status: RecorderStatus) -> Outcome:
-    handed_on = status.frames + status.frames_lost
-    gaps = f"{status.gaps} gaps with {status.frames_lost} of {handed_on} frames"
-    if status.frames_lost <= _LOST_AT_MOST * handed_on:
-        return gaps if status.gaps else "no gaps"
+    totals = status.totals
+    handed_on = totals.frames + totals.frames_lost
+    gaps = f"{totals.gaps} gaps with {totals.frames_lost} of {handed_on} frames"
+    if totals.frames_lost <= _LOST_AT_MOST * handed_on:
+        return gaps if totals.gaps else "no gaps"
     return SUBJECT.warning("gaps", gaps, f"why: journalctl -u {UNIT}; vcu-gateway recordings check")
 
 

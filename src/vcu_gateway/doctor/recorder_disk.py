@@ -34,7 +34,6 @@ class RecordingDisk(NamedTuple):
 
 
 def read(folder: Path) -> RecordingDisk | Unreadable | None:
-    """Read them from the kernel; None where the folder is not there."""
     try:
         found, device = os.statvfs(folder), folder.stat().st_dev
     except FileNotFoundError:

@@ -46,7 +46,6 @@ class CauseSpans:
 
     @property
     def effects(self) -> frozenset[str]:
-        """Every effect that counts now."""
         return frozenset(key.effect for key in self._open)
 
     def stand(self, held: Iterable[HeldCause], now_ns: int) -> None:

@@ -33,7 +33,6 @@ class Hello(NamedTuple):
     dbc_digest: str
 
     def values(self) -> dict[str, Any]:
-        """For JSON."""
         return self._asdict() | {
             "format": datagram.FORMAT,
             "versions": versions(),

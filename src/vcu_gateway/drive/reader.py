@@ -7,7 +7,7 @@
 Memory does not grow with the drive. What is missing is a `Gap`; after it a checkpoint follows.
 """
 
-import json
+import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,14 +15,15 @@ from typing import Any, NamedTuple
 from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.calls import Receive
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.drive.frame_lines import frame_of
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord
 from vcu_gateway.drive.segment_reader import SegmentReader
 from vcu_gateway.drive.settings_json import settings_of
 from vcu_gateway.drive_format import chain, layout
 from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.members import Member, read_members
+from vcu_gateway.drive_format.members import whole_members
+from vcu_gateway.drive_format.segment_lines import SegmentBegin, read_begin
 from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.recording import candump
 from vcu_gateway.recording.recorded import RecordedFrame
 
 
@@ -72,26 +73,21 @@ def open_drive(path: Path) -> "Drive":
 
 def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
     """DataError where the first segment's begin names other digests; older ones name none."""
-    begin = next((line for files in segments for line in _lines_of_begin(files)), b"")
-    try:
-        named = dict(json.loads(begin)["begin"]["files"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+    begin = next(filter(None, (_begin(files.core) for files in segments)), None)
+    if begin is None or not begin.files:
         return
     found = chain.file_digests(folder)
-    for name in (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE):
-        if found.get(name) != named.get(name):
+    for name in layout.FILES_BESIDE:
+        if found.get(name) != begin.files.get(name):
             what = "is not the file that the recorder wrote: the recording names another SHA-256"
             remedy = "vcu-gateway recordings check says what else was changed"
             raise DataError(Problem(what, str(folder / name), remedy))
 
 
-def _lines_of_begin(files: SegmentFiles) -> list[bytes]:
-    """The second line of a segment; empty where it cannot be read."""
-    try:
-        first = None if files.core is None else next(read_members(files.core), None)
-    except OSError:
-        return []
-    return first.data.split(b"\n", 2)[1:2] if isinstance(first, Member) else []
+def _begin(core: Path | None) -> SegmentBegin | None:
+    with contextlib.suppress(OSError):
+        return read_begin(core)
+    return None
 
 
 def _info(folder: Path) -> DriveInfo:
@@ -180,8 +176,8 @@ class Drive:
         """Every frame with its wall time, without what belongs to it; damage is passed by."""
         number = 0
         for files in self.segments:
-            for part in () if files.frames is None else read_members(files.frames):
-                for line in part.data.splitlines() if isinstance(part, Member) else ():
+            for member in whole_members(files.frames):
+                for _, line in member.numbered_lines():
                     number += 1
-                    frame = frame_of(line.decode(errors="replace"))
+                    frame = candump.recorded_frame(line.decode(errors="replace"))
                     yield RecordedFrame(frame, self.info.channel, number, len(frame.data) > 8)

@@ -1,17 +1,16 @@
 """Reader of one segment: frames and core lines of its two files, put into one order."""
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.drive.core_line_parser import LineParser, Placed
-from vcu_gateway.drive.frame_lines import frame_of, frames_of
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, TickRecord
 from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
+from vcu_gateway.drive_format.members import Member, MemberDamage, whole_members
 from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.recording.candump import recorded_frame, recorded_frames
 
 _NO_CHECKPOINT = "does not begin with a checkpoint"
 
@@ -35,18 +34,19 @@ class _SegmentMembers:
     def __iter__(self) -> Iterator[Member]:
         if self._path is None:
             self.damage = "a file of the segment is not there"
-            return
-        for part in read_members(self._path):
-            if isinstance(part, MemberDamage):
-                self.damage = f"{self._path.name}: {part.what}"
+        for member in whole_members(self._path, self._end):
+            if self.damage:
                 return
-            yield part
+            yield member
+
+    def _end(self, damage: MemberDamage) -> None:
+        if self._path is not None and not self.damage:
+            self.damage = f"{self._path.name}: {damage.what}"
 
 
 def _lines(member: Member) -> Iterator[_Line]:
-    text = member.data.decode(errors="replace")  # a list of its lines may not fit into memory
-    for number, line in enumerate(io.StringIO(text, newline="\n"), member.first_line + 1):
-        yield _Line(line.removesuffix("\n"), number)
+    for number, line in member.numbered_lines():
+        yield _Line(line.decode(errors="replace"), number)
 
 
 class _FrameSource:
@@ -59,7 +59,6 @@ class _FrameSource:
         self._waiting: list[Frame] = []
 
     def take(self, count: int) -> list[Frame]:
-        """The next frames, fewer where there are no more."""
         waiting = self._waiting
         while len(waiting) < count and (member := next(self._members, None)) is not None:
             waiting += self._frames(member)
@@ -67,21 +66,20 @@ class _FrameSource:
         return taken
 
     def rest(self) -> Iterator[list[Frame]]:
-        """Every further frame."""
         if self._waiting:
             yield self.take(len(self._waiting))
         for member in self._members:
             yield self._frames(member)
 
     def _frames(self, member: Member) -> list[Frame]:
-        frames = frames_of(member.data.decode(errors="replace"), self._distance_ns)
+        frames = recorded_frames(member.data, self._distance_ns)
         if frames is not None:
             return frames
         return [self._frame(line) for line in _lines(member)]
 
     def _frame(self, line: _Line) -> Frame:
         try:
-            return frame_of(line.text, self._distance_ns)
+            return recorded_frame(line.text, self._distance_ns)
         except ValueError as error:
             raise _problem(error, self._path, line) from error
 
@@ -128,7 +126,6 @@ class SegmentReader:
         yield from self._in_order(second, placed)
 
     def _missing(self, begin: Checkpoint, told: Gap | None) -> Iterator[Gap]:
-        """What is missing between the segment before and this one."""
         before = self._before
         if before is None:
             if told is not None:

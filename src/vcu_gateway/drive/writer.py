@@ -69,7 +69,8 @@ class DriveWriter:
 
     def _take(self) -> None:
         frames, lines = self._stream.batch()
-        self._segment.add([self._frame_line(recorded_frame(frame)) for frame in frames], lines)
+        text = "".join([self._frame_line(recorded_frame(frame)) for frame in frames])
+        self._segment.add(lines, text, len(frames))
 
     def _frame_line(self, frame: FrameRecord) -> str:
         wall_ns = frame.arrival_ns + self._distance_ns
@@ -79,7 +80,6 @@ class DriveWriter:
         self._segment.flush((now_ns + self._distance_ns) // NS_PER_S)
 
     def close(self, now_ns: int) -> None:
-        """Write what is left, and end the drive."""
         self._take()
         self._flush(now_ns)
         self._segment.close()

@@ -92,8 +92,8 @@ def end(folder: Path) -> Linked | None:
 
 def file_digests(folder: Path) -> dict[str, str]:
     """SHA-256 of the files beside the members, as they are on the disk; absent ones left out."""
-    names = (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE)
-    return {name: _sha256(folder / name) for name in names if (folder / name).is_file()}
+    paths = [folder / name for name in layout.FILES_BESIDE]
+    return {path.name: _sha256(path) for path in paths if path.is_file()}
 
 
 def _sha256(path: Path) -> str:
@@ -116,7 +116,6 @@ class _Latest:
 
     @property
     def is_chained(self) -> bool:
-        """True where the latest member has a link."""
         return self.member is not None and self.member.member.link is not None
 
     def precedes(self, member: Member) -> bool:
@@ -128,7 +127,6 @@ class _Latest:
         return member.link in self.ends.values()
 
     def take(self, linked: Linked) -> None:
-        """Go on to this member."""
         before = self.member
         if linked.member.link is not None or before is None or before.segment != linked.segment:
             self.ends.clear()
@@ -148,7 +146,6 @@ class _MemberFile:
         self.step()
 
     def step(self) -> None:
-        """Go on to the next member."""
         if self.next is not None:
             self.lines = self.next.first_line + self.next.lines
         self.next = None
@@ -172,7 +169,6 @@ class _SegmentWalk:
         ]
 
     def walk(self) -> Iterator[Linked | Break]:
-        """Every member of both files in order."""
         while (found := self._next()) is not None:
             file, member = found
             if not self._last.precedes(member):
@@ -226,7 +222,6 @@ class _SegmentWalk:
         return f"the end of segment {before} is missing, or was changed"
 
     def _inside(self, file: _MemberFile, member: Member, last: Linked) -> Break:
-        """What is missing in this segment, or was changed."""
         if (missing := member.first_line - file.lines) > 0:
             return self._at(
                 file, member, BreakKind.MISSING, f"{missing} lines before it are missing"

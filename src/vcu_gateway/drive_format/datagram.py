@@ -140,7 +140,6 @@ def packed_tick(header: TickHeader, frames: Iterable[bytes], lines: str) -> byte
 
 
 def packed_hello(hello: Mapping[str, Any]) -> Iterator[bytes]:
-    """The datagrams that begin a connection."""
     text = json.dumps(hello, separators=(",", ":")).encode()
     for start in range(0, len(text), PART_BYTES):
         last = start + PART_BYTES >= len(text)
@@ -195,7 +194,6 @@ def _end_of_frames(datagram: bytes, count: int) -> int:
 
 
 def frame_records(packed: bytes) -> list[FrameRecord]:
-    """The frames of `TickParts`."""
     records: list[FrameRecord] = []
     place = 0
     while place < len(packed):
@@ -214,7 +212,6 @@ class HelloText:
 
     @property
     def size(self) -> int:
-        """Bytes of the parts so far."""
         return len(self._text)
 
     def take(self, part: HelloPart) -> Mapping[str, Any] | None:

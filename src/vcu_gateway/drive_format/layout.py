@@ -29,11 +29,14 @@ from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Probl
 from vcu_gateway.units import NS_PER_S
 
 FORMAT = 1
+DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
+"""Of all recordings, where the service keeps them."""
 DRIVES = "drives"
 INCIDENTS = "incidents"
 DRIVE_FILE = "drive.json"
 CONFIG_FILE = "config.yaml"
 DBC_FILE = "vcu.dbc"
+FILES_BESIDE = (DRIVE_FILE, CONFIG_FILE, DBC_FILE)
 INCIDENT_FILE = "incident.json"
 KEEP_FILE = "keep"
 REASON_FILE = ".reason"
@@ -59,12 +62,10 @@ class SegmentFiles(NamedTuple):
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """Those that are there."""
         return tuple(path for path in (self.frames, self.core) if path is not None)
 
 
 def frames_name(number: int) -> str:
-    """File of a segment's frames."""
     return f"{number:04d}{FRAMES_SUFFIX}"
 
 
@@ -83,12 +84,20 @@ def incident_name(wall_ns: int, reason: str) -> str:
     return f"{_utc(wall_ns)}-{_plain(reason)}"
 
 
+def free_path(folder: Path) -> Path:
+    """This path, or with the first of -2, -3 behind its name that is free."""
+    path, count = folder, 1
+    while os.path.lexists(path):
+        count += 1
+        path = folder.with_name(f"{folder.name}-{count}")
+    return path
+
+
 def _utc(wall_ns: int) -> str:
     return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(wall_ns // NS_PER_S))
 
 
 def _plain(text: str) -> str:
-    """Text without what has a meaning in a path or a shell."""
     return re.sub(r"[^0-9A-Za-z_-]", "_", text)
 
 
@@ -175,13 +184,21 @@ def description_bytes(described: Mapping[str, Any]) -> bytes:
 
 
 def incident_bytes(
-    incident: Mapping[str, Any], links: Iterable[Path], copies: Mapping[str, bytes]
+    incident: Mapping[str, Any],
+    drive: Mapping[str, Any],
+    links: Iterable[Path],
+    copies: Mapping[str, bytes],
 ) -> bytes:
-    """JSON text of an incident.json: with its segments, its copies' digests and its own digest."""
+    """JSON text of an incident.json: with its segments, its copies' digests and its own digest.
+
+    `drive`: the description of its drive, which it says its run, channel and configuration of.
+    """
     found = [segment_number(path.name) for path in links]
     numbers = [number for number in found if number is not None]
     described = {
         **incident,
+        **{key: drive.get(key) for key in ("run", "channel", "config_digest")},
+        "format": FORMAT,
         "segments": [min(numbers), max(numbers)] if numbers else None,
         "files": {name: hashlib.sha256(data).hexdigest() for name, data in copies.items()},
     }
@@ -238,6 +255,5 @@ def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path
 
 
 def remove_partial_folders(parent: Path) -> None:
-    """Remove what an interrupted `create_folder` left behind."""
     for path in parent.glob(f"{_PARTIAL}*"):
         shutil.rmtree(path, ignore_errors=True)

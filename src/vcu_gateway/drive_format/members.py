@@ -24,7 +24,7 @@ import os
 import stat
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -77,6 +77,15 @@ class Member(NamedTuple):
     link: bytes | None = None
     digest: bytes | None = None
 
+    def numbered_lines(self) -> Iterator[tuple[int, bytes]]:
+        """Each line without its end, from 1; a list of them may not fit into memory."""
+        begin, number = 0, self.first_line + 1
+        while (end := self.data.find(b"\n", begin)) >= 0:
+            yield number, self.data[begin:end]
+            begin, number = end + 1, number + 1
+        if begin < len(self.data):
+            yield number, self.data[begin:]
+
 
 class MemberDamage(NamedTuple):
     """Bytes of the file that are no readable member.
@@ -85,12 +94,14 @@ class MemberDamage(NamedTuple):
         offset, size: where they stand in the file, bytes.
         torn: at the end of the file: what a crash, a power cut or a full disk leaves.
         what: in words, without the place.
+        lost_lines: how many are not there, though no byte is damaged; then the size is 0.
     """
 
     offset: int
     size: int
     torn: bool
     what: str
+    lost_lines: int = 0
 
 
 class _Header(NamedTuple):
@@ -105,7 +116,6 @@ class _Header(NamedTuple):
 
 
 def digest_of(member: bytes) -> bytes:
-    """What the link of the member that is written next names."""
     return hashlib.sha256(member).digest()
 
 
@@ -156,6 +166,25 @@ def read_members(
                 lines = part.first_line + part.lines
     finally:
         os.close(descriptor)
+
+
+def whole_members(
+    path: Path | None, damaged: Callable[[MemberDamage], object] = lambda _: None
+) -> Iterator[Member]:
+    """Every readable member in order; None: the file is not there.
+
+    `damaged` is given what stands between two of them, before the later one, lost lines too.
+    OSError as `read_members`.
+    """
+    lines = 0
+    for part in () if path is None else read_members(path):
+        if isinstance(part, MemberDamage):
+            damaged(part)
+            continue
+        if (lost := part.first_line - lines) > 0:
+            damaged(MemberDamage(part.offset, 0, False, f"{lost} lines are lost", lost))
+        lines = part.first_line + part.lines
+        yield part
 
 
 def _opened(path: Path) -> int:
@@ -229,7 +258,6 @@ def _inflated(body: bytes) -> bytes | None:
 def _foreign_or_damaged(
     descriptor: int, offset: int, end: int, lines: int
 ) -> Member | MemberDamage:
-    """A member of another program, or damaged bytes."""
     start = os.pread(descriptor, _HEADER.size, offset)
     if start.startswith(_GZIP) and start[_SIGNATURE_OFFSET:16] not in _SIGNATURES:
         inflate = zlib.decompressobj(_ANY_GZIP)

@@ -1,10 +1,14 @@
-"""What the running recorder tells of itself, once a second, in a file of one JSON object.
+"""Status of the running recorder: written by it once a second as a file of one JSON object.
+
+    {"format":1,"pid":4711,...,"memory":{"bytes":4096,"max_bytes":33554432},"totals":{...},...}
 
 The file lies in /run: one that is older than some seconds is of a recorder that hangs or is gone.
 """
 
 import json
 import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,25 +21,73 @@ from vcu_gateway.errors import (
 )
 from vcu_gateway.units import NS_PER_S
 
+FORMAT = 1
 STATUS_PATH = Path("/run/vcu-gateway-recorder/status.json")
 STALE_S = 10.0
 
+_ROOM = "filesystem"
+_PLACES = {
+    "total_bytes": (_ROOM, "total_bytes"),
+    "free_bytes": (_ROOM, "free_bytes"),
+    "last_sync_s": ("sync_seconds", "last"),
+    "longest_sync_s": ("sync_seconds", "max_minute"),
+    "waiting_bytes": ("memory", "bytes"),
+    "memory_bytes": ("memory", "max_bytes"),
+}
+"""Where fields stand in the JSON object that do not stand there by their own names."""
+
 
 class RecordedConnection(NamedTuple):
-    """A gateway that is connected; `drive` is the name of its folder, None before there is one."""
+    """A gateway that is connected.
+
+    Attributes:
+        drive: name of its folder, None before there is one; segment: the one being written.
+        frames_handed_on: since the gateway started, lost ones counted.
+        since_wall_ns, last_datagram_wall_ns: when it began, and when the latest datagram came.
+    """
 
     channel: str
     run: str
     drive: str | None
+    segment: int | None = None
+    frames_handed_on: int = 0
+    since_wall_ns: int = 0
+    last_datagram_wall_ns: int = 0
+
+
+@dataclass(slots=True)
+class RecorderTotals:
+    """Counts since the recorder's start; written by its writer's thread, read by any.
+
+    Attributes:
+        bytes: of members written, both files.
+        frames, ticks: recorded.
+        gaps, frames_lost, ticks_lost: told in the recordings.
+        syncs, sync_failures: calls of fdatasync for one segment.
+        signing_failures: signatures that could not be made.
+        removed_segments, removed_incidents: gone for want of room.
+    """
+
+    bytes: int = 0
+    frames: int = 0
+    ticks: int = 0
+    gaps: int = 0
+    frames_lost: int = 0
+    ticks_lost: int = 0
+    syncs: int = 0
+    sync_failures: int = 0
+    signing_failures: int = 0
+    removed_segments: int = 0
+    removed_incidents: int = 0
 
 
 class RecorderStatus(NamedTuple):
-    """State of the recorder; counts are since its start.
+    """State of the recorder, in the order of the file.
 
     Attributes:
         version: of the recorder.
         started_wall_ns: when it started.
-        written_monotonic_ns: when this was written.
+        written_wall_ns, written_monotonic_ns: when this was written.
         folder: of the recordings.
         total_bytes, free_bytes: of its file system, for its user; None before they are known.
         max_bytes, keep_free_bytes, incident_max_bytes: as it was told.
@@ -43,22 +95,17 @@ class RecorderStatus(NamedTuple):
         incidents: how many there are.
         disk: "ok", "full", "failing" or "stalled".
         last_error: of the disk; None where there was none.
-        waiting_bytes: in memory, not yet written; memory_bytes at most.
         last_sync_s, longest_sync_s: how long fdatasync took, the longest in a minute; None before
             the first.
-        bytes: written.
+        waiting_bytes: in memory, not yet written; memory_bytes at most.
+        refused: how often something was, by reason.
         bytes_a_second: mean of the last minute, or of the time since the start.
-        frames, ticks: recorded.
-        gaps, frames_lost, ticks_lost: told in the recordings.
-        syncs, sync_failures: calls of fdatasync.
-        signing_failures: signatures that could not be made.
-        removed_segments, removed_incidents: gone for want of room.
-        connections: the gateways.
     """
 
     pid: int
     version: str
     started_wall_ns: int
+    written_wall_ns: int
     written_monotonic_ns: int
     folder: str
     total_bytes: int | None
@@ -71,28 +118,31 @@ class RecorderStatus(NamedTuple):
     incidents: int
     disk: str
     last_error: str | None
-    waiting_bytes: int
-    memory_bytes: int
     last_sync_s: float | None
     longest_sync_s: float | None
-    bytes: int
+    waiting_bytes: int
+    memory_bytes: int
+    totals: RecorderTotals
+    refused: Mapping[str, int]
     bytes_a_second: float
-    frames: int
-    ticks: int
-    gaps: int
-    frames_lost: int
-    ticks_lost: int
-    syncs: int
-    sync_failures: int
-    signing_failures: int
-    removed_segments: int
-    removed_incidents: int
     connections: tuple[RecordedConnection, ...]
 
     def age_s(self, now_ns: int | None = None) -> float:
         """How long ago it was written; `now_ns` is of the monotonic clock."""
         now_ns = time.monotonic_ns() if now_ns is None else now_ns
         return (now_ns - self.written_monotonic_ns) / NS_PER_S
+
+    def text(self) -> str:
+        """The file's JSON object, as one line."""
+        values: dict[str, Any] = {"format": FORMAT}
+        for name, value in self._asdict().items():
+            group, key = _PLACES.get(name, (None, name))
+            place = values if group is None else values.setdefault(group, {})
+            if value is not None or group != _ROOM:
+                place[key] = value
+        values["totals"] = asdict(self.totals)
+        values["connections"] = [one._asdict() for one in self.connections]
+        return json.dumps(values) + "\n"
 
 
 def read_status(path: Path = STATUS_PATH) -> RecorderStatus:
@@ -125,19 +175,16 @@ def _unreadable(path: Path, error: OSError) -> GatewayError:
 
 def _status(found: dict[str, Any]) -> RecorderStatus:
     """What this version does not know is left out; KeyError for what is missing."""
-    sync, memory, room = found["sync_seconds"], found["memory"], found["filesystem"]
-    flat = {
-        **found,
-        **found["totals"],
-        "last_sync_s": sync["last"],
-        "longest_sync_s": sync["max_minute"],
-        "waiting_bytes": memory["bytes"],
-        "memory_bytes": memory["max_bytes"],
-        "total_bytes": room.get("total_bytes"),
-        "free_bytes": room.get("free_bytes"),
-        "connections": tuple(
-            RecordedConnection(one["channel"], one["run"], one["drive"])
-            for one in found["connections"]
-        ),
+    places = {name: _PLACES.get(name, (None, name)) for name in RecorderStatus._fields}
+    values = {
+        name: found[key] if group is None else found[group].get(key)
+        for name, (group, key) in places.items()
     }
-    return RecorderStatus(**{name: flat[name] for name in RecorderStatus._fields})
+    counts = {one.name: values["totals"][one.name] for one in fields(RecorderTotals)}
+    connections = tuple(
+        RecordedConnection(**{key: one[key] for key in RecordedConnection._fields})
+        for one in values["connections"]
+    )
+    return RecorderStatus(
+        **values | {"totals": RecorderTotals(**counts), "connections": connections}
+    )

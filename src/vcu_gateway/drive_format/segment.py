@@ -41,7 +41,6 @@ class MemberFile:
             raise
 
     def sync(self) -> None:
-        """Have it on the disk."""
         os.fdatasync(self._descriptor)
 
     @property
@@ -54,7 +53,6 @@ class MemberFile:
         return os.path.samestat(found, os.fstat(self._descriptor))
 
     def close(self) -> None:
-        """Close it."""
         os.close(self._descriptor)
 
 
@@ -88,25 +86,18 @@ class SegmentWriter:
 
     @property
     def size(self) -> int:
-        """Bytes of both files."""
         return self._frames_file.size + self._core_file.size
 
     @property
     def recorded_frames(self) -> int:
-        """Frames that are in the file."""
         return self._frames_file.lines
 
     @property
     def is_in_place(self) -> bool:
-        """False where somebody removed a file of it, or its folder."""
         return self._frames_file.is_in_place and self._core_file.is_in_place
 
-    def add(self, frame_lines: list[str], core_text: str) -> None:
-        """Frame lines, and core lines after them; each with its line end."""
-        self.add_text("".join(frame_lines), len(frame_lines), core_text)
-
-    def add_text(self, frame_text: str, frames: int, core_text: str) -> None:
-        """As `add`, with the lines of that many frames in one text."""
+    def add(self, core_text: str, frame_text: str = "", frames: int = 0) -> None:
+        """Core lines, and that many frame lines before them; each with its line end."""
         self.frames += frames
         self.waiting += len(frame_text) + len(core_text)
         self._frame_text.append(frame_text)
@@ -126,7 +117,6 @@ class SegmentWriter:
         return (self._frames_file, self._frame_text), (self._core_file, self._core_text)
 
     def sync(self) -> None:
-        """Have on the disk what was written."""
         for file, _ in self._files():
             file.sync()
 

@@ -47,8 +47,13 @@ def link_name(segment: int) -> str:
     return f"{segment:04d}.link"
 
 
+def link_paths(folder: Path, segment: int) -> tuple[Path, Path]:
+    """What is signed of a segment, and its signature, whether they are there or not."""
+    name = link_name(segment)
+    return folder / name, folder / f"{name}{SUFFIX}"
+
+
 def is_link(name: str) -> bool:
-    """True for a file that names the last member of a segment."""
     return _LINK.fullmatch(name) is not None
 
 

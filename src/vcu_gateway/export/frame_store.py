@@ -1,7 +1,6 @@
 """Frames of a recording, sorted by message; whole blocks of candump lines at once."""
 
 import io
-import re
 from typing import NamedTuple
 
 from vcu_gateway.core.codec import Codec, MessageCodec, Reason
@@ -12,18 +11,7 @@ from vcu_gateway.recording import LineProblems, RecordedFrame, candump
 from vcu_gateway.recording.lines import LineReader
 from vcu_gateway.recording.summary import Summary
 from vcu_gateway.time_window import Window
-from vcu_gateway.units import NS_PER_S
 
-# Seconds, nanoseconds, channel, identifier and eight bytes of data, as the recorder writes them.
-# Whatever else a line may be is left to recording.candump.
-_LINE = re.compile(
-    rb"^\((\d{1,10})\.(\d{9})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: [RT])?\n",
-    re.MULTILINE,
-)
-_MICROSECONDS = re.compile(
-    rb"^\((\d{1,10})\.(\d{6})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: [RT])?\n",
-    re.MULTILINE,
-)
 _KEPT_IDENTIFIERS = 4096
 
 
@@ -78,20 +66,18 @@ class FrameStore:
 
     def add_lines(self, text: bytes, first_line: int, problems: LineProblems) -> None:
         """Take in whole lines of candump text; `first_line` stand before them."""
-        lines = text.count(b"\n")
-        for pattern, factor in ((_LINE, 1), (_MICROSECONDS, 1000)):
-            found = pattern.findall(text)
-            if len(found) == lines:
-                if found:
-                    self._add_matches(found, factor)
-                return
+        quick = candump.quick_lines(text)
+        if quick is not None:
+            if quick[0]:
+                self._add_matches(*quick)
+            return
         reader = LineReader(io.StringIO(text.decode("utf-8", "replace")))
         reader.number = first_line
         for recorded in candump.frames(reader, problems):
             self.add(recorded)
 
     def _add_matches(self, found: list[tuple[bytes, ...]], factor: int) -> None:
-        stamps = [int(match[0]) * NS_PER_S + int(match[1]) * factor for match in found]
+        stamps = [int(match[0] + match[1]) * factor for match in found]
         self._seen(stamps[0], found[0][2].decode("utf-8", "replace"))
         self._seen(stamps[-1], None)
         if not self._window.open:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from vcu_gateway.drive_format.recorder_status import STALE_S, RecorderStatus
+from vcu_gateway.drive_format.recorder_status import STALE_S, RecorderStatus, RecorderTotals
 from vcu_gateway.exporter.family import Family, Samples, counter, gauge, one, states
 from vcu_gateway.exporter.reader import GatewayAnswers
 
@@ -26,8 +26,8 @@ def _of_recorder(read: Callable[[RecorderStatus], Samples]) -> Callable[[Gateway
     return samples
 
 
-def _count(name: str, text: str, value: Callable[[RecorderStatus], float]) -> Family:
-    return counter(f"recorder_{name}", text, _of_recorder(lambda status: one(value(status))))
+def _count(name: str, text: str, value: Callable[[RecorderTotals], float]) -> Family:
+    return counter(f"recorder_{name}", text, _of_recorder(lambda status: one(value(status.totals))))
 
 
 def _gauge(name: str, text: str, value: Callable[[RecorderStatus], float | None]) -> Family:
@@ -51,18 +51,18 @@ FAMILIES: tuple[Family, ...] = (
         _of_recorder(lambda status: states(_DISK_STATES, [status.disk])),
         "state",
     ),
-    _count("written_bytes", "Bytes of recordings written.", lambda status: status.bytes),
-    _count("frames", "Frames recorded.", lambda status: status.frames),
-    _count("ticks", "Ticks recorded.", lambda status: status.ticks),
-    _count("gaps", "Gaps told in the recordings.", lambda status: status.gaps),
-    _count("frames_lost", "Frames in gaps: not recorded.", lambda status: status.frames_lost),
-    _count("ticks_lost", "Ticks in gaps: not recorded.", lambda status: status.ticks_lost),
-    _count("syncs", "Calls of fdatasync.", lambda status: status.syncs),
-    _count("sync_failures", "Calls of fdatasync that failed.", lambda status: status.sync_failures),
+    _count("written_bytes", "Bytes of recordings written.", lambda totals: totals.bytes),
+    _count("frames", "Frames recorded.", lambda totals: totals.frames),
+    _count("ticks", "Ticks recorded.", lambda totals: totals.ticks),
+    _count("gaps", "Gaps told in the recordings.", lambda totals: totals.gaps),
+    _count("frames_lost", "Frames in gaps: not recorded.", lambda totals: totals.frames_lost),
+    _count("ticks_lost", "Ticks in gaps: not recorded.", lambda totals: totals.ticks_lost),
+    _count("syncs", "Calls of fdatasync.", lambda totals: totals.syncs),
+    _count("sync_failures", "Calls of fdatasync that failed.", lambda totals: totals.sync_failures),
     _count(
         "signing_failures",
         "Signatures of recordings that could not be made.",
-        lambda status: status.signing_failures,
+        lambda totals: totals.signing_failures,
     ),
     _gauge(
         "sync_seconds",
@@ -99,12 +99,12 @@ FAMILIES: tuple[Family, ...] = (
     _count(
         "removed_segments",
         "Segments removed for want of room.",
-        lambda status: status.removed_segments,
+        lambda totals: totals.removed_segments,
     ),
     _count(
         "removed_incidents",
         "Incidents removed for want of room.",
-        lambda status: status.removed_incidents,
+        lambda totals: totals.removed_incidents,
     ),
 )
 """In the order of the text."""

@@ -53,7 +53,6 @@ class Backlog:
         self.size = self.dropped = 0
 
     def put(self, item: Received) -> None:
-        """Append, whatever has to go for it."""
         with self._lock:
             self._items.append(item)
             self._grow(item, item.size)
@@ -62,7 +61,6 @@ class Backlog:
                 pass
 
     def take(self) -> Received | None:
-        """The oldest; None where there is none."""
         with self._lock:
             if not self._items:
                 return None

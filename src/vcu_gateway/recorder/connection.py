@@ -49,12 +49,10 @@ class GatewayConnection:
         self.since_wall_ns = self.last_wall_ns = time.time_ns()
 
     def fileno(self) -> int:
-        """Descriptor, for a selector."""
         return self._sock.fileno()
 
     @property
     def unfinished_bytes(self) -> int:
-        """Of a HELLO whose last part has not come."""
         return self._hello_text.size
 
     def receive(self, buffer: bytearray) -> TickParts | None:
@@ -107,11 +105,9 @@ class GatewayConnection:
             self.hello_bytes = 0
 
     def close(self) -> None:
-        """End it."""
         with contextlib.suppress(OSError):
             self._sock.close()
 
 
 def new_buffer() -> bytearray:
-    """Room for the longest datagram."""
     return bytearray(_BUFFER_BYTES)

@@ -3,6 +3,7 @@
 import errno
 import os
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -13,6 +14,7 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 _FIRST_PAUSE_S = 0.5
 _LONGEST_PAUSE_S = 30.0
 _STALLED_S = 2.0
+_SYNC_TIMES_S = 60.0
 _PROBE_BYTES = 64 << 10
 _PROBE_NAME = ".probe"
 
@@ -54,11 +56,12 @@ def probe(folder: Path) -> None:
 class Disk:
     """Whether the disk takes what is written; told once for each change.
 
-    The writer's thread calls `failed`, `worked` and `busy`; another one `watch`, since a disk that
-    stalls holds the writer up.
+    The writer's thread calls `failed`, `worked`, `synced` and `busy`; another one `watch`, since a
+    disk that stalls holds the writer up.
 
     Attributes:
         last_error: the latest, as text; None where there was none.
+        last_sync_s: how long the latest fdatasync took; None before it.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -69,10 +72,11 @@ class Disk:
         self._busy_since_s: float | None = None
         self._stall_told = False
         self.last_error: str | None = None
+        self.last_sync_s: float | None = None
+        self._sync_times: deque[tuple[float, float]] = deque()
 
     @property
     def state(self) -> DiskState:
-        """The state as a word."""
         return "stalled" if self._is_stalled() else self._trouble
 
     @property
@@ -98,13 +102,23 @@ class Disk:
         self._pause_s = min(_LONGEST_PAUSE_S, 2 * self._pause_s)
 
     def worked(self) -> None:
-        """It took what was to be written."""
         if self._trouble != "ok":
             self._say(f"the disk works again, after {time.monotonic() - self._since_s:.1f} s")
         self._trouble, self._pause_s = "ok", _FIRST_PAUSE_S
 
+    def synced(self, took_s: float) -> None:
+        now_s, times = time.monotonic(), self._sync_times
+        self.last_sync_s = took_s
+        times.append((now_s, took_s))
+        while times[0][0] < now_s - _SYNC_TIMES_S:
+            times.popleft()
+
+    @property
+    def longest_sync_s(self) -> float | None:
+        """The longest of the last minute before the latest; None before the first."""
+        return max((took_s for _, took_s in list(self._sync_times)), default=None)
+
     def busy(self, is_busy: bool) -> None:
-        """The writer begins to work, or is done."""
         self._busy_since_s = time.monotonic() if is_busy else None
 
     def _is_stalled(self) -> bool:
@@ -112,7 +126,6 @@ class Disk:
         return since_s is not None and time.monotonic() - since_s > _STALLED_S
 
     def watch(self) -> None:
-        """Tell of a disk that stalls, and of its end."""
         stalled = self._is_stalled()
         if stalled and not self._stall_told:
             self._say(

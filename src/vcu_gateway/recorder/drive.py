@@ -14,12 +14,20 @@ from vcu_gateway.drive_format import chain, layout, lock
 from vcu_gateway.drive_format.candump import CandumpLines
 from vcu_gateway.drive_format.datagram import TickParts
 from vcu_gateway.drive_format.members import NO_LINK
+from vcu_gateway.drive_format.recorder_status import RecorderTotals
 from vcu_gateway.drive_format.segment import SegmentWriter
+from vcu_gateway.drive_format.segment_lines import (
+    NEXT_BEGINS,
+    Losses,
+    SegmentBegin,
+    SegmentEnd,
+    gap_line,
+)
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recorder import resume
-from vcu_gateway.recorder.resume import Lost, Position
+from vcu_gateway.recorder.disk import Disk
+from vcu_gateway.recorder.resume import Position
 from vcu_gateway.recorder.signing import Signer
-from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.units import NS_PER_S
 
 _MEMORY_FULL = "the recorder's memory was full"
@@ -40,7 +48,8 @@ class DriveRecorder:
         drives: Path,
         number: int,
         hello: Mapping[str, Any],
-        totals: Totals,
+        totals: RecorderTotals,
+        disk: Disk,
         segment_ended: Callable[[Path, int], None],
         signer: Signer | None = None,
     ) -> None:
@@ -50,9 +59,10 @@ class DriveRecorder:
         self.hello = hello
         self._number = number
         self._totals = totals
+        self._disk = disk
         self._segment_ended = segment_ended
         self._signer = signer
-        self._lost = Lost()
+        self._lost = Losses()
         self._candump = CandumpLines(hello["channel"])
         self._clock_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
         self._hold: int | None = None
@@ -83,20 +93,20 @@ class DriveRecorder:
     def _add(self, tick: TickParts, lines: bytes) -> None:
         frame_text = self._candump.text(tick, self._clock_ns)
         if self.segment is not None:
-            self.segment.add_text(frame_text, tick.frame_count, lines.decode(errors="replace"))
+            self.segment.add(lines.decode(errors="replace"), frame_text, tick.frame_count)
         self._waiting_ticks += resume.ticks_of(lines)
         self._next_sequence = tick.header.sequence + 1
 
     def _begin(self, tick: TickParts) -> bytes:
         """Begin a segment with this datagram's checkpoint; the lines behind that."""
-        self.end("the next segment begins")
+        self.end(NEXT_BEGINS)
         self._open_folder()
         number, self._next_segment = self._next_segment, self._next_segment + 1
         segment = SegmentWriter(self.folder, number, self._link)
         checkpoint, line_end, rest = tick.lines.partition(b"\n")
         begins = Position(tick.header.frames - tick.frame_count, _ticks_so_far(checkpoint))
         head = (checkpoint + line_end).decode(errors="replace")
-        segment.add([], head + self._begin_lines(number, begins, tick.header.frames_lost))
+        segment.add(head + self._begin_lines(number, begins, tick.header.frames_lost))
         self.segment, self._end_stands = segment, False
         self._begin_position = self._position = begins
         self._segment_ticks = self._waiting_ticks = 0
@@ -106,34 +116,25 @@ class DriveRecorder:
         return rest
 
     def _begin_lines(self, number: int, begins: Position, not_handed_on: int) -> str:
-        """What came before this segment, and what of it is missing."""
         frames = max(0, begins.frames - self._position.frames)
         ticks = max(0, begins.ticks - self._position.ticks)
         gap = ""
         if frames or ticks:
-            self._lost = self._lost.with_gap(frames, ticks)
-            self._totals.lost(frames, ticks)
+            self._lost += Losses(frames, ticks, 1)
+            self._totals.gaps += 1
+            self._totals.frames_lost += frames
+            self._totals.ticks_lost += ticks
             if not_handed_on - self._frames_not_handed_on >= frames > 0:
                 self._missing_because = "the recorder did not take them in time"
-            why = self._missing_because or _MEMORY_FULL
-            told = {"frames": frames, "ticks": ticks, "why": why}
-            gap = _line({"f": 0, "gap": told})
+            gap = gap_line(frames, ticks, self._missing_because or _MEMORY_FULL)
         self._frames_not_handed_on = not_handed_on
         self._missing_because = None
-        begin = {
-            **begins._asdict(),
-            "wall_ns": time.time_ns(),
-            "recorder": __version__,
-            "lost": self._lost._asdict(),
-            "segment": number,
-            "files": self._files_beside,
-        }
-        if self._signer is not None and self._signer.fingerprint is not None:
-            begin["signer"] = self._signer.fingerprint
-        return _line({"f": 0, "begin": begin}) + gap
+        signer = None if self._signer is None else self._signer.fingerprint
+        files, wall_ns = self._files_beside, time.time_ns()
+        begin = SegmentBegin(*begins, wall_ns, __version__, self._lost, number, files, signer)
+        return begin.line() + gap
 
     def _open_folder(self) -> None:
-        """Make the drive's folder, or find it as an earlier recorder left it."""
         if self._hold is not None:
             if os.path.isdir(self.folder):
                 return
@@ -199,7 +200,8 @@ class DriveRecorder:
         except OSError:
             self._totals.sync_failures += 1
             raise
-        self._totals.synced(time.monotonic() - begin_s)
+        self._totals.syncs += 1
+        self._disk.synced(time.monotonic() - begin_s)
         if not self.segment.is_in_place:
             what = "somebody removed what was being written"
             raise FileNotFoundError(errno.ENOENT, what, str(self.folder))
@@ -213,8 +215,7 @@ class DriveRecorder:
             return
         if not self._end_stands:
             ticks = self._segment_ticks + self._waiting_ticks
-            told = {"frames": self.segment.frames, "ticks": ticks, "closes": closes, "why": why}
-            self.segment.add([], _line({"f": self.segment.frames, "end": told}))
+            self.segment.add(SegmentEnd(self.segment.frames, ticks, closes, why).line())
             self._end_stands = True
         self.flush()
         self.sync()
@@ -252,10 +253,6 @@ class DriveRecorder:
         if self._hold is not None:
             os.close(self._hold)
             self._hold = None
-
-
-def _line(values: Mapping[str, Any]) -> str:
-    return json.dumps(values, separators=(",", ":")) + "\n"
 
 
 def _ticks_so_far(checkpoint: bytes) -> int:

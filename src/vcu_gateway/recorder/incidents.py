@@ -23,7 +23,6 @@ from vcu_gateway.units import NS_PER_S
 
 _LONGEST_S = 600.0
 _MOST_REASONS = 100
-_COPIES = (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE)
 
 
 class OpenIncident(NamedTuple):
@@ -76,7 +75,6 @@ class Incidents:
         self._open.append(OpenIncident(folder, drive.folder, 1, now_s, until_s))
 
     def segment_began(self, drive: DriveRecorder) -> None:
-        """Link a segment that begins within the time after an incident."""
         now_s = time.monotonic()
         for one in self._open:
             if one.drive == drive.folder and one.until_s > now_s:
@@ -93,7 +91,6 @@ class Incidents:
     def _lengthen(
         self, opened: OpenIncident, trigger: Trigger, drive: DriveRecorder, now_s: float
     ) -> None:
-        """Take in what came while an incident is open."""
         _link(open_files(drive), opened.folder)
         reasons = opened.reasons
         if reasons < _MOST_REASONS:
@@ -117,9 +114,9 @@ class Incidents:
         self, trigger: Trigger, drive: Path, files: Iterable[Path], suffix: str = ""
     ) -> Path:
         name = layout.incident_name(time.time_ns(), trigger.kind) + suffix
-        folder, links = _free_name(self._parent / name), list(files)
+        folder, links = layout.free_path(self._parent / name), list(files)
         description = self._description(trigger, drive, drive.name, links)
-        copies = {name: (drive / name).read_bytes() for name in _COPIES}
+        copies = _copies(drive)
         layout.create_folder(folder, {layout.INCIDENT_FILE: description, **copies}, links)
         if self._signer is not None:
             self._signer.incident_made(folder, drive)
@@ -130,21 +127,18 @@ class Incidents:
         self, trigger: Trigger, described_in: Path, drive: str, links: Iterable[Path]
     ) -> bytes:
         wall_ns = time.time_ns()
-        described = layout.description_if_any(described_in / layout.DRIVE_FILE)
-        told = {key: described.get(key) for key in ("run", "channel", "config_digest")}
         return layout.incident_bytes(
             {
-                "format": layout.FORMAT,
                 **trigger._asdict(),
                 "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall_ns // NS_PER_S)),
                 "at_ns": wall_ns,
                 "before_s": self._options.before_s,
                 "after_s": self._options.after_s,
                 "drive": drive,
-                **told,
             },
+            layout.description_if_any(described_in / layout.DRIVE_FILE),
             links,
-            {name: (described_in / name).read_bytes() for name in _COPIES},
+            _copies(described_in),
         )
 
     def keep_budget(self, newest: Path | None = None) -> None:
@@ -176,7 +170,6 @@ class Incidents:
 
 
 def open_files(drive: DriveRecorder) -> list[Path]:
-    """Files that a drive is writing."""
     if drive.segment is None:
         return []
     number = drive.segment.number
@@ -190,13 +183,8 @@ def _link(files: Iterable[Path], folder: Path) -> None:
     layout.sync_folder(folder)
 
 
-def _free_name(folder: Path) -> Path:
-    """This name, or with the first of -2, -3 that is free."""
-    path, count = folder, 1
-    while os.path.lexists(path):
-        count += 1
-        path = folder.with_name(f"{folder.name}-{count}")
-    return path
+def _copies(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in layout.FILES_BESIDE}
 
 
 def _least_wanted(removable: list[Path], folders: list[Path]) -> Path | None:

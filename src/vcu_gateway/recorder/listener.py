@@ -30,7 +30,6 @@ class TapListener:
         self.sock.setblocking(False)
 
     def close(self) -> None:
-        """Stop listening."""
         self.sock.close()
         if self._own_path is not None:
             with contextlib.suppress(OSError):
@@ -53,7 +52,6 @@ def _bound(path: Path) -> socket.socket:
 
 
 def _remove_leftover(path: Path) -> None:
-    """Remove a socket that nobody answers at; UnavailableError where somebody does."""
     if not os.path.lexists(path):
         return
     if not stat.S_ISSOCK(path.lstat().st_mode):

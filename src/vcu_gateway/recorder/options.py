@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import NamedTuple
 
-DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
+from vcu_gateway.drive_format import layout
+
 DEFAULT_SOCKET = Path("/run/vcu-gateway-recorder/tap.sock")
 
 _KIB = 1 << 10
@@ -26,7 +27,7 @@ class RecorderOptions(NamedTuple):
         sign_key: private key of OpenSSH, without a passphrase, that signs; None: nothing is signed.
     """
 
-    folder: Path = DEFAULT_FOLDER
+    folder: Path = layout.DEFAULT_FOLDER
     socket_path: Path = DEFAULT_SOCKET
     max_bytes: int = 4 * _GIB
     keep_free_bytes: int = _GIB

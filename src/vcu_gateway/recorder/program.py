@@ -108,7 +108,6 @@ class Recorder:
 def _woken_by_signals(
     handler: Callable[[int, FrameType | None], None],
 ) -> Iterator[socket.socket]:
-    """Handle the recorder's signals; the socket can be read when one came."""
     awake, wake_up = socket.socketpair()
     for sock in (awake, wake_up):
         sock.setblocking(False)

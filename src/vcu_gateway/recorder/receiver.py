@@ -192,7 +192,6 @@ class DatagramReceiver:
             self._urgent()
 
     def _refuse(self, connection: GatewayConnection, error: DatagramError) -> None:
-        """End it for what it handed over."""
         if connection in self.connections:
             what = f"the connection of {connection.sender} is closed: {error}"
             self._refusals.note(error.kind, what)
@@ -208,7 +207,6 @@ class DatagramReceiver:
                 self._urgent()
 
     def close(self) -> None:
-        """End every connection."""
         for connection in list(self.connections):
             self._end(connection)
         self._selector.close()

@@ -99,16 +99,14 @@ def free_bytes(folder: Path) -> int:
 
 
 def total_bytes(folder: Path) -> int:
-    """Size of the file system."""
     found = os.statvfs(folder)
     return found.f_blocks * found.f_frsize
 
 
 def _paths(folder: Path, number: int) -> tuple[Path, ...]:
     """Its files; those of its signature are not always there."""
-    link = signature.link_name(number)
-    names = (layout.frames_name(number), layout.core_name(number), link, link + signature.SUFFIX)
-    return tuple(folder / name for name in names)
+    names = (layout.frames_name(number), layout.core_name(number))
+    return (*(folder / name for name in names), *signature.link_paths(folder, number))
 
 
 def _size(path: Path) -> int:
@@ -126,11 +124,10 @@ def _written_since(path: Path, wall_s: float) -> bool:
 
 
 def _remove_empty_drive(folder: Path) -> None:
-    """Remove a drive without segments; one that holds anything else stays."""
     with contextlib.suppress(OSError):
         if layout.segments(folder):
             return
-        for name in (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE):
+        for name in layout.FILES_BESIDE:
             (folder / name).unlink(missing_ok=True)
         folder.rmdir()
 

@@ -95,7 +95,6 @@ class Allowance:
         self._left, self._at_s = burst, time.monotonic()
 
     def take(self) -> bool:
-        """Take one; False where there is none."""
         now_s = time.monotonic()
         self._left = min(self._burst, self._left + (now_s - self._at_s) * self._a_second)
         self._at_s = now_s
@@ -118,7 +117,6 @@ class Refusals:
         self._said_s: dict[str, float] = {}
 
     def note(self, reason: str, sentence: str) -> None:
-        """Count one."""
         self.counts[reason] += 1
         now_s = time.monotonic()
         said_s = self._said_s.get(reason)

@@ -47,7 +47,6 @@ class Signer:
         self._put(lambda: self._sign_incident(incident, drive))
 
     def stop(self, timeout_s: float) -> None:
-        """Sign what waits, for at most this time."""
         self._put(None)
         self._thread.join(timeout_s)
 
@@ -72,12 +71,12 @@ class Signer:
             self._say(f"a recording is not signed: {error}; recording goes on")
 
     def _sign_segment(self, drive: Path, run: str, number: int, link: bytes) -> None:
-        path = drive / signature.link_name(number)
-        self._sign(path, signature.link_text(run, number, link))
+        text, made = signature.link_text(run, number, link), signature.link_paths(drive, number)
+        self._sign(*made, text)
         core = layout.core_name(number)
         for incident in layout.recorded_folders(self._incidents):
             if _is_same(incident / core, drive / core):
-                _link_signature(path, incident)
+                _link_signature(made, incident)
 
     def _sign_incident(self, incident: Path, drive: Path) -> None:
         path = incident / layout.INCIDENT_FILE
@@ -86,19 +85,19 @@ class Signer:
         self.signed += 1
         for segment in layout.segments(incident):
             with contextlib.suppress(FileNotFoundError):  # none yet, or none at all
-                _link_signature(drive / signature.link_name(segment.number), incident)
+                _link_signature(signature.link_paths(drive, segment.number), incident)
 
-    def _sign(self, path: Path, text: bytes) -> None:
+    def _sign(self, path: Path, beside: Path, text: bytes) -> None:
         """Both files; the text alone, without a signature, is never there for long."""
         made = signature.sign(text, self._key)
         layout.write_new(path, text)
-        layout.write_new(Path(f"{path}{signature.SUFFIX}"), made)
+        layout.write_new(beside, made)
         layout.sync_folder(path.parent)
         self.signed += 1
 
 
-def _link_signature(path: Path, incident: Path) -> None:
-    for one in (path, Path(f"{path}{signature.SUFFIX}")):
+def _link_signature(files: tuple[Path, Path], incident: Path) -> None:
+    for one in files:
         with contextlib.suppress(FileExistsError):
             os.link(one, incident / one.name)
 

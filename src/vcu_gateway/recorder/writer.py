@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.datagram import DatagramError
+from vcu_gateway.drive_format.recorder_status import RecorderTotals
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
@@ -20,7 +21,6 @@ from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, free_bytes
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
-from vcu_gateway.recorder.totals import Totals
 from vcu_gateway.recorder.triggers import Trigger
 
 _MEMBER_S = 0.84
@@ -58,7 +58,7 @@ class Writer:
         refusals: Refusals,
     ) -> None:
         """Find what is recorded already; OSError where the folder cannot be read."""
-        self.totals = Totals()
+        self.totals = RecorderTotals()
         self.ring = Ring(options.folder / layout.DRIVES)
         key, incidents = options.sign_key, options.folder / layout.INCIDENTS
         self.signer = None if key is None else Signer(key, incidents, say)
@@ -78,15 +78,12 @@ class Writer:
         self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
 
     def start(self) -> None:
-        """Begin to write."""
         self._thread.start()
 
     def wake(self) -> None:
-        """Something in the backlog should be on the disk at once."""
         self._wake.set()
 
     def request_incident(self) -> None:
-        """Keep what surrounds this moment."""
         self._requested = True
         self._wake.set()
 
@@ -222,7 +219,7 @@ class Writer:
             number, self.ring.next_drive = self.ring.next_drive, self.ring.next_drive + 1
             drives = self._options.folder / layout.DRIVES
             self._runs[run] = DriveRecorder(
-                drives, number, hello, self.totals, self.ring.ended, self.signer
+                drives, number, hello, self.totals, self._disk, self.ring.ended, self.signer
             )
             written = self.drives.values()
             for old in [one for one in self._runs if self._runs[one] not in written][:-_MOST_RUNS]:
@@ -279,7 +276,6 @@ class Writer:
 
     @property
     def drives_bytes(self) -> int:
-        """Bytes of all drives, those being written too."""
         segments = [drive.segment for drive in tuple(self.drives.values())]
         return self.ring.size + sum(one.size for one in segments if one is not None)
 

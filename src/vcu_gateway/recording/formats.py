@@ -20,17 +20,14 @@ Content = LineReader | IO[bytes] | str
 
 
 def suffixes() -> tuple[str, ...]:
-    """File suffixes of every format that python-can reads."""
     return tuple(sorted(can.io.MESSAGE_READERS))
 
 
 def is_text(suffix: str) -> bool:
-    """Whether this format is read line by line."""
     return issubclass(can.io.MESSAGE_READERS[suffix], TextIOMessageReader)
 
 
 def is_binary(suffix: str) -> bool:
-    """Whether this format is read from an open file of bytes."""
     return issubclass(can.io.MESSAGE_READERS[suffix], BinaryIOMessageReader)
 
 

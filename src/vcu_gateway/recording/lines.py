@@ -29,7 +29,6 @@ class LineReader:
         return next(self._pieces)
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _walk(self) -> Iterator[str]:

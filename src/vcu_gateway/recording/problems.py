@@ -37,7 +37,6 @@ class LineProblems:
         self.unreadable = 0
 
     def damaged(self, position: int, what: str, remedy: str = "") -> None:
-        """Count a line or frame that cannot be read."""
         self.unreadable += 1
         if self.unreadable <= REPORTED_LIMIT:
             self._report(Problem(what, self._where(position), remedy))

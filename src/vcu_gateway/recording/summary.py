@@ -25,7 +25,6 @@ class Tally:
         self.forgotten = 0
 
     def add(self, can_id: int) -> None:
-        """Count one frame."""
         self._counts[can_id] += 1
         if len(self._counts) > _KEPT_IDENTIFIERS:
             kept = Counter(dict(self._counts.most_common(_KEPT_IDENTIFIERS // 2)))
@@ -59,17 +58,14 @@ class Summary:
 
     @property
     def frames(self) -> int:
-        """Every frame that was read."""
         return self.decoded.total() + self.passed_over + self._rejected.total()
 
     def reject(self, reason: Reason, can_id: int) -> None:
-        """Count a frame that the codec refused."""
         self._rejected[reason.value] += 1
         if reason in self._identifiers:
             self._identifiers[reason].add(can_id)
 
     def reject_fd(self) -> None:
-        """Count a CAN FD frame."""
         self._rejected[CAN_FD] += 1
 
     def lines(self, unreadable: int) -> Iterator[str]:

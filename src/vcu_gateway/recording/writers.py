@@ -46,7 +46,6 @@ class FrameWriter:
         self._kept: list[dict[int, str]] = [{} for _ in message.signals]
 
     def text(self, arrival_ns: int, channel: str | None, decoded: Decoded) -> str:
-        """One frame, line ends included."""
         try:
             signals = [kept[raw] for kept, raw in zip(self._kept, decoded.raws, strict=True)]
         except KeyError:

@@ -31,16 +31,6 @@ class BusCommand(NamedTuple):
     data: str
 
 
-def texts(data: bytes) -> Iterator[bytes]:
-    """The lines of a member, one after the other: a list of them may not fit into memory."""
-    begin = 0
-    while (end := data.find(b"\n", begin)) >= 0:
-        yield data[begin:end]
-        begin = end + 1
-    if begin < len(data):
-        yield data[begin:]
-
-
 def commands_in(line: Mapping[str, Any]) -> Iterator[BusCommand]:
     """Frames that a core line says were sent, or were to be; ValueError where they are wrong."""
     frames = line["frames"] if "tick" in line and "frames" in line else []
@@ -51,7 +41,6 @@ def commands_in(line: Mapping[str, Any]) -> Iterator[BusCommand]:
 
 
 def echoes_in(data: bytes, first_line: int) -> Iterator[BusCommand]:
-    """Echoes among these frames' lines."""
     place, counted = first_line, 0
     for found in _ECHO.finditer(data):
         place += data.count(b"\n", counted, found.start())

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from vcu_gateway.drive_format import layout, lock
 from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.drive_format.segment_lines import Losses
 from vcu_gateway.recordings.bus_commands import EchoCheck
 from vcu_gateway.recordings.chained import chain_of
 from vcu_gateway.recordings.checked_segment import (
@@ -27,7 +28,6 @@ from vcu_gateway.recordings.checked_segment import (
 )
 from vcu_gateway.recordings.descriptions import description_faults, digest_faults, incident_faults
 from vcu_gateway.recordings.folder import RecordingPath, read_error
-from vcu_gateway.recordings.segment_lines import Losses
 from vcu_gateway.recordings.signatures import Signatures, check_signatures
 
 EX_INCOMPLETE, EX_CHANGED = 3, 65
@@ -81,7 +81,6 @@ class CheckedRecording(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """True where nothing is missing, changed or damaged."""
         return self.state in (RecordingState.WHOLE, RecordingState.WRITTEN)
 
     @property
@@ -191,7 +190,6 @@ class _Sums:
         self._echoes = EchoCheck()
 
     def add(self, one: CheckedSegment) -> None:
-        """Take the next segment, and compare its begin with the one before."""
         if self.last is not None:
             self._compare(self.last, one)
         before = self.last

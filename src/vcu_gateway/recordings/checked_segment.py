@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
-from vcu_gateway.recordings.bus_commands import BusCommand, commands_in, echoes_in, texts
-from vcu_gateway.recordings.segment_lines import (
+from vcu_gateway.drive_format.members import Member, MemberDamage, whole_members
+from vcu_gateway.drive_format.segment_lines import (
+    LINES_OF_BEGIN,
     CoreLineError,
     SegmentBegin,
     SegmentEnd,
@@ -20,8 +20,8 @@ from vcu_gateway.recordings.segment_lines import (
     end_of,
     parsed_line,
 )
+from vcu_gateway.recordings.bus_commands import BusCommand, commands_in, echoes_in
 
-_LINES_OF_BEGIN = 4
 _MOST_COMMANDS = 1 << 17
 """Of a segment, which has a minute; more are an attack on the reader's memory."""
 
@@ -109,7 +109,6 @@ def _ended(kind: FaultKind) -> FaultKind:
 
 
 def _read_frames(segment: SegmentFiles) -> tuple[int, list[BusCommand], list[FileFault]]:
-    """How many frames there are, those that are echoes, and what is wrong."""
     file, faults = layout.frames_name(segment.number), list[FileFault]()
     echoes: list[BusCommand] = []
     if segment.frames is None:
@@ -125,19 +124,14 @@ def _read_frames(segment: SegmentFiles) -> tuple[int, list[BusCommand], list[Fil
 
 def _readable(path: Path, file: str, faults: list[FileFault]) -> Iterator[Member]:
     """The readable members; what is between them becomes faults."""
-    lines = 0
-    for part in read_members(path):
-        if isinstance(part, MemberDamage):
-            place = f"{part.size} bytes from byte {part.offset} on: {part.what}"
-            place = place if part.size else part.what
-            kind = FaultKind.TORN if part.torn else FaultKind.CHANGED
-            faults.append(FileFault(file, place, kind))
-            continue
-        if part.first_line > lines:
-            what = f"{part.first_line - lines} lines are lost"
-            faults.append(FileFault(file, what, FaultKind.MISSING))
-        lines = part.first_line + part.lines
-        yield part
+
+    def damaged(part: MemberDamage) -> None:
+        place = f"{part.size} bytes from byte {part.offset} on: " if part.size else ""
+        kind = FaultKind.TORN if part.torn else FaultKind.CHANGED
+        kind = FaultKind.MISSING if part.lost_lines else kind
+        faults.append(FileFault(file, f"{place}{part.what}", kind))
+
+    return whole_members(path, damaged)
 
 
 @dataclass
@@ -165,21 +159,20 @@ class _CoreLines:
             self.faults.append(FileFault(self.file, str(error), FaultKind.CHANGED))
 
     def _take(self, part: Member) -> None:
-        lines = (self._line(part, number, text) for number, text in enumerate(texts(part.data)))
+        lines = (self._line(number, text) for number, text in part.numbered_lines())
         if part.first_line == 0:
-            first = list(itertools.islice(lines, _LINES_OF_BEGIN))
+            first = list(itertools.islice(lines, LINES_OF_BEGIN))
             if not first or "checkpoint" not in first[0]:
                 raise CoreLineError("does not begin with a checkpoint")
             self.begin = begin_of(first)
         deque(lines, maxlen=0)
 
-    def _line(self, part: Member, number: int, text: bytes) -> dict[str, Any]:
-        where = f"line {part.first_line + number + 1}"
+    def _line(self, number: int, text: bytes) -> dict[str, Any]:
         try:
             line = parsed_line(text)
             self._count(line)
         except CoreLineError as error:
-            raise CoreLineError(f"{where} {error}") from error
+            raise CoreLineError(f"line {number} {error}") from error
         return line
 
     def _count(self, line: dict[str, Any]) -> None:

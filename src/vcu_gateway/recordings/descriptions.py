@@ -8,10 +8,10 @@ from typing import Any
 
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.drive_format.segment_lines import last_second
 from vcu_gateway.errors import DataError, GatewayError
 from vcu_gateway.recordings.checked_segment import CheckedSegment, FaultKind, FileFault
 from vcu_gateway.recordings.folder import RecordingPath
-from vcu_gateway.recordings.segment_lines import last_second
 from vcu_gateway.units import NS_PER_S
 
 _KEPT_PART = "requested"
@@ -19,7 +19,6 @@ _UNTIL_WRITTEN_S = 2
 
 
 def description_faults(recording: RecordingPath) -> Iterator[FileFault]:
-    """Descriptions that cannot be read."""
     descriptions = layout.incident_files(recording.path)
     if recording.kind == "incident" and not descriptions:
         yield FileFault(layout.INCIDENT_FILE, "is missing", FaultKind.MISSING)
@@ -40,7 +39,7 @@ def digest_faults(folder: Path, segment: CheckedSegment) -> Iterator[FileFault]:
     if begin.segment != segment.number:
         what = f"was segment {begin.segment}, and has another number now"
         yield FileFault(core, what, FaultKind.CHANGED)
-    missing = {layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE} - set(begin.files)
+    missing = set(layout.FILES_BESIDE) - set(begin.files)
     if missing:
         what = f"does not name the digest of {', '.join(sorted(missing))}"
         yield FileFault(core, what, FaultKind.CHANGED)

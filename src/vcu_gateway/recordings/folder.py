@@ -29,7 +29,6 @@ class RecordingPath(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name of the folder."""
         return self.path.name
 
 
@@ -74,7 +73,6 @@ class RecordingFolder:
 
 
 def read_error(error: OSError, path: Path) -> GatewayError:
-    """What cannot be read, and what to do."""
     if isinstance(error, PermissionError):
         remedy = "sudo usermod -aG vcu-gateway-recorder $USER and log in again, or use sudo"
         return NotPermittedError(Problem("may not be read by this user", str(path), remedy))
@@ -83,7 +81,6 @@ def read_error(error: OSError, path: Path) -> GatewayError:
 
 
 def write_error(error: OSError, path: Path) -> GatewayError:
-    """What cannot be changed, and what to do."""
     if isinstance(error, PermissionError):
         what, remedy = "may not be changed by this user", "use sudo"
         return NotPermittedError(Problem(what, str(path), remedy))

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from vcu_gateway.drive_format import layout, signature
 from vcu_gateway.drive_format.layout import SegmentFiles
+from vcu_gateway.drive_format.segment_lines import last_second, read_begin
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath, write_error
-from vcu_gateway.recordings.segment_lines import last_second, read_begin
 from vcu_gateway.units import NS_PER_S
 
 _REASON = "requested"
@@ -38,28 +38,25 @@ def keep_part(
         for segment, first_ns, last_ns in segment_times(drive.path)
         if first_ns <= end_ns and last_ns >= begin_ns
     ]
-    links = [path for segment, _, _ in chosen for path in (*segment.paths, *_signed(segment))]
+    links = [
+        path
+        for segment, _, _ in chosen
+        for path in (*segment.paths, *signature.link_paths(drive.path, segment.number))
+        if path.exists()
+    ]
     if not links:
         what = "has nothing of that time"
         raise DataError(Problem(what, drive.name, "vcu-gateway recordings list, all times in UTC"))
     # Without a bound it is the drive's own: the incident says what it holds.
     begin_ns, end_ns = max(begin_ns, chosen[0][1]), min(end_ns, chosen[-1][2])
-    path = _free_name(folder.path / layout.INCIDENTS, begin_ns)
+    name = layout.incident_name(begin_ns, _REASON)
+    path = layout.free_path(folder.path / layout.INCIDENTS / name)
     try:
         files = _incident_files(drive, begin_ns, end_ns, reason, links)
         layout.create_folder(path, files, links)
     except OSError as error:
         raise write_error(error, path) from error
     return RecordingPath("incident", path)
-
-
-def _signed(segment: SegmentFiles) -> list[Path]:
-    """The segment's signature, and what is signed; nothing of an unsigned one."""
-    if not segment.paths:
-        return []
-    link = segment.paths[0].with_name(signature.link_name(segment.number))
-    files = (link, link.with_name(f"{link.name}{signature.SUFFIX}"))
-    return [path for path in files if path.exists()]
 
 
 def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
@@ -70,7 +67,7 @@ def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
     begun = [
         (segment, begin.wall_ns)
         for segment in layout.segments(drive)
-        if segment.core is not None and (begin := read_begin(segment.core)) is not None
+        if (begin := read_begin(segment.core)) is not None
     ]
     ends = [wall_ns for _, wall_ns in begun[1:]]
     if begun:
@@ -86,7 +83,6 @@ def _incident_files(
     """Description, copies of the drive's own, and the mark that it stays."""
     described = layout.read_description(drive.path / layout.DRIVE_FILE)
     incident = {
-        "format": layout.FORMAT,
         "reason": _REASON,
         "kind": _REASON,
         "what": reason,
@@ -95,21 +91,11 @@ def _incident_files(
         "before_s": 0,
         "after_s": (end_ns - begin_ns) / NS_PER_S,
         "drive": drive.name,
-        **{key: described.get(key) for key in ("run", "channel", "config_digest")},
     }
-    copied = (layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE)
-    present = [drive.path / name for name in copied if (drive.path / name).exists()]
-    copies = {path.name: path.read_bytes() for path in present}
+    beside = [drive.path / name for name in layout.FILES_BESIDE]
+    copies = {path.name: path.read_bytes() for path in beside if path.exists()}
     return {
-        layout.INCIDENT_FILE: layout.incident_bytes(incident, links, copies),
+        layout.INCIDENT_FILE: layout.incident_bytes(incident, described, links, copies),
         layout.KEEP_FILE: b"",
         **copies,
     }
-
-
-def _free_name(parent: Path, wall_ns: int) -> Path:
-    name = layout.incident_name(wall_ns, _REASON)
-    number = 1
-    while (path := parent / (name if number == 1 else f"{name}-{number}")).exists():
-        number += 1
-    return path

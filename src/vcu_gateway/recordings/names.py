@@ -5,9 +5,9 @@ import stat
 from pathlib import Path
 
 from vcu_gateway.drive_format import layout
+from vcu_gateway.drive_format.layout import DEFAULT_FOLDER
 from vcu_gateway.recordings.folder import read_error
 
-DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
 _NOT_THERE = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL)
 
 

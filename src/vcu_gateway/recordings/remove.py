@@ -4,11 +4,9 @@ import fcntl
 import os
 from pathlib import Path
 
-from vcu_gateway.drive_format import layout, signature
+from vcu_gateway.drive_format import layout, lock, signature
 from vcu_gateway.errors import Problem, RequestRefusedError
 from vcu_gateway.recordings.folder import RecordingPath, write_error
-
-_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def remove_recording(recording: RecordingPath) -> list[str]:
@@ -18,7 +16,7 @@ def remove_recording(recording: RecordingPath) -> list[str]:
     not: every name is looked up in the opened folder itself.
     """
     try:
-        descriptor = os.open(recording.path, _FOLDER)
+        descriptor = os.open(recording.path, lock.FOLDER_FLAGS)
         try:
             _refuse_written(descriptor, recording)
             own, others = _names(descriptor, recording.path)
@@ -45,7 +43,7 @@ def _refuse_written(descriptor: int, recording: RecordingPath) -> None:
 def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
     """What belongs to a recording, its description last, and what does not."""
     found = os.listdir(descriptor)
-    known = {layout.DRIVE_FILE, layout.CONFIG_FILE, layout.DBC_FILE, layout.KEEP_FILE}
+    known = {*layout.FILES_BESIDE, layout.KEEP_FILE}
     known |= {path.name for segment in layout.segments(folder) for path in segment.paths}
     known |= {path.name for path in layout.incident_files(folder)}
     known |= {name for name in found if signature.is_link(name)}

@@ -90,7 +90,6 @@ def _signal(pid: int) -> None:
 
 
 def no_recorder(why: str) -> UnavailableError:
-    """No recorder runs."""
     remedy = "sudo systemctl start vcu-gateway-recorder.socket, and a gateway"
     return UnavailableError(Problem(f"no recorder runs: {why}", remedy=remedy))
 

@@ -46,7 +46,6 @@ class _Check:
         self._faults: list[FileFault] = []
 
     def signatures(self, expected: str | None) -> Signatures:
-        """Of each segment, and of an incident's descriptions."""
         descriptions = layout.incident_files(self._folder)
         segments = sum(
             self._is_signed(
@@ -63,7 +62,6 @@ class _Check:
         return signature.link_text(str(described.get("run")), number, digest)
 
     def _is_signed(self, name: str, data: bytes | None, what: str) -> bool:
-        """True where these bytes are signed."""
         path = self._folder / f"{name}{signature.SUFFIX}"
         if not path.exists():
             if self._allowed is not None:

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.drive_format import layout, lock
+from vcu_gateway.drive_format.segment_lines import Losses, SegmentBegin, last_second, read_begin
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recordings.folder import RecordingKind, RecordingPath, read_error
-from vcu_gateway.recordings.segment_lines import Losses, SegmentBegin, last_second, read_begin
 from vcu_gateway.units import NS_PER_S
 
 

@@ -1,16 +1,24 @@
-"""The recorder's own lines of a segment: how it begins, what is missing before it, how it ends."""
+"""The recorder's own lines of a segment: how it begins, what is missing before it, how it ends.
+
+    {"f":0,"begin":{"frames":71600,"ticks":4000,"wall_ns":...,"recorder":"0.1.0",...}}
+    {"f":0,"gap":{"frames":358,"ticks":20,"why":"the recorder's memory was full"}}
+    {"f":21480,"end":{"frames":21480,"ticks":1200,"closes":true,"why":"..."}}
+
+A begin stands behind the checkpoint of its segment, and a gap behind the begin.
+"""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
+from vcu_gateway.drive_format.members import Member, read_members, whole_members
 
-_LINES_OF_BEGIN = 4
+LINES_OF_BEGIN = 4
+"""Of a segment, among which its begin and its gaps are."""
 MAX_LINE_BYTES = 1 << 22
 """Of a core line; a longer one is damage, or an attack on the reader's memory."""
-_GOES_ON = "the next segment begins"
+NEXT_BEGINS = "the next segment begins"
 _NUMBERS = range(1 << 63)
 """What counters and stamps can be."""
 
@@ -23,7 +31,6 @@ class Losses(NamedTuple):
     gaps: int = 0
 
     def __add__(self, other: object) -> "Losses":
-        """Both together."""
         if not isinstance(other, Losses):
             return NotImplemented
         return Losses(*(one + two for one, two in zip(self, other, strict=True)))
@@ -35,34 +42,56 @@ class SegmentBegin(NamedTuple):
     Attributes:
         frames, ticks: that the gateway had handed on before it, since its start.
         wall_ns: when it began.
+        recorder: version of its recorder.
         lost: of the whole drive up to here.
-        gap: of these, what is missing right before this segment.
         segment: its number; None where its recorder wrote no chain.
         files: SHA-256 of the files beside the members, by name.
         signer: fingerprint of the key that its recorder signed with; None without one.
+        gap: what is missing right before this segment, of what is lost; in lines of its own.
     """
 
     frames: int
     ticks: int
     wall_ns: int
+    recorder: str
     lost: Losses
-    gap: Losses
     segment: int | None = None
     files: Mapping[str, str] = {}
     signer: str | None = None
+    gap: Losses = Losses()
+
+    def line(self) -> str:
+        """As the recorder writes it, without the gap."""
+        told = {**self._asdict(), "lost": self.lost._asdict()}
+        without = {"gap", "signer"} if self.signer is None else {"gap"}
+        return _line(0, begin={key: value for key, value in told.items() if key not in without})
 
 
 class SegmentEnd(NamedTuple):
     """How the recorder ended a segment.
 
     Attributes:
-        ticks: that it has; None where an older recorder ended it.
+        frames, ticks: that it has; None where an older recorder ended it.
         closes: nothing need follow, since the gateway itself has ended its connection.
     """
 
+    frames: int | None
     ticks: int | None
     closes: bool
     why: str
+
+    def line(self) -> str:
+        """As the recorder writes it."""
+        return _line(self.frames or 0, end=self._asdict())
+
+
+def gap_line(frames: int, ticks: int, why: str) -> str:
+    """What is missing before a segment, as the recorder writes it."""
+    return _line(0, gap={"frames": frames, "ticks": ticks, "why": why})
+
+
+def _line(frames_before: int, **told: Mapping[str, Any]) -> str:
+    return json.dumps({"f": frames_before, **told}, separators=(",", ":")) + "\n"
 
 
 class CoreLineError(ValueError):
@@ -86,12 +115,12 @@ def _is_number(value: object) -> bool:
     return type(value) is int and value in _NUMBERS
 
 
-def read_begin(core: Path) -> SegmentBegin | None:
-    """The begin of a segment by its first member; None where it is damaged."""
-    first = next(read_members(core), None)
+def read_begin(core: Path | None) -> SegmentBegin | None:
+    """The begin of a segment by its first member; None where it is damaged, or not there."""
+    first = None if core is None else next(read_members(core), None)
     if not isinstance(first, Member):
         return None
-    lines = first.data.split(b"\n", _LINES_OF_BEGIN)[:_LINES_OF_BEGIN]
+    lines = first.data.split(b"\n", LINES_OF_BEGIN)[:LINES_OF_BEGIN]
     try:
         return begin_of([parsed_line(line) for line in lines if line])
     except CoreLineError:
@@ -108,11 +137,11 @@ def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
         gap = sum((_gap(one) for one in gaps), Losses())
         lost = Losses(*_numbers(begin["lost"], Losses._fields))
         frames, ticks, wall_ns = _numbers(begin, ("frames", "ticks", "wall_ns"))
-        segment, files = begin.get("segment"), dict(begin.get("files") or {})
-        signer = begin.get("signer")
+        files = dict(begin.get("files") or {})
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise CoreLineError(f"has no usable begin or gap: {error}") from error
-    return SegmentBegin(frames, ticks, wall_ns, lost, gap, segment, files, signer)
+    told = [begin.get(key) for key in ("recorder", "segment", "signer")]
+    return SegmentBegin(frames, ticks, wall_ns, str(told[0]), lost, told[1], files, told[2], gap)
 
 
 def _gap(values: Mapping[str, Any]) -> Losses:
@@ -137,15 +166,10 @@ def end_of(line: Mapping[str, Any]) -> SegmentEnd:
     if not isinstance(end, dict) or not _is_number(end.get("ticks", 0)):
         raise CoreLineError("has no usable end")
     why = str(end.get("why", ""))
-    return SegmentEnd(end.get("ticks"), end.get("closes", why != _GOES_ON) is True, why)
+    closes = end.get("closes", why != NEXT_BEGINS) is True
+    return SegmentEnd(end.get("frames"), end.get("ticks"), closes, why)
 
 
 def last_second(path: Path) -> int | None:
     """When the last readable lines of a file were gathered, seconds since 1970."""
-    seconds = [part.wall_s for part in members_of(path) if part.wall_s]
-    return max(seconds, default=None)
-
-
-def members_of(path: Path) -> Iterator[Member]:
-    """The readable members."""
-    return (part for part in read_members(path) if not isinstance(part, MemberDamage))
+    return max((part.wall_s for part in whole_members(path) if part.wall_s), default=None)
