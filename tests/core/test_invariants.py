@@ -19,8 +19,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from vcu_gateway.core import calls
-from vcu_gateway.core import why
+from vcu_gateway.core import calls, why
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.frame import Frame
@@ -677,7 +676,9 @@ class GatewayMachine(RuleBasedStateMachine):
 
     @rule(change=st.sampled_from([{"period_ns": 1}, {"auto_arm": True}, {"transmit_priority": 7}]))
     def reload_what_needs_a_restart(self, change):
-        assert not self.gateway.apply(calls.ReloadSettings(dataclasses.replace(self.settings, **change))).granted
+        assert not self.gateway.apply(
+            calls.ReloadSettings(dataclasses.replace(self.settings, **change))
+        ).granted
         assert self.gateway.settings == self.settings
 
     # Always.

@@ -25,7 +25,6 @@ from vcu_gateway.recordings import (
     remove_recording,
     summarise,
 )
-from vcu_gateway.recordings.names import DEFAULT_FOLDER
 from vcu_gateway.recordings.running_recorder import keep_now, running
 from vcu_gateway.time_window import Window
 
