@@ -76,7 +76,6 @@ def list_command(folder_path: Path, as_json: bool) -> None:
 
 
 def _listed(found: Sequence[RecordingSummary], folder: str) -> Iterator[str]:
-    """The list: drives, incidents, and what all of it takes."""
     for kind in ("drive", "incident"):
         rows = [_row(one) for one in found if one.kind == kind]
         yield f"{text.counted(len(rows), kind)} in {folder}/{kind}s"

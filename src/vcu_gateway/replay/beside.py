@@ -34,7 +34,6 @@ def beside(work: Callable[[], _Result]) -> Iterator[Callable[[], _Result]]:
 
 
 def _work(work: Callable[[], object], writing: int) -> NoReturn:
-    """All that the other process does."""
     try:
         try:
             answer = pickle.dumps((work(), None))

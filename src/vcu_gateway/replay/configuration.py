@@ -67,7 +67,6 @@ def protocol_of(drive: Drive) -> ProtocolSpec:
 
 
 def with_aliases(protocol: ProtocolSpec, aliases: Mapping[int, str]) -> ProtocolSpec:
-    """The same messages with these further identifiers."""
     return dataclasses.replace(protocol, aliases=dict(aliases))
 
 

@@ -112,7 +112,6 @@ class Equality(NamedTuple):
 
     @property
     def equal(self) -> bool:
-        """True where everything that was compared is the same."""
         return self.first_difference is None
 
 
@@ -143,7 +142,6 @@ class EqualityCheck:
         self._unsaid: str | None = None
 
     def note(self, record: FrameRun | CoreRecord) -> None:
-        """Replay one record and compare its result."""
         gateway = self._gateway
         if self._why_open and not isinstance(record, ShellEvent) and not _is_sent(record):
             self._look_at_why()

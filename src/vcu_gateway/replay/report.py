@@ -101,7 +101,6 @@ def _timeline_values(one: Timeline, clock: TimeOfDay) -> dict[str, Any]:
 
 
 def verdict_values(verdict: DriveVerdict, clock: TimeOfDay) -> dict[str, Any]:
-    """The verdict as JSON."""
     return {
         "holds": verdict.holds,
         "ticks": verdict.ticks,

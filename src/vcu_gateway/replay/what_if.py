@@ -72,7 +72,6 @@ class Timeline:
         return self._causes.spans
 
     def begin(self, held: Iterable[HeldCause], mode: Mode, now_ns: int) -> None:
-        """A stretch begins with these causes and this mode."""
         self._causes.stand(held, now_ns)
         self._effects = self._causes.effects
         self._last_ns = now_ns
@@ -219,7 +218,6 @@ class WhatIfResult(NamedTuple):
 
     @property
     def same(self) -> bool:
-        """True where nothing differs."""
         return not (self.different_ticks or self.causes or self.requests_by_kind)
 
 
@@ -245,7 +243,6 @@ class WhatIf:
         self.after.begin(after, mode, now_ns)
 
     def gap(self, now_ns: int) -> None:
-        """What follows is not recorded."""
         self.before.end(now_ns)
         self.after.end(now_ns)
 
@@ -296,7 +293,6 @@ class WhatIf:
         )
 
     def result(self) -> WhatIfResult:
-        """Everything that differs."""
         before, after = self.before, self.after
         for effect in {*before.effect_s, *after.effect_s}:
             for side in (before, after):
