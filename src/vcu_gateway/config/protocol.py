@@ -38,7 +38,6 @@ def load_protocol(config: Config) -> ProtocolSpec:
 
 
 def dbc_path(config: Config) -> Path:
-    """The DBC in use."""
     return packaged("vcu.dbc") if config.protocol.dbc is None else config.protocol.dbc
 
 

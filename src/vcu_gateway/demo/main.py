@@ -34,7 +34,6 @@ def main() -> None:
 
 
 def run(wanted: DemoOptions) -> None:
-    """Run gateway and vehicle until the end."""
     writer = log.configure("error", "console")
     config, protocol, scenario = demo_config.load(wanted)
     application = Application(config, protocol, lambda: writer.dropped)

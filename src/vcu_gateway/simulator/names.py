@@ -15,7 +15,6 @@ PROTOCOL = "protocol"
 
 
 def protocol_of(info: ValidationInfo) -> ProtocolSpec:
-    """The protocol that came with the validation."""
     protocol: ProtocolSpec = (info.context or {})[PROTOCOL]
     return protocol
 
@@ -27,22 +26,24 @@ def _one_of(name: str, known: list[str], what: str) -> str:
     return name
 
 
-def _sent_messages(info: ValidationInfo) -> dict[str, list[str]]:
-    """Names of the messages that every node but the gateway sends, by node."""
+def _senders(info: ValidationInfo) -> list[str]:
+    return [node for node in protocol_of(info).nodes if node != OWN_NODE]
+
+
+def _sent_messages(info: ValidationInfo) -> list[str]:
+    """Names of the messages that every node but the gateway sends, node by node."""
     protocol = protocol_of(info)
-    nodes = [node for node in protocol.nodes if node != OWN_NODE]
-    return {node: [message.name for message in protocol.sent_by(node)] for node in nodes}
+    return [message.name for node in _senders(info) for message in protocol.sent_by(node)]
 
 
 def _node_or_message(name: str, info: ValidationInfo) -> str:
-    sent = _sent_messages(info)
-    messages = [message for names in sent.values() for message in names]
-    return _one_of(name, [*sent, *messages], "a node or a message that it sends")
+    known = [*_senders(info), *_sent_messages(info)]
+    return _one_of(name, known, "a node or a message that it sends")
 
 
 def _signal(name: str, info: ValidationInfo) -> str:
     protocol = protocol_of(info)
-    messages = [message for names in _sent_messages(info).values() for message in names]
+    messages = _sent_messages(info)
     message, _, signal = name.partition(".")
     if message not in messages:
         nearest = did_you_mean(message, messages)
@@ -62,6 +63,5 @@ Controller = Annotated[str, AfterValidator(_controller)]
 
 
 def signal_spec(signal: str, protocol: ProtocolSpec) -> SignalSpec:
-    """The signal of this full name."""
     message, _, name = signal.partition(".")
     return protocol.message(message).signal(name)

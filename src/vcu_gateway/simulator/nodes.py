@@ -68,7 +68,6 @@ class _Sender:
     count: int = 0
 
     def frame(self, due_ns: int) -> NodeFrame:
-        """The next frame of this message."""
         data = self.codec.encode(self.source(self.count))
         self.count += 1
         return NodeFrame(self.codec.spec.can_id, data, self.codec.spec.name, due_ns)

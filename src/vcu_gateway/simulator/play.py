@@ -118,7 +118,6 @@ class _Player:
         self._trouble_at_ns: int | None = None
 
     def send_due(self, now_ns: int) -> None:
-        """Send every frame that is due."""
         for frame in self._nodes.due(now_ns):
             message = can.Message(
                 arbitration_id=frame.can_id, data=frame.data, timestamp=time.time(), is_rx=False

@@ -87,7 +87,6 @@ def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
 
 
 def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[FileProblem]]:
-    """One step, or its problems."""
     if wrong := list(_without_fault(value, at)):
         return None, wrong
     step, refused = validation.validated(FAULTS[value["fault"]], value, {PROTOCOL: protocol})

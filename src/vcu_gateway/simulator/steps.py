@@ -200,7 +200,6 @@ class _ControllerStep(Step):
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """Names of the controllers that the step names; all without a name."""
         return CONTROLLERS if self.controller is None else (self.controller,)
 
 

@@ -12,7 +12,6 @@ class LineMap:
         self._lines: dict[Path, int] = {}
 
     def add(self, path: Path, line: int) -> None:
-        """Remember a line, counted from 1."""
         self._lines[path] = line
 
     def line(self, path: Sequence[str | int]) -> int | None:

@@ -42,7 +42,6 @@ def problems(
 
 
 def dotted(path: Path, hexadecimal: Path | None = None) -> str:
-    """A key's full name."""
     return ".".join(
         _shown_key(key, as_hexadecimal=path[:depth] == hexadecimal)
         for depth, key in enumerate(path)

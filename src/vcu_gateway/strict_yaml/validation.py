@@ -211,7 +211,6 @@ def _remedy_for_unknown(path: Path, root: type[Section]) -> str:
 
 
 def _places(model: type[Section], prefix: str) -> Iterator[str]:
-    """The full name of every key that there is."""
     for name, field in model.model_fields.items():
         yield prefix + name
         section = section_of(field)
