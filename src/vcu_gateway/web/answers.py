@@ -101,6 +101,11 @@ class AnswerSections:
             self._known_why, self._why_told_ms = known, now_ms
             self._send("why", why)
 
+    def forget(self) -> None:
+        """Drop what is asked for only while somebody looks: it would be old for who comes next."""
+        self._known_why = ""
+        self._broadcast.forget("why", "health")
+
     def take_health(self, health: Any) -> None:
         """State of the gateway itself, and its version."""
         self._judge("health", health, Health)

@@ -104,7 +104,7 @@ class Routes:
 
     async def stream(self, request: Request, visitor: Visitor) -> Response:
         """Everything that the page shows live."""
-        room = self._streams.response(visitor.address, lambda: self._looks(request))
+        room = self._streams.response(request, visitor.address, lambda: self._looks(request))
         return room or problem(503, "too many browsers look already")
 
     def _looks(self, request: Request) -> bool:
