@@ -98,14 +98,7 @@ class RecordingRoutes:
         return (folder, path) if path else problem(404, "there is no such recording")
 
     def _tell(self, name: str, path: Path, visitor: Visitor) -> None:
-        self._events.tell(
-            name,
-            "info",
-            recording=path.name,
-            user=visitor.user or "(no users)",
-            role=visitor.role.value,
-            address=visitor.address,
-        )
+        self._events.tell(name, "info", recording=path.name, **visitor.fields())
 
 
 def _listed(result: VerbResult) -> Response:
