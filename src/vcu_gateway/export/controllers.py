@@ -35,7 +35,6 @@ class LatestFrames:
         self._decoded: Decoded | None = None
 
     def at(self, moment_ns: int) -> Decoded | None:
-        """The latest frame at this moment."""
         moved = False
         while self._next is not None and self._next[0] <= moment_ns:
             self._stamp_ns, self._payload = self._next

@@ -27,7 +27,6 @@ class RowChunk(NamedTuple):
     payloads: bytes
 
     def frames(self) -> list[bytes]:
-        """Payload of each frame."""
         return [self.payloads[at : at + FRAME_LENGTH_BYTES] for at in self._places]
 
     def decoded(self, message: MessageCodec, part: int) -> list[tuple[Any, ...]]:
@@ -86,7 +85,6 @@ class MessageRows:
         self._payloads.clear()
 
     def chunks(self) -> Iterator[RowChunk]:
-        """Every frame again, from the first on."""
         if self._spilled is not None:
             handle, place = self._spilled.fileno(), 0
             for rows in self._chunks:  # several readers may be at different places
@@ -98,6 +96,5 @@ class MessageRows:
             yield RowChunk(self._times_ns, bytes(self._payloads))
 
     def close(self) -> None:
-        """Give the disk back."""
         if self._spilled is not None:
             self._spilled.close()

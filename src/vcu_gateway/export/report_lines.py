@@ -45,7 +45,6 @@ class SignalLine(NamedTuple):
 def signal_lines(
     rows: Iterable[MessageRows], selection: Selection, grid: Grid
 ) -> Iterator[SignalLine]:
-    """Line of every signal that is asked for and fits 31 bits."""
     for one in rows:
         spec = one.message.spec
         wanted = [
@@ -93,5 +92,4 @@ def _value(signal: SignalSpec, code: int) -> float:
 
 
 def by_key(lines: Iterable[SignalLine]) -> Mapping[str, SignalLine]:
-    """The lines by their key, in their order."""
     return {line.key: line for line in lines}

@@ -70,7 +70,6 @@ class Access:
 
     @property
     def has_users(self) -> bool:
-        """Whether one has to sign in."""
         return bool(self._settings.users)
 
     def visitor(self, request: Request) -> Visitor | None:
@@ -122,7 +121,6 @@ class Access:
         return matches and user is not None
 
     def sign_out(self, request: Request) -> None:
-        """End the session of this request."""
         visitor = self.visitor(request)
         self._sessions.close(request.cookies.get(self.cookie, ""))
         if visitor is not None and visitor.user:

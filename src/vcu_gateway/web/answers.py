@@ -53,12 +53,10 @@ class AnswerSections:
 
     @property
     def protocol_digest(self) -> object:
-        """Digest of the protocol; None where it is not known."""
         return self._protocol.get("digest") if isinstance(self._protocol, dict) else None
 
     @property
     def not_understood(self) -> list[str]:
-        """A phrase for each part, of all answers."""
         return [one for found in self._misfits.values() for one in found]
 
     def take_protocol(self, protocol: Any) -> None:

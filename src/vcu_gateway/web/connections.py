@@ -201,7 +201,6 @@ class _PlacedSocket(socket.socket):
         self.place = place
 
     def close(self) -> None:
-        """Close it, and make room."""
         for register in self._registers:
             register.pop(self.place, None)
         super().close()
@@ -244,7 +243,6 @@ class LimitedProtocol(H11Protocol):
             _end(accepted)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take it, and watch over its beginning."""
         accepted = self._beginning.pop(transport.get_extra_info("peername"), None)
         super().connection_made(transport)
         # One that has just been given up has no place any more.
@@ -267,7 +265,6 @@ class LimitedProtocol(H11Protocol):
         self._watch(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Watch no more."""
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)

@@ -46,7 +46,6 @@ class GatewayLink:
         self._mode_changed = asyncio.Event()
 
     async def run(self) -> None:
-        """Follow until cancelled."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_again_and_again())
             tasks.create_task(self._every(_WHY_EVERY_S, self._ask_why, self._mode_changed))
@@ -153,7 +152,6 @@ class GatewayLink:
         self._events.tell("certificate_ends", "warning", sentence=sentence)
 
     async def close(self) -> None:
-        """Close the connection of the questions."""
         await self._client.close()
 
 

@@ -32,7 +32,6 @@ class PreparedSamples:
         self._one_at_a_time = asyncio.Lock()
 
     async def encoded(self, names: tuple[str, ...], points: int) -> EncodedBody:
-        """The samples, at most a second old."""
         question = (names, points)
         async with self._one_at_a_time:
             kept = self._kept.get(question)

@@ -54,7 +54,6 @@ class RecordingRoutes:
         return StreamingResponse(archive(path), media_type="application/x-tar", headers=headers)
 
     async def replay(self, request: Request, visitor: Visitor) -> Response:
-        """Whether it comes out the same, computed again."""
         found = self._find(request, visitor)
         if isinstance(found, Response):
             return found
@@ -64,7 +63,6 @@ class RecordingRoutes:
         return replayed if isinstance(replayed, Response) else _said(replayed)
 
     async def what_if(self, request: Request, visitor: Visitor) -> Response:
-        """What the configuration in the body would have done."""
         found = self._find(request, visitor)
         if isinstance(found, Response):
             return found

@@ -74,12 +74,10 @@ class Routes:
         )
 
     async def clock(self, request: Request, visitor: Visitor) -> Response:
-        """The time here, by both clocks."""
         del request, visitor
         return answer(clock())
 
     async def sign_in(self, request: Request) -> Response:
-        """A session for a name and a password."""
         given = await json_body(request)
         if isinstance(given, Response):
             return given
@@ -97,14 +95,12 @@ class Routes:
         return response
 
     async def sign_out(self, request: Request) -> Response:
-        """End the session."""
         self._access.sign_out(request)
         response = answer({})
         response.delete_cookie(self._access.cookie, path="/")
         return response
 
     async def stream(self, request: Request, visitor: Visitor) -> Response:
-        """Everything that the page shows live."""
         room = self._streams.response(request, visitor.address, lambda: self._looks(request))
         return room or problem(503, "too many browsers look already")
 
@@ -165,7 +161,6 @@ def answer(value: object, status: int = 200) -> JSONResponse:
 
 
 def problem(status: int, sentence: str, headers: dict[str, str] | None = None) -> Response:
-    """An error for the person."""
     return JSONResponse({"sentence": sentence}, status, {**_NO_STORE, **(headers or {})})
 
 
@@ -184,7 +179,6 @@ async def body(request: Request, most_bytes: int) -> bytes | Response:
 
 
 async def json_body(request: Request) -> dict[str, Any] | Response:
-    """The body as a JSON object, or what is wrong with it."""
     received = await body(request, _MOST_JSON_BYTES)
     if isinstance(received, Response):
         return received
