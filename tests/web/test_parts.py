@@ -14,8 +14,8 @@ from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
 from vcu_gateway.errors import ConfigError, UnavailableError
 from vcu_gateway.units import NS_PER_S
 from vcu_gateway.web.broadcast import Broadcast, SeenVersions
+from vcu_gateway.web.cost_limit import LoginLimit
 from vcu_gateway.web.history import CAPACITY, History
-from vcu_gateway.web.login_limit import LoginLimit
 from vcu_gateway.web.roles import ACTION_RIGHTS, UserRole
 from vcu_gateway.web.serve import listening_socket
 from vcu_gateway.web.sessions import Sessions

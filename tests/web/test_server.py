@@ -20,6 +20,7 @@ import pytest
 from tests.driven import wait_until
 from tests.web.conftest import PASSWORD
 from tests.web.stand import ROOT, WebProcess, gateway_running, serving
+from vcu_gateway.client import Client
 from vcu_gateway.web.gateway_link import now_ms
 
 SLOW_BYTES_PER_S = 16_000
@@ -122,6 +123,19 @@ def test_ten_streams_are_one_subscription(gateway, web):
             stream.until("state")
         health = streams[0].until("health")
     assert health["api"]["clients"] <= 4
+
+
+def test_while_nobody_looks_the_gateway_is_asked_for_nothing_and_then_anew(gateway, web):
+    with web.stream() as stream:
+        stream.until("why")
+    with Client(gateway.socket_path) as client:
+        time.sleep(2)
+        before = client.health()["api"]["requests"]
+        time.sleep(2)
+        assert client.health()["api"]["requests"] == before + 1, "our own"
+    began_ms = now_ms()
+    with web.stream() as stream:
+        assert stream.until("why")["t"] > began_ms
 
 
 def test_the_last_ten_minutes_of_any_signals_are_kept_here(web):

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.freshness import deadlines
-from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, SignalSpec
+from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.export.message_rows import MessageRows
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.tables import Channel, Chunk, Table
 
-_COMMAND = re.compile(r"VCU_(\w+)_Command")
-# Of Status2, what answers to a limit of the command.
-_LIMITED = (("SpeedLimit", "MotorSpeed"), ("PowerLimit", "Power"))
+COMMAND = re.compile(r"VCU_(\w+)_Command")
+STATUS_OF_LIMIT = {"SpeedLimit": "MotorSpeed", "PowerLimit": "Power"}
+"""Of Status2, what answers to a limit of the command."""
 _NAN = math.nan
 
 
@@ -25,11 +25,9 @@ class LatestFrames:
         self._decode = rows.message.decode
         self._stale_ns = deadlines(rows.message.spec, {}, {}).stale_after_ns
         self._frames = (
-            (stamp, chunk.payloads[place : place + FRAME_LENGTH_BYTES])
+            frame
             for chunk in rows.chunks()
-            for stamp, place in zip(
-                chunk.times_ns, range(0, len(chunk.payloads), FRAME_LENGTH_BYTES), strict=True
-            )
+            for frame in zip(chunk.times_ns, chunk.frames(), strict=True)
         )
         self._next = next(self._frames, None)
         self._payload: bytes | None = None
@@ -37,7 +35,6 @@ class LatestFrames:
         self._decoded: Decoded | None = None
 
     def at(self, moment_ns: int) -> Decoded | None:
-        """The latest frame at this moment."""
         moved = False
         while self._next is not None and self._next[0] <= moment_ns:
             self._stamp_ns, self._payload = self._next
@@ -61,7 +58,7 @@ class _Pair(NamedTuple):
 
 def controllers(rows: Mapping[str, MessageRows]) -> list[str]:
     """Names of the nodes that are commanded and answer."""
-    found = (_COMMAND.fullmatch(name) for name in rows)
+    found = (COMMAND.fullmatch(name) for name in rows)
     nodes = [match[1] for match in found if match]
     return [node for node in nodes if {f"{node}_Status1", f"{node}_Status2"} <= rows.keys()]
 
@@ -83,7 +80,6 @@ def _pairs(node: str, rows: Mapping[str, MessageRows]) -> Iterator[_Pair]:
     commanded = rows[f"VCU_{node}_Command"].message.spec.signals
     status1, status2 = rows[f"{node}_Status1"], rows[f"{node}_Status2"]
     echoed = status1.message.spec.signal_names
-    limited = dict(_LIMITED)
     for index, signal in enumerate(commanded):
         if signal.name in echoed:
             place = echoed.index(signal.name)
@@ -91,8 +87,8 @@ def _pairs(node: str, rows: Mapping[str, MessageRows]) -> Iterator[_Pair]:
                 *(signal, index, signal.name, signal.unit, status1),
                 lambda decoded, place=place: decoded.values[place],  # type: ignore[misc]
             )
-        elif signal.name in limited and (value := _limited(status2, limited[signal.name])):
-            yield _Pair(signal, index, limited[signal.name], signal.unit, status2, value)
+        elif (name := STATUS_OF_LIMIT.get(signal.name)) and (value := _limited(status2, name)):
+            yield _Pair(signal, index, name, signal.unit, status2, value)
 
 
 def _limited(status2: MessageRows, name: str) -> Callable[[Decoded], float] | None:
@@ -117,11 +113,8 @@ def _channels(pair: _Pair) -> tuple[Channel, Channel]:
 
 def _rows(command: MessageRows, pairs: list[_Pair]) -> Iterator[Chunk]:
     latest = {pair.source: LatestFrames(pair.source) for pair in pairs}
-    decode, length = command.message.decode, FRAME_LENGTH_BYTES
     for chunk in command.chunks():
-        payloads = chunk.payloads
-        values = [decode(payloads[i : i + length])[0] for i in range(0, len(payloads), length)]
-        commanded = list(zip(*values, strict=True))
+        commanded = chunk.decoded(command.message, 0)
         answers = {
             source: [one.at(moment_ns) for moment_ns in chunk.times_ns]
             for source, one in latest.items()

@@ -1,7 +1,6 @@
 """CSV for a spreadsheet: a row each 50 ms, with the value of every signal at that moment."""
 
 import csv
-import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
@@ -9,7 +8,7 @@ from typing import NamedTuple, TextIO
 
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.spec import SignalSpec
-from vcu_gateway.export.controllers import LatestFrames
+from vcu_gateway.export.controllers import COMMAND, LatestFrames
 from vcu_gateway.export.decisions import MODES
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import Source
@@ -21,7 +20,6 @@ from vcu_gateway.units import NS_PER_MS, NS_PER_S
 PERIOD_MS = 50
 _KEPT_CODES = 8192
 _DATE_TIME_MS = f"{DATE_TIME}.%f"
-_COMMAND = re.compile(r"VCU_(\w+)_Command")
 
 
 class _SignalColumn:
@@ -93,9 +91,9 @@ def _place(
 ) -> tuple[str, int, int]:
     """Order of the columns: a controller's together, what is echoed behind what was commanded."""
     command = message
-    if not _COMMAND.fullmatch(message):
+    if not COMMAND.fullmatch(message):
         command = f"VCU_{message.partition('_')[0]}_Command"
-    node = _COMMAND.fullmatch(command)
+    node = COMMAND.fullmatch(command)
     if node is None or command not in source.store.rows:
         return "~", orders[message], index
     commanded = source.store.rows[command].message.spec.signal_names

@@ -26,7 +26,6 @@ class DecidedEvent(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The fields in one line."""
         return ", ".join(f"{key} {value}" for key, value in self.fields.items() if value != "")
 
 
@@ -51,7 +50,6 @@ class Decisions:
         self._mode = 0
 
     def begin(self, wall_ns: int, mode: str, why: str) -> None:
-        """State at the begin of a segment."""
         self._mode = MODES.index(mode)
         self.why(wall_ns, why)
 
@@ -64,12 +62,10 @@ class Decisions:
             self.tick_modes.append(self._mode)
 
     def why(self, wall_ns: int, sentence: str) -> None:
-        """Explanation from here on."""
         if self._window.holds(wall_ns) and (not self.whys or self.whys[-1][1] != sentence):
             self.whys.append((wall_ns, sentence))
 
     def stand(self, wall_ns: int, held: Iterable[HeldCause]) -> None:
-        """Causes that count at a checkpoint."""
         self._causes.stand(held, wall_ns)
 
     def event(self, event: DecidedEvent) -> None:
@@ -79,7 +75,6 @@ class Decisions:
             self.events.append(event)
 
     def gap(self, wall_ns: int, what: str) -> None:
-        """A hole of the recording."""
         if self._window.holds(wall_ns):
             self.gaps.append((wall_ns, what))
 

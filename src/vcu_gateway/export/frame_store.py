@@ -36,12 +36,10 @@ class FrameStore:
         self._pending: dict[bytes, _Entry] = {}
 
     def close(self) -> None:
-        """Give memory and disk back."""
         for rows in self.rows.values():
             rows.close()
 
     def add(self, recorded: RecordedFrame) -> None:
-        """Take in one frame of any kind."""
         frame = recorded.frame
         self._seen(frame.arrival_ns, recorded.channel)
         found = self._codec.find(frame)

@@ -44,7 +44,6 @@ _PAGE = """<!doctype html>
 
 
 def page(report: Report) -> str:
-    """The whole file as text."""
     bucket_ns, lines = _small_enough(report)
     uplot = (UPLOT / "uPlot.iife.min.js").read_text(encoding="utf-8")
     script = (_FOLDER / "page" / "report.js").read_text(encoding="utf-8")

@@ -19,7 +19,6 @@ def write(
     overlay: Overlay | None = None,
     title: str = "",
 ) -> None:
-    """Write the page of a recording that was read."""
     out.write(page(build(source, selection, overlay, title)))
 
 

@@ -27,7 +27,6 @@ class PackedLines(NamedTuple):
 
 
 def packed(lines: Sequence[CodeLine]) -> PackedLines:
-    """Pack lines of one grid."""
     deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, zlib.MAX_WBITS)
     pieces, layouts = [], []
     for line in lines:

@@ -29,7 +29,6 @@ class CodeLine(NamedTuple):
 
     @property
     def empty(self) -> bool:
-        """Whether no bucket has a value."""
         return max(self.later, default=GAP) == GAP
 
     def halved(self) -> "CodeLine":
@@ -98,7 +97,6 @@ class LineBuilder:
 def sampled(
     buckets: Sequence[int], codes: Sequence[int], count: int, hold_buckets: int
 ) -> CodeLine:
-    """Line of codes that are all known."""
     builder = LineBuilder(count)
     builder.add(buckets, codes)
     return builder.line(hold_buckets)

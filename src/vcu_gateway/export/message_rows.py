@@ -4,7 +4,7 @@ import os
 import tempfile
 from array import array
 from collections.abc import Iterator
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from vcu_gateway.core.codec import MessageCodec
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES
@@ -25,6 +25,19 @@ class RowChunk(NamedTuple):
 
     times_ns: "array[int]"
     payloads: bytes
+
+    def frames(self) -> list[bytes]:
+        return [self.payloads[at : at + FRAME_LENGTH_BYTES] for at in self._places]
+
+    def decoded(self, message: MessageCodec, part: int) -> list[tuple[Any, ...]]:
+        """Each frame's values (part 0) or raw codes (part 1), by signal."""
+        decode, length, payloads = message.decode, FRAME_LENGTH_BYTES, self.payloads
+        frames = [decode(payloads[at : at + length])[part] for at in self._places]
+        return list(zip(*frames, strict=True))
+
+    @property
+    def _places(self) -> range:
+        return range(0, len(self.payloads), FRAME_LENGTH_BYTES)
 
 
 class MessageRows:
@@ -72,7 +85,6 @@ class MessageRows:
         self._payloads.clear()
 
     def chunks(self) -> Iterator[RowChunk]:
-        """Every frame again, from the first on."""
         if self._spilled is not None:
             handle, place = self._spilled.fileno(), 0
             for rows in self._chunks:  # several readers may be at different places
@@ -84,6 +96,5 @@ class MessageRows:
             yield RowChunk(self._times_ns, bytes(self._payloads))
 
     def close(self) -> None:
-        """Give the disk back."""
         if self._spilled is not None:
             self._spilled.close()

@@ -67,7 +67,6 @@ def _ranked(causes: Mapping[str, list[Span]]) -> list[Band]:
 
 
 def overlay_bands(overlay: Overlay, end_ns: int) -> Iterator[Band]:
-    """Modes and causes of the what-if."""
     yield from _of_changes("mode, what if", overlay.modes, end_ns, what_if=True)
     causes: dict[str, list[Span]] = {}
     for text, began_ns, ended_ns in overlay.causes:

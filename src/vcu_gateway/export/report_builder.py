@@ -26,7 +26,6 @@ _LONGEST_TEXT = 200_000
 def build(
     source: Source, selection: Selection, overlay: Overlay | None = None, title: str = ""
 ) -> Report:
-    """The report of a recording that was read."""
     grid = _grid(source)
     end_ns = grid.start_ns + grid.buckets * grid.bucket_ns
     lines = by_key(signal_lines(source.store.rows.values(), selection, grid))

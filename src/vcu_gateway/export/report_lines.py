@@ -1,16 +1,15 @@
-"""Plots of a recording: commanded and actual pairs first, then every other signal by its unit."""
+"""Lines of a recording's signals on the report's grid."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.freshness import deadlines
-from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, SignalSpec
+from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.export.lines import GAP, LARGEST_CODE, CodeLine, LineBuilder
 from vcu_gateway.export.message_rows import MessageRows
 from vcu_gateway.export.selection import Selection
 
 _LARGEST_BITS = 31
-_MOST_CHANGES = 400
 
 
 class Grid(NamedTuple):
@@ -31,7 +30,7 @@ class Grid(NamedTuple):
 
 
 class SignalLine(NamedTuple):
-    """Line of one signal; `changes` are its codes with the bucket of each, None where too many."""
+    """Line of one signal."""
 
     message: str
     signal: SignalSpec
@@ -46,7 +45,6 @@ class SignalLine(NamedTuple):
 def signal_lines(
     rows: Iterable[MessageRows], selection: Selection, grid: Grid
 ) -> Iterator[SignalLine]:
-    """Line of every signal that is asked for and fits 31 bits."""
     for one in rows:
         spec = one.message.spec
         wanted = [
@@ -64,12 +62,9 @@ def signal_lines(
 
 def _lines(rows: MessageRows, wanted: list[int], grid: Grid) -> list[CodeLine]:
     builders = [LineBuilder(grid.buckets) for _ in wanted]
-    decode, length, bucket_ns = rows.message.decode, FRAME_LENGTH_BYTES, grid.bucket_ns
-    start_ns, last = grid.start_ns, grid.buckets - 1
+    start_ns, bucket_ns, last = grid.start_ns, grid.bucket_ns, grid.buckets - 1
     for chunk in rows.chunks():
-        payloads = chunk.payloads
-        raws = [decode(payloads[i : i + length])[1] for i in range(0, len(payloads), length)]
-        columns = list(zip(*raws, strict=True))
+        columns = chunk.decoded(rows.message, 1)
         buckets = [min(max(0, (one - start_ns) // bucket_ns), last) for one in chunk.times_ns]
         for builder, index in zip(builders, wanted, strict=True):
             builder.add(buckets, columns[index])
@@ -97,5 +92,4 @@ def _value(signal: SignalSpec, code: int) -> float:
 
 
 def by_key(lines: Iterable[SignalLine]) -> Mapping[str, SignalLine]:
-    """The lines by their key, in their order."""
     return {line.key: line for line in lines}

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 
 from vcu_gateway.core.spec import SignalSpec
+from vcu_gateway.export.controllers import STATUS_OF_LIMIT
 from vcu_gateway.export.lines import CodeLine, LineBuilder
 from vcu_gateway.export.report import Line, Overlay, Plot, Role
 from vcu_gateway.export.report_lines import Grid, SignalLine, product
@@ -13,7 +14,6 @@ from vcu_gateway.units import NS_PER_MS
 
 _MOST_LINES = 6
 _COMMAND = re.compile(r"VCU_(\w+)_Command\.(\w+)")
-_STATUS_OF_LIMIT = {"SpeedLimit": "MotorSpeed", "PowerLimit": "Power"}
 _TITLES = {
     "Throttle": "throttle",
     "Brake": "brake",
@@ -64,7 +64,7 @@ def _controller_plots(
         key, node, name = match[0], match[1], match[2]
         answer = _answer(lines, node, name)
         commanded = lines[key]
-        label = "limit" if name in _STATUS_OF_LIMIT else "commanded"
+        label = "limit" if name in STATUS_OF_LIMIT else "commanded"
         parts = [_line(label, Role.COMMANDED, commanded)]
         if overlay is not None and key in overlay.series:
             codes = overlay_codes(overlay, key, commanded.signal, grid)
@@ -72,7 +72,7 @@ def _controller_plots(
         if answer is not None:
             parts.append(answer)
             used.add(f"{node}_Status1.{name}")
-            used.add(f"{node}_Status2.{_STATUS_OF_LIMIT.get(name, name)}")
+            used.add(f"{node}_Status2.{STATUS_OF_LIMIT.get(name, name)}")
         used.add(key)
         yield Plot(f"{node} {_TITLES.get(name, name)}", commanded.signal.unit, tuple(parts))
 
@@ -83,12 +83,12 @@ def _answer(lines: Mapping[str, SignalLine], node: str, name: str) -> Line | Non
     volt, ampere = lines.get(f"{status2}.BatteryVoltage"), lines.get(f"{status2}.BatteryCurrent")
     if name == "PowerLimit" and volt is not None and ampere is not None:
         return Line("voltage × current", Role.ACTUAL, product(volt, ampere))
-    answer = f"{status2}.{_STATUS_OF_LIMIT[name]}" if name in _STATUS_OF_LIMIT else ""
+    answer = f"{status2}.{STATUS_OF_LIMIT[name]}" if name in STATUS_OF_LIMIT else ""
     found = lines.get(answer or f"{node}_Status1.{name}")
     if found is None:
         return None
     label = "motor speed" if name == "SpeedLimit" else "controller says"
-    return _line(label, Role.ACTUAL, found)._replace(steps=name not in _STATUS_OF_LIMIT)
+    return _line(label, Role.ACTUAL, found)._replace(steps=name not in STATUS_OF_LIMIT)
 
 
 def _line(label: str, role: Role, line: SignalLine) -> Line:
@@ -124,7 +124,9 @@ def _other_plots(lines: Mapping[str, SignalLine], used: set[str]) -> Iterator[Pl
             part = together[first : first + _MOST_LINES]
             names = [line.signal.name for line in part]
             title = f"{message.replace('_', ' ')}: {_common(names)}"
-            yield Plot(title, unit, tuple(_line(_plain(line), Role.SIGNAL, line) for line in part))
+            yield Plot(
+                title, unit, tuple(_line(line.signal.name, Role.SIGNAL, line) for line in part)
+            )
 
 
 def _kind(line: SignalLine) -> tuple[int, str, str]:
@@ -132,10 +134,6 @@ def _kind(line: SignalLine) -> tuple[int, str, str]:
     orders = ("PCU", "BMS", "ARD")
     place = next((i for i, one in enumerate(orders) if line.message.startswith(one)), len(orders))
     return place, line.message, line.signal.unit
-
-
-def _plain(line: SignalLine) -> str:
-    return line.signal.name
 
 
 def _common(names: Sequence[str]) -> str:

@@ -16,7 +16,6 @@ class Selection:
         self._unused = set(self._patterns)
 
     def wants(self, table: str, signal: str) -> bool:
-        """Whether this signal is asked for."""
         if not self._patterns:
             return True
         names = (f"{table}.{signal}".lower(), table.lower(), signal.lower())

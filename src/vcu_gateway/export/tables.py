@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from vcu_gateway.core.events import Severity
-from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, SignalSpec
+from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.export.decisions import MODES, Decisions
 from vcu_gateway.export.message_rows import CHUNK_ROWS, MessageRows, RowChunk
 from vcu_gateway.export.selection import Selection
@@ -80,7 +80,6 @@ def _message_table(rows: MessageRows, wanted: list[int]) -> Table:
 
 
 def signal_channel(signal: SignalSpec) -> Channel:
-    """Channel of a signal."""
     whole = float(signal.factor).is_integer() and float(signal.offset).is_integer()
     kind = "int" if whole else "float"
     return Channel(
@@ -95,10 +94,7 @@ def signal_channel(signal: SignalSpec) -> Channel:
 
 def _decoded(rows: MessageRows, chunk: RowChunk, wanted: list[int], part: int) -> Chunk:
     """Columns of a chunk; part 0 of what is decoded are the values, 1 the codes."""
-    decode, payloads = rows.message.decode, chunk.payloads
-    length = FRAME_LENGTH_BYTES
-    decoded = [decode(payloads[i : i + length])[part] for i in range(0, len(payloads), length)]
-    columns = tuple(zip(*decoded, strict=True))
+    columns = chunk.decoded(rows.message, part)
     return Chunk(chunk.times_ns, tuple(columns[i] for i in wanted))
 
 

@@ -12,8 +12,8 @@ from starlette.responses import Response
 
 from vcu_gateway.api.rights import Right
 from vcu_gateway.web.connections import has_session
+from vcu_gateway.web.cost_limit import LoginLimit
 from vcu_gateway.web.events import WebEvents
-from vcu_gateway.web.login_limit import LoginLimit
 from vcu_gateway.web.roles import UserRole
 from vcu_gateway.web.sessions import Sessions, now_s
 from vcu_gateway.web.settings import WebSettings
@@ -38,8 +38,12 @@ class Visitor(NamedTuple):
     looks: bool
 
     def may(self, right: Right) -> bool:
-        """Whether the role has this right."""
         return right in self.role.rights
+
+    def fields(self) -> dict[str, str]:
+        """Who it is, in an event."""
+        user = self.user or "(no users)"
+        return {"user": user, "role": self.role.value, "address": self.address}
 
 
 class SignInError(Exception):
@@ -66,7 +70,6 @@ class Access:
 
     @property
     def has_users(self) -> bool:
-        """Whether one has to sign in."""
         return bool(self._settings.users)
 
     def visitor(self, request: Request) -> Visitor | None:
@@ -118,7 +121,6 @@ class Access:
         return matches and user is not None
 
     def sign_out(self, request: Request) -> None:
-        """End the session of this request."""
         visitor = self.visitor(request)
         self._sessions.close(request.cookies.get(self.cookie, ""))
         if visitor is not None and visitor.user:

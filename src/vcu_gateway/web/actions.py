@@ -82,7 +82,6 @@ class Actions:
                 await asyncio.sleep(_AGAIN_S)
 
     async def close(self) -> None:
-        """Close the connections."""
         await self._stopping.close()
         await self._asking.close()
 

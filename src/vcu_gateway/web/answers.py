@@ -53,12 +53,10 @@ class AnswerSections:
 
     @property
     def protocol_digest(self) -> object:
-        """Digest of the protocol; None where it is not known."""
         return self._protocol.get("digest") if isinstance(self._protocol, dict) else None
 
     @property
     def not_understood(self) -> list[str]:
-        """A phrase for each part, of all answers."""
         return [one for found in self._misfits.values() for one in found]
 
     def take_protocol(self, protocol: Any) -> None:
@@ -100,6 +98,11 @@ class AnswerSections:
         if known != self._known_why or now_ms - self._why_told_ms >= _WHY_EVERY_MS:
             self._known_why, self._why_told_ms = known, now_ms
             self._send("why", why)
+
+    def forget(self) -> None:
+        """Drop what is asked for only while somebody looks: it would be old for who comes next."""
+        self._known_why = ""
+        self._broadcast.forget("why", "health")
 
     def take_health(self, health: Any) -> None:
         """State of the gateway itself, and its version."""

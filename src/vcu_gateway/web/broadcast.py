@@ -1,8 +1,10 @@
 """Latest values for all browsers: sections, each encoded once, and whoever is slow skips some."""
 
+import asyncio
+import contextlib
 import json
 import zlib
-from collections.abc import Callable
+from collections.abc import Iterator
 from functools import cached_property
 
 GZIP_HEAD = b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\x03"
@@ -36,17 +38,30 @@ class Broadcast:
     Nothing is queued: a browser that reads slowly gets the latest of each section when it has room.
 
     Attributes:
-        readers: called, all in one go, where there is something new; without a task for each, fifty
-            browsers cost half as much.
+        is_read: set while a browser looks.
+        next_change: set, and replaced, where there is something new.
     """
 
     def __init__(self) -> None:
         self._sections: dict[str, _Section] = {}
-        self._version = 0
-        self.readers: set[Callable[[], None]] = set()
+        self._version = self._readers = 0
+        self.is_read = asyncio.Event()
+        self.next_change = asyncio.Event()
+
+    @contextlib.contextmanager
+    def read(self) -> Iterator[None]:
+        """A browser looks for as long as the block."""
+        self._readers += 1
+        self.is_read.set()
+        try:
+            yield
+        finally:
+            self._readers -= 1
+            if not self._readers:
+                self.is_read.clear()
 
     def publish(self, name: str, value: object, *, wake: bool = True) -> None:
-        """Replace a section, and call the readers; else it goes with the next that does.
+        """Replace a section, and wake the browsers' streams; else it goes with the next that does.
 
         ValueError for a number that JSON has not.
         """
@@ -55,8 +70,13 @@ class Broadcast:
         data = f"event: {name}\ndata: {text}\n\n".encode()
         self._sections[name] = _Section(self._version, data)
         if wake:
-            for reader in tuple(self.readers):
-                reader()
+            self.next_change.set()
+            self.next_change = asyncio.Event()
+
+    def forget(self, *names: str) -> None:
+        """Leave sections out until they are published again."""
+        for name in names:
+            self._sections.pop(name, None)
 
     def unseen(self, seen: SeenVersions, *, as_gzip: bool = False) -> bytes:
         """Sections that have changed since this browser's last ones; it has them from now on."""

@@ -10,7 +10,10 @@ is closed unread, a second later: so whoever connects again at once does that on
 
 import asyncio
 import contextlib
+import fcntl
 import socket
+import sys
+import termios
 import time
 from collections import deque
 from collections.abc import Collection, Iterator
@@ -34,14 +37,11 @@ _CLOSED_AT_ONCE = 32
 _REFUSED_S = 1.0
 _PARKED_S = 1 / _EVICTIONS_PER_S
 
-TRANSPORT = "vcu_gateway.transport"
-"""Extension of the scope: the connection itself, for a stream that writes without a task."""
-
 STOPS = frozenset({"/api/actions/estop", "/api/actions/disarm"})
 SESSION = "/api/session"
 STREAM = "/api/stream"
 
-_PLACE = "vcu_gateway.place"
+_PLACE, _TRANSPORT = "vcu_gateway.place", "vcu_gateway.transport"
 
 
 class Place:
@@ -101,6 +101,19 @@ def has_session(scope: Scope) -> None:
     place = (scope.get("extensions") or {}).get(_PLACE)
     if place is not None:
         place.has_session = True
+
+
+def undelivered_bytes(scope: Scope) -> int:
+    """What the other end has not acknowledged: what waits in the kernel grows old there.
+
+    Without end where the connection ends.
+    """
+    transport: asyncio.Transport = scope["extensions"][_TRANSPORT]
+    if transport.is_closing():
+        return sys.maxsize
+    connection = transport.get_extra_info("socket")
+    queued = fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4))
+    return transport.get_write_buffer_size() + int.from_bytes(queued, sys.byteorder)
 
 
 class LimitedListener(socket.socket):
@@ -188,7 +201,6 @@ class _PlacedSocket(socket.socket):
         self.place = place
 
     def close(self) -> None:
-        """Close it, and make room."""
         for register in self._registers:
             register.pop(self.place, None)
         super().close()
@@ -202,7 +214,7 @@ def _end(accepted: socket.socket) -> None:
 
 def _placed(app: ASGIApp, transport: asyncio.Transport, place: Place) -> ASGIApp:
     async def wrapped(scope: Scope, receive: Receive, send: Send) -> None:
-        own = {TRANSPORT: transport, _PLACE: place}
+        own = {_TRANSPORT: transport, _PLACE: place}
         scope["extensions"] = {**(scope.get("extensions") or {}), **own}
         path = scope.get("path", "")
         await place.wait_for(path)
@@ -231,7 +243,6 @@ class LimitedProtocol(H11Protocol):
             _end(accepted)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take it, and watch over its beginning."""
         accepted = self._beginning.pop(transport.get_extra_info("peername"), None)
         super().connection_made(transport)
         # One that has just been given up has no place any more.
@@ -254,7 +265,6 @@ class LimitedProtocol(H11Protocol):
         self._watch(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Watch no more."""
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)

@@ -40,7 +40,6 @@ class WebEvents:
         self.on_change: Callable[[], None] = lambda: None
 
     def tell(self, name: str, severity: Severity, **fields: object) -> None:
-        """Tell one event."""
         time = datetime.now(UTC).isoformat(timespec="milliseconds")
         event: WebEvent = {"name": name, "severity": severity, "fields": fields, "time": time}
         self._events.append(event)

@@ -1,4 +1,7 @@
-"""Link to the gateway: one subscription and a few questions a second, for all browsers together."""
+"""Link to the gateway: one subscription and a few questions a second, for all browsers together.
+
+While nobody looks it brings the samples that the plots keep, and asks nothing.
+"""
 
 import asyncio
 import contextlib
@@ -9,12 +12,14 @@ from pathlib import Path
 from vcu_gateway import __version__
 from vcu_gateway.client import AsyncClient, ClientError
 from vcu_gateway.units import NS_PER_MS
+from vcu_gateway.web import history
 from vcu_gateway.web.answers import AnswerSections
 from vcu_gateway.web.broadcast import Broadcast
 from vcu_gateway.web.events import WebEvents
 
 RATE_HZ = 20.0
-BEAT_S = 0.25
+_UNSEEN_RATE_HZ = float(history.RATE_HZ)
+_BEAT_S = 0.25
 _ANSWER_TIMEOUT_S = 1.0
 _AGAIN_S = 0.25
 _WHY_EVERY_S, _HEALTH_EVERY_S = 0.25, 1.0
@@ -35,12 +40,12 @@ class GatewayLink:
         self.problem: str | None = "the gateway has not answered yet"
         self.certificate: str | None = None
         self._events = events
+        self._is_read = broadcast.is_read
         self._client = AsyncClient(socket_path, _ANSWER_TIMEOUT_S)
         self._mode: object = None
         self._mode_changed = asyncio.Event()
 
     async def run(self) -> None:
-        """Follow until cancelled."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_again_and_again())
             tasks.create_task(self._every(_WHY_EVERY_S, self._ask_why, self._mode_changed))
@@ -51,18 +56,27 @@ class GatewayLink:
     async def _follow_again_and_again(self) -> None:
         while True:
             try:
-                await self._follow()
+                await self._follow_at_rates()
                 sentence = "the gateway ended the connection"
             except ClientError as error:
                 sentence = str(error)
             self._lose(sentence)
             await asyncio.sleep(_AGAIN_S)
 
-    async def _follow(self) -> None:
+    async def _follow_at_rates(self) -> None:
         self.answers.take_protocol(await self._client.protocol())
-        async with self._client.subscribe(rate_hz=RATE_HZ) as updates:
+        while await self._follow(is_read=self._is_read.is_set()):
+            pass
+
+    async def _follow(self, *, is_read: bool) -> bool:
+        """Follow until the first browser comes or the last one leaves; False where it ended."""
+        rate_hz = RATE_HZ if is_read else _UNSEEN_RATE_HZ
+        async with self._client.subscribe(rate_hz=rate_hz) as updates:
             async for update in updates:
                 self._take(update.get("state"))
+                if self._is_read.is_set() != is_read:
+                    return True
+        return False
 
     def _take(self, state: object) -> None:
         if not self.answers.take_state(state):
@@ -92,9 +106,12 @@ class GatewayLink:
         ask: Callable[[], Awaitable[None]],
         at_once: asyncio.Event | None = None,
     ) -> None:
-        """Ask again and again, and where `at_once` is set."""
+        """Ask again and again while somebody looks, and where `at_once` is set."""
         at_once = at_once or asyncio.Event()
         while True:
+            if not self._is_read.is_set():
+                self.answers.forget()
+                await self._is_read.wait()
             at_once.clear()
             if self.problem is None:
                 # Whether the gateway is there decides the subscription alone.
@@ -117,7 +134,7 @@ class GatewayLink:
         while True:
             self.answers.send_events()
             self._publish_link()
-            await asyncio.sleep(BEAT_S)
+            await asyncio.sleep(_BEAT_S)
 
     def _publish_link(self) -> None:
         link = {
@@ -135,7 +152,6 @@ class GatewayLink:
         self._events.tell("certificate_ends", "warning", sentence=sentence)
 
     async def close(self) -> None:
-        """Close the connection of the questions."""
         await self._client.close()
 
 

@@ -56,7 +56,6 @@ class Guard:
         self._headers = [(name.encode(), value.encode()) for name, value in headers.items()]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, at its turn, or refuse it."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

@@ -70,7 +70,6 @@ class History:
 
     @property
     def names(self) -> list[str]:
-        """Signals that there are samples of."""
         return list(self._columns)
 
     def read(self, names: Iterable[str], points: int) -> Samples:

@@ -2,9 +2,10 @@
 
 import gzip
 import hashlib
+from collections.abc import Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -16,26 +17,39 @@ _TYPES = {
     ".svg": "image/svg+xml",
     ".webmanifest": "application/manifest+json",
 }
-_CACHE = "no-cache"
 
 
-class PageFile(NamedTuple):
-    """One file, as it is and compressed."""
+class EncodedBody(NamedTuple):
+    """Body of an answer, as it is and packed by gzip."""
 
     content_type: str
     plain: bytes
-    gzipped: bytes
+    packed: bytes
+
+    @classmethod
+    def of(cls, content_type: str, plain: bytes) -> Self:
+        return cls(content_type, plain, gzip.compress(plain, mtime=0))
+
+    def response(self, request: Request, headers: Mapping[str, str]) -> Response:
+        """The form that the browser takes."""
+        headers, body = {**headers, "vary": "accept-encoding"}, self.plain
+        if "gzip" in request.headers.get("accept-encoding", ""):
+            headers["content-encoding"], body = "gzip", self.packed
+        return Response(body, headers=headers, media_type=self.content_type)
+
+
+class PageFile(NamedTuple):
+    """One file; its tag changes with it."""
+
+    body: EncodedBody
     tag: str
 
     def response(self, request: Request) -> Response:
         """The file, or 304 where the browser has it."""
-        headers = {"etag": self.tag, "cache-control": _CACHE, "vary": "accept-encoding"}
+        headers = {"etag": self.tag, "cache-control": "no-cache", "vary": "accept-encoding"}
         if request.headers.get("if-none-match") == self.tag:
             return Response(status_code=304, headers=headers)
-        if "gzip" in request.headers.get("accept-encoding", ""):
-            headers["content-encoding"] = "gzip"
-            return Response(self.gzipped, headers=headers, media_type=self.content_type)
-        return Response(self.plain, headers=headers, media_type=self.content_type)
+        return self.body.response(request, headers)
 
 
 def page_files() -> dict[str, PageFile]:
@@ -59,4 +73,4 @@ def _read(folder: Traversable) -> list[tuple[str, PageFile]]:
 
 def _page_file(plain: bytes, content_type: str) -> PageFile:
     tag = hashlib.sha256(plain).hexdigest()[:16]
-    return PageFile(content_type, plain, gzip.compress(plain, mtime=0), f'"{tag}"')
+    return PageFile(EncodedBody.of(content_type, plain), f'"{tag}"')

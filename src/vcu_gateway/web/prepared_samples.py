@@ -1,26 +1,18 @@
 """Answers with samples, encoded once for all who ask for the same, beside the loop."""
 
 import asyncio
-import gzip
 import json
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 from vcu_gateway.web.history import Samples
+from vcu_gateway.web.page_files import EncodedBody
 
 _KEPT_S = 1.0
 _KEPT = 16
 
 Question = tuple[tuple[str, ...], int]
 """Names of the signals, and the number of points."""
-
-
-class EncodedSamples(NamedTuple):
-    """Samples as JSON, and the same packed by gzip."""
-
-    plain: bytes
-    packed: bytes
 
 
 class PreparedSamples:
@@ -36,11 +28,10 @@ class PreparedSamples:
     ) -> None:
         self._read = read
         self._now_s = now_s
-        self._kept: dict[Question, tuple[float, EncodedSamples]] = {}
+        self._kept: dict[Question, tuple[float, EncodedBody]] = {}
         self._one_at_a_time = asyncio.Lock()
 
-    async def encoded(self, names: tuple[str, ...], points: int) -> EncodedSamples:
-        """The samples, at most a second old."""
+    async def encoded(self, names: tuple[str, ...], points: int) -> EncodedBody:
         question = (names, points)
         async with self._one_at_a_time:
             kept = self._kept.get(question)
@@ -50,11 +41,11 @@ class PreparedSamples:
             self._keep(question, encoded)
             return encoded
 
-    def _encode(self, names: tuple[str, ...], points: int) -> EncodedSamples:
+    def _encode(self, names: tuple[str, ...], points: int) -> EncodedBody:
         plain = json.dumps(self._read(names, points), separators=(",", ":")).encode()
-        return EncodedSamples(plain, gzip.compress(plain, mtime=0))
+        return EncodedBody.of("application/json", plain)
 
-    def _keep(self, question: Question, encoded: EncodedSamples) -> None:
+    def _keep(self, question: Question, encoded: EncodedBody) -> None:
         self._kept.pop(question, None)
         self._kept[question] = (self._now_s(), encoded)
         if len(self._kept) > _KEPT:

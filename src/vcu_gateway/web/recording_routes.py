@@ -54,7 +54,6 @@ class RecordingRoutes:
         return StreamingResponse(archive(path), media_type="application/x-tar", headers=headers)
 
     async def replay(self, request: Request, visitor: Visitor) -> Response:
-        """Whether it comes out the same, computed again."""
         found = self._find(request, visitor)
         if isinstance(found, Response):
             return found
@@ -64,7 +63,6 @@ class RecordingRoutes:
         return replayed if isinstance(replayed, Response) else _said(replayed)
 
     async def what_if(self, request: Request, visitor: Visitor) -> Response:
-        """What the configuration in the body would have done."""
         found = self._find(request, visitor)
         if isinstance(found, Response):
             return found
@@ -98,14 +96,7 @@ class RecordingRoutes:
         return (folder, path) if path else problem(404, "there is no such recording")
 
     def _tell(self, name: str, path: Path, visitor: Visitor) -> None:
-        self._events.tell(
-            name,
-            "info",
-            recording=path.name,
-            user=visitor.user or "(no users)",
-            role=visitor.role.value,
-            address=visitor.address,
-        )
+        self._events.tell(name, "info", recording=path.name, **visitor.fields())
 
 
 def _listed(result: VerbResult) -> Response:

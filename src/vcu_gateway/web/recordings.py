@@ -57,7 +57,6 @@ class RecorderFolder:
         return path if path.is_dir() and not path.is_symlink() else None
 
     async def listed(self) -> VerbResult:
-        """`recordings list --json`."""
         arguments = ("recordings", "list", "--json", "--folder", str(self._folder))
         return await _alone(self._listing, *arguments)
 

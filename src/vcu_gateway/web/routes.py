@@ -22,6 +22,7 @@ from vcu_gateway.web.stream import Streams
 _BODY_WITHIN_S = 10.0
 _MOST_JSON_BYTES = 4096
 _POINTS = range(2, 4001)
+_SIGN_IN = "sign in: there is no session, or it has ended"
 _NO_STORE = {"cache-control": "no-store"}
 
 Handler = Callable[[Request, Visitor], Awaitable[Response]]
@@ -51,7 +52,7 @@ class Routes:
         async def guarded(request: Request) -> Response:
             visitor = self._access.visitor(request)
             if visitor is None or not visitor.looks:
-                return problem(401, "sign in: there is no session, or it has ended")
+                return problem(401, _SIGN_IN)
             return await handler(request, visitor)
 
         return guarded
@@ -73,12 +74,10 @@ class Routes:
         )
 
     async def clock(self, request: Request, visitor: Visitor) -> Response:
-        """The time here, by both clocks."""
         del request, visitor
         return answer(clock())
 
     async def sign_in(self, request: Request) -> Response:
-        """A session for a name and a password."""
         given = await json_body(request)
         if isinstance(given, Response):
             return given
@@ -96,15 +95,13 @@ class Routes:
         return response
 
     async def sign_out(self, request: Request) -> Response:
-        """End the session."""
         self._access.sign_out(request)
         response = answer({})
         response.delete_cookie(self._access.cookie, path="/")
         return response
 
     async def stream(self, request: Request, visitor: Visitor) -> Response:
-        """Everything that the page shows live."""
-        room = self._streams.response(visitor.address, lambda: self._looks(request))
+        room = self._streams.response(request, visitor.address, lambda: self._looks(request))
         return room or problem(503, "too many browsers look already")
 
     def _looks(self, request: Request) -> bool:
@@ -119,7 +116,7 @@ class Routes:
             return problem(404, "there is no such action")
         visitor = self._access.visitor(request)
         if visitor is None or not (visitor.looks or name == "estop"):
-            return problem(401, "sign in: there is no session, or it has ended")
+            return problem(401, _SIGN_IN)
         if not visitor.may(right):
             self._tell(name, visitor, granted=False, sentence="the role may not")
             return problem(403, f"a {visitor.role.value} may not ask for {name}")
@@ -133,9 +130,7 @@ class Routes:
             "action_asked",
             "info" if granted else "warning",
             action=action,
-            user=visitor.user or "(no users)",
-            role=visitor.role.value,
-            address=visitor.address,
+            **visitor.fields(),
             granted=granted,
             answer=sentence,
         )
@@ -152,10 +147,7 @@ class Routes:
         if points not in _POINTS:
             return problem(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
         encoded = await self._samples.encoded(tuple(names), points)
-        headers, content = {**_NO_STORE, "vary": "accept-encoding"}, encoded.plain
-        if "gzip" in request.headers.get("accept-encoding", ""):
-            headers["content-encoding"], content = "gzip", encoded.packed
-        return Response(content, headers=headers, media_type="application/json")
+        return encoded.response(request, _NO_STORE)
 
 
 def clock() -> dict[str, float]:
@@ -169,7 +161,6 @@ def answer(value: object, status: int = 200) -> JSONResponse:
 
 
 def problem(status: int, sentence: str, headers: dict[str, str] | None = None) -> Response:
-    """An error for the person."""
     return JSONResponse({"sentence": sentence}, status, {**_NO_STORE, **(headers or {})})
 
 
@@ -188,7 +179,6 @@ async def body(request: Request, most_bytes: int) -> bytes | Response:
 
 
 async def json_body(request: Request) -> dict[str, Any] | Response:
-    """The body as a JSON object, or what is wrong with it."""
     received = await body(request, _MOST_JSON_BYTES)
     if isinstance(received, Response):
         return received

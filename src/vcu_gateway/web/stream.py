@@ -2,144 +2,81 @@
 
 import asyncio
 import contextlib
-import fcntl
-import sys
-import termios
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 
-from starlette.datastructures import Headers
-from starlette.responses import Response
-from starlette.types import Receive, Scope, Send
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
 
 from vcu_gateway.web.broadcast import GZIP_HEAD, Broadcast, SeenVersions, packed
-from vcu_gateway.web.connections import TRANSPORT
+from vcu_gateway.web.connections import undelivered_bytes
 
 MOST_STREAMS = 128
 MOST_STREAMS_PER_ADDRESS = 48
 
-_HEADERS = [
-    (b"content-type", b"text/event-stream; charset=utf-8"),
-    (b"cache-control", b"no-store, no-transform"),
-    (b"vary", b"accept-encoding"),
-    (b"x-accel-buffering", b"no"),
-]
+_HEADERS = {
+    "cache-control": "no-store, no-transform",
+    "vary": "accept-encoding",
+    "x-accel-buffering": "no",
+}
 _RETRY = b"retry: 500\n\n"
 _LOOK_AGAIN_S = 1.0
 _MOST_UNDELIVERED_BYTES = 2048  # about three packed states
 
 
 class Streams:
-    """Open streams, counted."""
+    """Open streams, counted; the tabs of one browser share one."""
 
     def __init__(self, broadcast: Broadcast) -> None:
         self._broadcast = broadcast
         self._by_address: Counter[str] = Counter()
 
-    @property
-    def count(self) -> int:
-        """Browsers that look now; the tabs of one share a stream."""
-        return self._by_address.total()
-
-    def response(self, address: str, may_look: Callable[[], bool]) -> "StreamResponse | None":
+    def response(
+        self, request: Request, address: str, may_look: Callable[[], bool]
+    ) -> Response | None:
         """A stream for whoever may look; None where there is no room for a further one."""
-        if self.count >= MOST_STREAMS or self._by_address[address] >= MOST_STREAMS_PER_ADDRESS:
+        is_full = self._by_address.total() >= MOST_STREAMS
+        if is_full or self._by_address[address] >= MOST_STREAMS_PER_ADDRESS:
             return None
-        return StreamResponse(self._broadcast, self._by_address, address, may_look)
+        as_gzip = "gzip" in request.headers.get("accept-encoding", "")
+        headers = {**_HEADERS, "content-encoding": "gzip"} if as_gzip else _HEADERS
+        kind = "text/event-stream"
+        if request.method == "HEAD":
+            return Response(headers=headers, media_type=kind)
+        body = self._sections(request, address, may_look, as_gzip=as_gzip)
+        return StreamingResponse(body, headers=headers, media_type=kind)
 
+    async def _sections(
+        self, request: Request, address: str, may_look: Callable[[], bool], *, as_gzip: bool
+    ) -> AsyncIterator[bytes]:
+        """Everything, then what is new, until the browser leaves or may look no more.
 
-class StreamResponse(Response):
-    """Response that goes on until the browser leaves, or may look no more."""
+        What its network has not delivered yet makes it miss the next ones.
+        """
+        seen, look_again_s = SeenVersions(), time.monotonic() + _LOOK_AGAIN_S
+        with self._counted(address), self._broadcast.read():
+            yield GZIP_HEAD + packed(_RETRY) if as_gzip else _RETRY
+            while True:
+                change = self._broadcast.next_change
+                if undelivered_bytes(request.scope) <= _MOST_UNDELIVERED_BYTES and (
+                    body := self._broadcast.unseen(seen, as_gzip=as_gzip)
+                ):
+                    yield body
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_LOOK_AGAIN_S):
+                        await change.wait()
+                if time.monotonic() >= look_again_s:
+                    look_again_s = time.monotonic() + _LOOK_AGAIN_S
+                    if not may_look():
+                        return
 
-    def __init__(
-        self,
-        broadcast: Broadcast,
-        counts: Counter[str],
-        address: str,
-        may_look: Callable[[], bool],
-    ) -> None:
-        super().__init__()
-        self._broadcast = broadcast
-        self._counts = counts
-        self._address = address
-        self._may_look = may_look
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send what changes, until it ends."""
-        writer = _StreamWriter(self._broadcast, scope)
-        await send({"type": "http.response.start", "status": 200, "headers": writer.headers})
-        if scope["method"] != "HEAD":
-            await self._go_on(writer, receive, send)
-        await send({"type": "http.response.body", "body": b"", "more_body": False})
-
-    async def _go_on(self, writer: "_StreamWriter", receive: Receive, send: Send) -> None:
-        """Count it, and send what changes while it lasts."""
-        self._counts[self._address] += 1
+    @contextlib.contextmanager
+    def _counted(self, address: str) -> Iterator[None]:
+        self._by_address[address] += 1
         try:
-            await send({"type": "http.response.body", "body": writer.begin(), "more_body": True})
-            self._broadcast.readers.add(writer.write)
-            await self._until_over(receive)
+            yield
         finally:
-            self._broadcast.readers.discard(writer.write)
-            self._counts[self._address] -= 1
-            if not self._counts[self._address]:
-                del self._counts[self._address]
-
-    async def _until_over(self, receive: Receive) -> None:
-        """Until the browser has gone, or its session: signed out, ended or given way."""
-        while self._may_look():
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_LOOK_AGAIN_S):
-                    await _until_gone(receive)
-                    return
-
-
-class _StreamWriter:
-    """One browser's end of the broadcast: chunks of HTTP/1.1, straight to its connection.
-
-    HTTP/1.0 has no chunks; its answer ends with the connection.
-    """
-
-    def __init__(self, broadcast: Broadcast, scope: Scope) -> None:
-        self._seen = SeenVersions()
-        self._broadcast = broadcast
-        self._transport: asyncio.Transport = scope["extensions"][TRANSPORT]
-        self._is_chunked = scope["http_version"] != "1.0"
-        self._as_gzip = "gzip" in Headers(scope=scope).get("accept-encoding", "")
-
-    @property
-    def headers(self) -> list[tuple[bytes, bytes]]:
-        """Of the answer."""
-        return [*_HEADERS, (b"content-encoding", b"gzip")] if self._as_gzip else _HEADERS
-
-    def begin(self) -> bytes:
-        """The first part of the body: everything."""
-        everything = self._unseen()
-        return GZIP_HEAD + packed(_RETRY) + everything if self._as_gzip else _RETRY + everything
-
-    def write(self) -> None:
-        """What is new, if the network has delivered what was there; else it misses this one."""
-        if self._transport.is_closing() or self._undelivered_bytes() > _MOST_UNDELIVERED_BYTES:
-            return
-        body = self._unseen()
-        if body:
-            self._transport.write(_chunk(body) if self._is_chunked else body)
-
-    def _unseen(self) -> bytes:
-        return self._broadcast.unseen(self._seen, as_gzip=self._as_gzip)
-
-    def _undelivered_bytes(self) -> int:
-        """What the other end has not acknowledged: what waits in the kernel grows old there."""
-        unsent = self._transport.get_write_buffer_size()
-        connection = self._transport.get_extra_info("socket")
-        queued = fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4))
-        return unsent + int.from_bytes(queued, sys.byteorder)
-
-
-def _chunk(body: bytes) -> bytes:
-    return b"%x\r\n%b\r\n" % (len(body), body)
-
-
-async def _until_gone(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
+            self._by_address[address] -= 1
+            if not self._by_address[address]:
+                del self._by_address[address]

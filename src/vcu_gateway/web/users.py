@@ -63,7 +63,6 @@ class PasswordHash(NamedTuple):
         return hmac.compare_digest(self.derived(password), self.digest)
 
     def text(self) -> str:
-        """As the file has it."""
         salt, digest = (base64.b64encode(part).decode() for part in (self.salt, self.digest))
         return f"scrypt:{self.cost}:{self.block}:{self.parallel}:{salt}:{digest}"
 
@@ -76,7 +75,6 @@ class User(NamedTuple):
     password: PasswordHash
 
     def line(self) -> str:
-        """As the file has it."""
         return f"{self.name} {self.role.value} {self.password.text()}"
 
 
@@ -139,7 +137,6 @@ def _user(line: str, where: str) -> User | Problem:
 
 
 def is_name(text: str) -> bool:
-    """Whether this may be a user's name."""
     return _NAME.fullmatch(text) is not None
 
 
