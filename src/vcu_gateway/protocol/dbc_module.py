@@ -21,7 +21,7 @@ from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 '''
 
 
-def write(dbc_text: str) -> str:
+def module_text(dbc_text: str) -> str:
     """The module of a DBC, the same text every time."""
     protocol = cantools_dbc.parse(dbc_text)
     digest = hashlib.sha256(dbc_text.encode()).hexdigest()
@@ -30,14 +30,14 @@ def write(dbc_text: str) -> str:
         "PROTOCOL = ProtocolSpec(",
         f"    nodes={_literal(protocol.nodes)},",
         "    messages=(",
-        *(line for message in protocol.messages for line in _message(message)),
+        *(line for message in protocol.messages for line in _message_lines(message)),
         "    ),",
         ")",
     ]
     return _HEAD + "\n".join(lines) + "\n"
 
 
-def _message(message: MessageSpec) -> Iterator[str]:
+def _message_lines(message: MessageSpec) -> Iterator[str]:
     yield "        MessageSpec("
     yield "            " + ", ".join(_arguments(message, leave_out="signals")) + ","
     yield "            signals=("

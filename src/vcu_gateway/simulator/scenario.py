@@ -1,6 +1,5 @@
 """Scenario: faults and their times, read from a file as strictly as the configuration."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,20 +86,14 @@ def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
 
 
 def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[FileProblem]]:
-    if wrong := list(_without_fault(value, at)):
-        return None, wrong
-    step, refused = validation.validated(FAULTS[value["fault"]], value, {PROTOCOL: protocol})
-    return step, [finding._replace(path=(*at, *finding.path)) for finding in refused]
-
-
-def _without_fault(value: Any, at: KeyPath) -> Iterator[FileProblem]:
-    """Problem of a step that names no fault or several; none where it names one."""
     names = ", ".join(FAULTS)
     if not isinstance(value, dict):
-        yield FileProblem(at, f"must be a step such as {_EXAMPLE}, not {shown(value)}")
-    elif "fault" not in value:
-        yield FileProblem(at, "has no fault", f"add `fault:` and one of {names}")
-    elif not isinstance(value["fault"], str) or value["fault"] not in FAULTS:
-        near = did_you_mean(str(value["fault"]), FAULTS)
-        what = f"must be one of {names}, not {shown(value['fault'])}"
-        yield FileProblem((*at, "fault"), what, near)
+        return None, [FileProblem(at, f"must be a step such as {_EXAMPLE}, not {shown(value)}")]
+    if "fault" not in value:
+        return None, [FileProblem(at, "has no fault", f"add `fault:` and one of {names}")]
+    fault = value["fault"]
+    if not isinstance(fault, str) or fault not in FAULTS:
+        what = f"must be one of {names}, not {shown(fault)}"
+        return None, [FileProblem((*at, "fault"), what, did_you_mean(str(fault), FAULTS))]
+    step, refused = validation.validated(FAULTS[fault], value, {PROTOCOL: protocol})
+    return step, [finding._replace(path=(*at, *finding.path)) for finding in refused]
