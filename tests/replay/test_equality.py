@@ -1,5 +1,6 @@
 """A drive replayed with its own configuration: equal to the byte, or the first difference."""
 
+import json
 import os
 import re
 import subprocess
@@ -13,6 +14,7 @@ from tests.replay.drives import SimulatedDrive
 from tests.replay.ran import changed, replay, rewrite
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.recordings import names
+from vcu_gateway.replay.drive_replay import replay_drive
 
 
 def core(drive: Path, number: int = 1) -> Path:
@@ -310,3 +312,11 @@ def test_who_may_not_look_is_told_which_group_to_join():
         )
     assert "NotPermittedError" in done.stderr
     assert "usermod -aG vcu-gateway-recorder" in done.stderr
+
+
+def test_a_program_replays_a_drive_without_the_command_line(recorded, tmp_path):
+    report = replay_drive(recorded["ordinary"])
+    said = replay(recorded["ordinary"], "--json").values
+    assert json.loads(json.dumps(report.values)) == said
+    report.write_html(tmp_path / "replay.html")
+    assert "to the byte" in (tmp_path / "replay.html").read_text()
