@@ -289,6 +289,7 @@ class GatewayMachine(RuleBasedStateMachine):
         if answer.granted:
             assert before is Mode.STANDBY
             self.judge.armed(self.now_ns)
+            self._check_judged()
         else:
             assert answer.sentence
             if not self._check_lateness(before):
@@ -302,6 +303,7 @@ class GatewayMachine(RuleBasedStateMachine):
         if answer.granted:
             assert (before, after) == (Mode.FAULT, Mode.STARTING), "never to ACTIVE"
             self.judge.reset(self.now_ns, service=level is FaultClass.SERVICE)
+            self._check_judged()
         else:
             assert after is before
         return answer

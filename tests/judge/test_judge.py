@@ -10,23 +10,24 @@ import pytest
 from tests.replay.drives import MS, SimulatedDrive
 from tests.replay.ran import replay
 from vcu_gateway.core import calls
+from vcu_gateway.core.demand import PowerMode
+from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.calls import (
     Arm,
     EmergencyStop,
-    NoteRestartState,
-    NoteSent,
     Offer,
     Reset,
+    NoteRestartState,
+    NoteSent,
 )
-from vcu_gateway.core.demand import PowerMode
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.reader import open_drive
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord, TickRecord
-from vcu_gateway.judge import DriveVerdict, Findings
+from vcu_gateway.judge import DriveVerdict, Findings, JudgedDemand
 from vcu_gateway.judge.arrivals import Arrivals
+from vcu_gateway.judge.demands import GrantedDemands
 from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
 from vcu_gateway.protocol import DEFAULT_ALIASES
 from vcu_gateway.replay.judged import JudgedRecords, limits_of
@@ -218,8 +219,8 @@ def talks_at_once(records: Records) -> None:
     records[place] = tick(records, place)._replace(frames=frames)
 
 
-def reset_in_active(records: Records) -> None:
-    place = ticks(records)[60]
+def reset_in_standby(records: Records) -> None:
+    place = ticks(records, Mode.STANDBY)[-1]
     reset = Reset(FaultClass.DRIVER, tick(records, place).now_ns)
     records.insert(place, InputRecord(reset, None))
 
@@ -286,7 +287,7 @@ SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "arm with throttle": ("ordinary", "arming", with_demands(throttle_pct=5.0)),
     "arm with another direction": ("ordinary", "arming", with_demands(motor_reverse=True)),
     "reset with throttle": ("stops", "reset", with_demands(throttle_pct=5.0)),
-    "reset in ACTIVE": ("ordinary", "reset", reset_in_active),
+    "reset in STANDBY": ("ordinary", "reset", reset_in_standby),
     "no arm": ("ordinary", "I2 ACTIVE by arm alone", without(Arm)),
     "no reset": ("stops", "I6 modes", without(Reset)),
     "a fault that ends by itself": ("stops", "I6 modes", with_mode(10, Mode.STANDBY, Mode.FAULT)),
@@ -351,6 +352,13 @@ def test_a_drive_that_a_request_ended_or_began_is_one_that_a_stop_or_a_late_tick
         rules.left_active()
         rules.tick(1, 300 * MS, "standby", calm._replace(late=True))
         assert list(findings.counts) == ["a late tick latches FAULT"]
+
+
+def test_a_static_demand_of_a_bench_reads_as_released_until_it_drives():
+    one = JudgedDemand(5.0, 0.0, 1, False, False, 12_000.0, 60_000.0)
+    demands = GrantedDemands({"PCU1": one, "PCU2": one}, known=True)
+    assert demands.released_for_ns(1_000 * MS) == 1_000 * MS
+    assert not demands.asks_throttle(1_000 * MS)
 
 
 @pytest.mark.parametrize(("ahead_ns", "stale"), [(20 * MS, False), (20 * MS + 1, True)])
