@@ -10,16 +10,16 @@ import pytest
 from tests.replay.drives import MS, SimulatedDrive
 from tests.replay.ran import replay
 from vcu_gateway.core import calls
-from vcu_gateway.core.demand import PowerMode
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.calls import (
     Arm,
     EmergencyStop,
-    Offer,
-    Reset,
     NoteRestartState,
     NoteSent,
+    Offer,
+    Reset,
 )
+from vcu_gateway.core.demand import PowerMode
+from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
