@@ -14,7 +14,6 @@ from vcu_gateway.drive_format.segment import SegmentWriter
 from vcu_gateway.units import NS_PER_S
 
 _SEGMENT_NS = 60 * NS_PER_S
-_TEXTS = {"config": layout.CONFIG_FILE, "dbc": layout.DBC_FILE}
 
 
 class DriveWriter:
@@ -34,10 +33,7 @@ class DriveWriter:
         now_ns: int,
         segment_ns: int = _SEGMENT_NS,
     ) -> None:
-        described = {key: value for key, value in hello.items() if key not in _TEXTS}
-        texts = {name: str(hello[key]).encode() for key, name in _TEXTS.items()}
-        files = {layout.DRIVE_FILE: layout.description_bytes(described)} | texts
-        layout.create_folder(folder, files)
+        layout.create_folder(folder, layout.drive_files(hello))
         self.folder = folder
         self._hold = lock.hold(folder)
         self._distance_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
+from vcu_gateway.files import sync
 from vcu_gateway.units import NS_PER_S
 
 FORMAT = 1
@@ -50,6 +51,7 @@ CORE_SUFFIX = ".core.jsonl.gz"
 _SEGMENT = re.compile(r"(\d{4,9})(?:\.frames\.log\.gz|\.core\.jsonl\.gz)", re.ASCII)
 _INCIDENT = re.compile(r"incident(?:-\d+)?\.json", re.ASCII)
 _RUN_DIGITS = 8
+_TEXTS = {"config": CONFIG_FILE, "dbc": DBC_FILE}
 _PARTIAL = ".partial-"
 
 
@@ -183,6 +185,13 @@ def description_bytes(described: Mapping[str, Any]) -> bytes:
     return json.dumps(described, indent=2, sort_keys=True).encode() + b"\n"
 
 
+def drive_files(hello: Mapping[str, Any], **more: Any) -> dict[str, bytes]:
+    """Files of a new drive: what its gateway said of itself, with more beside, and both texts."""
+    described = {key: value for key, value in hello.items() if key not in _TEXTS}
+    texts = {name: str(hello[key]).encode() for key, name in _TEXTS.items()}
+    return {DRIVE_FILE: description_bytes(described | more), **texts}
+
+
 def incident_bytes(
     incident: Mapping[str, Any],
     drive: Mapping[str, Any],
@@ -220,15 +229,6 @@ def write_new(path: Path, data: bytes) -> None:
         os.fsync(file.fileno())
 
 
-def sync_folder(folder: Path) -> None:
-    """Have the folder's entries on the disk."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path] = ()) -> None:
     """Make a folder with files and hard links in it, all of it or nothing, on the disk.
 
@@ -244,14 +244,14 @@ def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path
         for path in links:
             with contextlib.suppress(FileNotFoundError):  # somebody removed it
                 os.link(path, partial / path.name)
-        sync_folder(partial)
+        sync(partial)
         if os.path.lexists(folder):
             raise FileExistsError(folder)
         partial.rename(folder)
     except OSError:
         shutil.rmtree(partial, ignore_errors=True)
         raise
-    sync_folder(folder.parent)
+    sync(folder.parent)
 
 
 def remove_partial_folders(parent: Path) -> None:

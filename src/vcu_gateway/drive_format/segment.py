@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+from vcu_gateway import files
 from vcu_gateway.drive_format import layout, members
 
 
@@ -78,7 +79,7 @@ class SegmentWriter:
         self._frames_file = MemberFile(folder / layout.frames_name(number))
         try:
             self._core_file = MemberFile(folder / layout.core_name(number))
-            layout.sync_folder(folder)
+            files.sync(folder)
         except OSError:
             self._frames_file.close()
             self._frames_file.path.unlink(missing_ok=True)

@@ -12,7 +12,8 @@ from vcu_gateway.drive_format.datagram import DatagramError, HelloPart, HelloTex
 from vcu_gateway.recorder.bounds import check_lines, checked_hello
 from vcu_gateway.recorder.senders import Allowance, Sender
 
-_BUFFER_BYTES = 1 << 20
+BUFFER_BYTES = 1 << 20
+"""Room for the longest datagram."""
 _MOST_FRAMES = 50_000
 _MOST_COUNT = 1 << 63
 _CHECKPOINTS = 20, 4.0
@@ -107,7 +108,3 @@ class GatewayConnection:
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._sock.close()
-
-
-def new_buffer() -> bytearray:
-    return bytearray(_BUFFER_BYTES)

@@ -28,10 +28,9 @@ from vcu_gateway.recorder import resume
 from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.resume import Position
 from vcu_gateway.recorder.signing import Signer
-from vcu_gateway.units import NS_PER_S
+from vcu_gateway.text import ISO_TIME, utc
 
 _MEMORY_FULL = "the recorder's memory was full"
-_OWN_FILES = {"config": layout.CONFIG_FILE, "dbc": layout.DBC_FILE}
 
 
 class DriveRecorder:
@@ -142,7 +141,9 @@ class DriveRecorder:
         elif self._found_own_folder():
             self._resume()
         if not os.path.isdir(self.folder):
-            layout.create_folder(self.folder, self._files())
+            more = {"number": self._number, "created": utc(time.time_ns(), ISO_TIME)}
+            more |= {"format": layout.FORMAT, "recorder": __version__}
+            layout.create_folder(self.folder, layout.drive_files(self.hello, **more))
         self._files_beside = chain.file_digests(self.folder)
         self._hold = lock.hold(self.folder)
 
@@ -164,17 +165,6 @@ class DriveRecorder:
             self._position, self._lost, self._link = found.position, found.lost, found.link
             self._missing_because = "the recorder had ended"
         self._next_segment = max(self._next_segment, found.next_segment)
-
-    def _files(self) -> dict[str, bytes]:
-        described = {key: value for key, value in self.hello.items() if key not in _OWN_FILES}
-        described |= {
-            "format": layout.FORMAT,
-            "number": self._number,
-            "created": _iso(time.time_ns()),
-            "recorder": __version__,
-        }
-        texts = {name: self.hello[key].encode() for key, name in _OWN_FILES.items()}
-        return {layout.DRIVE_FILE: layout.description_bytes(described), **texts}
 
     def flush(self) -> None:
         """Write what waits; OSError leaves it waiting."""
@@ -261,7 +251,3 @@ def _ticks_so_far(checkpoint: bytes) -> int:
         return int(json.loads(checkpoint)["checkpoint"]["ticks"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return 0
-
-
-def _iso(wall_ns: int) -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall_ns // NS_PER_S))

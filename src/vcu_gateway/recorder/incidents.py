@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vcu_gateway.drive_format import layout
+from vcu_gateway.files import sync
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import Ring
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import RESTARTED_UNEXPECTEDLY, Trigger
-from vcu_gateway.units import NS_PER_S
+from vcu_gateway.text import ISO_TIME, utc
 
 _LONGEST_S = 600.0
 _MOST_REASONS = 100
@@ -99,7 +100,7 @@ class Incidents:
             links = [one for found in layout.segments(opened.folder) for one in found.paths]
             description = self._description(trigger, opened.folder, opened.drive.name, links)
             layout.write_new(path, description)
-            layout.sync_folder(opened.folder)
+            sync(opened.folder)
         longer = opened._replace(reasons=reasons, until_s=now_s + self._options.after_s)
         self._open[self._open.index(opened)] = longer
 
@@ -130,7 +131,7 @@ class Incidents:
         return layout.incident_bytes(
             {
                 **trigger._asdict(),
-                "at": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(wall_ns // NS_PER_S)),
+                "at": utc(wall_ns, ISO_TIME),
                 "at_ns": wall_ns,
                 "before_s": self._options.before_s,
                 "after_s": self._options.after_s,
@@ -180,7 +181,7 @@ def _link(files: Iterable[Path], folder: Path) -> None:
     for path in files:
         with contextlib.suppress(FileExistsError):
             os.link(path, folder / path.name)
-    layout.sync_folder(folder)
+    sync(folder)
 
 
 def _copies(folder: Path) -> dict[str, bytes]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Container, Sequence
 from vcu_gateway.drive_format.datagram import DatagramError, TickParts
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received, received
-from vcu_gateway.recorder.connection import GatewayConnection, new_buffer
+from vcu_gateway.recorder.connection import BUFFER_BYTES, GatewayConnection
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.senders import Allowance, Refusals, RunOwners, Sender, sender_of
 
@@ -56,7 +56,7 @@ class DatagramReceiver:
         self._refusals = refusals
         self._owners = RunOwners()
         self._runs: dict[Sender, tuple[set[str], Allowance]] = {}
-        self._buffer = new_buffer()
+        self._buffer = bytearray(BUFFER_BYTES)
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener.sock, selectors.EVENT_READ)
         self._selector.register(wake_up, selectors.EVENT_READ)

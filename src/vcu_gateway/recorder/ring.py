@@ -92,15 +92,10 @@ class Ring:
         return oldest.size
 
 
-def free_bytes(folder: Path) -> int:
-    """Bytes of the file system that a service may still use."""
+def room_bytes(folder: Path) -> tuple[int, int]:
+    """Size of the file system, and how much of it a service may still use."""
     found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize
-
-
-def total_bytes(folder: Path) -> int:
-    found = os.statvfs(folder)
-    return found.f_blocks * found.f_frsize
+    return found.f_blocks * found.f_frsize, found.f_bavail * found.f_frsize
 
 
 def _paths(folder: Path, number: int) -> tuple[Path, ...]:

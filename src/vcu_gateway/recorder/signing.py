@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+from vcu_gateway import files
 from vcu_gateway.drive_format import layout, signature
 from vcu_gateway.drive_format.signature import SignatureError
 
@@ -92,12 +93,12 @@ class Signer:
         made = signature.sign(text, self._key)
         layout.write_new(path, text)
         layout.write_new(beside, made)
-        layout.sync_folder(path.parent)
+        files.sync(path.parent)
         self.signed += 1
 
 
-def _link_signature(files: tuple[Path, Path], incident: Path) -> None:
-    for one in files:
+def _link_signature(signed: tuple[Path, Path], incident: Path) -> None:
+    for one in signed:
         with contextlib.suppress(FileExistsError):
             os.link(one, incident / one.name)
 

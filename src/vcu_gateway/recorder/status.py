@@ -13,7 +13,7 @@ from vcu_gateway.recorder.backlog import Backlog
 from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.options import RecorderOptions
-from vcu_gateway.recorder.ring import free_bytes, total_bytes
+from vcu_gateway.recorder.ring import room_bytes
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.writer import Writer
 
@@ -93,8 +93,7 @@ class StatusFile:
         """Room of the file system; the last known one stays while the disk does not answer."""
         if self._disk.state == "ok":
             with contextlib.suppress(OSError):
-                folder = self._options.folder
-                self._space = total_bytes(folder), free_bytes(folder)
+                self._space = room_bytes(self._options.folder)
 
     def _rate(self) -> float:
         now_s, size = time.monotonic(), self._writer.totals.bytes

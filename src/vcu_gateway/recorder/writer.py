@@ -18,7 +18,7 @@ from vcu_gateway.recorder.disk import Disk, is_full, is_of_a_name, probe
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
 from vcu_gateway.recorder.options import RecorderOptions
-from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, free_bytes
+from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, room_bytes
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import Trigger
@@ -287,7 +287,7 @@ class Writer:
         """Leave others their room on the disk."""
         if self.drives:
             options = self._options
-            missing = options.keep_free_bytes - free_bytes(options.folder)
+            missing = options.keep_free_bytes - room_bytes(options.folder)[1]
             self.ring.make_room(missing, keep=KEPT_WITHOUT_ROOM)
 
     def _keep_incidents(self) -> None:

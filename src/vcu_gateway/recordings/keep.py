@@ -1,6 +1,5 @@
 """Keeping a recording: whole, or a part of it as an incident."""
 
-from datetime import UTC, datetime
 from pathlib import Path
 
 from vcu_gateway.drive_format import layout, signature
@@ -8,6 +7,7 @@ from vcu_gateway.drive_format.layout import SegmentFiles
 from vcu_gateway.drive_format.segment_lines import last_second, read_begin
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath, write_error
+from vcu_gateway.text import utc
 from vcu_gateway.units import NS_PER_S
 
 _REASON = "requested"
@@ -86,7 +86,7 @@ def _incident_files(
         "reason": _REASON,
         "kind": _REASON,
         "what": reason,
-        "at": datetime.fromtimestamp(begin_ns // NS_PER_S, UTC).isoformat(),
+        "at": utc(begin_ns, "%Y-%m-%dT%H:%M:%S+00:00"),
         "at_ns": begin_ns,
         "before_s": 0,
         "after_s": (end_ns - begin_ns) / NS_PER_S,
