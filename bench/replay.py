@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from tests.drive.drive_writer import DriveWriter
+
 from bench.figures import Figure, Options, alone, counts_finely
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
@@ -24,7 +26,6 @@ from vcu_gateway.drive.hello import Hello
 from vcu_gateway.drive.reader import Drive, open_drive
 from vcu_gateway.drive.records import CoreRecord, FrameRun
 from vcu_gateway.drive.tap import Tap, TappedGateway
-from vcu_gateway.drive.writer import DriveWriter
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.replay import configuration as of_replay
 from vcu_gateway.replay.equality import EqualityCheck

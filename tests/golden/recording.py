@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.core.simulated_drive import CODEC
+from tests.drive.drive_writer import DriveWriter
 from tests.golden.scripts import GoldenDrive
 from tests.golden.simulate import begun, settings_of
 from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.drive.hello import Hello
 from vcu_gateway.drive.tap import Tap, TappedGateway
-from vcu_gateway.drive.writer import DriveWriter
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.members import Member, read_members
 from vcu_gateway.protocol import packaged

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from tests.drive.drive_writer import DriveWriter
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.core import calls
@@ -16,7 +17,6 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.drive.hello import Hello
 from vcu_gateway.drive.tap import Tap, TappedGateway
-from vcu_gateway.drive.writer import DriveWriter
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.replay.configuration import with_aliases
 from vcu_gateway.simulator.nodes import VehicleFault
