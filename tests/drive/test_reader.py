@@ -20,7 +20,7 @@ from vcu_gateway.drive.reader import Drive, open_drive
 from vcu_gateway.drive.records import Checkpoint, Gap, InputRecord, TickRecord, WhyRecord
 from vcu_gateway.drive_format import lock
 from vcu_gateway.errors import DataError, MissingInputError
-from vcu_gateway.recording import open_recording
+from vcu_gateway.recording.recording import open_recording
 from vcu_gateway.units import NS_PER_S
 
 

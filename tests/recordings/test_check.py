@@ -11,8 +11,8 @@ from vcu_gateway.drive_format import layout, lock
 from vcu_gateway.drive_format.members import Member, packed, read_members
 from vcu_gateway.drive_format.signature import fingerprint
 from vcu_gateway.errors import MissingInputError
-from vcu_gateway.recordings import CheckedRecording, RecordingFolder, check_recording
-from vcu_gateway.recordings.check import RecordingState
+from vcu_gateway.recordings.check import CheckedRecording, RecordingState, check_recording
+from vcu_gateway.recordings.folder import RecordingFolder
 
 
 @pytest.fixture

@@ -10,7 +10,8 @@ from tests.recordings.forger import KINDS, content, forge
 from tests.recordings.recorded import WrittenDrive
 from tests.recordings.signed import make_key, sign
 from vcu_gateway.drive_format import layout
-from vcu_gateway.recordings import RecordingPath, check_recording
+from vcu_gateway.recordings.check import check_recording
+from vcu_gateway.recordings.folder import RecordingPath
 
 
 @pytest.fixture(scope="module")

@@ -10,14 +10,9 @@ import pytest
 from tests.recorder.conftest import gateway, recorder  # noqa: F401 - fixtures
 from tests.recorder.gateway import drives
 from vcu_gateway.drive_format import layout
-from vcu_gateway.recordings import (
-    CheckedRecording,
-    RecordingFolder,
-    RecordingPath,
-    check_recording,
-    summarise,
-)
-from vcu_gateway.recordings.check import RecordingState
+from vcu_gateway.recordings.check import CheckedRecording, RecordingState, check_recording
+from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath
+from vcu_gateway.recordings.summary import summarise
 
 pytestmark = pytest.mark.timeout(120)
 

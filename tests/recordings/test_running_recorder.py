@@ -9,7 +9,7 @@ from tests.recorder.told import STATUS
 from vcu_gateway.drive_format import layout
 from vcu_gateway.drive_format.recorder_status import STALE_S
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.recordings import RecordingFolder
+from vcu_gateway.recordings.folder import RecordingFolder
 from vcu_gateway.recordings.running_recorder import running
 
 

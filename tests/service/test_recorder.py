@@ -17,8 +17,8 @@ from tests.service.test_running import as_user
 from tests.service.unit import PATIENCE_S, Unit, systemctl
 from tests.vcan.conftest import wait_until
 from vcu_gateway.drive_format import layout, lock
-from vcu_gateway.recordings import RecordingFolder, RecordingPath, check_recording
-from vcu_gateway.recordings.check import RecordingState
+from vcu_gateway.recordings.check import RecordingState, check_recording
+from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath
 
 SOCKET, SERVICE = "vcu-gateway-recorder.socket", "vcu-gateway-recorder.service"
 RUNTIME = Path("/run/vcu-gateway-recorder")

@@ -22,7 +22,8 @@ from vcu_gateway.demo import config as demo_config
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
 from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import GatewayError
-from vcu_gateway.recordings import RecordingFolder, check_recording
+from vcu_gateway.recordings.check import check_recording
+from vcu_gateway.recordings.folder import RecordingFolder
 from vcu_gateway.simulator.scenario import Scenario
 
 WAIT_S = 60.0

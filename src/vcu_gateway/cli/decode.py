@@ -21,7 +21,8 @@ from vcu_gateway.errors import (
     did_you_mean,
 )
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
-from vcu_gateway.recording import RecordedFrame, Recording, open_recording
+from vcu_gateway.recording.recorded import RecordedFrame
+from vcu_gateway.recording.recording import Recording, open_recording
 from vcu_gateway.recording.summary import Summary
 from vcu_gateway.recording.writers import FORMATS, FrameFormat, FrameWriter
 

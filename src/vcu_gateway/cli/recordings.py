@@ -12,20 +12,14 @@ from vcu_gateway.cli.options import moment_of
 from vcu_gateway.drive_format.layout import DEFAULT_FOLDER, plain_reason
 from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import MissingInputError, Problem
-from vcu_gateway.recordings import (
-    CheckedRecording,
-    RecordingFolder,
-    RecordingPath,
-    RecordingSummary,
-    act_as_owner,
-    check_recording,
-    check_text,
-    keep_part,
-    keep_whole,
-    remove_recording,
-    summarise,
-)
+from vcu_gateway.recordings import check_text
+from vcu_gateway.recordings.check import CheckedRecording, check_recording
+from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath
+from vcu_gateway.recordings.keep import keep_part, keep_whole
+from vcu_gateway.recordings.owner import act_as_owner
+from vcu_gateway.recordings.remove import remove_recording
 from vcu_gateway.recordings.running_recorder import keep_now, running
+from vcu_gateway.recordings.summary import RecordingSummary, summarise
 from vcu_gateway.time_window import Window
 
 _NOW = "now"

@@ -7,8 +7,10 @@ from vcu_gateway.core.codec import Codec, MessageCodec, Reason
 from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES
 from vcu_gateway.export.message_rows import MessageRows
-from vcu_gateway.recording import LineProblems, RecordedFrame, candump
+from vcu_gateway.recording import candump
 from vcu_gateway.recording.lines import LineReader
+from vcu_gateway.recording.problems import LineProblems
+from vcu_gateway.recording.recorded import RecordedFrame
 from vcu_gateway.recording.summary import Summary
 from vcu_gateway.time_window import Window
 

@@ -16,7 +16,8 @@ from vcu_gateway.export.core_lines import CoreLines
 from vcu_gateway.export.decisions import Decisions
 from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged, requirements
-from vcu_gateway.recording import STANDARD_INPUT, LineProblems, open_recording
+from vcu_gateway.recording.problems import LineProblems
+from vcu_gateway.recording.recording import STANDARD_INPUT, open_recording
 from vcu_gateway.time_window import Window
 
 _FRAMES_BETWEEN_LOOKS = 8192

@@ -1,15 +1,11 @@
-"""Recordings of the bus, read frame by frame whatever their format.
+"""Recorded data: everything that is kept of a bus and of a gateway, on disk and read back.
 
-candump text is read here, line by line, and a damaged line does not end the reading. Every
-other format is read by python-can, which ends at the first damage.
-
-No identifier is ever shortened to 29 bits: a number beyond them is an error frame or damage
-(docs/protocol.md E2), and python-can's own candump reader would decode it as data. BLF and MF4
-are the exception, because python-can cuts their identifiers itself.
+- The format, which the recorder imports, too, and which needs the standard library alone: `layout`
+  (names and folders), `members` (gzip members), `chain`, `signature`, `segment`, `datagram` (the
+  tap's), `candump_lines`, `recorder_status`.
+- A recorded drive: `tap` notes every call of the core, `core_lines` and `call_text` are its text,
+  `checkpoint` its state, `reader` reads it, `cause_spans` says how long each cause counted.
+- A foreign log: `candump` and `log` read it frame by frame, `decoded` writes it. No identifier is
+  ever shortened to 29 bits: a number beyond them is an error frame or damage (docs/protocol.md E2).
+- Kept recordings: `folder`, `keep`, `check` with `checked_segment` and `chain_check`.
 """
-
-from vcu_gateway.recording.problems import LineProblems
-from vcu_gateway.recording.recorded import RecordedFrame
-from vcu_gateway.recording.recording import STANDARD_INPUT, Recording, open_recording
-
-__all__ = ["STANDARD_INPUT", "LineProblems", "RecordedFrame", "Recording", "open_recording"]

@@ -19,8 +19,9 @@ from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.export.html_report import Overlay
 from vcu_gateway.judge import DriveVerdict
-from vcu_gateway.recordings import RecordingPath, check_recording, check_text
-from vcu_gateway.recordings.check import RecordingState
+from vcu_gateway.recordings import check_text
+from vcu_gateway.recordings.check import RecordingState, check_recording
+from vcu_gateway.recordings.folder import RecordingPath
 from vcu_gateway.replay import report
 from vcu_gateway.replay.beside import beside
 from vcu_gateway.replay.closed_loop import ClosedLoop
