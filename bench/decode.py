@@ -9,7 +9,7 @@ from bench import DBC
 from bench.figures import Figure, Options, compared, in_turns
 from bench.traffic import codec, random_mix
 from vcu_gateway.core.codec import MessageCodec
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 
 
 def figures(options: Options) -> Iterator[Figure]:

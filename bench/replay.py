@@ -17,11 +17,11 @@ from bench.figures import Figure, Options, alone, counts_finely
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.core import calls
-from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
+from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.drive.hello import Hello
 from vcu_gateway.drive.reader import Drive, open_drive
 from vcu_gateway.drive.records import CoreRecord, FrameRun

@@ -16,8 +16,8 @@ from vcu_gateway.api.rights import Policy
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import Config, core_settings
 from vcu_gateway.config.protocol import dbc_path
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.spec import ProtocolSpec

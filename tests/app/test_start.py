@@ -8,7 +8,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.app import Application
 from vcu_gateway.client import ApiError, Client, ClientError
 from vcu_gateway.config.protocol import load_protocol
-from vcu_gateway.core.events import Event
+from vcu_gateway.core.causes import Event
 from vcu_gateway.server.dispatch import Dispatcher
 
 

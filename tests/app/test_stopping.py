@@ -13,7 +13,7 @@ from tests.app.conftest import is_reset
 from tests.driven import Driven
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.client import ApiError
-from vcu_gateway.core.events import Event
+from vcu_gateway.core.causes import Event
 from vcu_gateway.daemon import restart_state
 from vcu_gateway.daemon.restart_state import RestartState, read
 

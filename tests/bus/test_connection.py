@@ -11,7 +11,7 @@ import pytest
 
 from vcu_gateway.bus.connection import BusConnection, BusSettings, kernel_filters
 from vcu_gateway.bus.reader import PlainBus
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
 

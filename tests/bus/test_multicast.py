@@ -12,7 +12,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus, utils
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.multicast import _REMEMBERED, EchoingMulticastBus
 from vcu_gateway.bus.settings import BusCounters
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
 

@@ -16,7 +16,7 @@ from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.reader import DrainedBus, DrainingReader, FrameListener
 from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 
 EFF, ERR = 0x8000_0000, 0x2000_0000
 BMS_STATUS = 0x1808D0F4

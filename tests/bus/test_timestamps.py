@@ -3,7 +3,7 @@
 import pytest
 
 from vcu_gateway.bus import timestamps
-from vcu_gateway.core.arrival_time import ClockPair
+from vcu_gateway.core.schedule import ClockPair
 
 MS = 1_000_000
 WALL_NS = 1_700_000_000_000_000_000

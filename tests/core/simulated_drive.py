@@ -5,15 +5,14 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import Any, Self
 
-from vcu_gateway.core import calls, freshness
+from vcu_gateway.core import calls, state
+from vcu_gateway.core.causes import CodedSignals, Event
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.coded_signals import CodedSignals
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, RequestResult
-from vcu_gateway.core.events import Event
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
-from vcu_gateway.core.rule_inputs import RuleInputs
+from vcu_gateway.core.rules import RuleInputs
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
 from vcu_gateway.core.supervisor import FaultClass, Mode
@@ -74,7 +73,7 @@ def rule_inputs(
     """
     settings = settings or Settings()
     deadlines = {
-        message.name: freshness.deadlines(message, settings.late_after_ms, settings.stale_after_ms)
+        message.name: state.deadlines(message, settings.late_after_ms, settings.stale_after_ms)
         for message in PROTOCOL.received_by("VCU")
     }
     stale_after_ns = {name: one.stale_after_ns for name, one in deadlines.items()}

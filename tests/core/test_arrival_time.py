@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcu_gateway.core.arrival_time import ClockPair, arrival_ns, steady
+from vcu_gateway.core.schedule import ClockPair, arrival_ns, steady
 
 MS = 1_000_000
 HOUR = 3600 * 1_000_000_000

@@ -21,7 +21,7 @@ from tests.core.simulated_drive import (
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.state import Store
 from vcu_gateway.core.supervisor import FaultClass, Mode
 

@@ -5,8 +5,8 @@ import pytest
 from tests.core.simulated_drive import MS, PERIOD_NS, Drive, active, standby
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import CoreCall
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode

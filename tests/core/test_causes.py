@@ -5,8 +5,7 @@ import itertools
 import pytest
 
 from tests.core.simulated_drive import MS
-from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Finding
-from vcu_gateway.core.events import Severity
+from vcu_gateway.core.causes import BLOCKING, LIMITING, Causes, Effect, Finding, Severity
 
 HOLD_NS = 1000 * MS
 STOP = Finding("code", "BMS_Status.CellUndervoltage", Effect.STOP, "2 (level2)")

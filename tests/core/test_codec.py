@@ -10,10 +10,9 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from vcu_gateway.core.codec import Codec, Decoded, MessageCodec, Reason, compile_message
-from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.j1939 import with_priority
-from vcu_gateway.core.snapshot import Quality, mark
+from vcu_gateway.core.j1939 import Frame, with_priority
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
+from vcu_gateway.core.state import Quality, mark
 from vcu_gateway.protocol import dbc, packaged
 
 PROTOCOL = dbc.load(packaged("vcu.dbc"))

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.core.simulated_drive import CODEC, MS, NOW_NS, PROTOCOL, RECEIVED, data
-from vcu_gateway.core.coded_signals import BATTERY_STATUS, CodedSignals
+from vcu_gateway.core.causes import BATTERY_STATUS, CodedSignals
 from vcu_gateway.core.state import Store
 
 

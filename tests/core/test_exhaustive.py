@@ -29,8 +29,8 @@ import pytest
 from tests.core.simulated_drive import CODEC, PERIOD_NS, data, in_mode
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import TickResult
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.supervisor import Mode
 
 # The oracle. First number: byte; second: lowest bit; third: bits; then code: effects. A

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from vcu_gateway.core.freshness import Deadlines, deadlines
+from vcu_gateway.core.state import Deadlines, deadlines
 
 MS = 1_000_000
 

@@ -20,13 +20,13 @@ from tests.core.simulated_drive import (
     standby,
 )
 from vcu_gateway.core import j1939
+from vcu_gateway.core.causes import Severity
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
-from vcu_gateway.core.events import Severity
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import Carrier, LinkState
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.snapshot import Quality
+from vcu_gateway.core.state import Quality
 from vcu_gateway.core.stop import StopStage
 from vcu_gateway.core.supervisor import FaultClass, Mode
 

@@ -22,8 +22,8 @@ from hypothesis.stateful import (
 from vcu_gateway.core import calls, why
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.settings import Settings

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.core.simulated_drive import CODEC, MS, PROTOCOL, data
-from vcu_gateway.core.lifecycle import ListenBeforeTalk, Qualification, Shutdown
+from vcu_gateway.core.mode_manager import ListenBeforeTalk, Qualification, Shutdown
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
 

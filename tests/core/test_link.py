@@ -3,7 +3,7 @@
 import pytest
 
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import (
     ERROR_CLASSES,
     Carrier,

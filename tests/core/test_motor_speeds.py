@@ -5,9 +5,8 @@ import math
 import pytest
 
 from tests.core.simulated_drive import CODEC, data
-from vcu_gateway.core import motor_speeds
-from vcu_gateway.core.motor_speeds import RegenerationInterlock
-from vcu_gateway.core.plausibility import NO_DEVIATION, Observed
+from vcu_gateway.core import plausibility
+from vcu_gateway.core.plausibility import NO_DEVIATION, Observed, RegenerationInterlock
 from vcu_gateway.core.state import Store
 
 STATUS2 = ("PCU1_Status2", "PCU2_Status2")
@@ -27,18 +26,18 @@ def put(store: Store, *first_rpm: int, second_rpm: int = 40) -> None:
 
 def test_the_lowest_and_the_highest_since_the_tick_before_are_told(store):
     put(store, 30, 10, 20)
-    assert motor_speeds.of(store.take(0), NO_DEVIATION) == ((10, 40), (30, 40))
+    assert plausibility.of(store.take(0), NO_DEVIATION) == ((10, 40), (30, 40))
 
 
 def test_a_speed_that_jumped_is_not_known_and_the_other_is(store):
     put(store, 30)
     observed = Observed(speed_steps_rpm={"PCU1": 700})
-    assert motor_speeds.of(store.take(0), observed) == ((None, 40), (None, 40))
+    assert plausibility.of(store.take(0), observed) == ((None, 40), (None, 40))
 
 
 def test_a_stale_speed_is_not_known(store):
     put(store, 30)
-    assert motor_speeds.of(store.take(1001), NO_DEVIATION) == motor_speeds.UNKNOWN
+    assert plausibility.of(store.take(1001), NO_DEVIATION) == plausibility.UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -47,9 +46,9 @@ def test_a_stale_speed_is_not_known(store):
 )
 def test_a_limit_holds_for_both_motors_or_not_at_all(speed, below, at_least):
     for pair in ((speed, 0), (0, speed), (speed, speed)):
-        assert motor_speeds.all_below(pair, 30) is below
+        assert plausibility.all_below(pair, 30) is below
     for pair in ((speed, 60), (60, speed), (speed, speed)):
-        assert motor_speeds.all_at_least(pair, 30) is at_least
+        assert plausibility.all_at_least(pair, 30) is at_least
 
 
 def possible(*speeds_rpm, min_rpm=100.0):

@@ -4,12 +4,11 @@ import pytest
 
 from vcu_gateway.core.causes import Causes, Effect, Finding
 from vcu_gateway.core.demand import ControllerDemand, Demand
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, Tick, lateness_bin
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.snapshot import FUTURE_TOLERANCE_NS, Quality, Snapshot, mark
-from vcu_gateway.core.state import Store
+from vcu_gateway.core.state import FUTURE_TOLERANCE_NS, Quality, Snapshot, Store, mark
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
 MS = 1_000_000

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from tests.core.simulated_drive import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, rule_inputs
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.plausibility import Observed, ThrottleExcess
-from vcu_gateway.core.rule_inputs import RuleInputs
-from vcu_gateway.core.rules import RULES, findings
+from vcu_gateway.core.rules import RULES, RuleInputs, findings
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import MessageSpec
 

@@ -3,8 +3,7 @@
 import pytest
 
 from tests.conftest import payload
-from vcu_gateway.core.snapshot import FUTURE_TOLERANCE_NS, Quality
-from vcu_gateway.core.state import Store
+from vcu_gateway.core.state import FUTURE_TOLERANCE_NS, Quality, Store
 
 MS = 1_000_000
 STATUS = "BMS_Status"

@@ -14,7 +14,7 @@ from tests.core.simulated_drive import (
     data,
 )
 from vcu_gateway.core.codec import Decoded
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.state import Store
 from vcu_gateway.core.stop import ControllerStop, Stop, StopStage, StopWatch
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault

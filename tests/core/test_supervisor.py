@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from vcu_gateway.core.events import Severity
+from vcu_gateway.core.causes import Severity
 from vcu_gateway.core.supervisor import (
     TRANSITIONS,
     FaultClass,

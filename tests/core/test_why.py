@@ -16,8 +16,15 @@ from tests.core.simulated_drive import (
     in_mode,
     standby,
 )
-from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, Finding, HeldCause
-from vcu_gateway.core.coded_signals import BATTERY_EFFECTS, CONTROLLER_EFFECTS
+from vcu_gateway.core.causes import (
+    BATTERY_EFFECTS,
+    BLOCKING,
+    CONTROLLER_EFFECTS,
+    LIMITING,
+    Effect,
+    Finding,
+    HeldCause,
+)
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode
 from vcu_gateway.core.why import LONGEST_CHARACTERS, Explanation, Reasons, next_step

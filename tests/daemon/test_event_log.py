@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Any
 
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.daemon.event_log import EventLog
 
 

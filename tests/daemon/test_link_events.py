@@ -10,7 +10,7 @@ from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.bus.interface import Interface
 from vcu_gateway.bus.netlink import InterfaceDetails
 from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reconnector, Unavailable
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.event_log import EventLog

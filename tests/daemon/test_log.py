@@ -12,7 +12,7 @@ from typing import TextIO
 
 import pytest
 
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.log import QueuedWriter
 

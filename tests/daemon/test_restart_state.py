@@ -12,8 +12,8 @@ from tests.core.simulated_drive import data
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import ControllerDemand, Demand
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings

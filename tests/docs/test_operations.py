@@ -24,8 +24,7 @@ from tests.docs.pages import (
 )
 from vcu_gateway import cli, errors
 from vcu_gateway import config as configuration
-from vcu_gateway.core.causes import Causes, Effect, Finding
-from vcu_gateway.core.events import Event
+from vcu_gateway.core.causes import Causes, Effect, Event, Finding
 from vcu_gateway.core.supervisor import Stimulus, Supervisor
 
 SOURCE = ROOT / "src" / "vcu_gateway"
@@ -106,7 +105,7 @@ def logged(config: Path, until: set[str]) -> list[dict[str, Any]]:
     return lines
 
 
-EVENT = "from vcu_gateway.core.events import Event, Severity\n"
+EVENT = "from vcu_gateway.core.causes import Event, Severity\n"
 
 
 @pytest.mark.parametrize(

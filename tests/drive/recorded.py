@@ -6,8 +6,8 @@ from pathlib import Path
 from tests.core.simulated_drive import PERIOD_NS
 from tests.drive.drive_writer import DriveWriter
 from tests.drive.tapped import TappedDrive
-from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.gateway import TickResult
+from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.drive.hello import Hello
 from vcu_gateway.protocol import packaged
 from vcu_gateway.units import NS_PER_S

@@ -17,8 +17,8 @@ from tests.core.simulated_drive import CODEC, MS, Drive, active, in_mode
 from tests.drive.graphs import DifferenceError, compare
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode

@@ -13,6 +13,7 @@ from tests.core.simulated_drive import MS, ZERO_TORQUE
 from tests.core.test_invariants import ASKED, SETTINGS
 from tests.drive.tapped import TappedDrive, lines_of, parsed
 from vcu_gateway.core import calls
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.demand import (
     CONTROLLERS,
     GRANTED,
@@ -21,7 +22,6 @@ from vcu_gateway.core.demand import (
     PowerMode,
     Refusal,
 )
-from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode

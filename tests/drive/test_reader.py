@@ -12,7 +12,7 @@ from tests.drive.recorded import WALL_NS, RecordedDrive
 from vcu_gateway.core import calls
 from vcu_gateway.core.calls import Receive, RunTick
 from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.drive.checkpoint import restore, state_of

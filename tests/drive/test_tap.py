@@ -12,8 +12,8 @@ from tests.drive.tapped import TappedDrive
 from vcu_gateway import daemon
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.operator_requests import OperatorRequests
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.drive.tap import frame_of, packed_frames
 from vcu_gateway.drive_format import datagram
 from vcu_gateway.drive_format.datagram import (

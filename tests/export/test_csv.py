@@ -9,7 +9,7 @@ import pytest
 
 from tests.export.drives import record
 from tests.export.logs import PROTOCOL, START_NS, Sent, by_cantools, random_frames, write_log
-from vcu_gateway.core.freshness import deadlines
+from vcu_gateway.core.state import deadlines
 from vcu_gateway.export import csv_table
 from vcu_gateway.export.output import written_text
 from vcu_gateway.export.selection import Selection

@@ -10,7 +10,7 @@ import pytest
 
 from tests.export.logs import PROTOCOL, START_NS, line, random_frames
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.export import message_rows
 from vcu_gateway.export.frame_store import FrameStore

@@ -25,10 +25,10 @@ from vcu_gateway.config import Config, digest
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS
-from vcu_gateway.core.snapshot import Quality
+from vcu_gateway.core.state import Quality
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.exporter import prometheus
 

@@ -24,8 +24,8 @@ from tests.core.test_invariants import (
 )
 from tests.faults.machine import resident_kb
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 

@@ -9,7 +9,7 @@ from tests.core.simulated_drive import CODEC
 from tests.drive.drive_writer import DriveWriter
 from tests.golden.scripts import GoldenDrive
 from tests.golden.simulate import begun, settings_of
-from vcu_gateway.core.arrival_time import ClockPair
+from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.drive.hello import Hello
 from vcu_gateway.drive.tap import Tap, TappedGateway
 from vcu_gateway.drive_format import layout

@@ -12,8 +12,8 @@ from tests.core.simulated_drive import CODEC, MS, data
 from vcu_gateway import simulator
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode, RequestResult
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.simulator import faults

@@ -19,7 +19,7 @@ from vcu_gateway.core.calls import (
     Reset,
 )
 from vcu_gateway.core.demand import PowerMode
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame

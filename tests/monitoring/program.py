@@ -15,7 +15,7 @@ from vcu_gateway.config import Config
 from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.drive_format.recorder_status import RecorderStatus

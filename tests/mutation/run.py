@@ -23,7 +23,9 @@ import hypothesis.stateful
 import pytest
 
 from tests.mutation.operators import Mutant, mutants
-from vcu_gateway.core import codec, freshness  # noqa: F401 - imported before the forks
+from vcu_gateway.core import (
+    state,  # noqa: F401 - imported before the forks
+)
 from vcu_gateway.protocol import dbc, packaged
 
 ROOT = Path(__file__).parents[2]

@@ -8,11 +8,11 @@ from tests.drive.drive_writer import DriveWriter
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.core import calls
-from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
+from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.drive.hello import Hello

@@ -12,8 +12,8 @@ import pytest
 from tests.export_libraries import PATIENCE_S, export_folder, with_export_libraries
 from tests.replay.drives import CODEC
 from tests.replay.ran import replay
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.replay.commands import RecordedCommands

@@ -2,7 +2,7 @@
 
 from tests.core.simulated_drive import Drive, standby
 from vcu_gateway.api import openrpc, results
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.server import views
 

@@ -7,8 +7,8 @@ from vcu_gateway import simulator
 from vcu_gateway.core import calls
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.why import Explanation

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from vcu_gateway import simulator
 from vcu_gateway.core import j1939
 from vcu_gateway.core.codec import Codec, Decoded
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator.nodes import ANSWER_DELAY_NS, NodeFrame, Nodes
 from vcu_gateway.simulator.signals import sources

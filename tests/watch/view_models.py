@@ -11,8 +11,8 @@ from tests.simulator.driving import CRUISE, S_NS, START_NS
 from vcu_gateway import simulator
 from vcu_gateway.api.results import Cause, ControllerStopState, Health, StopStageName, StopState
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.protocol import dbc, packaged

@@ -16,7 +16,7 @@ from vcu_gateway.bus.interface import unopened
 from vcu_gateway.bus.reader import Bus, FrameListener, Reader, open_bus
 from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.core import j1939
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.python_can import can

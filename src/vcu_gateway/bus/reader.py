@@ -15,8 +15,8 @@ from typing import Any, Protocol, cast
 from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.bus.timestamps import read_clocks
-from vcu_gateway.core.arrival_time import arrival_ns
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.schedule import arrival_ns
 from vcu_gateway.python_can import can
 from vcu_gateway.units import NS_PER_S, NS_PER_US
 

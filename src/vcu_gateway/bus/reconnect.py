@@ -15,7 +15,7 @@ from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.interface import Interface, Interfaces
 from vcu_gateway.bus.netlink import InterfaceDetails, LinkWatch
 from vcu_gateway.bus.settings import BusSettings
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.units import NS_PER_MS

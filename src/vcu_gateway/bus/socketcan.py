@@ -22,8 +22,8 @@ from can.interfaces.socketcan.socketcan import SocketcanBus
 
 from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.bus.timestamps import read_clocks
-from vcu_gateway.core.arrival_time import arrival_ns, steady
 from vcu_gateway.core.link import ERROR_CLASSES
+from vcu_gateway.core.schedule import arrival_ns, steady
 from vcu_gateway.units import NS_PER_S
 
 _SO_MEMINFO = 55

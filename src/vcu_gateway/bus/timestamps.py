@@ -2,7 +2,7 @@
 
 import time
 
-from vcu_gateway.core.arrival_time import ClockPair
+from vcu_gateway.core.schedule import ClockPair
 
 _CLOSE_ENOUGH_NS = 50_000
 _TRIES = 3

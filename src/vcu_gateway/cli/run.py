@@ -13,7 +13,7 @@ from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports asy
 from vcu_gateway.app import Application
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config.protocol import startable
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.daemon import log, realtime, safe_frames
 from vcu_gateway.daemon.event_log import EventLog
 from vcu_gateway.daemon.loop import TickLoop

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 
 from vcu_gateway.config.model import IDENTIFIER_KEYS, Config
 from vcu_gateway.core import j1939
-from vcu_gateway.core.freshness import deadlines
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.core.state import deadlines
 from vcu_gateway.errors import Problem, did_you_mean
 from vcu_gateway.strict_yaml.problems import FileProblem, problems
 from vcu_gateway.units import NS_PER_MS

@@ -1,7 +1,7 @@
 """Sections of the configuration made from the core's settings."""
 
+import dataclasses
 from collections.abc import Callable
-from dataclasses import MISSING, Field, fields
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_origin, get_type_hints
 
 import pydantic
@@ -27,7 +27,7 @@ def with_settings(section: str) -> Callable[[type[_Made]], type[_Made]]:
     hints = get_type_hints(Settings, include_extras=True)
     added: dict[str, Any] = {
         item.name: (_annotation(hints[item.name], KEYS[item.name].text), _default(item))
-        for item in fields(Settings)
+        for item in dataclasses.fields(Settings)
         if item.name in KEYS and KEYS[item.name].section == section
     }
 
@@ -45,5 +45,5 @@ def _annotation(hint: Any, text: str) -> Any:
     return Annotated[hint, pydantic.Field(description=text, strict=strict)]
 
 
-def _default(item: Field[Any]) -> Any:
-    return item.default if item.default_factory is MISSING else item.default_factory()
+def _default(item: dataclasses.Field[Any]) -> Any:
+    return item.default if item.default_factory is dataclasses.MISSING else item.default_factory()

@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.demand import Demand, RequestResult
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import Carrier, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass

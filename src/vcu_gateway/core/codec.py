@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from vcu_gateway.core import codegen, j1939
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec
 
 _ALL_BITS = struct.Struct("<Q")

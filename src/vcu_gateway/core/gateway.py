@@ -35,31 +35,31 @@ All of it belongs to one thread, the ticking one; any thread may read `snapshot`
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple, Protocol, TypeVar
 
-from vcu_gateway.core import freshness, motor_speeds, rules, why
+from vcu_gateway.core import plausibility, rules, state, why
+from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command, Commander
 from vcu_gateway.core.demand import GRANTED, ControllerDemands, RequestResult
-from vcu_gateway.core.events import Event
-from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.lifecycle import (
+from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
+from vcu_gateway.core.mode_manager import (
     ListenBeforeTalk,
+    ModeManager,
     Qualification,
     Shutdown,
     echoed_directions,
 )
-from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
-from vcu_gateway.core.mode_manager import ModeManager
-from vcu_gateway.core.motor_speeds import RegenerationInterlock
 from vcu_gateway.core.operator_requests import (
     LISTENING,
     OperatorRequests,
     demand_terms,
     reload_refusal,
 )
+from vcu_gateway.core.plausibility import RegenerationInterlock
 from vcu_gateway.core.receive import OWN_NODE, FrameCounters, Receiver
-from vcu_gateway.core.rule_inputs import InputCollector
+from vcu_gateway.core.rules import InputCollector
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.snapshot import Snapshot
+from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.stop import Stop, StopWatch
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Stimulus
 from vcu_gateway.core.transmit import OutFrame, TakenFrame, Transmitter
@@ -102,9 +102,7 @@ class Gateway:
     def __init__(self, codec: Codec, settings: Settings, now_ns: int) -> None:
         self.settings = settings
         deadlines = {
-            message.name: freshness.deadlines(
-                message, settings.late_after_ms, settings.stale_after_ms
-            )
+            message.name: state.deadlines(message, settings.late_after_ms, settings.stale_after_ms)
             for message in codec.protocol.received_by(OWN_NODE)
         }
         late_after_ns = {name: d.late_after_ns for name, d in deadlines.items()}
@@ -118,7 +116,7 @@ class Gateway:
         self._listening = ListenBeforeTalk(now_ns, settings.listen_before_talk_ms)
         self.requests = OperatorRequests(settings, self._modes, self._commander, self._listening)
         self._regeneration = RegenerationInterlock()
-        self._speeds = motor_speeds.UNKNOWN
+        self._speeds = plausibility.UNKNOWN
         self._qualification = Qualification()
         self._shutdown = Shutdown()
         self._stop_watch = StopWatch(self.transmitter.power_cut_bits())
@@ -265,7 +263,7 @@ class Gateway:
         modes.update(rules.findings(inputs), settings.clear_hold_ms * NS_PER_MS, now_ns)
         self._supervise(snapshot, settings)
         self._stop_watch.follow(self._latched_cut, self.receiver.echoes)
-        self._speeds = motor_speeds.of(snapshot, inputs.observed)
+        self._speeds = plausibility.of(snapshot, inputs.observed)
         commands = self._decide(settings, now_ns)
         frames = self._frames(commands, now_ns) if talking else ()
         sent.emitted = bool(frames)
@@ -299,7 +297,7 @@ class Gateway:
         mode = self.supervisor.mode
         effects, demanded = self.causes.effects(), self.requests.demanded(now_ns)
         regenerates = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
-        slow = motor_speeds.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
+        slow = plausibility.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
         if mode is Mode.ACTIVE and demanded is not None:
             return self._commander.active(
                 demanded,

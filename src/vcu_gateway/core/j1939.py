@@ -1,6 +1,29 @@
-"""J1939 identifiers: their fields and what makes two of them the same message."""
+"""CAN frame and its J1939 identifier."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
+
+
+@dataclass(slots=True)
+class Frame:
+    """One received frame; not changed after it was made.
+
+    Attributes:
+        can_id: identifier without flags, 11 or 29 bits.
+        data: payload, 0..64 bytes.
+        arrival_ns: the kernel's arrival stamp on the monotonic clock.
+        extended, remote, error: kind of frame.
+        own_echo: our own frame, come back because it has left (MSG_CONFIRM).
+    """
+
+    can_id: int
+    data: bytes | bytearray
+    arrival_ns: int
+    extended: bool = True
+    remote: bool = False
+    error: bool = False
+    own_echo: bool = False
+
 
 ID_MASK = 0x1FFF_FFFF
 """29 bits; anything above is a flag of SocketCAN, not an identifier (docs/protocol.md E2)."""

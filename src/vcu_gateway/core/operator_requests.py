@@ -7,7 +7,7 @@ in ACTIVE has latched its fault before a request ends the drive in another way.
 import dataclasses
 from typing import NamedTuple
 
-from vcu_gateway.core.causes import BLOCKING, Causes
+from vcu_gateway.core.causes import BLOCKING, Causes, Event, Severity
 from vcu_gateway.core.commands import Commander
 from vcu_gateway.core.demand import (
     BENCH_SOURCE,
@@ -21,9 +21,7 @@ from vcu_gateway.core.demand import (
     directions_differ,
     refused,
 )
-from vcu_gateway.core.events import Event, Severity
-from vcu_gateway.core.lifecycle import ListenBeforeTalk
-from vcu_gateway.core.mode_manager import ModeManager
+from vcu_gateway.core.mode_manager import ListenBeforeTalk, ModeManager
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 from vcu_gateway.units import NS_PER_MS

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import CONTROLLERS
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkMonitor
 from vcu_gateway.core.state import Store
 

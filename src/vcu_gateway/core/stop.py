@@ -9,8 +9,8 @@ from enum import Enum
 from typing import NamedTuple
 
 from vcu_gateway.core.demand import CONTROLLERS
-from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.snapshot import FUTURE_TOLERANCE_NS, LatestFrame, Snapshot
+from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.state import FUTURE_TOLERANCE_NS, LatestFrame, Snapshot
 from vcu_gateway.core.supervisor import LatchedFault
 from vcu_gateway.units import NS_PER_MS
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from vcu_gateway.core.events import Event
+from vcu_gateway.core.causes import Event
 
 _ENTRIES = 200
 

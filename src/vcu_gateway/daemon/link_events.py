@@ -10,7 +10,7 @@ from vcu_gateway.bus.reconnect import (
     interface_warnings,
 )
 from vcu_gateway.core.calls import ChangeCarrier, LoseLink, OpenLink
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.daemon.event_log import EventLog

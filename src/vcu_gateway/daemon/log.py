@@ -10,7 +10,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Literal, TextIO
 
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.lean_imports import hidden
 
 # structlog imports these where they are installed, for tracebacks and threads that are not here.

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.reconnect import Reconnector
 from vcu_gateway.core.calls import EmergencyStop, NoteSent, Terminate
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.demand import RequestResult
-from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.stop import Stop

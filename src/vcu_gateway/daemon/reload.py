@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.calls import ReloadSettings
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.settings import KEYS, Reload, Settings, loosened
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.supervisor import Mode

@@ -18,8 +18,8 @@ from urllib.parse import quote
 from vcu_gateway import files
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.calls import BeginFrom, NoteRestartState
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.demand import CONTROLLERS
-from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.rules import EMERGENCY_STOP
 from vcu_gateway.core.schedule import Tick

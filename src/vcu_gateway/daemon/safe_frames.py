@@ -4,7 +4,7 @@ import contextlib
 from pathlib import Path
 
 from vcu_gateway import files
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.event_log import EventLog

@@ -1,6 +1,6 @@
 """Stop events: each change of what is known of a latched CUT, once."""
 
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.stop import GAP_NS, Stop, StopStage
 from vcu_gateway.daemon.event_log import EventLog
 

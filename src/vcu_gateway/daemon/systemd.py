@@ -9,7 +9,7 @@ from pathlib import Path
 
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.core.calls import CountRestarts
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.why import Explanation

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.loop import TickLoop

@@ -13,8 +13,8 @@ import time
 
 from vcu_gateway import simulator
 from vcu_gateway.app import Application
+from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.events import Event
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.demo import config as demo_config

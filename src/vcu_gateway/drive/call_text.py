@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from vcu_gateway.core import calls
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import CoreCall
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings

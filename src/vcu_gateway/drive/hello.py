@@ -5,7 +5,7 @@ import platform
 from typing import Any, NamedTuple
 
 from vcu_gateway import __version__
-from vcu_gateway.core.arrival_time import ClockPair
+from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.drive.settings_json import settings_json
 from vcu_gateway.drive_format import datagram

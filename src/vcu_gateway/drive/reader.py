@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.core.arrival_time import ClockPair
 from vcu_gateway.core.calls import Receive
+from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.drive.records import CoreRecord, FrameRun, InputRecord
 from vcu_gateway.drive.segment_reader import SegmentReader

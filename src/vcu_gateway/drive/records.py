@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from vcu_gateway.core.causes import Event
 from vcu_gateway.core.demand import RequestResult
-from vcu_gateway.core.events import Event
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import CoreCall
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.drive.core_line_parser import LineParser, Placed
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, TickRecord
 from vcu_gateway.drive_format.layout import SegmentFiles

@@ -6,10 +6,10 @@ It behaves as the core does, and costs an append a frame. Belongs to the ticking
 from typing import NamedTuple, TypeVar
 
 from vcu_gateway.core.calls import Receive, RunTick
+from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.events import Event
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.drive.core_lines import NotedCall
 from vcu_gateway.drive.records import ShellEvent, WhyRecord

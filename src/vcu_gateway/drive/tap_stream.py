@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.drive import checkpoint
 from vcu_gateway.drive.core_lines import LineWriter
 from vcu_gateway.drive.records import Checkpoint, WhyRecord

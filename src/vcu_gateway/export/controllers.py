@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.codec import Decoded
-from vcu_gateway.core.freshness import deadlines
 from vcu_gateway.core.spec import SignalSpec
+from vcu_gateway.core.state import deadlines
 from vcu_gateway.export.message_rows import MessageRows
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.tables import Channel, Chunk, Table

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.events import Event
 from vcu_gateway.drive.checkpoint import StateError, restore
 from vcu_gateway.drive.core_line_parser import LineError, LineParser
 from vcu_gateway.drive.reader import clock_of

@@ -4,7 +4,7 @@ import io
 from typing import NamedTuple
 
 from vcu_gateway.core.codec import Codec, MessageCodec, Reason
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES
 from vcu_gateway.export.message_rows import MessageRows
 from vcu_gateway.recording import candump

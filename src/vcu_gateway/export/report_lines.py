@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.core.freshness import deadlines
 from vcu_gateway.core.spec import SignalSpec
+from vcu_gateway.core.state import deadlines
 from vcu_gateway.export.lines import GAP, LARGEST_CODE, CodeLine, LineBuilder
 from vcu_gateway.export.message_rows import MessageRows
 from vcu_gateway.export.selection import Selection

@@ -5,7 +5,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from vcu_gateway.core.events import Severity
+from vcu_gateway.core.causes import Severity
 from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.export.decisions import MODES, Decisions
 from vcu_gateway.export.message_rows import CHUNK_ROWS, MessageRows, RowChunk

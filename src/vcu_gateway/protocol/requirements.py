@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple, TypeVar
 
 from vcu_gateway.core import commands
-from vcu_gateway.core.coded_signals import BATTERY_EFFECTS, CONTROLLER_EFFECTS
+from vcu_gateway.core.causes import BATTERY_EFFECTS, CONTROLLER_EFFECTS
 from vcu_gateway.core.demand import CONTROLLERS, PowerMode
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec

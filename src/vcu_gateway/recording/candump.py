@@ -10,7 +10,7 @@ from binascii import unhexlify
 from collections.abc import Iterator
 
 from vcu_gateway.core import j1939
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.recording.lines import LineReader
 from vcu_gateway.recording.problems import LineProblems, Verdict
 from vcu_gateway.recording.recorded import RecordedFrame

@@ -9,7 +9,7 @@ from vcu_gateway.python_can import can, mf4_reader
 from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
 
 from vcu_gateway.core import j1939
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.recording.lines import LineReader
 from vcu_gateway.recording.problems import LineProblems, Verdict
 from vcu_gateway.recording.recorded import RecordedFrame

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 
 
 class RecordedFrame(NamedTuple):

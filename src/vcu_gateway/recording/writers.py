@@ -12,8 +12,8 @@ from decimal import Decimal
 from functools import lru_cache
 
 from vcu_gateway.core.codec import Decoded
-from vcu_gateway.core.snapshot import Quality, mark
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
+from vcu_gateway.core.state import Quality, mark
 from vcu_gateway.units import NS_PER_S
 
 # Codes of one signal whose texts are kept; 16-bit noise must not fill the memory.

@@ -8,8 +8,8 @@ from vcu_gateway import simulator
 from vcu_gateway.core import calls
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
 from vcu_gateway.replay.commands import CommandSeries

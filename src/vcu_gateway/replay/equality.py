@@ -14,11 +14,11 @@ from collections import Counter
 from typing import Any, NamedTuple
 
 from vcu_gateway.core.calls import WORDS, NoteSent, RunTick
+from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
-from vcu_gateway.core.events import Event
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.drive import checkpoint
 from vcu_gateway.drive.records import (
     Checkpoint,

@@ -9,8 +9,8 @@ from typing import Any
 
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import CoreCall
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass

@@ -12,8 +12,8 @@ from vcu_gateway.core import j1939
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import message_name
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame

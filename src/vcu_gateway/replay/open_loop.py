@@ -10,8 +10,8 @@ import json
 from vcu_gateway.core import calls
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
-from vcu_gateway.core.frame import Frame
 from vcu_gateway.core.gateway import CoreCall, Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive import checkpoint

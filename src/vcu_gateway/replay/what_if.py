@@ -14,10 +14,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from vcu_gateway.core.causes import BLOCKING, LIMITING, HeldCause
+from vcu_gateway.core.causes import BLOCKING, LIMITING, Event, HeldCause
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
-from vcu_gateway.core.events import Event
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.drive.cause_spans import CauseKey, CauseSpan, CauseSpans

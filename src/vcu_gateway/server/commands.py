@@ -7,6 +7,7 @@ from typing import Any, cast
 from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.core import calls
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.demand import (
     CONTROLLERS,
     ControllerDemand,
@@ -16,7 +17,6 @@ from vcu_gateway.core.demand import (
     RequestResult,
     refused,
 )
-from vcu_gateway.core.events import Event, Severity
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.daemon.event_log import LoggedEvent

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from vcu_gateway import config as configuration
 from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.daemon.reload import ReloadOutcome
 from vcu_gateway.rate_limit import LogRateLimit
 from vcu_gateway.server import queries

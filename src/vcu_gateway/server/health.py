@@ -13,7 +13,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.api import results
 from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.config import Config
-from vcu_gateway.core.events import Event, Severity
+from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, percentile_ns
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restarts import CountedStart

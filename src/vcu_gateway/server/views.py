@@ -8,8 +8,8 @@ from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.demand import Demand
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.core.snapshot import Reading, Snapshot
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
+from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.stop import Stop
 from vcu_gateway.core.summary import summary
 from vcu_gateway.core.supervisor import Mode

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from vcu_gateway.core.codec import Codec, MessageCodec, Reason
-from vcu_gateway.core.frame import Frame
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.simulator.signals import Source, sources
 from vcu_gateway.simulator.vehicle import Vehicle

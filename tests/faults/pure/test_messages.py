@@ -30,8 +30,8 @@ from tests.faults.machine import resident_kb
 from vcu_gateway import config as configuration
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
-from vcu_gateway.core.frame import Frame
-from vcu_gateway.core.snapshot import Quality
+from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.state import Quality
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.errors import ConfigError, DataError
 from vcu_gateway.protocol import definition, packaged
