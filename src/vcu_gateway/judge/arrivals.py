@@ -5,8 +5,7 @@ from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 from vcu_gateway.judge import wire
-from vcu_gateway.judge.limits import VerdictLimits
-from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MS, PERCENT_PER_BIT, REVERSE
+from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MS, PERCENT_PER_BIT, REVERSE, VerdictLimits
 
 _SENT_FRAMES = 80
 _THROTTLE_WINDOW_NS = 1_000 * MS

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.judge.causes import CUT, POWER_LIMIT, REGEN_LIMIT, REGEN_OFF, STOP, TURBO_OFF
-from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
 from vcu_gateway.judge.wire import (
     CONTROLLERS,
     LENGTH,
@@ -17,6 +16,8 @@ from vcu_gateway.judge.wire import (
     REVERSE,
     SAFETY_MODE,
     CommandBytes,
+    JudgedDemand,
+    VerdictLimits,
 )
 
 _FULL_PCT = 100.0

@@ -2,8 +2,7 @@
 
 from typing import NamedTuple
 
-from vcu_gateway.judge.limits import JudgedDemand, JudgedDemands
-from vcu_gateway.judge.wire import MS
+from vcu_gateway.judge.wire import MS, JudgedDemand, JudgedDemands
 
 _TRACKS_PCT, _TRACKS_NS = 10.0, 100 * MS
 _RELEASED_PCT = 5.0
