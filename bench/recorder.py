@@ -20,8 +20,8 @@ from typing import NamedTuple
 from bench.figures import Figure, Options, alone, counts_finely
 from bench.traffic import NOMINAL_PER_S, SATURATED_PER_S, second_at_rest, wire_parts
 from bench.wire import cpu_ns, resident_mb
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import TickHeader
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.datagram import TickHeader
 from vcu_gateway.units import NS_PER_S, NS_PER_US
 
 _TICKS_PER_S = 20

@@ -22,11 +22,10 @@ from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.schedule import ClockPair
-from vcu_gateway.drive.hello import Hello
-from vcu_gateway.drive.reader import Drive, open_drive
-from vcu_gateway.drive.records import CoreRecord, FrameRun
-from vcu_gateway.drive.tap import Tap, TappedGateway
 from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.recording.core_lines import CoreRecord, FrameRun
+from vcu_gateway.recording.reader import Drive, open_drive
+from vcu_gateway.recording.tap import Hello, Tap, TappedGateway
 from vcu_gateway.replay import configuration as of_replay
 from vcu_gateway.replay.equality import EqualityCheck
 from vcu_gateway.replay.judged import JudgedRecords

@@ -28,8 +28,8 @@ from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_fol
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
 from vcu_gateway.daemon.tap_hello import TapHello
 from vcu_gateway.daemon.tap_socket import RecorderTap
-from vcu_gateway.drive.tap import Tap, TappedGateway
 from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.recording.tap import Tap, TappedGateway
 from vcu_gateway.server import health
 from vcu_gateway.server.context import ServerContext
 from vcu_gateway.server.dispatch import Dispatcher

@@ -19,10 +19,10 @@ from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.drive.core_line_parser import LineParser, Placed
-from vcu_gateway.drive.settings_json import settings_of
-from vcu_gateway.drive.tap import TappedGateway
-from vcu_gateway.drive_format import datagram
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.call_text import settings_of
+from vcu_gateway.recording.core_lines import LineParser, Placed
+from vcu_gateway.recording.tap import TappedGateway
 
 CHECKPOINT = b'{"checkpoint":'
 

@@ -28,9 +28,8 @@ from vcu_gateway.core.codec import Codec, compile_message
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.recording.recording import open_recording
-from vcu_gateway.recording.summary import Tally
-from vcu_gateway.recording.writers import FORMATS, FrameWriter
+from vcu_gateway.recording.decoded import FORMATS, FrameWriter, Tally
+from vcu_gateway.recording.log import open_recording
 
 PROTOCOL = dbc.load(packaged("vcu.dbc"))
 CODEC = Codec(PROTOCOL)

@@ -10,12 +10,17 @@ from typing import Any, NamedTuple
 from tests.core.test_invariants import CODEC
 from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.drive.checkpoint import restore, state_of
-from vcu_gateway.drive.core_line_parser import LineParser
-from vcu_gateway.drive.records import Checkpoint, ShellEvent, TickRecord, WhyRecord
-from vcu_gateway.drive.tap import frame_of
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import HelloPart, HelloText, TickDatagram
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.checkpoint import restore, state_of
+from vcu_gateway.recording.core_lines import (
+    Checkpoint,
+    LineParser,
+    ShellEvent,
+    TickRecord,
+    WhyRecord,
+)
+from vcu_gateway.recording.datagram import HelloPart, HelloText, TickDatagram
+from vcu_gateway.recording.tap import frame_of
 
 _LONGEST_BYTES = 1 << 20
 

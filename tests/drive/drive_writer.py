@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from vcu_gateway.drive.tap import TappedGateway, recorded_frame
-from vcu_gateway.drive.tap_stream import TapStream
-from vcu_gateway.drive_format import layout, lock
-from vcu_gateway.drive_format.candump import CandumpLines
-from vcu_gateway.drive_format.datagram import FrameRecord
-from vcu_gateway.drive_format.segment import SegmentWriter
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.candump_lines import CandumpLines
+from vcu_gateway.recording.datagram import FrameRecord
+from vcu_gateway.recording.segment import SegmentWriter
+from vcu_gateway.recording.tap import TappedGateway, TapStream, recorded_frame
 from vcu_gateway.units import NS_PER_S
 
 _SEGMENT_NS = 60 * NS_PER_S
@@ -35,7 +34,7 @@ class DriveWriter:
     ) -> None:
         layout.create_folder(folder, layout.drive_files(hello))
         self.folder = folder
-        self._hold = lock.hold(folder)
+        self._hold = layout.hold(folder)
         self._distance_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
         self._line = CandumpLines(hello["channel"]).line
         self._gateway = gateway

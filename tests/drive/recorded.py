@@ -8,8 +8,8 @@ from tests.drive.drive_writer import DriveWriter
 from tests.drive.tapped import TappedDrive
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import ClockPair
-from vcu_gateway.drive.hello import Hello
 from vcu_gateway.protocol import packaged
+from vcu_gateway.recording.tap import Hello
 from vcu_gateway.units import NS_PER_S
 
 WALL_NS = 1_763_920_000 * NS_PER_S + 123_456_789

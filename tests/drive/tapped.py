@@ -4,9 +4,8 @@ from typing import Any
 
 from tests.core.simulated_drive import CODEC, Drive
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.drive.core_line_parser import LineParser, Placed
-from vcu_gateway.drive.core_lines import LineWriter
-from vcu_gateway.drive.tap import Tap, TappedGateway
+from vcu_gateway.recording.core_lines import LineParser, LineWriter, Placed
+from vcu_gateway.recording.tap import Tap, TappedGateway
 
 
 class TappedDrive(Drive):

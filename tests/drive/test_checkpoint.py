@@ -22,7 +22,7 @@ from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.drive.checkpoint import StateError, restore, state_of
+from vcu_gateway.recording.checkpoint import StateError, restore, state_of
 
 # Decides nothing; the frames that follow a checkpoint tell it anew.
 MADE_AGAIN = ("_arrived", "taken", "echoes", "_stop_watch")

@@ -26,10 +26,19 @@ from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.drive.core_line_parser import LineError, LineParser, Placed
-from vcu_gateway.drive.core_lines import LineWriter, NotedCall
-from vcu_gateway.drive.records import Gap, InputRecord, ShellEvent, TickRecord, WhyRecord
-from vcu_gateway.drive.settings_json import settings_json, settings_of
+from vcu_gateway.recording.call_text import settings_json, settings_of
+from vcu_gateway.recording.core_lines import (
+    Gap,
+    InputRecord,
+    LineError,
+    LineParser,
+    LineWriter,
+    NotedCall,
+    Placed,
+    ShellEvent,
+    TickRecord,
+    WhyRecord,
+)
 
 NOW = 1_000_950_000_000
 BOTH = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=12.5))

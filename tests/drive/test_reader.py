@@ -15,12 +15,12 @@ from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.drive.checkpoint import restore, state_of
-from vcu_gateway.drive.reader import Drive, open_drive
-from vcu_gateway.drive.records import Checkpoint, Gap, InputRecord, TickRecord, WhyRecord
-from vcu_gateway.drive_format import lock
 from vcu_gateway.errors import DataError, MissingInputError
-from vcu_gateway.recording.recording import open_recording
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.checkpoint import restore, state_of
+from vcu_gateway.recording.core_lines import Checkpoint, Gap, InputRecord, TickRecord, WhyRecord
+from vcu_gateway.recording.log import open_recording
+from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.units import NS_PER_S
 
 
@@ -261,9 +261,9 @@ def test_a_description_that_cannot_be_used_names_who_wrote_it(recorded, tmp_path
 
 def test_a_drive_is_held_while_it_is_written(tmp_path):
     drive = RecordedDrive(tmp_path / "drive")
-    assert lock.is_held(tmp_path / "drive")
+    assert layout.is_held(tmp_path / "drive")
     drive.close()
-    assert not lock.is_held(tmp_path / "drive")
+    assert not layout.is_held(tmp_path / "drive")
 
 
 def test_the_wall_clock_of_a_checkpoint_is_that_of_its_tick(recorded):

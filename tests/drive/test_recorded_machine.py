@@ -13,13 +13,11 @@ from hypothesis.stateful import run_state_machine_as_test
 from tests.core.test_invariants import CODEC, COUNTS, GatewayMachine
 from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.drive.checkpoint import restore, state_of
-from vcu_gateway.drive.core_line_parser import LineParser, Placed
-from vcu_gateway.drive.records import Checkpoint, TickRecord, WhyRecord
-from vcu_gateway.drive.tap import Tap, TappedGateway, frame_of, packed_frames
-from vcu_gateway.drive.tap_stream import TapStream
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import TickDatagram, TickHeader
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.checkpoint import restore, state_of
+from vcu_gateway.recording.core_lines import Checkpoint, LineParser, Placed, TickRecord, WhyRecord
+from vcu_gateway.recording.datagram import TickDatagram, TickHeader
+from vcu_gateway.recording.tap import Tap, TappedGateway, TapStream, frame_of, packed_frames
 
 EXAMPLES = 6
 

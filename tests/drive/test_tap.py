@@ -17,7 +17,7 @@ from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.operator_requests import OperatorRequests
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.drive.tap import Tap, TappedGateway
+from vcu_gateway.recording.tap import Tap, TappedGateway
 
 READING: dict[type, set[str]] = {
     Gateway: {"apply", "snapshot", "safe_frames", "why", "reasons", "stop"},

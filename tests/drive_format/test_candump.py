@@ -5,9 +5,9 @@ import random
 
 import can
 
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.candump import CandumpLines
-from vcu_gateway.drive_format.datagram import TickHeader
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.candump_lines import CandumpLines
+from vcu_gateway.recording.datagram import TickHeader
 
 CLOCK_NS = 1_763_000_000_000_000_000
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.drive_format import chain, layout
-from vcu_gateway.drive_format.chain import Break, BreakKind, Linked
-from vcu_gateway.drive_format.members import NO_LINK, MemberDamage, digest_of, packed, read_members
+from vcu_gateway.recording import chain, layout
+from vcu_gateway.recording.chain import Break, BreakKind, Linked
+from vcu_gateway.recording.members import NO_LINK, MemberDamage, digest_of, packed, read_members
 
 ROOT = Path(__file__).resolve().parents[2]
 SEGMENTS, SECONDS = 3, 6

@@ -7,15 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcu_gateway.core.j1939 import Frame
-from vcu_gateway.drive.tap import frame_of, packed_frames
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import (
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.datagram import (
     DatagramError,
     HelloPart,
     HelloText,
     TickDatagram,
     TickHeader,
 )
+from vcu_gateway.recording.tap import frame_of, packed_frames
 
 HEADER = TickHeader(sequence=7, frames=2**40, datagrams_lost=3, frames_lost=2**33)
 LINES = '{"f":0,"tick":1,"frames":[]}\n{"f":2,"why":"größer"}\n'

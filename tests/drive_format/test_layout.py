@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import DataError, MissingInputError
+from vcu_gateway.recording import layout
 
 WALL_NS = 1_795_456_452_000_000_000
 

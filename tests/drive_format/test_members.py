@@ -8,9 +8,9 @@ import zlib
 
 import pytest
 
-from vcu_gateway.drive_format import members
-from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
-from vcu_gateway.drive_format.segment import MemberFile
+from vcu_gateway.recording import members
+from vcu_gateway.recording.members import Member, MemberDamage, read_members
+from vcu_gateway.recording.segment import MemberFile
 
 LINES = 50
 

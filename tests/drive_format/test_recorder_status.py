@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from tests.recorder.gateway import Gateway, RecorderProcess
-from vcu_gateway.drive_format.recorder_status import read_status
 from vcu_gateway.errors import DataError, UnavailableError
+from vcu_gateway.recording.recorder_status import read_status
 
 
 @pytest.fixture(scope="module")

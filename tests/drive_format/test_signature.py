@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from vcu_gateway.drive_format import signature
-from vcu_gateway.drive_format.signature import SignatureError
+from vcu_gateway.recording import signature
+from vcu_gateway.recording.signature import SignatureError
 
 TEXT = signature.link_text("1f3a9c2e", 3, bytes(range(32)))
 

@@ -13,7 +13,7 @@ from tests.export.logs import random_frames, write_log
 from tests.replay.drives import ordinary
 from vcu_gateway import cli
 from vcu_gateway.errors import GatewayError
-from vcu_gateway.recordings import names
+from vcu_gateway.recording import folder
 
 
 class Ran(NamedTuple):
@@ -153,7 +153,7 @@ def test_a_time_of_which_there_is_nothing_is_refused_and_nothing_is_written(log)
 
 
 def test_a_recording_is_found_by_its_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(names, "DEFAULT_FOLDER", tmp_path / "kept")
+    monkeypatch.setattr(folder, "DEFAULT_FOLDER", tmp_path / "kept")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "kept" / "drives").mkdir(parents=True)
     made = ordinary(tmp_path / "kept" / "drives" / "20261123T180412Z-1f3a9c2e", seconds=1.0)

@@ -15,9 +15,8 @@ from vcu_gateway.errors import UnavailableError
 from vcu_gateway.export import message_rows
 from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.export.source import ReadOptions, Source, read
-from vcu_gateway.recording.problems import LineProblems
-from vcu_gateway.recording.recorded import RecordedFrame
-from vcu_gateway.recording.recording import open_recording
+from vcu_gateway.recording.candump import LineProblems, RecordedFrame
+from vcu_gateway.recording.log import open_recording
 from vcu_gateway.time_window import Window, moment
 
 CODEC = Codec(PROTOCOL)

@@ -17,7 +17,7 @@ from pathlib import Path
 from tests.golden.every import DRIVES
 from tests.golden.recording import FOLDER, contents, link_dbc, record
 from tests.golden.replayed import Replayed, replay
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 CHANGES = FOLDER.parent / "CHANGES.md"
 HEADING = "# What the golden drives were last accepted for\n"

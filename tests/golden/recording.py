@@ -10,11 +10,10 @@ from tests.drive.drive_writer import DriveWriter
 from tests.golden.scripts import GoldenDrive
 from tests.golden.simulate import begun, settings_of
 from vcu_gateway.core.schedule import ClockPair
-from vcu_gateway.drive.hello import Hello
-from vcu_gateway.drive.tap import Tap, TappedGateway
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.members import Member, read_members
 from vcu_gateway.protocol import packaged
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.members import Member, read_members
+from vcu_gateway.recording.tap import Hello, Tap, TappedGateway
 from vcu_gateway.units import NS_PER_S
 
 DBC = Path(__file__).parents[2] / "dbc" / "vcu.dbc"

@@ -6,8 +6,8 @@ from tests.core.simulated_drive import CODEC
 from tests.golden.recording import FOLDER
 from tests.golden.scripts import GoldenDrive
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.drive.reader import open_drive
 from vcu_gateway.errors import GatewayError
+from vcu_gateway.recording.reader import open_drive
 from vcu_gateway.replay.equality import Equality, EqualityCheck
 from vcu_gateway.units import NS_PER_S
 

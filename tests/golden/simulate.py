@@ -9,9 +9,8 @@ from tests.golden.scripts import GoldenDrive
 from vcu_gateway.config import core_settings, parse
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.drive.core_lines import LineWriter
-from vcu_gateway.drive.records import WhyRecord
-from vcu_gateway.drive.tap import Tap, TappedGateway
+from vcu_gateway.recording.core_lines import LineWriter, WhyRecord
+from vcu_gateway.recording.tap import Tap, TappedGateway
 from vcu_gateway.simulator.scenario import load
 
 WHY_EVERY_TICKS = 20

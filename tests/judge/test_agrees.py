@@ -8,8 +8,8 @@ from tests.core import test_invariants
 from tests.core.test_invariants import GatewayMachine
 from tests.replay.tapped import records
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.drive.tap import Tap, TappedGateway
 from vcu_gateway.protocol import DEFAULT_ALIASES
+from vcu_gateway.recording.tap import Tap, TappedGateway
 from vcu_gateway.replay.judged import JudgedRecords
 
 FIRST_SETTINGS: dict[int, Settings] = {}

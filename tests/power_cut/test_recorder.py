@@ -9,7 +9,7 @@ import pytest
 
 from tests.lab.powered import Powered, afterwards, make_disk
 from tests.recorder.gateway import core_lines
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 pytestmark = [
     pytest.mark.skipif("VCU_LAB" in os.environ, reason="inside the lab already"),

@@ -16,7 +16,7 @@ from tests.faults.breakable_vehicle import Breaking
 from tests.faults.driving import BusStand
 from tests.recorder.gateway import core_lines, recorded_frames
 from tests.vcan.conftest import Forked, Process, ended_after, program, wait_until
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 NS_PER_S = 1_000_000_000
 # An incident that ends with its drive, or begins with it, is as long as the drive is.

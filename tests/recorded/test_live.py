@@ -25,9 +25,9 @@ from tests.recorded.stand import (
 )
 from tests.vcan.conftest import Process, wait_until
 from vcu_gateway.core.calls import NoteSent
-from vcu_gateway.drive.reader import open_drive
-from vcu_gateway.drive.records import InputRecord, TickRecord
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.core_lines import InputRecord, TickRecord
+from vcu_gateway.recording.reader import open_drive
 
 # `make recorded-soak MINUTES=10` is the long one.
 ASKED_S = os.environ.get("VCU_RECORDED_SOAK_S")

@@ -13,10 +13,10 @@ import time
 import uuid
 from pathlib import Path
 
-from vcu_gateway.drive_format import chain, datagram, layout
-from vcu_gateway.drive_format.chain import Break, BreakKind
-from vcu_gateway.drive_format.datagram import TickHeader
-from vcu_gateway.drive_format.members import Member, MemberDamage, read_members
+from vcu_gateway.recording import chain, datagram, layout
+from vcu_gateway.recording.chain import Break, BreakKind
+from vcu_gateway.recording.datagram import TickHeader
+from vcu_gateway.recording.members import Member, MemberDamage, read_members
 
 TICK_S = 0.05
 IDS = [0x18FF0000 | index << 8 for index in range(18)]

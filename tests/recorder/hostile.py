@@ -14,8 +14,8 @@ import sys
 import time
 
 from tests.recorder.gateway import Gateway
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import TickHeader
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.datagram import TickHeader
 
 HELD = 15
 LINES = [

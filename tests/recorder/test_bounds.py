@@ -7,11 +7,11 @@ import subprocess
 
 import pytest
 
-from vcu_gateway.drive_format.datagram import DatagramError, TickHeader, packed_tick, tick_parts
 from vcu_gateway.recorder import bounds
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.senders import RunOwners, Sender
+from vcu_gateway.recording.datagram import DatagramError, TickHeader, packed_tick, tick_parts
 
 HELLO = {
     "format": 1,

@@ -20,12 +20,6 @@ from tests.recorder.gateway import (
     members,
     recorded_frames,
 )
-from vcu_gateway.drive_format import chain, datagram, layout, signature
-from vcu_gateway.drive_format.chain import BreakKind, Linked
-from vcu_gateway.drive_format.datagram import TickHeader
-from vcu_gateway.drive_format.members import NO_LINK, packed
-from vcu_gateway.drive_format.recorder_status import RecorderTotals
-from vcu_gateway.drive_format.segment_lines import CoreLineError, begin_of
 from vcu_gateway.recorder import resume
 from vcu_gateway.recorder.backlog import Backlog
 from vcu_gateway.recorder.disk import Disk
@@ -35,6 +29,12 @@ from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.ring import Ring
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
+from vcu_gateway.recording import chain, datagram, layout, signature
+from vcu_gateway.recording.chain import BreakKind, Linked
+from vcu_gateway.recording.datagram import TickHeader
+from vcu_gateway.recording.members import NO_LINK, packed
+from vcu_gateway.recording.recorder_status import RecorderTotals
+from vcu_gateway.recording.segment import CoreLineError, begin_of
 
 HELLO: dict[str, Any] = {
     "run": "1f3a9c2e4b",

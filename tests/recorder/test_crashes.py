@@ -8,7 +8,7 @@ import pytest
 
 from tests.recorder.faulty_disk import FaultyDisk
 from tests.recorder.gateway import account, core_lines, damage, drives, recorded_frames
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 FRAMES_PER_S = 18 / 0.05
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.recorder.faulty_disk import FaultyDisk
 from tests.recorder.gateway import account, core_lines, drives
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 
 @pytest.fixture

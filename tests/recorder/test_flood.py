@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.recorder.gateway import account, breaks, drives
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 ROOT = Path(__file__).parent.parent.parent
 MEMORY_MAX = 128 << 20

@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 
 from tests.recorder.gateway import account, drives, incidents
-from vcu_gateway.drive_format import datagram, layout
-from vcu_gateway.drive_format.datagram import TickHeader
 from vcu_gateway.recorder import senders
 from vcu_gateway.recorder.senders import Refusals
+from vcu_gateway.recording import datagram, layout
+from vcu_gateway.recording.datagram import TickHeader
 
 UNIT = Path(__file__).parents[2] / "systemd/vcu-gateway-recorder.service"
 MEMORY_MAX_KB = int(re.search(r"^MemoryMax=(\d+)M$", UNIT.read_text(), re.MULTILINE)[1]) << 10

@@ -12,7 +12,7 @@ import time
 import pytest
 
 from tests.recorder.gateway import account, core_lines, drives, incidents
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 SHORT = ("--incident-before-s", "60", "--incident-after-s", "1.5")
 

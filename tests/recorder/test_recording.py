@@ -12,7 +12,7 @@ import pytest
 
 from tests.driven import wait_until
 from tests.recorder.gateway import Gateway, account, core_lines, damage, drives, members
-from vcu_gateway.drive_format import datagram, layout, lock
+from vcu_gateway.recording import datagram, layout
 
 
 def test_every_frame_is_recorded_in_order(recorder, gateway, tmp_path):
@@ -206,10 +206,10 @@ def test_the_drive_is_held_while_it_is_written(recorder, gateway, tmp_path):
     wait_until(lambda: drives(tmp_path), "the drive's folder")
     vehicle.drive(0.3)
     (drive,) = drives(tmp_path)
-    assert lock.is_held(drive)
+    assert layout.is_held(drive)
     vehicle.close()
     process.wait_for(lambda status: not status["connections"])
-    wait_until(lambda: not lock.is_held(drive), "it is held no more")
+    wait_until(lambda: not layout.is_held(drive), "it is held no more")
 
 
 def test_what_gateways_still_send_after_sigterm_is_recorded(recorder, gateway, tmp_path):

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from tests.recorder.gateway import Gateway, account, core_lines, drives
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 SEGMENT_FRAMES = 6000
 

@@ -1,10 +1,6 @@
 """What a healthy recorder tells of itself."""
 
-from vcu_gateway.drive_format.recorder_status import (
-    RecordedConnection,
-    RecorderStatus,
-    RecorderTotals,
-)
+from vcu_gateway.recording.recorder_status import RecordedConnection, RecorderStatus, RecorderTotals
 
 STATUS = RecorderStatus(
     pid=123,

@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.candump import CandumpLines
-from vcu_gateway.drive_format.chain import file_digests
-from vcu_gateway.drive_format.datagram import EXTENDED
-from vcu_gateway.drive_format.members import NO_LINK
-from vcu_gateway.drive_format.segment import SegmentWriter
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.candump_lines import CandumpLines
+from vcu_gateway.recording.chain import file_digests
+from vcu_gateway.recording.datagram import EXTENDED
+from vcu_gateway.recording.members import NO_LINK
+from vcu_gateway.recording.segment import SegmentWriter
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 START_S = 1_763_920_000  # 2025-11-23T17:46:40Z

@@ -3,9 +3,9 @@
 import subprocess
 from pathlib import Path
 
-from vcu_gateway.drive_format import chain, signature
-from vcu_gateway.drive_format.chain import Linked
-from vcu_gateway.drive_format.signature import link_name, link_text
+from vcu_gateway.recording import chain, signature
+from vcu_gateway.recording.chain import Linked
+from vcu_gateway.recording.signature import link_name, link_text
 
 RUN = "1f3a9c2e-0000"
 

@@ -7,12 +7,12 @@ import pytest
 
 from tests.recordings.recorded import FRAMES, FRAMES_A_SECOND, WrittenDrive, torn, zeroed
 from tests.recordings.signed import make_key, sign
-from vcu_gateway.drive_format import layout, lock
-from vcu_gateway.drive_format.members import Member, packed, read_members
-from vcu_gateway.drive_format.signature import fingerprint
 from vcu_gateway.errors import MissingInputError
-from vcu_gateway.recordings.check import CheckedRecording, RecordingState, check_recording
-from vcu_gateway.recordings.folder import RecordingFolder
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.check import CheckedRecording, RecordingState, check_recording
+from vcu_gateway.recording.folder import RecordingFolder
+from vcu_gateway.recording.members import Member, packed, read_members
+from vcu_gateway.recording.signature import fingerprint
 
 
 @pytest.fixture
@@ -259,7 +259,7 @@ def test_a_core_line_that_is_wrong_is_named(drive, before, after, told):
 def test_the_end_of_a_drive_that_is_being_written_is_not_judged(drive):
     drive.segment(ended=False)
     torn(drive.path / layout.core_name(4), 3)
-    descriptor = lock.hold(drive.path)
+    descriptor = layout.hold(drive.path)
     found = checked(drive)
     assert descriptor
     assert found.is_written

@@ -9,9 +9,9 @@ import pytest
 from tests.recordings.forger import KINDS, content, forge
 from tests.recordings.recorded import WrittenDrive
 from tests.recordings.signed import make_key, sign
-from vcu_gateway.drive_format import layout
-from vcu_gateway.recordings.check import check_recording
-from vcu_gateway.recordings.folder import RecordingPath
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.check import check_recording
+from vcu_gateway.recording.folder import RecordingPath
 
 
 @pytest.fixture(scope="module")

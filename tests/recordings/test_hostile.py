@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from tests.replay.drives import ordinary
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.members import packed
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.members import packed
 
 MOST_MEMORY_BYTES = 400 << 20
 MOST_S = 10

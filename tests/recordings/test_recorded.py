@@ -9,10 +9,9 @@ import pytest
 
 from tests.recorder.conftest import gateway, recorder  # noqa: F401 - fixtures
 from tests.recorder.gateway import drives
-from vcu_gateway.drive_format import layout
-from vcu_gateway.recordings.check import CheckedRecording, RecordingState, check_recording
-from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath
-from vcu_gateway.recordings.summary import summarise
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.check import CheckedRecording, RecordingState, check_recording
+from vcu_gateway.recording.folder import RecordingFolder, RecordingPath, summarise
 
 pytestmark = pytest.mark.timeout(120)
 

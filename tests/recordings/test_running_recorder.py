@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from tests.recorder.told import STATUS
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.recorder_status import STALE_S
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.recordings.folder import RecordingFolder
-from vcu_gateway.recordings.running_recorder import running
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.folder import RecordingFolder
+from vcu_gateway.recording.keep import running
+from vcu_gateway.recording.recorder_status import STALE_S
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.recordings.recorded import FRAMES, START_S, WrittenDrive, torn
-from vcu_gateway.drive_format import layout, lock
+from vcu_gateway.recording import layout
 
 PROGRAM = [sys.executable, "-m", "vcu_gateway", "recordings"]
 
@@ -81,7 +81,7 @@ def test_the_list_as_json_has_all_of_it(drive):
 
 
 def test_the_list_tells_what_is_being_written(drive):
-    descriptor = lock.hold(drive.path)
+    descriptor = layout.hold(drive.path)
     assert "being written" in said(drive, "list").stdout
     os.close(descriptor)
 
@@ -198,7 +198,7 @@ def test_a_removed_drive_is_gone_and_its_incident_is_not(drive):
 
 
 def test_what_is_being_written_is_not_removed(drive):
-    descriptor = lock.hold(drive.path)
+    descriptor = layout.hold(drive.path)
     done = said(drive, "remove", "--yes", drive.name, code=75)
     os.close(descriptor)
     assert "is being written by the recorder" in done.stderr

@@ -15,9 +15,8 @@ from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.drive.hello import Hello
-from vcu_gateway.drive.tap import Tap, TappedGateway
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
+from vcu_gateway.recording.tap import Hello, Tap, TappedGateway
 from vcu_gateway.replay.configuration import with_aliases
 from vcu_gateway.simulator.nodes import VehicleFault
 

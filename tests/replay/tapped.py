@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from vcu_gateway.core import calls
-from vcu_gateway.drive.records import CoreRecord, InputRecord, TickRecord
-from vcu_gateway.drive.tap import Tap
+from vcu_gateway.recording.core_lines import CoreRecord, InputRecord, TickRecord
+from vcu_gateway.recording.tap import Tap
 
 
 def records(tap: Tap) -> Iterator[CoreRecord]:

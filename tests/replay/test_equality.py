@@ -13,7 +13,7 @@ import pytest
 from tests.replay.drives import SimulatedDrive
 from tests.replay.ran import changed, replay, rewrite
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.recordings import names
+from vcu_gateway.recording import folder
 from vcu_gateway.replay.drive_replay import replay_drive
 
 
@@ -289,7 +289,7 @@ def test_a_time_of_which_there_is_nothing_is_refused(every):
 
 
 def test_a_recording_is_found_by_its_name(every, monkeypatch, tmp_path):
-    monkeypatch.setattr(names, "DEFAULT_FOLDER", tmp_path)
+    monkeypatch.setattr(folder, "DEFAULT_FOLDER", tmp_path)
     monkeypatch.chdir("/")
     assert replay("every", "-q").code == 66
     (tmp_path / "drives").mkdir()

@@ -1,7 +1,7 @@
 """The gateway explains a tick when its frames have left, and so does its replay."""
 
 from tests.replay.drives import CODEC, SimulatedDrive
-from vcu_gateway.drive.reader import open_drive
+from vcu_gateway.recording.reader import open_drive
 from vcu_gateway.replay.equality import EqualityCheck
 
 

@@ -16,9 +16,9 @@ from tests.service.driver import Driver
 from tests.service.test_running import as_user
 from tests.service.unit import PATIENCE_S, Unit, systemctl
 from tests.vcan.conftest import wait_until
-from vcu_gateway.drive_format import layout, lock
-from vcu_gateway.recordings.check import RecordingState, check_recording
-from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.check import RecordingState, check_recording
+from vcu_gateway.recording.folder import RecordingFolder, RecordingPath
 
 SOCKET, SERVICE = "vcu-gateway-recorder.socket", "vcu-gateway-recorder.service"
 RUNTIME = Path("/run/vcu-gateway-recorder")
@@ -177,7 +177,7 @@ def test_the_service_is_recorded_out_of_its_root_folder_from_start_to_end(
     assert counts["connected"]
     assert counts["lost_datagrams"] == 0
     service.stop()
-    wait_until(lambda: not lock.is_held(drive.path), "the end of the drive", PATIENCE_S)
+    wait_until(lambda: not layout.is_held(drive.path), "the end of the drive", PATIENCE_S)
     found = check_recording(drive, lambda size: None)
     assert found.is_whole, found
     assert not found.is_cut_off

@@ -20,10 +20,10 @@ from vcu_gateway.config import Config
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.demo import config as demo_config
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
-from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import GatewayError
-from vcu_gateway.recordings.check import check_recording
-from vcu_gateway.recordings.folder import RecordingFolder
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.check import check_recording
+from vcu_gateway.recording.folder import RecordingFolder
 from vcu_gateway.simulator.scenario import Scenario
 
 WAIT_S = 60.0

@@ -21,10 +21,9 @@ from vcu_gateway.errors import (
     did_you_mean,
 )
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
-from vcu_gateway.recording.recorded import RecordedFrame
-from vcu_gateway.recording.recording import Recording, open_recording
-from vcu_gateway.recording.summary import Summary
-from vcu_gateway.recording.writers import FORMATS, FrameFormat, FrameWriter
+from vcu_gateway.recording.candump import RecordedFrame
+from vcu_gateway.recording.decoded import FORMATS, FrameFormat, FrameWriter, Summary
+from vcu_gateway.recording.log import Recording, open_recording
 
 _HELP = """Decode the recording LOG to one JSON object a frame, or to CSV.
 

@@ -10,7 +10,7 @@ from vcu_gateway.errors import Problem, did_you_mean
 from vcu_gateway.export import formats
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import ReadOptions, Source, read, title
-from vcu_gateway.recordings.names import recording_path
+from vcu_gateway.recording.folder import recording_path
 from vcu_gateway.time_window import Window
 
 _HELP = """Write the recording NAME in a format that other programs read.

@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from vcu_gateway.drive_format.layout import DEFAULT_FOLDER
 from vcu_gateway.recorder import Recorder, RecorderOptions
 from vcu_gateway.recorder.options import DEFAULT_SOCKET, size_bytes
+from vcu_gateway.recording.layout import DEFAULT_FOLDER
 from vcu_gateway.text import say
 
 _DEFAULTS = RecorderOptions()

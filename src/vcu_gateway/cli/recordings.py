@@ -9,17 +9,20 @@ import click
 
 from vcu_gateway import text
 from vcu_gateway.cli.options import moment_of
-from vcu_gateway.drive_format.layout import DEFAULT_FOLDER, plain_reason
-from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import MissingInputError, Problem
-from vcu_gateway.recordings import check_text
-from vcu_gateway.recordings.check import CheckedRecording, check_recording
-from vcu_gateway.recordings.folder import RecordingFolder, RecordingPath
-from vcu_gateway.recordings.keep import keep_part, keep_whole
-from vcu_gateway.recordings.owner import act_as_owner
-from vcu_gateway.recordings.remove import remove_recording
-from vcu_gateway.recordings.running_recorder import keep_now, running
-from vcu_gateway.recordings.summary import RecordingSummary, summarise
+from vcu_gateway.recording import check
+from vcu_gateway.recording.check import CheckedRecording, check_recording
+from vcu_gateway.recording.folder import RecordingFolder, RecordingPath, RecordingSummary, summarise
+from vcu_gateway.recording.keep import (
+    act_as_owner,
+    keep_now,
+    keep_part,
+    keep_whole,
+    remove_recording,
+    running,
+)
+from vcu_gateway.recording.layout import DEFAULT_FOLDER, plain_reason
+from vcu_gateway.recording.recorder_status import STATUS_PATH
 from vcu_gateway.time_window import Window
 
 _NOW = "now"
@@ -125,12 +128,12 @@ def check_command(
     for result in _checked(chosen, allowed_signers):
         results.append(result)
         if not as_json:
-            click.echo(f"{result.name}: {check_text.headline(result)}; {_sum(result)}")
-            for line in check_text.fault_lines(result, _MOST_FAULTS):
+            click.echo(f"{result.name}: {check.headline(result)}; {_sum(result)}")
+            for line in check.fault_lines(result, _MOST_FAULTS):
                 click.echo(line)
     if as_json:
         whole = all(result.is_whole for result in results)
-        document = {"whole": whole, "recordings": [check_text.values(one) for one in results]}
+        document = {"whole": whole, "recordings": [check.values(one) for one in results]}
         click.echo(json.dumps(document))
     if code := max((result.exit_code for result in results), default=0):
         sys.exit(code)

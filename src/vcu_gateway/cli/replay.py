@@ -9,7 +9,7 @@ import click
 
 from vcu_gateway import text
 from vcu_gateway.cli.options import moment_of
-from vcu_gateway.recordings.names import recorded_path
+from vcu_gateway.recording.folder import recorded_path
 from vcu_gateway.replay.configuration import Changes
 from vcu_gateway.replay.drive_replay import replay_drive
 from vcu_gateway.replay.log_replay import replay_log

@@ -11,8 +11,8 @@ from vcu_gateway.config import Config
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.daemon.reload import EffectiveConfig
 from vcu_gateway.daemon.restarts import boot_id
-from vcu_gateway.drive.hello import Hello
-from vcu_gateway.drive_format.layout import DBC_FILE
+from vcu_gateway.recording.layout import DBC_FILE
+from vcu_gateway.recording.tap import Hello
 
 _RUN_BYTES = 16
 

@@ -17,11 +17,10 @@ from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.drive.records import ShellEvent
-from vcu_gateway.drive.tap import TappedGateway, packed_frames
-from vcu_gateway.drive.tap_stream import TapStream
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import TickHeader
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.core_lines import ShellEvent
+from vcu_gateway.recording.datagram import TickHeader
+from vcu_gateway.recording.tap import TappedGateway, TapStream, packed_frames
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _CONNECT_EVERY_NS = NS_PER_S

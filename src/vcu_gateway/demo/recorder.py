@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 from typing import Self
 
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.recorder_status import STATUS_PATH
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.recorder_status import STATUS_PATH
 
 _START_S = 10.0
 _END_S = 10.0

@@ -9,9 +9,9 @@ from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.doctor.recorder_disk import RecordingDisk
 from vcu_gateway.doctor.service import ServiceFacts
-from vcu_gateway.drive_format.layout import DEFAULT_FOLDER as FOLDER
-from vcu_gateway.drive_format.recorder_status import STALE_S, RecorderStatus, read_status
 from vcu_gateway.errors import GatewayError, NotPermittedError, Problem
+from vcu_gateway.recording.layout import DEFAULT_FOLDER as FOLDER
+from vcu_gateway.recording.recorder_status import STALE_S, RecorderStatus, read_status
 
 SUBJECT = CheckSubject("recorder")
 SOCKET_UNIT = "vcu-gateway-recorder.socket"

@@ -9,19 +9,20 @@ from typing import Any
 
 from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.drive.checkpoint import StateError, restore
-from vcu_gateway.drive.core_line_parser import LineError, LineParser
-from vcu_gateway.drive.reader import clock_of
-from vcu_gateway.drive.records import (
+from vcu_gateway.errors import DataError, Problem
+from vcu_gateway.export.decisions import DecidedEvent, Decisions
+from vcu_gateway.recording.checkpoint import StateError, restore
+from vcu_gateway.recording.core_lines import (
     Checkpoint,
     CoreRecord,
     Gap,
+    LineError,
+    LineParser,
     ShellEvent,
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.errors import DataError, Problem
-from vcu_gateway.export.decisions import DecidedEvent, Decisions
+from vcu_gateway.recording.reader import clock_of
 
 # A tick without a change: nine of ten lines.
 _PLAIN_TICK = re.compile(

@@ -13,7 +13,7 @@ from vcu_gateway.export.decisions import MODES
 from vcu_gateway.export.selection import Selection
 from vcu_gateway.export.source import Source
 from vcu_gateway.export.tables import GATEWAY
-from vcu_gateway.recording.writers import decimals
+from vcu_gateway.recording.decoded import decimals
 from vcu_gateway.text import DATE_TIME, utc
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.drive.cause_spans import CauseSpan, CauseSpans
+from vcu_gateway.recording.cause_spans import CauseSpan, CauseSpans
 from vcu_gateway.time_window import Window
 
 MODES = tuple(mode.value for mode in Mode)

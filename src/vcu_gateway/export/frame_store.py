@@ -8,10 +8,8 @@ from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES
 from vcu_gateway.export.message_rows import MessageRows
 from vcu_gateway.recording import candump
-from vcu_gateway.recording.lines import LineReader
-from vcu_gateway.recording.problems import LineProblems
-from vcu_gateway.recording.recorded import RecordedFrame
-from vcu_gateway.recording.summary import Summary
+from vcu_gateway.recording.candump import LineProblems, LineReader, RecordedFrame
+from vcu_gateway.recording.decoded import Summary
 from vcu_gateway.time_window import Window
 
 _KEPT_IDENTIFIERS = 4096

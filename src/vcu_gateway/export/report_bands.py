@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from vcu_gateway.drive.cause_spans import CauseSpan
 from vcu_gateway.export.decisions import MODES, NEVER_RECEIVED, Decisions
 from vcu_gateway.export.lines import GAP
 from vcu_gateway.export.report import Band, Overlay, Span
 from vcu_gateway.export.report_lines import Grid, SignalLine
+from vcu_gateway.recording.cause_spans import CauseSpan
 
 _MOST_CAUSES = 14
 _MOST_SPANS = 300

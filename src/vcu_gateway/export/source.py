@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.config import load
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.drive.reader import compare_with_digests
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.members import MemberDamage, read_members
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
 from vcu_gateway.export.core_lines import CoreLines
 from vcu_gateway.export.decisions import Decisions
 from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged, requirements
-from vcu_gateway.recording.problems import LineProblems
-from vcu_gateway.recording.recording import STANDARD_INPUT, open_recording
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.candump import LineProblems
+from vcu_gateway.recording.log import STANDARD_INPUT, open_recording
+from vcu_gateway.recording.members import MemberDamage, read_members
+from vcu_gateway.recording.reader import compare_with_digests
 from vcu_gateway.time_window import Window
 
 _FRAMES_BETWEEN_LOOKS = 8192

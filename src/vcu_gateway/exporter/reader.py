@@ -9,8 +9,8 @@ from typing import NamedTuple, TypeVar
 from vcu_gateway.api import results
 from vcu_gateway.client import Client, ClientError, calls
 from vcu_gateway.client.calls import Call
-from vcu_gateway.drive_format.recorder_status import STATUS_PATH, RecorderStatus, read_status
 from vcu_gateway.errors import GatewayError
+from vcu_gateway.recording.recorder_status import STATUS_PATH, RecorderStatus, read_status
 
 ResultT = TypeVar("ResultT")
 

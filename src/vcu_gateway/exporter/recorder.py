@@ -2,9 +2,9 @@
 
 from collections.abc import Callable
 
-from vcu_gateway.drive_format.recorder_status import STALE_S, RecorderStatus, RecorderTotals
 from vcu_gateway.exporter.family import Family, Samples, counter, gauge, one, states
 from vcu_gateway.exporter.reader import GatewayAnswers
+from vcu_gateway.recording.recorder_status import STALE_S, RecorderStatus, RecorderTotals
 
 _DISK_STATES = ("ok", "full", "failing", "stalled")
 

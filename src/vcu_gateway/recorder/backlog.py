@@ -4,8 +4,8 @@ import threading
 from collections import deque
 from typing import NamedTuple
 
-from vcu_gateway.drive_format.datagram import TickParts
 from vcu_gateway.recorder.connection import GatewayConnection
+from vcu_gateway.recording.datagram import TickParts
 
 _ITEM_BYTES = 400
 """Of an entry's own, roughly, besides its frames and lines."""

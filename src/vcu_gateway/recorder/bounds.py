@@ -11,7 +11,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from vcu_gateway.drive_format.datagram import DatagramError
+from vcu_gateway.recording.datagram import DatagramError
 
 MOST_LINES_BYTES = 512 << 10
 """Of the core lines in one datagram."""

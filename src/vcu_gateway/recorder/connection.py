@@ -7,10 +7,10 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import DatagramError, HelloPart, HelloText, TickParts
 from vcu_gateway.recorder.bounds import check_lines, checked_hello
 from vcu_gateway.recorder.senders import Allowance, Sender
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.datagram import DatagramError, HelloPart, HelloText, TickParts
 
 BUFFER_BYTES = 1 << 20
 """Room for the longest datagram."""

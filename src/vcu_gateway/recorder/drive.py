@@ -10,24 +10,24 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway import __version__
-from vcu_gateway.drive_format import chain, layout, lock
-from vcu_gateway.drive_format.candump import CandumpLines
-from vcu_gateway.drive_format.datagram import TickParts
-from vcu_gateway.drive_format.members import NO_LINK
-from vcu_gateway.drive_format.recorder_status import RecorderTotals
-from vcu_gateway.drive_format.segment import SegmentWriter
-from vcu_gateway.drive_format.segment_lines import (
-    NEXT_BEGINS,
-    Losses,
-    SegmentBegin,
-    SegmentEnd,
-    gap_line,
-)
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recorder import resume
 from vcu_gateway.recorder.disk import Disk
 from vcu_gateway.recorder.resume import Position
 from vcu_gateway.recorder.signing import Signer
+from vcu_gateway.recording import chain, layout
+from vcu_gateway.recording.candump_lines import CandumpLines
+from vcu_gateway.recording.datagram import TickParts
+from vcu_gateway.recording.members import NO_LINK
+from vcu_gateway.recording.recorder_status import RecorderTotals
+from vcu_gateway.recording.segment import (
+    NEXT_BEGINS,
+    Losses,
+    SegmentBegin,
+    SegmentEnd,
+    SegmentWriter,
+    gap_line,
+)
 from vcu_gateway.text import ISO_TIME, utc
 
 _MEMORY_FULL = "the recorder's memory was full"
@@ -145,7 +145,7 @@ class DriveRecorder:
             more |= {"format": layout.FORMAT, "recorder": __version__}
             layout.create_folder(self.folder, layout.drive_files(self.hello, **more))
         self._files_beside = chain.file_digests(self.folder)
-        self._hold = lock.hold(self.folder)
+        self._hold = layout.hold(self.folder)
 
     def _found_own_folder(self) -> bool:
         """True where this run's folder is there; the name of another run's is not taken."""

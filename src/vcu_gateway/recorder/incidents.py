@@ -13,13 +13,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.drive_format import layout
 from vcu_gateway.files import sync
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import Ring
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import RESTARTED_UNEXPECTEDLY, Trigger
+from vcu_gateway.recording import layout
 from vcu_gateway.text import ISO_TIME, utc
 
 _LONGEST_S = 600.0

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.drive_format import layout
+from vcu_gateway.recording import layout
 
 DEFAULT_SOCKET = Path("/run/vcu-gateway-recorder/tap.sock")
 

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 from vcu_gateway.recorder.backlog import Backlog
 from vcu_gateway.recorder.disk import Disk
@@ -19,6 +18,7 @@ from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.senders import Refusals, trusted_users
 from vcu_gateway.recorder.status import StatusFile
 from vcu_gateway.recorder.writer import Writer
+from vcu_gateway.recording import layout
 
 _STATUS_S = 1.0
 _GATHER_S = 0.12

@@ -5,12 +5,12 @@ import socket
 import time
 from collections.abc import Callable, Container, Sequence
 
-from vcu_gateway.drive_format.datagram import DatagramError, TickParts
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received, received
 from vcu_gateway.recorder.connection import BUFFER_BYTES, GatewayConnection
 from vcu_gateway.recorder.listener import TapListener
 from vcu_gateway.recorder.senders import Allowance, Refusals, RunOwners, Sender, sender_of
+from vcu_gateway.recording.datagram import DatagramError, TickParts
 
 _MOST_CONNECTIONS = 16
 _MOST_WITHOUT_HELLO = 8

@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.drive_format import chain, layout
-from vcu_gateway.drive_format.members import NO_LINK, whole_members
-from vcu_gateway.drive_format.segment_lines import Losses, read_begin
+from vcu_gateway.recording import chain, layout
+from vcu_gateway.recording.members import NO_LINK, whole_members
+from vcu_gateway.recording.segment import Losses, read_begin
 
 _TICK = re.compile(rb'^\{"f":\d+,"tick":', re.MULTILINE)
 

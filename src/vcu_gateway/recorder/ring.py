@@ -6,7 +6,7 @@ from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.drive_format import layout, signature
+from vcu_gateway.recording import layout, signature
 
 KEPT_WITHOUT_ROOM = 2
 """Ended segments that stay however full the disk is: the minute before an incident."""

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from vcu_gateway import files
-from vcu_gateway.drive_format import layout, signature
-from vcu_gateway.drive_format.signature import SignatureError
+from vcu_gateway.recording import layout, signature
+from vcu_gateway.recording.signature import SignatureError
 
 _MOST_WAITING = 100
 

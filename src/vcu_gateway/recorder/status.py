@@ -8,7 +8,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from vcu_gateway import __version__, files
-from vcu_gateway.drive_format.recorder_status import RecordedConnection, RecorderStatus
 from vcu_gateway.recorder.backlog import Backlog
 from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.disk import Disk
@@ -16,6 +15,7 @@ from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import room_bytes
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.writer import Writer
+from vcu_gateway.recording.recorder_status import RecordedConnection, RecorderStatus
 
 _RATE_S = 60
 _MODE = 0o644

@@ -8,9 +8,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.datagram import DatagramError
-from vcu_gateway.drive_format.recorder_status import RecorderTotals
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
@@ -22,6 +19,9 @@ from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, room_bytes
 from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import Trigger
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.datagram import DatagramError
+from vcu_gateway.recording.recorder_status import RecorderTotals
 
 _MEMBER_S = 0.84
 """With what is still being gathered, a second at most is lost where the recorder is killed."""

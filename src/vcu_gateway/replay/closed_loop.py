@@ -11,7 +11,14 @@ from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
+from vcu_gateway.recording.core_lines import (
+    Checkpoint,
+    CoreRecord,
+    FrameRun,
+    Gap,
+    InputRecord,
+    TickRecord,
+)
 from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.open_loop import REQUESTS, begun
 from vcu_gateway.replay.what_if import WhatIf

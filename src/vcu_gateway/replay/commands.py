@@ -11,7 +11,7 @@ from vcu_gateway.core.demand import CONTROLLERS, RequestResult
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, SignalSpec
 from vcu_gateway.core.transmit import OutFrame, SentValues
-from vcu_gateway.recording.writers import decimals
+from vcu_gateway.recording.decoded import decimals
 
 FRAME_FIELD = "frame"
 """The field of a command that only one side sends."""

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.drive.reader import Drive
-from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import ConfigError, DataError, Problem
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, requirements
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.reader import Drive
 from vcu_gateway.strict_yaml import file_text, parser
 
 SET = "--set"

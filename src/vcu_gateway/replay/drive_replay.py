@@ -12,16 +12,16 @@ from typing import Any
 
 from vcu_gateway import __version__
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.drive.checkpoint import StateError
-from vcu_gateway.drive.reader import Drive, open_drive
-from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, TickRecord
-from vcu_gateway.drive_format import layout
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.export.html_report import Overlay
 from vcu_gateway.judge import DriveVerdict
-from vcu_gateway.recordings import check_text
-from vcu_gateway.recordings.check import RecordingState, check_recording
-from vcu_gateway.recordings.folder import RecordingPath
+from vcu_gateway.recording import check as check_text
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.check import RecordingState, check_recording
+from vcu_gateway.recording.checkpoint import StateError
+from vcu_gateway.recording.core_lines import Checkpoint, CoreRecord, FrameRun, TickRecord
+from vcu_gateway.recording.folder import RecordingPath
+from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.replay import report
 from vcu_gateway.replay.beside import beside
 from vcu_gateway.replay.closed_loop import ClosedLoop

@@ -19,8 +19,8 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.j1939 import Frame
-from vcu_gateway.drive import checkpoint
-from vcu_gateway.drive.records import (
+from vcu_gateway.recording import checkpoint
+from vcu_gateway.recording.core_lines import (
     Checkpoint,
     CoreRecord,
     FrameRun,

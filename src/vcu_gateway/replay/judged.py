@@ -14,7 +14,6 @@ from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.drive.records import Checkpoint, CoreRecord, FrameRun, Gap, InputRecord, TickRecord
 from vcu_gateway.judge import (
     DriveVerdict,
     Findings,
@@ -23,6 +22,14 @@ from vcu_gateway.judge import (
     JudgedDemand,
     SentFrame,
     VerdictLimits,
+)
+from vcu_gateway.recording.core_lines import (
+    Checkpoint,
+    CoreRecord,
+    FrameRun,
+    Gap,
+    InputRecord,
+    TickRecord,
 )
 
 _NOT_JUDGED = (

@@ -19,8 +19,8 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.recording.recorded import RecordedFrame
-from vcu_gateway.recording.recording import Recording, open_recording
+from vcu_gateway.recording.candump import RecordedFrame
+from vcu_gateway.recording.log import Recording, open_recording
 from vcu_gateway.replay import report
 from vcu_gateway.replay.commands import CommandSeries, RecordedCommands
 from vcu_gateway.replay.configuration import Changes, with_aliases

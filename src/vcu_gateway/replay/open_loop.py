@@ -14,8 +14,8 @@ from vcu_gateway.core.gateway import CoreCall, Gateway
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.drive import checkpoint
-from vcu_gateway.drive.records import (
+from vcu_gateway.recording import checkpoint
+from vcu_gateway.recording.core_lines import (
     Checkpoint,
     CoreRecord,
     FrameRun,

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway import text
-from vcu_gateway.drive.cause_spans import CauseSpan
 from vcu_gateway.export.html_report import Overlay, write_report
 from vcu_gateway.export.output import written_text
 from vcu_gateway.judge import DriveVerdict
+from vcu_gateway.recording.cause_spans import CauseSpan
 from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.equality import Equality, NotReplayed
 from vcu_gateway.replay.what_if import (

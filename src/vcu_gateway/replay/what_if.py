@@ -19,7 +19,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.drive.cause_spans import CauseKey, CauseSpan, CauseSpans
+from vcu_gateway.recording.cause_spans import CauseKey, CauseSpan, CauseSpans
 from vcu_gateway.replay.commands import CommandFields, FieldChange, answer_text
 from vcu_gateway.units import NS_PER_S
 

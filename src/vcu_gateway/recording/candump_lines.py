@@ -8,15 +8,8 @@ frame has bit 29 of the identifier set, as in `20000040#`.
 
 import struct
 
-from vcu_gateway.drive_format import datagram
-from vcu_gateway.drive_format.datagram import (
-    CLASSIC,
-    ERROR,
-    EXTENDED,
-    ID_MASK,
-    REMOTE,
-    TickParts,
-)
+from vcu_gateway.recording import datagram
+from vcu_gateway.recording.datagram import CLASSIC, ERROR, EXTENDED, ID_MASK, REMOTE, TickParts
 from vcu_gateway.units import NS_PER_S
 
 _STANDARD_MASK = 0x7FF

@@ -1,34 +1,127 @@
-"""Check of a recording: is each piece of it there, and what the recorder wrote?
+"""Files beside the members of a recording: are they there, and what the recorder wrote?"""
 
-Every member is read, and the chain is followed from the first to the closing record: a member that
-was changed, removed or added breaks it, and the files beside the members are named in it. Who made
-a whole chain anew is found by a signature only; without one the recording is unsigned.
-
-What a chain cannot show is counted: received = recorded + gaps. Before each segment the recorder
-notes how many frames and ticks the gateway had handed on, and what of them it did not get. So
-between the beginnings of two segments each is in a file, or in a gap, or it is missing. And each
-command is there twice, as it was sent and as the bus gave it back.
-"""
-
-from collections.abc import Callable
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from vcu_gateway.drive_format import layout, lock
-from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.segment_lines import Losses
-from vcu_gateway.recordings.bus_commands import EchoCheck
-from vcu_gateway.recordings.chained import chain_of
-from vcu_gateway.recordings.checked_segment import (
+from vcu_gateway.errors import DataError, GatewayError
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.chain_check import Signatures, chain_of, check_signatures
+from vcu_gateway.recording.checked_segment import (
     CheckedSegment,
+    EchoCheck,
     FaultKind,
     FileFault,
     check_segment,
 )
-from vcu_gateway.recordings.descriptions import description_faults, digest_faults, incident_faults
-from vcu_gateway.recordings.folder import RecordingPath, read_error
-from vcu_gateway.recordings.signatures import Signatures, check_signatures
+from vcu_gateway.recording.folder import RecordingPath, read_error
+from vcu_gateway.recording.layout import SegmentFiles
+from vcu_gateway.recording.segment import Losses, last_second
+from vcu_gateway.units import NS_PER_S
+
+_KEPT_PART = "requested"
+_UNTIL_WRITTEN_S = 2
+
+
+def description_faults(recording: RecordingPath) -> Iterator[FileFault]:
+    descriptions = layout.incident_files(recording.path)
+    if recording.kind == "incident" and not descriptions:
+        yield FileFault(layout.INCIDENT_FILE, "is missing", FaultKind.MISSING)
+    for path in [recording.path / layout.DRIVE_FILE, *descriptions]:
+        try:
+            layout.read_description(path)
+        except GatewayError as error:
+            kind = FaultKind.CHANGED if isinstance(error, DataError) else FaultKind.MISSING
+            yield FileFault(path.name, error.problems[0].what, kind)
+
+
+def digest_faults(folder: Path, segment: CheckedSegment) -> Iterator[FileFault]:
+    """Files that are not those that the segment's begin names, and the number that it says."""
+    begin = segment.begin
+    if begin is None or begin.segment is None:
+        return
+    core = layout.core_name(segment.number)
+    if begin.segment != segment.number:
+        what = f"was segment {begin.segment}, and has another number now"
+        yield FileFault(core, what, FaultKind.CHANGED)
+    missing = set(layout.FILES_BESIDE) - set(begin.files)
+    if missing:
+        what = f"does not name the digest of {', '.join(sorted(missing))}"
+        yield FileFault(core, what, FaultKind.CHANGED)
+    yield from _unlike(folder, begin.files, f"segment {segment.number}")
+
+
+def _unlike(folder: Path, digests: Any, by: str) -> Iterator[FileFault]:
+    for name, digest in digests.items() if isinstance(digests, dict) else ():
+        if "/" in str(name):
+            continue
+        try:
+            data = layout.read_small(folder / str(name))
+        except FileNotFoundError:
+            yield FileFault(str(name), f"is missing; {by} names it", FaultKind.MISSING)
+        except OSError as error:
+            what = f"cannot be read: {error.strerror or error}"
+            yield FileFault(str(name), what, FaultKind.CHANGED)
+        else:
+            if hashlib.sha256(data).hexdigest() != digest:
+                what = f"was changed: its SHA-256 is not the one that {by} names"
+                yield FileFault(str(name), what, FaultKind.CHANGED)
+
+
+def incident_faults(
+    folder: Path, segments: list[SegmentFiles], last: CheckedSegment | None, is_chained: bool
+) -> Iterator[FileFault]:
+    """What an incident's descriptions say of themselves, their files and their segments.
+
+    `last`: its last segment, checked.
+    """
+    there = {segment.number for segment in segments}
+    core = segments[-1].core if segments else None
+    ended_s = (last_second(core) if core else None) or 0
+    for path in layout.incident_files(folder):
+        described = layout.description_if_any(path)
+        if not described or not ("digest" in described or is_chained):
+            continue
+        if described.get("digest") != layout.description_digest(described):
+            what = "was changed: its digest is not that of what it says"
+            yield FileFault(path.name, what, FaultKind.CHANGED)
+            continue
+        yield from _unlike(folder, described.get("files"), path.name)
+        yield from _missing_segments(path.name, described, there)
+        if not (last and last.end and last.end.closes):
+            yield from _early_end(path.name, described, ended_s)
+
+
+def _missing_segments(
+    file: str, described: Mapping[str, Any], there: set[int]
+) -> Iterator[FileFault]:
+    try:
+        first, last = (int(number) for number in described["segments"])
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return
+    missing = {first, last, *range(first, min(last, first + 9999))} - there
+    if missing:
+        what = (
+            f"segments {min(missing)} to {max(missing)} are not there, though it was made of them"
+        )
+        yield FileFault(file, what, FaultKind.MISSING)
+
+
+def _early_end(file: str, described: Mapping[str, Any], ended_s: int) -> Iterator[FileFault]:
+    """It ends before the time that is kept after its cause, and that is over."""
+    try:
+        wanted_s = described["at_ns"] / NS_PER_S + described["after_s"]
+    except (KeyError, TypeError, OverflowError):
+        return
+    kept_part = described.get("reason") == _KEPT_PART and described.get("before_s") == 0
+    is_over = wanted_s + _UNTIL_WRITTEN_S < time.time()
+    if is_over and not kept_part and ended_s + _UNTIL_WRITTEN_S < wanted_s:
+        what = f"it ends {wanted_s - ended_s:.0f} s before the time that was to be kept"
+        yield FileFault(file, what, FaultKind.MISSING)
+
 
 EX_INCOMPLETE, EX_CHANGED = 3, 65
 
@@ -111,7 +204,7 @@ def check_recording(
 def _checked(
     recording: RecordingPath, progress: Callable[[int], object], allowed_signers: Path | None
 ) -> CheckedRecording:
-    is_written = lock.is_held(recording.path)
+    is_written = layout.is_held(recording.path)
     segments = layout.segments(recording.path)
     sums = _Sums()
     sums.faults += description_faults(recording)
@@ -252,3 +345,36 @@ def _why_cut_off(last: CheckedSegment) -> str:
             " was removed"
         )
     return f"nothing comes after it, and it does not close the drive: {last.end.why}"
+
+
+def headline(found: CheckedRecording) -> str:
+    """The state, and what proves it."""
+    if not found.is_chained:
+        return f"{found.state.value}, not chained: nothing shows whether it was changed"
+    signed = found.signatures
+    if not signed.signers:
+        return f"{found.state.value}, chained, unsigned"
+    part = "" if signed.segments == found.segments else f" {signed.segments} segments"
+    return f"{found.state.value}, chained, signed{part} by {', '.join(signed.signers)}"
+
+
+def fault_lines(found: CheckedRecording, most: int) -> Iterator[str]:
+    """The first faults, a line each, and how many there are more."""
+    for fault in found.faults[:most]:
+        yield f"  {fault.file}: {fault.what}" if fault.file else f"  {fault.what}"
+    if len(found.faults) > most:
+        yield f"  and {len(found.faults) - most} more"
+
+
+def values(found: CheckedRecording) -> dict[str, Any]:
+    """What the check found, for JSON."""
+    signatures = found.signatures._asdict()
+    del signatures["faults"]
+    return {
+        **found._asdict(),
+        "state": found.state.name.lower(),
+        "is_whole": found.is_whole,
+        "gaps": found.gaps._asdict(),
+        "signatures": signatures,
+        "faults": [{**one._asdict(), "kind": one.kind.value} for one in found.faults],
+    }

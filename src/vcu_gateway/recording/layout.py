@@ -14,6 +14,7 @@ Files and folders are made once: nothing is written again, and nothing is rename
 
 import contextlib
 import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -257,3 +258,25 @@ def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path
 def remove_partial_folders(parent: Path) -> None:
     for path in parent.glob(f"{_PARTIAL}*"):
         shutil.rmtree(path, ignore_errors=True)
+
+
+FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+def hold(folder: Path) -> int:
+    """Mark it as being written; the descriptor that is to be closed in the end."""
+    descriptor = os.open(folder, FOLDER_FLAGS)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    return descriptor
+
+
+def is_held(folder: Path) -> bool:
+    """True where a process writes into it; OSError where the folder cannot be opened."""
+    descriptor = os.open(folder, FOLDER_FLAGS)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False

@@ -22,9 +22,9 @@ from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.drive_format import layout
-from vcu_gateway.drive_format.layout import SegmentFiles
-from vcu_gateway.drive_format.members import NO_LINK, Member, MemberDamage, read_members
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.layout import SegmentFiles
+from vcu_gateway.recording.members import NO_LINK, Member, MemberDamage, read_members
 
 _MOST_LOOKS = 10
 

@@ -1,0 +1,318 @@
+"""Core lines: a line of JSON for each call and what it answered, written and read.
+
+    {"f":0,"offer":{"source":"driver",...},"now":1000950000000,"granted":true}
+    {"f":9,"tick":1001000000000,"frames":[["PCU1","0008A7D0","0c000000e02e0000"],...],"ok":[true,true]}
+
+`f` is the number of frames of the segment before the call. The table of the keys is in
+docs/recordings-format.md; `core_line_parser` reads them.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from vcu_gateway.core.calls import NoteSent
+from vcu_gateway.core.causes import Event
+from vcu_gateway.core.demand import GRANTED, Refusal, RequestResult, refused
+from vcu_gateway.core.gateway import CoreCall, TickResult
+from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.core.transmit import OutFrame
+from vcu_gateway.recording.call_text import (
+    TRUTH,
+    call_of,
+    call_text,
+    encoded,
+    event_of,
+    event_values,
+    out_frame_of,
+    out_frame_text,
+    settings_json,
+    settings_of,
+    text_of,
+    truth_of,
+    whole_of,
+)
+
+
+class Checkpoint(NamedTuple):
+    """State of the core with which a segment begins.
+
+    Attributes:
+        state: for `checkpoint.restore`.
+        settings: those in effect.
+        mode, why: operating mode and its explanation then.
+        now_ns, wall_ns: both clocks, read together.
+        ticks, frames: since the start of the gateway.
+    """
+
+    state: Mapping[str, Any]
+    settings: Settings
+    mode: Mode
+    why: str
+    now_ns: int
+    wall_ns: int
+    ticks: int
+    frames: int
+
+
+class InputRecord(NamedTuple):
+    """A call other than a tick; `answer` is None where it has none."""
+
+    input: CoreCall[object]
+    answer: RequestResult | None
+
+
+class FrameRun(NamedTuple):
+    """Frames that came one after the other, without another call between them."""
+
+    frames: list[Frame]
+
+
+class TickRecord(NamedTuple):
+    """A tick and its result; how the bus took the frames follows as `NoteSent`."""
+
+    now_ns: int
+    frames: tuple[OutFrame, ...]
+    mode: Mode
+    events: tuple[Event, ...]
+
+
+class WhyRecord(NamedTuple):
+    """Sentence of `Gateway.why(now_ns)`, asked at this place; kept where it says something new."""
+
+    now_ns: int
+    sentence: str
+
+
+class ShellEvent(NamedTuple):
+    """Event that the core does not know of: the shell's, around it."""
+
+    now_ns: int
+    event: Event
+
+
+class Gap(NamedTuple):
+    """What is missing at this place: a checkpoint follows, with a state from behind it.
+
+    Attributes:
+        frames, ticks, datagrams: how many are missing; None where that is not known.
+        why: in words.
+    """
+
+    frames: int | None
+    ticks: int | None
+    datagrams: int | None
+    why: str
+
+
+CoreRecord = Checkpoint | InputRecord | TickRecord | WhyRecord | ShellEvent | Gap
+"""What one core line says, in the order in which it happened."""
+
+
+class NotedCall(NamedTuple):
+    """One call of the core in the order of the calls, or what was noted beside them.
+
+    Attributes:
+        frames_before: frames since the last take of the tap.
+        what: the call; frames are not among them.
+        answer: the call's result, such as a `RequestResult`; None where it has none.
+    """
+
+    frames_before: int
+    what: CoreCall[object] | WhyRecord | ShellEvent
+    answer: object = None
+
+
+class LineWriter:
+    """Writes the lines of one segment after the other.
+
+    Attributes:
+        frames: frames of this segment so far.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self._mode: Mode | None = None
+
+    def begin(self, checkpoint: Checkpoint) -> str:
+        self.frames, self._mode = 0, checkpoint.mode
+        values = {
+            "state": checkpoint.state,
+            "settings": settings_json(checkpoint.settings),
+            "mode": checkpoint.mode.value,
+            "why": checkpoint.why,
+            "now": checkpoint.now_ns,
+            "wall": checkpoint.wall_ns,
+            "ticks": checkpoint.ticks,
+            "frames": checkpoint.frames,
+        }
+        return f'{{"checkpoint":{encoded(values)},"f":0}}\n'
+
+    def lines(self, calls: Sequence[NotedCall], frames: int) -> str:
+        """The lines of these calls, `frames` frames with them."""
+        lines: list[str] = []
+        index, before = 0, self.frames
+        while index < len(calls):
+            call = calls[index]
+            index += 1
+            if isinstance(call.answer, TickResult):
+                sent = self._sent(calls, index, call, call.answer)
+                lines.append(self._tick(before + call.frames_before, call.answer, sent))
+                index += len(sent)
+            else:
+                lines.append(_line(call, before))
+        self.frames += frames
+        return "".join(lines)
+
+    @staticmethod
+    def _sent(
+        calls: Sequence[NotedCall], index: int, tick: NotedCall, result: TickResult
+    ) -> list[NoteSent]:
+        """Calls of `sent` that follow a tick as the loop makes them; none where they differ."""
+        following = calls[index : index + len(result.frames)]
+        sent = [
+            call.what
+            for call, frame in zip(following, result.frames, strict=False)
+            if isinstance(call.what, NoteSent)
+            and call.what.frame is frame
+            and call.what.now_ns == result.snapshot.now_ns
+            and call.frames_before == tick.frames_before
+        ]
+        return sent if len(sent) == len(result.frames) else []
+
+    def _tick(self, frames_before: int, result: TickResult, sent: Sequence[NoteSent]) -> str:
+        texts = [out_frame_text(frame) for frame in result.frames]
+        parts = [
+            f'{{"f":{frames_before},"tick":{result.snapshot.now_ns}',
+            f'"frames":[{",".join(texts)}]',
+        ]
+        if sent:
+            parts.append(f'"ok":[{",".join(TRUTH[one.ok] for one in sent)}]')
+        if result.mode is not self._mode:
+            self._mode = result.mode
+            parts.append(f'"mode":"{result.mode.value}"')
+        if result.events:
+            parts.append(f'"events":{encoded([event_values(event) for event in result.events])}')
+        return ",".join(parts) + "}\n"
+
+
+def _line(call: NotedCall, before: int) -> str:
+    what, answer = call.what, ""
+    if isinstance(what, WhyRecord):
+        text = f'"why":{encoded(what.sentence)},"now":{what.now_ns}'
+    elif isinstance(what, ShellEvent):
+        text = f'"event":{encoded(event_values(what.event))},"now":{what.now_ns}'
+    else:
+        text = call_text(what)
+    if isinstance(call.answer, RequestResult):
+        answer = _answer(call.answer)
+    return f'{{"f":{before + call.frames_before},{text}{answer}}}\n'
+
+
+def _answer(answer: RequestResult) -> str:
+    if answer.refusal is None:
+        return ',"granted":true'
+    return f',"refused":{encoded([answer.refusal.value, answer.sentence])}'
+
+
+class LineError(ValueError):
+    """A core line is not one of this format; the text says why."""
+
+
+class Placed(NamedTuple):
+    """A record and how many frames of its segment stand before it."""
+
+    frames_before: int
+    record: CoreRecord
+
+
+class LineParser:
+    """Reads the lines of one segment after the other."""
+
+    def __init__(self) -> None:
+        self._mode = Mode.STARTING
+
+    def records(self, line: bytes | str) -> list[Placed]:
+        """Records of one line, the calls of `sent` after their tick; LineError where it is none.
+
+        A line of a kind that is not known has none.
+        """
+        try:
+            return self._records(json.loads(line))
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as e:
+            raise LineError(_reason(e, line)) from e
+
+    def _records(self, values: Any) -> list[Placed]:
+        before = whole_of(values["f"])
+        if "tick" in values and "frames" in values:
+            tick = self._tick(values)
+            sent = _sent(tick, values.get("ok", ()))
+            return [Placed(before, tick), *[Placed(before, one) for one in sent]]
+        call = call_of(values)
+        if call is not None:
+            return [Placed(before, InputRecord(call, _read_answer(values)))]
+        kind = next((key for key in values if key in _RECORDS), None)
+        if kind is None:
+            return []  # the recorder's own, or a later version's
+        record = _RECORDS[kind](values)
+        if isinstance(record, Checkpoint):
+            self._mode = record.mode
+        return [Placed(before, record)]
+
+    def _tick(self, values: Mapping[str, Any]) -> TickRecord:
+        if "mode" in values:
+            self._mode = Mode(values["mode"])
+        frames = tuple([out_frame_of(one) for one in values["frames"]])
+        events = tuple([event_of(one) for one in values.get("events", ())])
+        return TickRecord(whole_of(values["tick"]), frames, self._mode, events)
+
+
+def _reason(error: Exception, line: bytes | str) -> str:
+    text = line.decode(errors="replace") if isinstance(line, bytes) else line
+    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return f"is no core line ({what}): {text.strip():.60}"
+
+
+def _sent(tick: TickRecord, taken: Any) -> Iterator[InputRecord]:
+    if taken and len(taken) != len(tick.frames):
+        raise ValueError(f"{len(taken)} results of {len(tick.frames)} frames")
+    for frame, ok in zip(tick.frames, taken, strict=False):
+        yield InputRecord(NoteSent(frame, truth_of(ok), tick.now_ns), None)
+
+
+def _read_answer(values: Mapping[str, Any]) -> RequestResult | None:
+    if "granted" in values:
+        return GRANTED
+    if "refused" not in values:
+        return None
+    code, sentence = values["refused"]
+    return refused(Refusal(code), sentence)
+
+
+def _checkpoint(values: Any) -> Checkpoint:
+    kept = values["checkpoint"]
+    return Checkpoint(
+        state=kept["state"],
+        settings=settings_of(kept["settings"]),
+        mode=Mode(kept["mode"]),
+        why=text_of(kept["why"]),
+        now_ns=whole_of(kept["now"]),
+        wall_ns=whole_of(kept["wall"]),
+        ticks=whole_of(kept["ticks"]),
+        frames=whole_of(kept["frames"]),
+    )
+
+
+def _gap(values: Any) -> Gap:
+    gap = values["gap"]
+    return Gap(gap.get("frames"), gap.get("ticks"), gap.get("datagrams"), str(gap.get("why", "")))
+
+
+_RECORDS: Mapping[str, Callable[[Any], CoreRecord]] = {
+    "checkpoint": _checkpoint,
+    "gap": _gap,
+    "why": lambda values: WhyRecord(whole_of(values["now"]), text_of(values["why"])),
+    "event": lambda values: ShellEvent(whole_of(values["now"]), event_of(values["event"])),
+}

@@ -1,0 +1,353 @@
+"""Reader of one segment: frames and core lines of its two files, put into one order."""
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from vcu_gateway.core.calls import Receive
+from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.schedule import ClockPair
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.recording import candump, chain, layout
+from vcu_gateway.recording.call_text import settings_of
+from vcu_gateway.recording.candump import RecordedFrame, recorded_frame, recorded_frames
+from vcu_gateway.recording.core_lines import (
+    Checkpoint,
+    CoreRecord,
+    FrameRun,
+    Gap,
+    InputRecord,
+    LineParser,
+    Placed,
+    TickRecord,
+)
+from vcu_gateway.recording.layout import SegmentFiles
+from vcu_gateway.recording.members import Member, MemberDamage, whole_members
+from vcu_gateway.recording.segment import SegmentBegin, read_begin
+
+_NO_CHECKPOINT = "does not begin with a checkpoint"
+
+
+class _Line(NamedTuple):
+    text: str
+    number: int
+
+
+class _SegmentMembers:
+    """Members of one file up to the first damage.
+
+    Attributes:
+        damage: why they ended before the end of the file; empty where they did not.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self.damage = ""
+
+    def __iter__(self) -> Iterator[Member]:
+        if self._path is None:
+            self.damage = "a file of the segment is not there"
+        for member in whole_members(self._path, self._end):
+            if self.damage:
+                return
+            yield member
+
+    def _end(self, damage: MemberDamage) -> None:
+        if self._path is not None and not self.damage:
+            self.damage = f"{self._path.name}: {damage.what}"
+
+
+def _lines(member: Member) -> Iterator[_Line]:
+    for number, line in member.numbered_lines():
+        yield _Line(line.decode(errors="replace"), number)
+
+
+class _FrameSource:
+    """Frames of a segment, taken in runs of any length."""
+
+    def __init__(self, members: _SegmentMembers, path: Path | None, distance_ns: int) -> None:
+        self._members = iter(members)
+        self._path = path
+        self._distance_ns = distance_ns
+        self._waiting: list[Frame] = []
+
+    def take(self, count: int) -> list[Frame]:
+        waiting = self._waiting
+        while len(waiting) < count and (member := next(self._members, None)) is not None:
+            waiting += self._frames(member)
+        taken, self._waiting = waiting[:count], waiting[count:]
+        return taken
+
+    def rest(self) -> Iterator[list[Frame]]:
+        if self._waiting:
+            yield self.take(len(self._waiting))
+        for member in self._members:
+            yield self._frames(member)
+
+    def _frames(self, member: Member) -> list[Frame]:
+        frames = recorded_frames(member.data, self._distance_ns)
+        if frames is not None:
+            return frames
+        return [self._frame(line) for line in _lines(member)]
+
+    def _frame(self, line: _Line) -> Frame:
+        try:
+            return recorded_frame(line.text, self._distance_ns)
+        except ValueError as error:
+            raise _problem(error, self._path, line) from error
+
+
+class SegmentReader:
+    """Records of one segment; `before` is the reader of the one before, which has come to its end.
+
+    Attributes:
+        number: of the segment.
+        begun: it, or one before it, has begun with a checkpoint.
+        frames, ticks: since the start of the gateway, up to where its records end.
+        line: of the core lines' file, the latest that was read.
+        damage: why they end before the segment does; empty where they do not.
+    """
+
+    def __init__(
+        self, files: SegmentFiles, distance_ns: int, before: "SegmentReader | None" = None
+    ) -> None:
+        self.number = files.number
+        self.begun = before is not None
+        self.frames: int = before.frames if before else 0
+        self.ticks: int = before.ticks if before else 0
+        self.damage = ""
+        self.line = 0
+        self._files = files
+        self._distance_ns = distance_ns
+        self._before = before
+        self._core_members = _SegmentMembers(files.core)
+        self._frame_members = _SegmentMembers(files.frames)
+
+    def runs(self) -> Iterator[FrameRun | CoreRecord]:
+        """Gap, checkpoint, and then every run of frames, call and result in order."""
+        placed = self._placed()
+        first, second = next(placed, None), next(placed, None)
+        if first is None or not isinstance(first.record, Checkpoint):
+            self.damage = self._core_members.damage or f"{self._files.core}: {_NO_CHECKPOINT}"
+            yield Gap(None, None, None, self.damage)
+            return
+        told = second.record if second and isinstance(second.record, Gap) else None
+        yield from self._missing(first.record, told)
+        yield first.record
+        self.begun = True
+        self.frames, self.ticks = first.record.frames, first.record.ticks
+        yield from self._in_order(second, placed)
+
+    def _missing(self, begin: Checkpoint, told: Gap | None) -> Iterator[Gap]:
+        before = self._before
+        if before is None:
+            if told is not None:
+                yield told
+            return
+        frames, ticks = begin.frames - before.frames, begin.ticks - before.ticks
+        if frames <= 0 and ticks <= 0:
+            return
+        why = before.damage or ("" if told is None else told.why)
+        if self.number != before.number + 1:
+            why = f"segments {before.number + 1} to {self.number - 1} are not there"
+        yield Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
+
+    def _in_order(
+        self, second: Placed | None, placed: Iterator[Placed]
+    ) -> Iterator[FrameRun | CoreRecord]:
+        source, taken = _FrameSource(self._frame_members, self._files.frames, self._distance_ns), 0
+        while second is not None:
+            if taken < second.frames_before:
+                frames = source.take(second.frames_before - taken)
+                yield self._run(frames)
+                taken += len(frames)
+                if taken < second.frames_before:
+                    self.damage = self._frame_members.damage or "frames are missing"
+                    yield Gap(None, None, None, self.damage)
+                    return
+            if not isinstance(second.record, Gap):
+                self.ticks += isinstance(second.record, TickRecord)
+                yield second.record
+            second = next(placed, None)
+        for frames in source.rest():
+            yield self._run(frames)
+        if damage := self._core_members.damage or self._frame_members.damage:
+            self.damage = damage
+            yield Gap(None, None, None, damage)
+
+    def _run(self, frames: list[Frame]) -> FrameRun:
+        self.frames += len(frames)
+        return FrameRun(frames)
+
+    def _placed(self) -> Iterator[Placed]:
+        parser = LineParser()
+        for member in self._core_members:
+            for line in _lines(member):
+                self.line = line.number
+                try:
+                    yield from parser.records(line.text)
+                except ValueError as error:
+                    raise _problem(error, self._files.core, line) from error
+
+
+def _problem(error: ValueError, path: Path | None, line: _Line) -> DataError:
+    remedy = "vcu-gateway recordings check says what else is damaged"
+    return DataError(Problem(str(error), f"{path}:{line.number}", remedy))
+
+
+class DriveInfo(NamedTuple):
+    """What a gateway said of itself when it began to be recorded.
+
+    Attributes:
+        run: id of its process.
+        versions: of the program, Python, the kernel and the machine.
+        clock: wall time of a frame is arrival_ns + clock.distance_ns.
+        settings: in effect when the drive began; those of a checkpoint are later ones.
+        config, dbc: the texts.
+        described: all of drive.json.
+    """
+
+    run: str
+    channel: str
+    versions: dict[str, str]
+    clock: ClockPair
+    settings: Settings
+    config: str
+    config_digest: str
+    dbc: str
+    described: dict[str, Any]
+
+
+def open_drive(path: Path) -> "Drive":
+    """A drive's or an incident's folder, or one file of a segment in it.
+
+    Raises MissingInputError or DataError, with the file and what to do; DataError also where a
+    file beside the members is not the one that the recorder wrote: what it says would be of
+    another drive.
+    """
+    folder, only = path, None
+    if path.is_file() and (number := layout.segment_number(path.name)) is not None:
+        folder, only = path.parent, number
+    elif not path.is_dir():
+        what = "is no recorded drive" if path.exists() else "is not there"
+        remedy = "give a drive's or an incident's folder, or a segment's file in it"
+        raise MissingInputError(Problem(what, str(path), remedy))
+    info = _info(folder)
+    segments = layout.segments(folder)
+    compare_with_digests(folder, segments)
+    files = [one for one in segments if only in (None, one.number)]
+    return Drive(folder, info, tuple(files))
+
+
+def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
+    """DataError where the first segment's begin names other digests; older ones name none."""
+    begin = next(filter(None, (_begin(files.core) for files in segments)), None)
+    if begin is None or not begin.files:
+        return
+    found = chain.file_digests(folder)
+    for name in layout.FILES_BESIDE:
+        if found.get(name) != begin.files.get(name):
+            what = "is not the file that the recorder wrote: the recording names another SHA-256"
+            remedy = "vcu-gateway recordings check says what else was changed"
+            raise DataError(Problem(what, str(folder / name), remedy))
+
+
+def _begin(core: Path | None) -> SegmentBegin | None:
+    with contextlib.suppress(OSError):
+        return read_begin(core)
+    return None
+
+
+def _info(folder: Path) -> DriveInfo:
+    path = folder / layout.DRIVE_FILE
+    described = layout.read_description(path)
+    try:
+        return DriveInfo(
+            run=described["run"],
+            channel=layout.plain_reason(described["channel"]),
+            versions=dict(described["versions"]),
+            clock=clock_of(described),
+            settings=settings_of(described["settings"]),
+            config=_text(folder / layout.CONFIG_FILE),
+            config_digest=str(described.get("config_digest", "")),
+            dbc=_text(folder / layout.DBC_FILE),
+            described=described,
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        version = described.get("versions", {})
+        what = f"cannot be used ({type(error).__name__}: {error}); written by {version}"
+        raise DataError(Problem(what, str(path))) from error
+
+
+def clock_of(described: Mapping[str, Any]) -> ClockPair:
+    """Both clocks of a drive.json; KeyError, TypeError or ValueError where they are none."""
+    clock = described["clock"]
+    return ClockPair(_stamp(clock["monotonic_ns"]), _stamp(clock["wall_ns"]))
+
+
+def _stamp(value: object) -> int:
+    if type(value) is not int or not 0 <= value < 1 << 63:
+        raise ValueError("a clock is no number of nanoseconds")
+    return value
+
+
+def _text(path: Path) -> str:
+    try:
+        return layout.read_small(path).decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise MissingInputError(Problem(f"cannot be read: {error}", str(path))) from error
+
+
+class Drive:
+    """A recorded drive, or the part of one that is in a folder.
+
+    Attributes:
+        segments: files by number; records begin with the checkpoint of each.
+    """
+
+    def __init__(self, folder: Path, info: DriveInfo, segments: tuple[SegmentFiles, ...]) -> None:
+        self.folder = folder
+        self.info = info
+        self.segments = segments
+        self._read: SegmentReader | None = None
+
+    def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
+        """As `runs`, each frame as a `Receive`."""
+        for record in self.runs(first_segment):
+            if type(record) is FrameRun:
+                for frame in record.frames:
+                    yield InputRecord(Receive(frame), None)
+            else:
+                yield record  # type: ignore[misc]
+
+    def runs(self, first_segment: int | None = None) -> Iterator[FrameRun | CoreRecord]:
+        """Every run of frames, call and result in order, from this segment on.
+
+        Raises DataError where a line is whole and wrong.
+        """
+        before: SegmentReader | None = None
+        for files in self.segments:
+            if first_segment is None or files.number >= first_segment:
+                segment = SegmentReader(files, self.info.clock.distance_ns, before)
+                self._read = segment
+                yield from segment.runs()
+                before = segment if segment.begun else None
+
+    @property
+    def place(self) -> str:
+        """Core line up to which records were given last, as file:line."""
+        if self._read is None:
+            return str(self.folder)
+        return f"{self.folder / layout.core_name(self._read.number)}:{self._read.line}"
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """Every frame with its wall time, without what belongs to it; damage is passed by."""
+        number = 0
+        for files in self.segments:
+            for member in whole_members(files.frames):
+                for _, line in member.numbered_lines():
+                    number += 1
+                    frame = candump.recorded_frame(line.decode(errors="replace"))
+                    yield RecordedFrame(frame, self.info.channel, number, len(frame.data) > 8)

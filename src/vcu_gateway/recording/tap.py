@@ -1,0 +1,252 @@
+"""Tap: every call of a gateway's core and its result, noted for the recorder, batch by batch.
+
+It behaves as the core does, and costs an append a frame. Belongs to the ticking thread.
+"""
+
+import os
+import platform
+from typing import Any, NamedTuple, TypeVar
+
+from vcu_gateway import __version__
+from vcu_gateway.core.calls import Receive, RunTick
+from vcu_gateway.core.causes import Event
+from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
+from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.schedule import ClockPair
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.recording import checkpoint, datagram
+from vcu_gateway.recording.call_text import settings_json
+from vcu_gateway.recording.core_lines import (
+    Checkpoint,
+    LineWriter,
+    NotedCall,
+    ShellEvent,
+    WhyRecord,
+)
+
+
+class Hello(NamedTuple):
+    """Everything that reading and replaying a drive needs besides its inputs.
+
+    Attributes:
+        run: id of the gateway's process, another one for each.
+        boot: id of the machine's boot; empty where it is not known.
+        clock: both clocks, read together once for the whole run.
+        config: effective configuration as YAML; config_digest: that of `check-config`.
+        dbc: text of the DBC; dbc_digest: the begin of its SHA-256.
+    """
+
+    run: str
+    boot: str
+    channel: str
+    clock: ClockPair
+    settings: Settings
+    config: str
+    config_digest: str
+    dbc: str
+    dbc_digest: str
+
+    def values(self) -> dict[str, Any]:
+        return self._asdict() | {
+            "format": datagram.FORMAT,
+            "versions": versions(),
+            "clock": {
+                "monotonic_ns": self.clock.monotonic_ns,
+                "wall_ns": self.clock.wall_ns,
+            },
+            "settings": settings_json(self.settings),
+        }
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program, of Python and of the kernel, and the processor's name."""
+    system = os.uname()
+    return {
+        "gateway": __version__,
+        "python": platform.python_version(),
+        "kernel": system.release,
+        "machine": system.machine,
+    }
+
+
+_Answer = TypeVar("_Answer")
+
+
+class Noted(NamedTuple):
+    """Frames and calls since the last take, each in its order."""
+
+    frames: list[Frame]
+    calls: list[NotedCall]
+
+
+class Tap:
+    """Gathers frames and calls in the order in which the core was given them.
+
+    Attributes:
+        frames, calls: since the last take.
+        ticks: so far.
+        events: of the last tick's result.
+    """
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+        self.calls: list[NotedCall] = []
+        self.ticks = 0
+        self.events: tuple[Event, ...] = ()
+
+    def note(self, what: CoreCall[object] | WhyRecord | ShellEvent, answer: object = None) -> None:
+        """A call that was made, or what is to stand at this place beside the calls."""
+        self.calls.append(NotedCall(len(self.frames), what, answer))
+
+    def take(self) -> Noted:
+        noted = Noted(self.frames[:], self.calls[:])
+        self.frames.clear()
+        self.calls.clear()
+        return noted
+
+
+class TappedGateway(Gateway):
+    """Gateway core whose calls are noted; those that are made by `apply`, frames and ticks."""
+
+    # Not among the attributes of the core: a checkpoint keeps those.
+    __slots__ = ("_note_frame", "tap")
+
+    def __init__(self, codec: Codec, settings: Settings, now_ns: int, tap: Tap) -> None:
+        super().__init__(codec, settings, now_ns)
+        self.tap = tap
+        self._note_frame = tap.frames.append
+
+    def apply(self, call: CoreCall[_Answer]) -> _Answer:
+        """Make a call, and note it with its answer; one that fails is noted without."""
+        if isinstance(call, (Receive, RunTick)):  # the gateway's own methods note these
+            return call.apply(self)
+        try:
+            answer = call.apply(self)
+        except Exception:
+            self.tap.note(call)
+            raise
+        self.tap.note(call, answer)
+        return answer
+
+    def receive(self, frame: Frame) -> None:
+        self._note_frame(frame)
+        self.receiver.receive(frame)
+
+    def tick(self, now_ns: int) -> TickResult:
+        tap = self.tap
+        try:
+            result = super().tick(now_ns)
+        except Exception:
+            tap.note(RunTick(now_ns))
+            raise
+        tap.note(RunTick(now_ns), result)
+        tap.ticks += 1
+        tap.events = result.events
+        return result
+
+
+def packed_frames(frames: list[Frame]) -> list[bytes]:
+    pack, extended = datagram.CLASSIC.pack, datagram.EXTENDED
+    return [
+        pack(frame.arrival_ns, frame.can_id | extended, frame.own_echo, 8, frame.data)
+        if frame.extended and len(frame.data) == 8 and not frame.error and not frame.remote
+        else _packed_frame(frame)
+        for frame in frames
+    ]
+
+
+def _packed_frame(frame: Frame) -> bytes:
+    return datagram.packed_frame(*recorded_frame(frame))
+
+
+def recorded_frame(frame: Frame) -> datagram.FrameRecord:
+    """The frame with Linux's flags in its identifier."""
+    can_id = frame.can_id & datagram.ID_MASK
+    if frame.extended:
+        can_id |= datagram.EXTENDED
+    if frame.remote:
+        can_id |= datagram.REMOTE
+    if frame.error:
+        can_id |= datagram.ERROR
+    return datagram.FrameRecord(frame.arrival_ns, can_id, frame.own_echo, bytes(frame.data))
+
+
+def frame_of(record: datagram.FrameRecord) -> Frame:
+    """Frame of the core from one of a datagram."""
+    can_id = record.can_id
+    return Frame(
+        can_id & datagram.ID_MASK,
+        record.data,
+        record.arrival_ns,
+        extended=can_id & datagram.EXTENDED != 0,
+        remote=can_id & datagram.REMOTE != 0,
+        error=can_id & datagram.ERROR != 0,
+        own_echo=record.own_echo,
+    )
+
+
+class Batch(NamedTuple):
+    """Frames and the core lines that belong to them; `lines` may begin with a checkpoint."""
+
+    frames: list[Frame]
+    lines: str
+
+
+class TapStream:
+    """What a recording is made of; used by the ticking thread, after its ticks.
+
+    A recording begins with `begin`, and again after whatever could not be recorded. In between a
+    batch is taken after each tick.
+
+    Attributes:
+        frames: since the start of the gateway, up to the last batch.
+        segment_frames: since the last checkpoint.
+    """
+
+    def __init__(self, gateway: TappedGateway) -> None:
+        self._gateway = gateway
+        self._writer = LineWriter()
+        self._head = ""
+        self._why: object = None
+        self.frames = 0
+
+    @property
+    def segment_frames(self) -> int:
+        return self._writer.frames
+
+    def begin(self, now_ns: int, wall_ns: int) -> None:
+        """Begin a segment with the gateway's state; what was not taken before is part of it."""
+        self.skip()
+        gateway, why = self._gateway, self._gateway.why(now_ns)
+        self._head = self._writer.begin(
+            Checkpoint(
+                state=checkpoint.state_of(gateway),
+                settings=gateway.settings,
+                mode=gateway.mode,
+                why=why.sentence(),
+                now_ns=now_ns,
+                wall_ns=wall_ns,
+                ticks=gateway.tap.ticks,
+                frames=self.frames,
+            )
+        )
+
+    def note_why(self, now_ns: int, signature: object) -> None:
+        """After a tick: its explanation, where the signature says that it is another one."""
+        if signature != self._why:
+            self._why = signature
+            sentence = self._gateway.why(now_ns).sentence()
+            self._gateway.tap.note(WhyRecord(now_ns, sentence))
+
+    def batch(self) -> Batch:
+        frames, calls = self._gateway.tap.take()
+        self.frames += len(frames)
+        head, self._head = self._head, ""
+        return Batch(frames, head + self._writer.lines(calls, len(frames)))
+
+    def skip(self) -> int:
+        """Leave out everything since the last batch; how many frames that were."""
+        frames = len(self._gateway.tap.take().frames)
+        self.frames += frames
+        return frames
