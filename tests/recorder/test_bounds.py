@@ -7,10 +7,9 @@ import subprocess
 
 import pytest
 
-from vcu_gateway.recorder import bounds
+from vcu_gateway.recorder import connection as bounds
 from vcu_gateway.recorder.backlog import Backlog, Received
-from vcu_gateway.recorder.connection import GatewayConnection
-from vcu_gateway.recorder.senders import RunOwners, Sender
+from vcu_gateway.recorder.connection import GatewayConnection, RunOwners, Sender
 from vcu_gateway.recording.datagram import DatagramError, TickHeader, packed_tick, tick_parts
 
 HELLO = {

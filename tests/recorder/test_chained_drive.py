@@ -20,14 +20,12 @@ from tests.recorder.gateway import (
     members,
     recorded_frames,
 )
-from vcu_gateway.recorder import resume
+from vcu_gateway.recorder import drive as resume
 from vcu_gateway.recorder.backlog import Backlog
-from vcu_gateway.recorder.disk import Disk
+from vcu_gateway.recorder.connection import Refusals
 from vcu_gateway.recorder.drive import DriveRecorder
-from vcu_gateway.recorder.listener import TapListener
-from vcu_gateway.recorder.receiver import DatagramReceiver
-from vcu_gateway.recorder.ring import Ring
-from vcu_gateway.recorder.senders import Refusals
+from vcu_gateway.recorder.receiver import DatagramReceiver, TapListener
+from vcu_gateway.recorder.ring import Disk, Ring
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, datagram, layout, signature
 from vcu_gateway.recording.chain import BreakKind, Linked

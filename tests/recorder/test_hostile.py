@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from tests.recorder.gateway import account, drives, incidents
-from vcu_gateway.recorder import senders
-from vcu_gateway.recorder.senders import Refusals
+from vcu_gateway.recorder import connection as senders
+from vcu_gateway.recorder.connection import Refusals
 from vcu_gateway.recording import datagram, layout
 from vcu_gateway.recording.datagram import TickHeader
 

@@ -1,24 +1,23 @@
-"""Recorded drive of one run of a gateway: its folder, its segments, and what is missing in it."""
+"""How far a drive is recorded: read from its last segments, after a recorder ended."""
 
 import contextlib
 import errno
 import json
 import os
+import re
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from vcu_gateway import __version__
 from vcu_gateway.errors import GatewayError
-from vcu_gateway.recorder import resume
-from vcu_gateway.recorder.disk import Disk
-from vcu_gateway.recorder.resume import Position
+from vcu_gateway.recorder.ring import Disk
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, layout
 from vcu_gateway.recording.candump_lines import CandumpLines
 from vcu_gateway.recording.datagram import TickParts
-from vcu_gateway.recording.members import NO_LINK
+from vcu_gateway.recording.members import NO_LINK, whole_members
 from vcu_gateway.recording.recorder_status import RecorderTotals
 from vcu_gateway.recording.segment import (
     NEXT_BEGINS,
@@ -27,8 +26,49 @@ from vcu_gateway.recording.segment import (
     SegmentEnd,
     SegmentWriter,
     gap_line,
+    read_begin,
 )
 from vcu_gateway.text import ISO_TIME, utc
+
+_TICK = re.compile(rb'^\{"f":\d+,"tick":', re.MULTILINE)
+
+
+class Position(NamedTuple):
+    """How many frames and ticks of a run came before; recorded ones and lost ones."""
+
+    frames: int = 0
+    ticks: int = 0
+
+
+class Recorded(NamedTuple):
+    """A drive's end on the disk; `link`: what its next member names."""
+
+    position: Position
+    lost: Losses
+    next_segment: int
+    link: bytes
+
+
+def ticks_of(core_lines: bytes) -> int:
+    return sum(1 for _ in _TICK.finditer(core_lines))
+
+
+def recorded(folder: Path) -> Recorded:
+    """How far this drive is recorded; OSError where it cannot be read."""
+    segments = layout.segments(folder)
+    next_segment = segments[-1].number + 1 if segments else 1
+    end = chain.end(folder)
+    link = (end and end.member.digest) or NO_LINK
+    frames = ticks = 0
+    for segment in reversed(segments):
+        frames += sum(member.lines for member in whole_members(segment.frames))
+        ticks += sum(ticks_of(member.data) for member in whole_members(segment.core))
+        begin = read_begin(segment.core)
+        if begin is not None:
+            position = Position(begin.frames + frames, begin.ticks + ticks)
+            return Recorded(position, begin.lost, next_segment, link)
+    return Recorded(Position(frames, ticks), Losses(), next_segment, link)
+
 
 _MEMORY_FULL = "the recorder's memory was full"
 
@@ -93,7 +133,7 @@ class DriveRecorder:
         frame_text = self._candump.text(tick, self._clock_ns)
         if self.segment is not None:
             self.segment.add(lines.decode(errors="replace"), frame_text, tick.frame_count)
-        self._waiting_ticks += resume.ticks_of(lines)
+        self._waiting_ticks += ticks_of(lines)
         self._next_sequence = tick.header.sequence + 1
 
     def _begin(self, tick: TickParts) -> bytes:
@@ -160,7 +200,7 @@ class DriveRecorder:
         return False
 
     def _resume(self) -> None:
-        found = resume.recorded(self.folder)
+        found = recorded(self.folder)
         if self._next_segment == 1:
             self._position, self._lost, self._link = found.position, found.lost, found.link
             self._missing_because = "the recorder had ended"

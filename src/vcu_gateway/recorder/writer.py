@@ -10,13 +10,19 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
-from vcu_gateway.recorder.connection import GatewayConnection
-from vcu_gateway.recorder.disk import Disk, is_full, is_of_a_name, probe
+from vcu_gateway.recorder.connection import GatewayConnection, Refusals
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
 from vcu_gateway.recorder.options import RecorderOptions
-from vcu_gateway.recorder.ring import KEPT_WITHOUT_ROOM, Ring, room_bytes
-from vcu_gateway.recorder.senders import Refusals
+from vcu_gateway.recorder.ring import (
+    KEPT_WITHOUT_ROOM,
+    Disk,
+    Ring,
+    is_full,
+    is_of_a_name,
+    probe,
+    room_bytes,
+)
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import Trigger
 from vcu_gateway.recording import layout
