@@ -7,7 +7,7 @@ import time
 import pytest
 
 from vcu_gateway.errors import DataError, Problem
-from vcu_gateway.replay.beside import beside
+from vcu_gateway.replay.drive_replay import beside
 
 
 @pytest.fixture(params=[1, 2], ids=["one processor", "two processors"])

@@ -1,14 +1,12 @@
-"""Replay of a recorded drive: is it the same to the byte, does it hold, and what if?
-
-report = replay_drive(Path("drives/20261123T180412Z-1f3a9c2e"))
-report = replay_drive(path, Changes(assignments=("limits.derated_power_w=5000",)))
-report.lines, report.values, report.exit_code
-"""
+"""Work in a process beside this one, where the machine has a processor for it."""
 
 import contextlib
+import os
+import pickle
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 from vcu_gateway import __version__
 from vcu_gateway.core.codec import Codec
@@ -23,8 +21,6 @@ from vcu_gateway.recording.core_lines import Checkpoint, CoreRecord, FrameRun, T
 from vcu_gateway.recording.folder import RecordingPath
 from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.replay import report
-from vcu_gateway.replay.beside import beside
-from vcu_gateway.replay.closed_loop import ClosedLoop
 from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.configuration import (
     Changes,
@@ -34,11 +30,60 @@ from vcu_gateway.replay.configuration import (
 )
 from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
 from vcu_gateway.replay.judged import JudgedRecords
-from vcu_gateway.replay.open_loop import OpenLoop
+from vcu_gateway.replay.open_loop import ClosedLoop, OpenLoop
 from vcu_gateway.replay.report import ReplayReport, TimeOfDay
 from vcu_gateway.replay.what_if import WhatIfResult
 from vcu_gateway.text import Progress, counted
 from vcu_gateway.time_window import Window
+
+_Result = TypeVar("_Result")
+
+
+@contextlib.contextmanager
+def beside(work: Callable[[], _Result]) -> Iterator[Callable[[], _Result]]:
+    """Begin some work; what is given waits for its result, and raises what it raises.
+
+    With one processor, or where its process does not come to its end, the work is done then. It
+    must not write anything; for a process of one thread.
+    """
+    if len(os.sched_getaffinity(0)) < 2:
+        yield work
+        return
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        _work(work, writing)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as answer:
+        try:
+            yield lambda: _result(answer.read(), work)
+        finally:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+def _work(work: Callable[[], object], writing: int) -> NoReturn:
+    try:
+        try:
+            answer = pickle.dumps((work(), None))
+        except Exception as error:  # noqa: BLE001 - raised where the result is waited for
+            answer = pickle.dumps((None, error))
+        with os.fdopen(writing, "wb") as out:
+            out.write(answer)
+    finally:
+        os._exit(0)
+
+
+def _result(answer: bytes, work: Callable[[], _Result]) -> _Result:
+    try:
+        found, error = pickle.loads(answer)  # noqa: S301 - our own process wrote it
+    except (EOFError, pickle.UnpicklingError):
+        return work()
+    if error is not None:
+        raise error
+    result: _Result = found
+    return result
+
 
 _MOST_FAULTS = 10
 _CLOSED_LOOP = (
