@@ -11,8 +11,7 @@ from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.export.decisions import MODES
 from vcu_gateway.export.formats import tables_of
 from vcu_gateway.export.report_builder import build
-from vcu_gateway.export.selection import Selection
-from vcu_gateway.export.source import ReadOptions, Source, read, title
+from vcu_gateway.export.source import ReadOptions, Selection, Source, read, title
 from vcu_gateway.time_window import Window, moment
 from vcu_gateway.units import NS_PER_S
 

@@ -12,7 +12,7 @@ from tests.export.logs import PROTOCOL, START_NS, line, random_frames
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.export import message_rows
+from vcu_gateway.export import frame_store
 from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.export.source import ReadOptions, Source, read
 from vcu_gateway.recording.candump import LineProblems, RecordedFrame
@@ -135,7 +135,7 @@ def test_what_is_outside_the_window_is_passed_over(tmp_path):
 
 
 def test_many_frames_wait_on_the_disk_and_come_back_in_order(monkeypatch):
-    monkeypatch.setattr(message_rows, "CHUNK_ROWS", 64)
+    monkeypatch.setattr(frame_store, "CHUNK_ROWS", 64)
     store = FrameStore(CODEC, Window())
     frames = random_frames(14 * 300, seed=5)
     for one in frames:
@@ -151,7 +151,7 @@ def test_many_frames_wait_on_the_disk_and_come_back_in_order(monkeypatch):
 
 
 def test_a_disk_without_room_for_waiting_frames_is_told(monkeypatch, tmp_path):
-    monkeypatch.setattr(message_rows, "CHUNK_ROWS", 1)
+    monkeypatch.setattr(frame_store, "CHUNK_ROWS", 1)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
     store = FrameStore(CODEC, Window())
     one = FRAMES[0]

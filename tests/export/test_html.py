@@ -9,11 +9,10 @@ import pytest
 from tests.browser import Chromium, Page, chromium
 from tests.export.drives import record
 from tests.export.logs import random_frames, write_log
-from vcu_gateway.export import html_page
+from vcu_gateway.export import html_report
+from vcu_gateway.export.csv_table import written_text
 from vcu_gateway.export.html_report import Overlay, write_report
-from vcu_gateway.export.lines import CodeLine, LineBuilder
-from vcu_gateway.export.output import written_text
-from vcu_gateway.export.report import Line, Plot, Report, Role
+from vcu_gateway.export.report import CodeLine, Line, LineBuilder, Plot, Report, Role
 from vcu_gateway.text import TIME_OF_DAY_MS, utc
 from vcu_gateway.units import NS_PER_MS
 
@@ -262,13 +261,13 @@ def hour(noise: int) -> Report:
     [pytest.param(2, marks=pytest.mark.ci), pytest.param(1000, marks=pytest.mark.ci), 32768],
 )
 def test_an_hour_is_at_most_2_mb_however_noisy(noise):
-    assert len(html_page.page(hour(noise)).encode()) <= LIMIT_BYTES
+    assert len(html_report.page(hour(noise)).encode()) <= LIMIT_BYTES
 
 
 @pytest.mark.ci
 def test_a_very_noisy_hour_is_still_drawn(page, tmp_path):
     path = tmp_path / "hour.html"
-    path.write_text(html_page.page(hour(32768)))
+    path.write_text(html_report.page(hour(32768)))
     seen(page, path)
     page.until("document.querySelectorAll('canvas').length > 2")
     assert page.complaints == []

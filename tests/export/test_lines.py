@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vcu_gateway.export.line_data import packed
-from vcu_gateway.export.lines import GAP, CodeLine, LineBuilder
+from vcu_gateway.export.report import GAP, CodeLine, LineBuilder, packed
 
 CODES = st.integers(-(1 << 31) + 1, (1 << 31) - 1)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.export.selection import Selection
+from vcu_gateway.export.source import Selection
 
 
 @pytest.mark.parametrize(

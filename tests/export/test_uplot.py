@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from vcu_gateway.export.html_page import UPLOT
+from vcu_gateway.export.html_report import UPLOT
 
 # Of uplot-1.6.32.tgz, whose integrity in the registry is
 # sha512-KIMVnG68zvu5XXUbC4LQEPnhwOxBuLyW1AHtpm6IKTXImkbLgkMy+jabjLgSLMasNuGGzQm/ep3tOkyTxpiQIw==

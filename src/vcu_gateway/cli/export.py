@@ -8,8 +8,7 @@ from vcu_gateway import text
 from vcu_gateway.cli.options import moment_of
 from vcu_gateway.errors import Problem, did_you_mean
 from vcu_gateway.export import formats
-from vcu_gateway.export.selection import Selection
-from vcu_gateway.export.source import ReadOptions, Source, read, title
+from vcu_gateway.export.source import ReadOptions, Selection, Source, read, title
 from vcu_gateway.recording.folder import recording_path
 from vcu_gateway.time_window import Window
 

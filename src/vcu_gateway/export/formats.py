@@ -1,13 +1,23 @@
-"""Formats of an export: what each is written with, and into."""
+"""Libraries of an extra: what is said where one is not installed."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
-from vcu_gateway.export.controllers import controller_tables
-from vcu_gateway.export.output import written_file, written_folder, written_text
-from vcu_gateway.export.selection import Selection
-from vcu_gateway.export.source import Source
-from vcu_gateway.export.tables import Table, decision_tables, message_tables
+from vcu_gateway.errors import extra_needed
+from vcu_gateway.export.csv_table import written_file, written_folder, written_text
+from vcu_gateway.export.source import Selection, Source
+from vcu_gateway.export.tables import Table, controller_tables, decision_tables, message_tables
+
+
+def needed(package: str, extra: str) -> AbstractContextManager[None]:
+    """Import of a library of a second environment; UnavailableError where it is not installed."""
+    remedy = (
+        "install it beside the gateway's environment, not into it: python3 -m venv ~/vcu-tools"
+        f" && ~/vcu-tools/bin/pip install 'vcu-gateway[{extra}]' (docs/install.md)"
+    )
+    return extra_needed(f"writing {extra} needs the package", extra, package, remedy=remedy)
+
 
 FORMATS = ("csv", "html", "mf4", "parquet", "mcap")
 

@@ -1,13 +1,184 @@
-"""HTML report of a recording: reads it, and writes one page with plots."""
+"""HTML report of a recording: one file with plots, bands and events, and nothing to load."""
 
-from typing import TextIO
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TextIO
 
-from vcu_gateway.export.html_page import page
-from vcu_gateway.export.report import Overlay
+from vcu_gateway.export.report import (
+    Band,
+    CodeLine,
+    Line,
+    Overlay,
+    PackedLines,
+    Plot,
+    Report,
+    packed,
+)
 from vcu_gateway.export.report_builder import build
-from vcu_gateway.export.selection import Selection
-from vcu_gateway.export.source import ReadOptions, Source, read
+from vcu_gateway.export.source import ReadOptions, Selection, Source, read
 from vcu_gateway.time_window import Window
+from vcu_gateway.units import NS_PER_S
+
+_FOLDER = Path(__file__).parent
+UPLOT = _FOLDER / "uplot"
+"""uPlot 1.6.32 as npm has it, with its licence (MIT)."""
+
+MOST_DATA_BYTES = 1_150_000
+"""Of packed lines; longer recordings get a coarser grid, so that the page stays below 2 MB."""
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>{title}</title>
+<style>{style}</style>
+</head>
+<body>
+<main id="report">
+<noscript>The plots need scripts, which are switched off in this browser.</noscript>
+{body}
+</main>
+<script type="application/json" id="data">{data}</script>
+<script>{uplot}</script>
+<script>{script}</script>
+</body>
+</html>
+"""
+
+
+def page(report: Report) -> str:
+    bucket_ns, lines = _small_enough(report)
+    uplot = (UPLOT / "uPlot.iife.min.js").read_text(encoding="utf-8")
+    script = (_FOLDER / "page" / "report.js").read_text(encoding="utf-8")
+    style = (UPLOT / "uPlot.min.css").read_text(encoding="utf-8")
+    style += (_FOLDER / "page" / "report.css").read_text(encoding="utf-8")
+    policy = (
+        f"default-src 'none'; script-src {_hash(uplot)} {_hash(script)}; style-src {_hash(style)};"
+        " base-uri 'none'; form-action 'none'"
+    )
+    return _PAGE.format(
+        policy=policy,
+        title=html.escape(f"{report.title} · vcu-gateway"),
+        style=style,
+        body="\n".join(_body(report)),
+        data=_json(_data(report, bucket_ns, lines)),
+        uplot=uplot,
+        script=script,
+    )
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def _json(values: Any) -> str:
+    """JSON that cannot end the script element that holds it."""
+    return json.dumps(values, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _small_enough(report: Report) -> tuple[int, PackedLines]:
+    """The lines packed, and the grid on which they fit; both halved until they do."""
+    bucket_ns = report.bucket_ns
+    lines: list[CodeLine] = [line.codes for plot in report.plots for line in plot.lines]
+    result = packed(lines)
+    while len(result.data) > MOST_DATA_BYTES:
+        bucket_ns *= 2
+        lines = [line.halved() for line in lines]
+        result = packed(lines)
+    return bucket_ns, result
+
+
+def _data(report: Report, bucket_ns: int, lines: PackedLines) -> dict[str, Any]:
+    layouts = iter(lines.layouts)
+    buckets = -(-report.buckets * report.bucket_ns // bucket_ns)
+    return {
+        "start": report.start_ns / NS_PER_S,
+        "length": (report.end_ns - report.start_ns) / NS_PER_S,
+        "bucket": bucket_ns / NS_PER_S,
+        "buckets": buckets,
+        "plots": [_plot(plot, layouts) for plot in report.plots],
+        "bands": [_band(band, report.start_ns) for band in report.bands],
+        "events": [
+            [_seconds(one.wall_ns, report.start_ns), one.severity, one.name, one.text]
+            for one in report.events
+        ],
+        "whys": [[_seconds(stamp, report.start_ns), text] for stamp, text in report.whys],
+        "lines": base64.b64encode(lines.data).decode(),
+    }
+
+
+def _seconds(stamp_ns: int, start_ns: int) -> float:
+    return round((stamp_ns - start_ns) / NS_PER_S, 6)
+
+
+def _plot(plot: Plot, layouts: Iterator[dict[str, Any]]) -> dict[str, Any]:
+    lines = [_line(line, next(layouts)) for line in plot.lines]
+    return {"title": plot.title, "unit": plot.unit, "lines": lines}
+
+
+def _line(line: Line, layout: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "label": line.label,
+        "role": line.role.value,
+        "factor": line.factor,
+        "offset": line.offset,
+        "names": dict(line.names),
+        "steps": line.steps,
+        **layout,
+    }
+
+
+def _band(band: Band, start_ns: int) -> dict[str, Any]:
+    spans = [
+        [_seconds(one.begin_ns, start_ns), _seconds(one.end_ns, start_ns), one.kind, one.text]
+        for one in band.spans
+    ]
+    return {"title": band.title, "whatIf": band.what_if, "spans": spans}
+
+
+def _body(report: Report) -> Iterator[str]:
+    """What can be read without the script."""
+    text = html.escape
+    facts = "".join(f"<div><dt>{text(k)}</dt><dd>{text(v)}</dd></div>" for k, v in report.facts)
+    yield f"<header><p class='name'>{text(report.title)}</p><h1>{text(report.headline)}</h1>"
+    yield f"<dl class='facts'>{facts}</dl></header>"
+    if report.overlay is not None:
+        yield from _overlay(report.overlay)
+    yield "<div id='stage'></div>"
+    if report.constant:
+        yield "<details><summary>Signals that never changed "
+        yield f"<span class='count'>{len(report.constant)}</span></summary>"
+        yield from _table(("signal", "value"), report.constant)
+        yield "</details>"
+    for name, contents in report.texts.items():
+        yield f"<details><summary>{text(name)}</summary><pre>{text(contents)}</pre></details>"
+
+
+def _overlay(overlay: Overlay) -> Iterator[str]:
+    text = html.escape
+    yield f"<section class='whatif'><p class='name'>What if</p><h2>{text(overlay.headline)}</h2>"
+    if overlay.notes:
+        yield "<ul>" + "".join(f"<li>{text(note)}</li>" for note in overlay.notes) + "</ul>"
+    if overlay.rows:
+        yield from _table(overlay.columns, overlay.rows)
+    yield "</section>"
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    heads = "".join(f"<th scope='col'>{html.escape(column)}</th>" for column in columns)
+    yield f"<div class='scroll'><table><thead><tr>{heads}</tr></thead><tbody>"
+    for row in rows:
+        yield "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>"
+    yield "</tbody></table></div>"
+
 
 __all__ = ["Overlay", "write", "write_report"]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from vcu_gateway.export.libraries import needed
+from vcu_gateway.export.formats import needed
 from vcu_gateway.export.source import Source
 from vcu_gateway.export.tables import Channel, Table
 

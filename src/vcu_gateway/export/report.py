@@ -1,10 +1,179 @@
-"""Report of a recording as values: what one page shows, without how it is drawn."""
+"""Report of a recording as values, its lines on a common grid and as bytes; not how it is drawn.
 
-from collections.abc import Mapping, Sequence
+So a peak of one frame stays visible however far an hour is drawn together, and a line has two
+points a bucket however many frames there were.
+"""
+
+import sys
+import zlib
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
-from typing import NamedTuple
+from itertools import groupby, pairwise
+from typing import Any, NamedTuple
 
-from vcu_gateway.export.lines import CodeLine
+GAP = -(1 << 31)
+"""Stands for a bucket without a value."""
+
+LARGEST_CODE = (1 << 31) - 1
+
+
+class CodeLine(NamedTuple):
+    """Extremes of each bucket in the order in which they came; GAP where there is none."""
+
+    earlier: "array[int]"
+    later: "array[int]"
+
+    @property
+    def constant(self) -> int | None:
+        """The only code of the line; None where there are several, or none at all."""
+        codes = set(self.earlier) | set(self.later)
+        codes.discard(GAP)
+        return codes.pop() if len(codes) == 1 else None
+
+    @property
+    def empty(self) -> bool:
+        return max(self.later, default=GAP) == GAP
+
+    def halved(self) -> "CodeLine":
+        """The same on a grid of twice the width."""
+        if len(self.later) % 2:
+            self.earlier.append(GAP)
+            self.later.append(GAP)
+        pairs = zip(
+            self.earlier[::2], self.later[::2], self.earlier[1::2], self.later[1::2], strict=True
+        )
+        merged = [_merged(*four) for four in pairs]
+        return CodeLine(array("i", [a for a, _ in merged]), array("i", [b for _, b in merged]))
+
+
+def _merged(first: int, second: int, third: int, fourth: int) -> tuple[int, int]:
+    """Extremes of two buckets, in their order."""
+    if third == GAP or first == GAP:
+        return (first, second) if third == GAP else (third, fourth)
+    if first == second == third == fourth:
+        return first, first
+    four = (first, second, third, fourth)
+    low, high = min(four), max(four)
+    return (low, high) if four.index(low) < four.index(high) else (high, low)
+
+
+class LineBuilder:
+    """Gathers the codes of one signal; the stamps may only rise."""
+
+    def __init__(self, buckets: int) -> None:
+        self._earlier = array("i", [GAP]) * buckets
+        self._later = array("i", [GAP]) * buckets
+        self._bucket = -1
+
+    def add(self, buckets: Iterable[int], codes: Iterable[int]) -> None:
+        """Take in codes, each with the number of its bucket."""
+        earlier, later, current = self._earlier, self._later, self._bucket
+        for bucket, code in zip(buckets, codes, strict=True):
+            if bucket > current:
+                earlier[bucket] = later[bucket] = code
+                current = bucket
+                continue
+            before, after = earlier[current], later[current]
+            if before <= after:
+                if code > after:
+                    later[current] = code
+                elif code < before:
+                    earlier[current], later[current] = after, code
+            elif code < after:
+                later[current] = code
+            elif code > before:
+                earlier[current], later[current] = after, code
+        self._bucket = current
+
+    def line(self, hold_buckets: int) -> CodeLine:
+        """The line; a value is held for so many buckets without a new one."""
+        earlier, later = self._earlier, self._later
+        held, since = GAP, 0
+        for bucket, code in enumerate(later):
+            if code != GAP:
+                held, since = code, bucket
+            elif held != GAP and bucket - since <= hold_buckets:
+                earlier[bucket] = later[bucket] = held
+        return CodeLine(earlier, later)
+
+
+def sampled(
+    buckets: Sequence[int], codes: Sequence[int], count: int, hold_buckets: int
+) -> CodeLine:
+    builder = LineBuilder(count)
+    builder.add(buckets, codes)
+    return builder.line(hold_buckets)
+
+
+_SMALL = range(-(1 << 15), 1 << 15)
+_LEVEL = 6
+
+
+class PackedLines(NamedTuple):
+    """Lines, packed.
+
+    Attributes:
+        data: deflated bytes of all lines, one behind the other.
+        layouts: of each line: width of its numbers in bytes, whether it has two for each bucket,
+            its first code, and its gaps as (first point, points).
+    """
+
+    data: bytes
+    layouts: tuple[dict[str, Any], ...]
+
+
+def packed(lines: Sequence[CodeLine]) -> PackedLines:
+    deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, zlib.MAX_WBITS)
+    pieces, layouts = [], []
+    for line in lines:
+        layout, data = _packed(line)
+        layouts.append(layout)
+        pieces.append(deflate.compress(data))
+    pieces.append(deflate.flush())
+    return PackedLines(b"".join(pieces), tuple(layouts))
+
+
+def _packed(line: CodeLine) -> tuple[dict[str, Any], bytes]:
+    double = line.earlier != line.later
+    points = array("i", line.later)
+    if double:
+        points = array("i", bytes(8 * len(points)))
+        points[::2], points[1::2] = line.earlier, line.later
+    gaps = _gaps(points)
+    filled = _filled(points, gaps)
+    differences = [after - before for before, after in pairwise(filled)]
+    small = min(differences, default=0) in _SMALL and max(differences, default=0) in _SMALL
+    numbers = array("h" if small else "q", differences)
+    if sys.byteorder == "big":
+        numbers.byteswap()
+    raw = numbers.tobytes()
+    width = numbers.itemsize
+    layout = {"w": width, "d": double, "a": filled[0], "g": gaps}
+    return layout, b"".join(raw[place::width] for place in range(width))
+
+
+def _gaps(points: "array[int]") -> list[list[int]]:
+    """First point and number of points of each gap."""
+    gaps: list[list[int]] = []
+    place = 0
+    if GAP not in points:
+        return gaps
+    for is_gap, group in groupby(points, key=GAP.__eq__):
+        count = sum(1 for _ in group)
+        if is_gap:
+            gaps.append([place, count])
+        place += count
+    return gaps
+
+
+def _filled(points: "array[int]", gaps: list[list[int]]) -> "array[int]":
+    """The points, each gap filled with the code before it, the first one with that behind it."""
+    for first, count in gaps:
+        last = first + count
+        code = points[first - 1] if first else points[last] if last < len(points) else 0
+        points[first:last] = array("i", [code]) * count
+    return points
 
 
 class Role(Enum):

@@ -1,16 +1,16 @@
-"""Recording to be exported: a drive, an incident, one of its files, or a foreign log."""
+"""Selection of signals: `--signals GLOB`."""
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.config import load
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
-from vcu_gateway.export.core_lines import CoreLines
-from vcu_gateway.export.decisions import Decisions
+from vcu_gateway.export.decisions import CoreLines, Decisions
 from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged, requirements
 from vcu_gateway.recording import layout
@@ -19,6 +19,35 @@ from vcu_gateway.recording.log import STANDARD_INPUT, open_recording
 from vcu_gateway.recording.members import MemberDamage, read_members
 from vcu_gateway.recording.reader import compare_with_digests
 from vcu_gateway.time_window import Window
+
+
+class Selection:
+    """Signals that some patterns ask for; every one where there are no patterns.
+
+    A pattern is compared with `Message.Signal`, with the message and with the signal alone,
+    whatever the case.
+    """
+
+    def __init__(self, patterns: Iterable[str] = ()) -> None:
+        self._patterns = {pattern: pattern.lower() for pattern in patterns}
+        self._unused = set(self._patterns)
+
+    def wants(self, table: str, signal: str) -> bool:
+        if not self._patterns:
+            return True
+        names = (f"{table}.{signal}".lower(), table.lower(), signal.lower())
+        found = False
+        for pattern, lowered in self._patterns.items():
+            if any(fnmatchcase(name, lowered) for name in names):
+                self._unused.discard(pattern)
+                found = True
+        return found
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Patterns that no signal answered to so far."""
+        return tuple(sorted(self._unused))
+
 
 _FRAMES_BETWEEN_LOOKS = 8192
 _SHORTEST_CORE_LINE, _SHORTEST_FRAME_LINE = len(b'{"f":0}'), len(b"(1.123456789) a 123#R R")
