@@ -30,11 +30,11 @@ from vcu_gateway.daemon.tap_hello import TapHello
 from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.recording.tap import Tap, TappedGateway
-from vcu_gateway.server import health
-from vcu_gateway.server.context import ServerContext
+from vcu_gateway.server import queries
 from vcu_gateway.server.dispatch import Dispatcher
+from vcu_gateway.server.queries import ServerContext
 from vcu_gateway.server.server import Server
-from vcu_gateway.server.settings import ServerSettings
+from vcu_gateway.server.service import ServerSettings
 from vcu_gateway.server.tick_gaps import TickGaps
 from vcu_gateway.server.views import definition
 
@@ -61,7 +61,7 @@ class Application:
     ) -> None:
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)
-        self.facts = health.RunFacts(_protocol_digest(config), None, log_lines_dropped)
+        self.facts = queries.RunFacts(_protocol_digest(config), None, log_lines_dropped)
         in_effect = EffectiveConfig(config)
         self.api = ApiRunner(in_effect, protocol, self.loop, self.facts)
         self.loop.add_observer(self.api.observe)
@@ -126,7 +126,7 @@ def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
 
 
 def _recorder_tap(
-    in_effect: EffectiveConfig, loop: TickLoop, facts: health.RunFacts
+    in_effect: EffectiveConfig, loop: TickLoop, facts: queries.RunFacts
 ) -> RecorderTap | None:
     """The tap of this configuration; None where it has none."""
     gateway, path = loop.gateway, in_effect.config.recorder.socket_path
@@ -164,7 +164,7 @@ class ApiRunner:
         in_effect: EffectiveConfig,
         protocol: ProtocolSpec,
         loop: TickLoop,
-        facts: health.RunFacts,
+        facts: queries.RunFacts,
     ) -> None:
         self._loop = loop
         self._config = config = in_effect.config

@@ -10,8 +10,7 @@ from vcu_gateway.api.methods import METHODS
 from vcu_gateway.client import Client, RefusedError
 from vcu_gateway.client.calls import Call
 from vcu_gateway.server import queries
-from vcu_gateway.server.commands import COMMANDS
-from vcu_gateway.server.dispatch import RELOAD
+from vcu_gateway.server.dispatch import COMMANDS, RELOAD
 
 SUBSCRIPTIONS = {"state.subscribe", "state.unsubscribe"}
 BY_NAME = {

@@ -21,7 +21,7 @@ from vcu_gateway.daemon.restarts import CountedStart
 from vcu_gateway.exporter import GatewayAnswers, prometheus
 from vcu_gateway.recording.recorder_status import RecorderStatus
 from vcu_gateway.server import views
-from vcu_gateway.server.health import RunFacts, health
+from vcu_gateway.server.queries import RunFacts, health
 
 Labels = frozenset[tuple[str, str]]
 STARTED_S = 1_700_000_000.0

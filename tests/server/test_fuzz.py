@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from tests.server.conftest import Client, eventually
 from vcu_gateway.api.methods import METHODS, Params
 from vcu_gateway.server import jsonrpc
-from vcu_gateway.server.line_buffer import MAX_LINE_BYTES
-from vcu_gateway.server.settings import SessionLimits
+from vcu_gateway.server.service import SessionLimits
+from vcu_gateway.server.session import MAX_LINE_BYTES
 
 NIGHTLY = settings().max_examples > 1000
 LINES = 1_000_000 if NIGHTLY else 20_000

@@ -8,7 +8,7 @@ import pytest
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import ControllerParams, DemandParams, Nothing, StateParams
 from vcu_gateway.server import jsonrpc
-from vcu_gateway.server.line_buffer import MAX_LINE_BYTES, LineBuffer
+from vcu_gateway.server.session import MAX_LINE_BYTES, LineBuffer
 
 WORST_MS = 30.0  # on a busy machine; about 1 on a quiet one
 

@@ -5,8 +5,8 @@ import resource
 
 import pytest
 
-from vcu_gateway.server import process_usage
-from vcu_gateway.server.process_usage import process_usage as usage
+from vcu_gateway.server import queries
+from vcu_gateway.server.queries import process_usage as usage
 
 
 def test_the_figures_are_those_of_this_process():
@@ -23,7 +23,7 @@ def test_the_figures_are_those_of_this_process():
 @pytest.fixture
 def proc(tmp_path, monkeypatch):
     """An empty /proc/self."""
-    monkeypatch.setattr(process_usage, "_PROC", tmp_path)
+    monkeypatch.setattr(queries, "_PROC", tmp_path)
     return tmp_path
 
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from vcu_gateway.server.reply_queue import QueuedReply, ReplyQueue
+from vcu_gateway.server.service import QueuedReply, ReplyQueue
 
 
 @pytest.fixture

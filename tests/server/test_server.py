@@ -26,9 +26,8 @@ from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import DemandParams, Nothing
 from vcu_gateway.api.rights import Right
 from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts
-from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.service import Counters, SessionLimits
 from vcu_gateway.server.session import EVICTED, SubscriptionState
-from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.server.tick_gaps import TickGaps
 
 SHORT = SessionLimits(timeout_ns=300 * MS)

@@ -9,8 +9,8 @@ import pytest
 from tests.server.conftest import a_stranger
 from vcu_gateway.api.rights import Policy
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.server.settings import ServerSettings
-from vcu_gateway.server.sockets import UnixListener
+from vcu_gateway.server.acceptor import UnixListener
+from vcu_gateway.server.service import ServerSettings
 
 POLICY = Policy(own_uid=os.geteuid())
 

@@ -9,10 +9,9 @@ import pytest
 from tests.server.attack import line
 from tests.server.conftest import eventually
 from vcu_gateway.api.rights import Peer
-from vcu_gateway.server.line_buffer import LineBuffer
-from vcu_gateway.server.service import Caller
-from vcu_gateway.server.settings import SessionLimits
-from vcu_gateway.server.shared_request import SharedRequest
+from vcu_gateway.server.dispatch import SharedRequest
+from vcu_gateway.server.service import Caller, SessionLimits
+from vcu_gateway.server.session import LineBuffer
 
 SLOW = SessionLimits(rate_per_s=1, burst=1)
 """One request is served, and the next a second later: whatever comes before passes it over."""

@@ -1,7 +1,7 @@
 """Methods of the API: name, model of the parameters, result and the right needed.
 
 A new method is one entry in `METHODS` and its handler in `server/queries.py` or
-`server/commands.py`; the OpenRPC document, docs/api.md and the tests follow.
+`server/dispatch.py`; the OpenRPC document, docs/api.md and the tests follow.
 """
 
 from collections.abc import Mapping

@@ -20,7 +20,7 @@ from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import report_effect
 from vcu_gateway.daemon.systemd import SystemdNotifier
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
-from vcu_gateway.server import health, views
+from vcu_gateway.server import queries, views
 
 
 @click.command("run")
@@ -81,7 +81,7 @@ def _run(
     writer = log.configure(config.log.level, config.log.format)
     application = Application(config, protocol, lambda: writer.dropped)
     loop, runtime = application.loop, _runtime_folder()
-    loop.event_log.emit(health.started(config))
+    loop.event_log.emit(queries.started(config))
     report_effect(config, loop.event_log)
     if runtime is not None:
         safe_frames.forget(runtime)

@@ -1,24 +1,219 @@
-"""Dispatcher of requests: queries on the API's thread, commands on the ticking thread.
-
-`methods.METHODS` has an entry for every method in `QUERIES`, `COMMANDS`, for the reload and for
-the subscriptions, and no others; a test says so.
-"""
+"""Handlers of the methods that change something: run on the ticking thread, between its ticks."""
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from typing import Any, cast
 
 from vcu_gateway import config as configuration
 from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
+from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Event, Severity
+from vcu_gateway.core.demand import (
+    CONTROLLERS,
+    ControllerDemand,
+    Demand,
+    PowerMode,
+    Refusal,
+    RequestResult,
+    refused,
+)
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.supervisor import FaultClass
+from vcu_gateway.daemon.event_log import LoggedEvent
 from vcu_gateway.daemon.reload import ReloadOutcome
 from vcu_gateway.rate_limit import LogRateLimit
-from vcu_gateway.server import queries
-from vcu_gateway.server.commands import CommandHandlers
-from vcu_gateway.server.context import ServerContext
+from vcu_gateway.server import queries, views
+from vcu_gateway.server.jsonrpc import STOPS
+from vcu_gateway.server.queries import ServerContext
 from vcu_gateway.server.service import Caller, Reply
-from vcu_gateway.server.shared_request import SharedRequest
-from vcu_gateway.server.stop_requests import STOPS
+from vcu_gateway.units import NS_PER_MS
+
+
+class CommandHandlers:
+    """Handlers of commands; used by the ticking thread alone, but for `owns_demand`.
+
+    The name of a source belongs to the connection that first made a demand in it, until it ends.
+    """
+
+    def __init__(self, context: ServerContext) -> None:
+        self._context = context
+        self._gateway = context.loop.gateway
+        self._owners: dict[str, int] = {}
+
+    def execute(self, method: str, params: Any, caller: Caller) -> Mapping[str, Any]:
+        """Result of the command; RequestError where it is refused."""
+        result: Mapping[str, Any] = _COMMANDS[method](self, params, caller)
+        return result
+
+    def owns_demand(self, caller: Caller) -> bool:
+        """True while a fresh demand of this connection counts; from any thread."""
+        arbiter = self._gateway.requests.arbiter
+        demand = arbiter.current
+        if demand is None or not arbiter.fresh(time.monotonic_ns()):
+            return False
+        return self._owners.get(demand.source) == caller.connection
+
+    def end_demands_of(self, caller: Caller) -> None:
+        for source in [name for name, one in self._owners.items() if one == caller.connection]:
+            del self._owners[source]
+            self._gateway.apply(calls.EndDemand(source, time.monotonic_ns()))
+
+    def set_demand(self, params: methods.DemandParams, caller: Caller) -> results.Granted:
+        if self._owners.get(params.source, caller.connection) != caller.connection:
+            sentence = f"another connection is source {params.source}; use a name of your own"
+            raise _refused(Refusal.OTHER_OWNER, sentence)
+        demand = demand_of(params, self._gateway.settings)
+        now_ns = time.monotonic_ns()
+        answer = self._gateway.apply(calls.Offer(demand, now_ns))
+        if answer.refusal is Refusal.EXPIRED:
+            answer = refused(Refusal.EXPIRED, _too_late(demand, now_ns))
+        if answer.granted:
+            self._owners[params.source] = caller.connection
+        return self._granted(answer)
+
+    def release(self, params: methods.ReleaseParams, caller: Caller) -> results.Granted:
+        if self._owners.get(params.source) != caller.connection:
+            sentence = f"this connection is not source {params.source}"
+            raise _refused(Refusal.OTHER_OWNER, sentence)
+        return self._granted(
+            self._gateway.apply(calls.EndDemand(params.source, time.monotonic_ns()))
+        )
+
+    def arm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
+        return self._logged("arm", caller, self._gateway.apply(calls.Arm(time.monotonic_ns())))
+
+    def disarm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
+        return self._logged(
+            "disarm", caller, self._gateway.apply(calls.Disarm(time.monotonic_ns()))
+        )
+
+    def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
+        return self._logged("estop", caller, self._context.loop.emergency_stop())
+
+    def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
+        level = FaultClass(params.level)
+        return self._logged(
+            "reset", caller, self._gateway.apply(calls.Reset(level, time.monotonic_ns()))
+        )
+
+    def _logged(self, what: str, caller: Caller, answer: RequestResult) -> results.Granted:
+        """Result as `_granted` makes it, with the peer in the event log."""
+        peer = {"uid": caller.peer.uid, "pid": caller.peer.pid}
+        fields = {"request": what, "granted": answer.granted, **peer}
+        self._context.loop.event_log.emit(Event("api_request", Severity.INFO, fields))
+        return self._granted(answer)
+
+    def _granted(self, answer: RequestResult) -> results.Granted:
+        self._context.loop.refresh_why()
+        if answer.refusal is not None:
+            raise _refused(answer.refusal, answer.sentence)
+        mode = self._gateway.mode
+        return {"granted": True, "mode": views.mode_name(mode)}
+
+    def events(self, params: methods.EventsParams, _: Caller) -> results.Events:
+        now_ns, event_log = time.monotonic_ns(), self._context.loop.event_log
+        entries = [_entry(entry, now_ns) for entry in event_log.latest(params.limit)]
+        return {"events": entries, "forgotten": event_log.forgotten}
+
+
+_COMMANDS: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
+    "demand.set": CommandHandlers.set_demand,
+    "demand.release": CommandHandlers.release,
+    "arm": CommandHandlers.arm,
+    "disarm": CommandHandlers.disarm,
+    "reset": CommandHandlers.reset,
+    "estop": CommandHandlers.estop,
+    "events": CommandHandlers.events,
+}
+
+COMMANDS = frozenset(_COMMANDS)
+"""Names of the methods handled here."""
+
+
+def demand_of(params: methods.DemandParams, settings: Settings) -> Demand:
+    """Demand from its parameters; RequestError unless one of `values`, `controllers` is given."""
+    if (params.values is None) is (params.controllers is None):
+        sentence = "give either values, for both controllers, or controllers, one for each"
+        raise RequestError(ErrorCode.INVALID_PARAMS, sentence)
+    if params.values is not None:
+        both = _controller_demand(params.values, settings)
+        controllers = dict.fromkeys(CONTROLLERS, both)
+    else:
+        given = cast(Mapping[str, methods.ControllerParams], params.controllers)
+        controllers = {name: _controller_demand(one, settings) for name, one in given.items()}
+    return Demand(
+        source=params.source,
+        sequence=params.sequence,
+        ttl_ms=settings.ttl_default_ms if params.ttl_ms is None else params.ttl_ms,
+        controllers=controllers,
+        made_ns=params.made_ns,
+    )
+
+
+def _controller_demand(values: methods.ControllerParams, settings: Settings) -> ControllerDemand:
+    given = {
+        "speed_limit_rpm": settings.speed_limit_max_rpm,
+        **values.model_dump(exclude_none=True),
+    }
+    return ControllerDemand(**given | {"power_mode": PowerMode[values.power_mode.upper()]})
+
+
+def _too_late(demand: Demand, now_ns: int) -> str:
+    made_ns = now_ns if demand.made_ns is None else demand.made_ns
+    age_ms = -((made_ns - now_ns) // NS_PER_MS)  # rounded up: more than its time to live
+    valid = f"it is valid for {demand.ttl_ms} ms (ttl_ms)"
+    return f"the demand came {age_ms} ms after it was made (made_ns), and {valid}"
+
+
+def _refused(refusal: Refusal, sentence: str) -> RequestError:
+    return RequestError(ErrorCode.REFUSED, sentence, refusal=refusal.value)
+
+
+def _entry(entry: LoggedEvent, now_ns: int) -> results.EventEntry:
+    severity = cast(Any, entry.event.severity.name.lower())
+    return {
+        "name": entry.event.name,
+        "severity": severity,
+        "fields": dict(entry.event.fields),
+        "count": entry.count,
+        "first_ms": (now_ns - entry.first_ns) / NS_PER_MS,
+        "last_ms": (now_ns - entry.last_ns) / NS_PER_MS,
+        "last_time": entry.last_time(),
+    }
+
+
+class SharedRequest:
+    """Request without parameters, merged over those who wait: a flood of it is one at a time.
+
+    Each is carried out after it was asked for, and named in the log as the first one's. `ask` is
+    the API thread's, `execute` runs on the ticking thread, where `post` brings it.
+    """
+
+    def __init__(
+        self, execute: Callable[[Caller], Reply], post: Callable[[Callable[[], None]], None]
+    ) -> None:
+        self._execute = execute
+        self._post = post
+        self._asked: deque[tuple[Caller, Callable[[Reply], None]]] = deque()
+        self._is_posted = False
+
+    def ask(self, caller: Caller, reply: Callable[[Reply], None]) -> None:
+        """Ask; `reply` is called later, from the ticking thread."""
+        self._asked.append((caller, reply))
+        if not self._is_posted:
+            self._is_posted = True
+            self._post(self._run)
+
+    def _run(self) -> None:
+        self._is_posted = False  # before the next line: what is asked from now on posts again
+        asked = [self._asked.popleft() for _ in range(len(self._asked))]
+        if asked:
+            outcome = self._execute(asked[0][0])
+            for _, reply in asked:
+                reply(outcome)
+
 
 RELOAD = "config.reload"
 DEMAND = "demand.set"

@@ -54,12 +54,9 @@ from collections import Counter
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts, has_left, may_only_read
-from vcu_gateway.server.counters import Counters
-from vcu_gateway.server.reply_queue import ReplyQueue
 from vcu_gateway.server.request_handler import RequestHandler
-from vcu_gateway.server.service import Caller, RequestService
+from vcu_gateway.server.service import Caller, Counters, ReplyQueue, RequestService, SessionLimits
 from vcu_gateway.server.session import EVICTED, Session
-from vcu_gateway.server.settings import SessionLimits
 from vcu_gateway.server.tick_gaps import TickGaps
 from vcu_gateway.units import NS_PER_S
 

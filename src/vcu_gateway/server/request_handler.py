@@ -16,16 +16,15 @@ from vcu_gateway.api.methods import (
 from vcu_gateway.api.results import Subscribed, Update
 from vcu_gateway.core.demand import Refusal
 from vcu_gateway.server import jsonrpc
-from vcu_gateway.server.counters import Counters
-from vcu_gateway.server.line_buffer import MAX_LINE_BYTES
-from vcu_gateway.server.service import Caller, Reply, RequestService
+from vcu_gateway.server.jsonrpc import OVERTAKEN, OVERTAKEN_WORD, STOPS
+from vcu_gateway.server.service import Caller, Counters, Reply, RequestService
 from vcu_gateway.server.session import (
     LINE_TOO_LONG,
+    MAX_LINE_BYTES,
     ReplyTo,
     Session,
     SubscriptionState,
 )
-from vcu_gateway.server.stop_requests import OVERTAKEN, OVERTAKEN_WORD, STOPS
 
 MAX_SUBSCRIPTIONS = 4
 """Of one connection."""

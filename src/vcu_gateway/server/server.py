@@ -12,13 +12,16 @@ import threading
 import time
 
 from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.server.acceptor import Acceptor
-from vcu_gateway.server.counters import Counters
+from vcu_gateway.server.acceptor import Acceptor, UnixListener
 from vcu_gateway.server.event_loop import EventLoop
-from vcu_gateway.server.reply_queue import ReplyQueue
-from vcu_gateway.server.service import RequestService
-from vcu_gateway.server.settings import DEFAULT_LIMITS, ServerSettings, SessionLimits
-from vcu_gateway.server.sockets import UnixListener
+from vcu_gateway.server.service import (
+    DEFAULT_LIMITS,
+    Counters,
+    ReplyQueue,
+    RequestService,
+    ServerSettings,
+    SessionLimits,
+)
 from vcu_gateway.server.tick_gaps import TickGaps
 
 _JOIN_S = 3.0
