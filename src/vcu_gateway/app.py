@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Self
 
 from vcu_gateway import config as configuration
+from vcu_gateway.api.errors import Policy
 from vcu_gateway.api.results import ApiCounts
-from vcu_gateway.api.rights import Policy
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import Config, core_settings
 from vcu_gateway.config.protocol import dbc_path

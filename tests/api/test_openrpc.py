@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from scripts.documents import api_page
 
-from vcu_gateway.api import openrpc, rights
+from vcu_gateway.api import errors, openrpc
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
 from vcu_gateway.core.demand import Refusal
 
@@ -64,12 +64,12 @@ def test_the_page_is_current(document):
 
 
 def test_a_reset_needs_the_right_of_its_level():
-    assert right_needed("reset", ResetParams(level="driver")) is rights.Right.OPERATE
-    assert right_needed("reset", ResetParams(level="service")) is rights.Right.SERVICE
+    assert right_needed("reset", ResetParams(level="driver")) is errors.Right.OPERATE
+    assert right_needed("reset", ResetParams(level="service")) is errors.Right.SERVICE
 
 
-PEER = rights.Peer(pid=1, uid=1000, groups=frozenset({1000, 44}))
-POLICY = rights.Policy(own_uid=500)
+PEER = errors.Peer(pid=1, uid=1000, groups=frozenset({1000, 44}))
+POLICY = errors.Policy(own_uid=500)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_rights_come_from_the_user_and_all_groups_of_the_peer(changes, expected)
 
 
 def test_root_may_do_everything():
-    assert POLICY.rights_of(PEER._replace(uid=0)) == frozenset(rights.Right)
+    assert POLICY.rights_of(PEER._replace(uid=0)) == frozenset(errors.Right)
 
 
 def test_the_page_names_every_word_of_a_refusal():

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
+from vcu_gateway.api.errors import Right
 from vcu_gateway.api.methods import METHODS
-from vcu_gateway.api.rights import Right
 from vcu_gateway.client import AsyncClient, AsyncDemandOwner, Client, DemandOwner, calls
 from vcu_gateway.client.errors import DisconnectedError, GarbledError
 

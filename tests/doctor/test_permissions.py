@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.doctor.judged import not_ok, only, well
-from vcu_gateway.api.rights import Policy
+from vcu_gateway.api.errors import Policy
 from vcu_gateway.config import Config
 from vcu_gateway.config.model import ApiSection, ProtocolSection
 from vcu_gateway.doctor import permissions

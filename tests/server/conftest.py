@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.api.rights import Policy
+from vcu_gateway.api.errors import ErrorCode, Policy, RequestError
 from vcu_gateway.server.server import Server
 from vcu_gateway.server.service import ServerSettings, SessionLimits
 from vcu_gateway.server.tick_gaps import GapShare, TickGaps

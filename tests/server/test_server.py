@@ -22,9 +22,8 @@ from tests.server.conftest import (
     a_stranger,
     eventually,
 )
-from vcu_gateway.api.errors import ErrorCode, RequestError
+from vcu_gateway.api.errors import ErrorCode, RequestError, Right
 from vcu_gateway.api.methods import DemandParams, Nothing
-from vcu_gateway.api.rights import Right
 from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts
 from vcu_gateway.server.service import Counters, SessionLimits
 from vcu_gateway.server.session import EVICTED, SubscriptionState

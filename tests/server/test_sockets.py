@@ -7,7 +7,7 @@ import stat
 import pytest
 
 from tests.server.conftest import a_stranger
-from vcu_gateway.api.rights import Policy
+from vcu_gateway.api.errors import Policy
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.server.acceptor import UnixListener
 from vcu_gateway.server.service import ServerSettings

@@ -8,7 +8,7 @@ import pytest
 
 from tests.server.attack import line
 from tests.server.conftest import eventually
-from vcu_gateway.api.rights import Peer
+from vcu_gateway.api.errors import Peer
 from vcu_gateway.server.dispatch import SharedRequest
 from vcu_gateway.server.service import Caller, SessionLimits
 from vcu_gateway.server.session import LineBuffer

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field
 
 from vcu_gateway.api import results
-from vcu_gateway.api.rights import Right
+from vcu_gateway.api.errors import Right
 from vcu_gateway.demand_ranges import span
 
 MAX_RATE_HZ = 50.0

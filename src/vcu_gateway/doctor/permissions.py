@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.api.rights import Peer, Policy, Right
+from vcu_gateway.api.errors import Peer, Policy, Right
 from vcu_gateway.config import Config, group_number, user_number
 from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
 from vcu_gateway.doctor.procfs import Unreadable, unreadable

@@ -10,8 +10,7 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
-from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.api.rights import Peer, Policy, Right
+from vcu_gateway.api.errors import ErrorCode, Peer, Policy, RequestError, Right
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.service import Caller, Counters, ServerSettings, SessionLimits

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from vcu_gateway.api.errors import RequestError
+from vcu_gateway.api.errors import Peer, Policy, RequestError, Right
 from vcu_gateway.api.methods import Params
 from vcu_gateway.api.results import ApiCounts, State
-from vcu_gateway.api.rights import Peer, Policy, Right
 from vcu_gateway.server.views import result_of
 from vcu_gateway.units import NS_PER_S
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from starlette.requests import Request
 from starlette.responses import Response
 
-from vcu_gateway.api.rights import Right
+from vcu_gateway.api.errors import Right
 from vcu_gateway.web.connections import has_session
 from vcu_gateway.web.cost_limit import LoginLimit
 from vcu_gateway.web.events import WebEvents

@@ -10,7 +10,7 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
-from vcu_gateway.api.rights import Right
+from vcu_gateway.api.errors import Right
 from vcu_gateway.web.access import Visitor
 from vcu_gateway.web.events import WebEvents
 from vcu_gateway.web.recordings import RecorderFolder, TooBusyError, VerbResult, archive

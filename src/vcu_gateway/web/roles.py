@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from enum import Enum
 
-from vcu_gateway.api.rights import Right
+from vcu_gateway.api.errors import Right
 
 
 class UserRole(Enum):

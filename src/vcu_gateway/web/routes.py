@@ -9,7 +9,7 @@ from typing import Any
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
-from vcu_gateway.api.rights import Right
+from vcu_gateway.api.errors import Right
 from vcu_gateway.web.access import Access, SignInError, Visitor
 from vcu_gateway.web.actions import Actions
 from vcu_gateway.web.events import WebEvents
