@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from vcu_gateway.client import Client, UnreachableError, default_socket_path
-from vcu_gateway.client.connect import connect
+from vcu_gateway.client.jsonrpc import connect
 
 
 @pytest.fixture

@@ -8,8 +8,7 @@ import pytest
 from tests.client.fake_gateway import PATIENCE_S
 from tests.client.vehicle import refused
 from vcu_gateway.client import UnreachableError
-from vcu_gateway.client.demand import DeadMan, request_values
-from vcu_gateway.client.demand_session import DemandSession
+from vcu_gateway.client.demand import DeadMan, DemandSession, request_values
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -19,7 +19,7 @@ import click
 from vcu_gateway.bus.interface import Interfaces, can_socket_error
 from vcu_gateway.cli.extras import tui_needed, web_needed
 from vcu_gateway.cli.signals import stopped_by_signals
-from vcu_gateway.client.connect import SOCKET_VARIABLE
+from vcu_gateway.client.jsonrpc import SOCKET_VARIABLE
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
 from vcu_gateway.demo.recorder import DemoRecorder
 

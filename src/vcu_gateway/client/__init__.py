@@ -22,7 +22,6 @@ Every failure is a `ClientError`; its subclasses tell them apart. docs/examples 
 
 from typing import TYPE_CHECKING, Any
 
-from vcu_gateway.client.connect import default_socket_path
 from vcu_gateway.client.demand import ControllerValues, DemandValues
 from vcu_gateway.client.errors import (
     ApiError,
@@ -35,6 +34,7 @@ from vcu_gateway.client.errors import (
     RefusedError,
     UnreachableError,
 )
+from vcu_gateway.client.jsonrpc import default_socket_path
 from vcu_gateway.client.sync_client import Client, Subscription
 from vcu_gateway.client.sync_demand import DemandOwner
 

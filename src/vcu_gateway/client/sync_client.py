@@ -14,8 +14,8 @@ from typing import Literal, Self, TypeVar
 from vcu_gateway.api import results
 from vcu_gateway.client import calls, jsonrpc
 from vcu_gateway.client.calls import Call
-from vcu_gateway.client.connect import connect, default_socket_path
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, DisconnectedError, GarbledError
+from vcu_gateway.client.jsonrpc import connect, default_socket_path
 from vcu_gateway.client.sync_demand import DemandOwner
 
 ResultT = TypeVar("ResultT")

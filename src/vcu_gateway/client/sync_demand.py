@@ -13,10 +13,10 @@ from vcu_gateway.api import results
 from vcu_gateway.client.demand import (
     RELEASED_BEFORE_ARMING_S,
     DeadMan,
+    DemandSession,
     DemandValues,
     request_values,
 )
-from vcu_gateway.client.demand_session import DemandSession
 from vcu_gateway.client.errors import ApiError, ClientError
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
