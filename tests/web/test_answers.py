@@ -10,10 +10,10 @@ from tests.web.other_shapes import variants
 from vcu_gateway import __version__
 from vcu_gateway.api import results
 from vcu_gateway.client import Client
-from vcu_gateway.web.answers import AnswerSections
-from vcu_gateway.web.broadcast import Broadcast, SeenVersions
-from vcu_gateway.web.events import WebEvents
-from vcu_gateway.web.shape import misfits
+from vcu_gateway.web.gateway_link import AnswerSections
+from vcu_gateway.web.state_row import misfits
+from vcu_gateway.web.stream import Broadcast, SeenVersions
+from vcu_gateway.web.users import WebEvents
 
 NAMES = ("state", "why", "health", "events", "protocol")
 FEW_MESSAGES = ("BMS_Status", "PCU1_Status1")

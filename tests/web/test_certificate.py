@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from vcu_gateway.web.certificate import end_of, ending_sentence
+from vcu_gateway.web.application import end_of, ending_sentence
 
 NOW = datetime(2026, 11, 25, 12, tzinfo=UTC)
 

@@ -13,14 +13,13 @@ from tests.docs.pages import ROOT, directives
 from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
 from vcu_gateway.errors import ConfigError, UnavailableError
 from vcu_gateway.units import NS_PER_S
-from vcu_gateway.web.broadcast import Broadcast, SeenVersions
-from vcu_gateway.web.cost_limit import LoginLimit
+from vcu_gateway.web.access import Sessions
+from vcu_gateway.web.application import listening_socket
+from vcu_gateway.web.connections import LoginLimit
 from vcu_gateway.web.history import CAPACITY, History
-from vcu_gateway.web.roles import ACTION_RIGHTS, UserRole
-from vcu_gateway.web.serve import listening_socket
-from vcu_gateway.web.sessions import Sessions
 from vcu_gateway.web.settings import TlsFiles, WebSettings
-from vcu_gateway.web.users import PasswordHash, User
+from vcu_gateway.web.stream import Broadcast, SeenVersions
+from vcu_gateway.web.users import ACTION_RIGHTS, PasswordHash, User, UserRole
 
 HOUR_S = 3600.0
 

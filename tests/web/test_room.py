@@ -12,14 +12,13 @@ from vcu_gateway.web.connections import (
     MOST_PER_ADDRESS,
     STOPS,
     STREAM,
+    CostLimit,
     Place,
     gives_way,
 )
-from vcu_gateway.web.cost_limit import CostLimit
-from vcu_gateway.web.history import Samples
-from vcu_gateway.web.merged_call import MergedCall
-from vcu_gateway.web.prepared_samples import PreparedSamples
-from vcu_gateway.web.question_limit import HISTORY, QuestionLimit, cost_of
+from vcu_gateway.web.guard import HISTORY, QuestionLimit, cost_of
+from vcu_gateway.web.history import PreparedSamples, Samples
+from vcu_gateway.web.routes import MergedCall
 
 # Places.
 

@@ -6,8 +6,7 @@ from click.testing import CliRunner
 from vcu_gateway.cli import web_user
 from vcu_gateway.errors import ConfigError, MissingInputError
 from vcu_gateway.web import users
-from vcu_gateway.web.roles import UserRole
-from vcu_gateway.web.users import PasswordHash, User
+from vcu_gateway.web.users import PasswordHash, User, UserRole
 
 LINE = User("anna", UserRole.OPERATOR, PasswordHash.of("a long password")).line()
 

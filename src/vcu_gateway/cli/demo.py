@@ -172,10 +172,9 @@ def _in_terminal(wanted: DemoOptions, recordings: Path | None) -> str:
 def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
     """Serve the page until Ctrl-C or the end; the summary."""
     with web_needed():
-        from vcu_gateway.web import application, serve
-        from vcu_gateway.web.events import WebEvents
-        from vcu_gateway.web.roles import UserRole
+        from vcu_gateway.web import application
         from vcu_gateway.web.settings import WebSettings
+        from vcu_gateway.web.users import UserRole, WebEvents
     with DemoProcess(wanted) as child:
         settings = WebSettings(
             *_PAGE, child.socket_path, local_role=UserRole.SERVICE, recordings=recordings
@@ -190,7 +189,7 @@ def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
             _open_browser(address)
 
         try:
-            serve.run(settings, app, on_ready)
+            application.run(settings, app, on_ready)
         finally:
             stopped.set()
     return child.summary

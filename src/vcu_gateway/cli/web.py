@@ -76,11 +76,11 @@ def command(**options: Any) -> None:
     ssh -L 9465:127.0.0.1:9465 VEHICLE brings it to another one. Ctrl-C or SIGTERM ends it.
     """
     with web_needed():
-        from vcu_gateway.web import application, serve
-        from vcu_gateway.web.events import WebEvents
+        from vcu_gateway.web import application
+        from vcu_gateway.web.users import WebEvents
     settings = _settings(WebOptions(**options))
     settings.check()
-    serve.run(
+    application.run(
         settings,
         application.build(settings, WebEvents()),
         lambda url: say(f"page of {settings.socket_path} at {url}"),
@@ -89,8 +89,8 @@ def command(**options: Any) -> None:
 
 def _settings(options: WebOptions) -> "WebSettings":
     from vcu_gateway.web import users
-    from vcu_gateway.web.roles import UserRole
     from vcu_gateway.web.settings import TlsFiles, WebSettings
+    from vcu_gateway.web.users import UserRole
 
     certificate, key = options.certificate, options.key
     if (certificate is None) != (key is None):

@@ -4,7 +4,7 @@ import click
 
 from vcu_gateway.cli.web import ROLES
 from vcu_gateway.web import users
-from vcu_gateway.web.roles import UserRole
+from vcu_gateway.web.users import UserRole
 
 
 @click.command("web-user")

@@ -7,8 +7,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from vcu_gateway.errors import ConfigError, Problem
-from vcu_gateway.web.roles import UserRole
-from vcu_gateway.web.users import Users
+from vcu_gateway.web.users import UserRole, Users
 
 _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 _DOCS = "docs/web.md says how"

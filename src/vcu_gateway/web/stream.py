@@ -1,16 +1,98 @@
-"""Server-sent events: what has changed, to each browser as fast as its network takes it."""
+"""Latest values for all browsers: sections, each encoded once, and whoever is slow skips some."""
 
 import asyncio
 import contextlib
+import json
 import time
+import zlib
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator
+from functools import cached_property
 
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
-from vcu_gateway.web.broadcast import GZIP_HEAD, Broadcast, SeenVersions, packed
 from vcu_gateway.web.connections import undelivered_bytes
+
+GZIP_HEAD = b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\x03"
+"""Begins the body of a browser that takes gzip (RFC 1952); packed sections follow."""
+
+
+class _Section:
+    def __init__(self, version: int, data: bytes) -> None:
+        self.version = version
+        self.data = data
+
+    @cached_property
+    def packed(self) -> bytes:
+        """Once for all browsers that take gzip."""
+        return packed(self.data)
+
+
+def packed(data: bytes) -> bytes:
+    """A part of a gzip body: it refers to nothing before it, so that any such parts follow."""
+    deflate = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    return deflate.compress(data) + deflate.flush(zlib.Z_SYNC_FLUSH)
+
+
+class SeenVersions(dict[str, int]):
+    """Versions of the sections that one browser has."""
+
+
+class Broadcast:
+    """Sections by name, each the latest of its kind, as server-sent events.
+
+    Nothing is queued: a browser that reads slowly gets the latest of each section when it has room.
+
+    Attributes:
+        is_read: set while a browser looks.
+        next_change: set, and replaced, where there is something new.
+    """
+
+    def __init__(self) -> None:
+        self._sections: dict[str, _Section] = {}
+        self._version = self._readers = 0
+        self.is_read = asyncio.Event()
+        self.next_change = asyncio.Event()
+
+    @contextlib.contextmanager
+    def read(self) -> Iterator[None]:
+        """A browser looks for as long as the block."""
+        self._readers += 1
+        self.is_read.set()
+        try:
+            yield
+        finally:
+            self._readers -= 1
+            if not self._readers:
+                self.is_read.clear()
+
+    def publish(self, name: str, value: object, *, wake: bool = True) -> None:
+        """Replace a section, and wake the browsers' streams; else it goes with the next that does.
+
+        ValueError for a number that JSON has not.
+        """
+        text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+        self._version += 1
+        data = f"event: {name}\ndata: {text}\n\n".encode()
+        self._sections[name] = _Section(self._version, data)
+        if wake:
+            self.next_change.set()
+            self.next_change = asyncio.Event()
+
+    def forget(self, *names: str) -> None:
+        """Leave sections out until they are published again."""
+        for name in names:
+            self._sections.pop(name, None)
+
+    def unseen(self, seen: SeenVersions, *, as_gzip: bool = False) -> bytes:
+        """Sections that have changed since this browser's last ones; it has them from now on."""
+        changed = [
+            (name, one) for name, one in self._sections.items() if seen.get(name) != one.version
+        ]
+        seen.update((name, one.version) for name, one in changed)
+        return b"".join(one.packed if as_gzip else one.data for _, one in changed)
+
 
 MOST_STREAMS = 128
 MOST_STREAMS_PER_ADDRESS = 48

@@ -1,4 +1,4 @@
-"""Users of the page: a file with a line for each, and the scrypt hashes of their passwords.
+"""Users of the page: roles, hashed passwords, and the events of who asked for what.
 
     anna operator scrypt:16384:8:5:c2FsdA==:aGFzaA==
 
@@ -8,17 +8,97 @@ that begin with # are comments. `vcu-gateway web-user` prints such a line.
 
 import base64
 import binascii
+import contextlib
 import hashlib
 import hmac
+import json
 import os
 import re
 import stat
-from collections.abc import Mapping
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from enum import Enum
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self, TypedDict
 
+from vcu_gateway.api.errors import Right
 from vcu_gateway.errors import ConfigError, MissingInputError, Problem, did_you_mean
-from vcu_gateway.web.roles import UserRole
+
+
+class UserRole(Enum):
+    """Role of a user; each has all that the ones before it have."""
+
+    VIEWER = "viewer"
+    OPERATOR = "operator"
+    SERVICE = "service"
+
+    @property
+    def rights(self) -> frozenset[Right]:
+        """Rights of the gateway that a user of this role may use through the page."""
+        return _RIGHTS[self]
+
+
+_RIGHTS: Mapping[UserRole, frozenset[Right]] = {
+    UserRole.VIEWER: frozenset({Right.READ}),
+    UserRole.OPERATOR: frozenset({Right.READ, Right.OPERATE}),
+    UserRole.SERVICE: frozenset(Right),
+}
+
+ACTION_RIGHTS: Mapping[str, Right] = {
+    "estop": Right.READ,
+    "disarm": Right.READ,
+    "arm": Right.OPERATE,
+    "reset driver": Right.OPERATE,
+    "reset service": Right.SERVICE,
+}
+"""As the gateway has it: whoever may look may stop. A demand is not among them."""
+
+
+_KEPT = 200
+
+Severity = Literal["info", "warning", "error"]
+
+
+class WebEvent(TypedDict):
+    """One event, as the gateway's own are shown."""
+
+    name: str
+    severity: Severity
+    fields: dict[str, Any]
+    time: str
+
+
+def _write_to_stderr(line: str) -> None:
+    with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+        sys.stderr.write(line)
+        sys.stderr.flush()
+
+
+class WebEvents:
+    """The latest 200 events; each is a line of JSON, too, by default on stderr.
+
+    `on_change` is called after each.
+    """
+
+    def __init__(self, write: Callable[[str], None] = _write_to_stderr) -> None:
+        self._write = write
+        self._events: deque[WebEvent] = deque(maxlen=_KEPT)
+        self.on_change: Callable[[], None] = lambda: None
+
+    def tell(self, name: str, severity: Severity, **fields: object) -> None:
+        time = datetime.now(UTC).isoformat(timespec="milliseconds")
+        event: WebEvent = {"name": name, "severity": severity, "fields": fields, "time": time}
+        self._events.append(event)
+        line = {"event": name, "level": severity, "timestamp": time, **fields}
+        self._write(json.dumps(line, ensure_ascii=False, default=str) + "\n")
+        self.on_change()
+
+    def latest(self) -> list[WebEvent]:
+        """The newest last."""
+        return list(self._events)
+
 
 LEAST_PASSWORD_CHARACTERS = 10
 MOST_PASSWORD_CHARACTERS = 256
