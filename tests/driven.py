@@ -17,7 +17,7 @@ from vcu_gateway.client import Client
 from vcu_gateway.config.protocol import load_protocol
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Explanation
-from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.simulator.play import open_bus, play
 
 PATIENCE_S = 60.0

@@ -26,8 +26,7 @@ from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
-from vcu_gateway.daemon.tap_hello import TapHello
-from vcu_gateway.daemon.tap_socket import RecorderTap
+from vcu_gateway.daemon.tap_socket import RecorderTap, TapHello
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.recording.tap import Tap, TappedGateway
 from vcu_gateway.server import queries

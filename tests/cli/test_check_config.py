@@ -14,7 +14,7 @@ import pytest
 from tests.docs.pages import INSTALL, blocks
 from vcu_gateway import config as configuration
 from vcu_gateway.cli import main
-from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.daemon.reload import report_effect
 
 ROOT = Path(__file__).parents[2]

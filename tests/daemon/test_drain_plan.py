@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.daemon.drain_plan import DrainPlan
+from vcu_gateway.daemon.work_queue import DrainPlan
 
 US = 1_000
 

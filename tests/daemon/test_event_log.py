@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Any
 
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon.events import EventLog
 
 
 def event(name: str = "link_lost", **fields: Any) -> Event:

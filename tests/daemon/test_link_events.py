@@ -13,8 +13,7 @@ from vcu_gateway.bus.reconnect import CarrierChanged, LinkLost, LinkOpened, Reco
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.daemon.event_log import EventLog
-from vcu_gateway.daemon.link_events import LinkEvents
+from vcu_gateway.daemon.events import EventLog, LinkEvents
 
 MS = 1_000_000
 BUS_OFF, RESTARTED, CONTROLLER = 0x040, 0x100, 0x004

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from vcu_gateway.daemon import processor_time
-from vcu_gateway.daemon.processor_time import ProcessorTime
+from vcu_gateway.daemon import realtime
+from vcu_gateway.daemon.realtime import ProcessorTime
 
 MS = 1_000_000
 
@@ -81,7 +81,7 @@ def test_where_the_kernel_does_not_tell_the_wait_is_unknown(tmp_path, monkeypatc
     path = tmp_path / "schedstat"
     if contents is not None:
         path.write_text(contents)
-    monkeypatch.setattr(processor_time, "_SCHEDSTAT", str(path))
+    monkeypatch.setattr(realtime, "_SCHEDSTAT", str(path))
     one = ProcessorTime()
     assert one.since_last().waited_ns is None
     one.close()

@@ -18,8 +18,8 @@ from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.daemon import restart_state, restarts
-from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon import restart_state
+from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.daemon.restart_state import (
     NOTHING,
     KeptState,
@@ -416,13 +416,13 @@ def test_another_boots_file_says_nothing(tmp_path, monkeypatch):
     estopped(tmp_path)
     boot = tmp_path / "boot_id"
     boot.write_text("f" * 36 + "\n")
-    monkeypatch.setattr(restarts, "_BOOT_ID", boot)
+    monkeypatch.setattr(restart_state, "_BOOT_ID", boot)
     assert Process(tmp_path).mode is not Mode.FAULT
 
 
 def test_where_the_number_of_the_boot_is_hidden_the_file_counts(tmp_path, monkeypatch):
     estopped(tmp_path)
-    monkeypatch.setattr(restarts, "_BOOT_ID", tmp_path / "hidden")
+    monkeypatch.setattr(restart_state, "_BOOT_ID", tmp_path / "hidden")
     assert Process(tmp_path).mode is Mode.FAULT
     Process(tmp_path).run(2)
     monkeypatch.undo()
@@ -448,7 +448,7 @@ def test_where_the_number_of_the_boot_is_hidden_the_file_counts(tmp_path, monkey
 )
 def test_a_file_that_is_not_understood_is_a_latched_cut(tmp_path, text):
     path = tmp_path / file_name("vcan0")
-    contents = text.replace("BOOT", restarts.boot_id()).encode(errors="surrogateescape")
+    contents = text.replace("BOOT", restart_state.boot_id()).encode(errors="surrogateescape")
     path.write_bytes(contents)
     process = Process(tmp_path)
     assert process.mode is Mode.FAULT
@@ -465,7 +465,7 @@ def test_what_is_no_file_is_a_latched_cut_too(tmp_path):
 def test_a_well_formed_file_is_read_as_written(tmp_path):
     path = tmp_path / "state"
     text = '{"cut": "hot", "reverse": {"PCU1": true, "PCU2": false}}'
-    path.write_text(f"{restarts.boot_id()}\n{text}\n")
+    path.write_text(f"{restart_state.boot_id()}\n{text}\n")
     assert read(path) == KeptState("hot", {"PCU1": True, "PCU2": False})
     assert read(tmp_path / "none") == NOTHING
 

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from vcu_gateway.daemon import restarts
-from vcu_gateway.daemon.restarts import CountedStart, RestartCounter
+from vcu_gateway.daemon import restart_state
+from vcu_gateway.daemon.restart_state import CountedStart, RestartCounter
 
 
 def started(folder, *, end: bool = False) -> CountedStart | None:
@@ -36,14 +36,14 @@ def test_a_new_boot_begins_anew(tmp_path, monkeypatch):
     started(tmp_path)
     boot = tmp_path / "boot_id"
     boot.write_text("another\n")
-    monkeypatch.setattr(restarts, "_BOOT_ID", boot)
+    monkeypatch.setattr(restart_state, "_BOOT_ID", boot)
     assert started(tmp_path) == CountedStart(1, 0)
 
 
 def test_where_the_number_of_the_boot_is_hidden_starts_are_counted_all_the_same(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(restarts, "_BOOT_ID", tmp_path / "hidden")
+    monkeypatch.setattr(restart_state, "_BOOT_ID", tmp_path / "hidden")
     assert [started(tmp_path) for _ in range(2)] == [CountedStart(1, 0), CountedStart(2, 1)]
 
 

@@ -15,9 +15,9 @@ from tests.core.simulated_drive import CODEC, Drive, active, standby
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.schedule import Tick
-from vcu_gateway.daemon import safe_frames
+from vcu_gateway.daemon import systemd
 from vcu_gateway.daemon.loop import LastTick, TickLoop
-from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.daemon.systemd import ReceiverWatchdog, ServiceReporter, SystemdNotifier
 
 TICK = Tick(0, 0, 0, 0)
@@ -220,7 +220,7 @@ def test_what_a_process_before_left_is_forgotten_before_anything_is_sent(tmp_pat
     left = tmp_path / "safe-frames"
     left.write_text(f"can0\n{ZERO_TORQUE}")
     for _ in range(2):
-        safe_frames.forget(tmp_path)
+        systemd.forget(tmp_path)
         assert not left.exists()
 
 

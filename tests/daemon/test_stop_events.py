@@ -1,8 +1,7 @@
 """Events of a stop: one for each change, and a warning where it does not get on."""
 
 from tests.core.simulated_drive import Drive, active
-from vcu_gateway.daemon.event_log import EventLog
-from vcu_gateway.daemon.stop_events import StopEvents
+from vcu_gateway.daemon.events import EventLog, StopEvents
 
 OBEYING = {f"PCU{n}_Status1.PowerCut": 1 for n in (1, 2)}
 

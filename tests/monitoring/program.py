@@ -17,7 +17,7 @@ from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.daemon.loop import LastTick, TickLoop
-from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.exporter import GatewayAnswers, prometheus
 from vcu_gateway.recording.recorder_status import RecorderStatus
 from vcu_gateway.server import views

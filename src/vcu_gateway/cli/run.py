@@ -14,8 +14,8 @@ from vcu_gateway.app import Application
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config.protocol import startable
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.daemon import log, realtime, safe_frames
-from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon import log, realtime, systemd
+from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import report_effect
 from vcu_gateway.daemon.systemd import SystemdNotifier
@@ -84,7 +84,7 @@ def _run(
     loop.event_log.emit(queries.started(config))
     report_effect(config, loop.event_log)
     if runtime is not None:
-        safe_frames.forget(runtime)
+        systemd.forget(runtime)
     loop.connection.acquire_lock()
     if lock_memory:
         _lock_memory(loop.event_log)

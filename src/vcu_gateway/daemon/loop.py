@@ -17,14 +17,11 @@ from vcu_gateway.core.stop import Stop
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Explanation, Reasons, explained
 from vcu_gateway.daemon import realtime
-from vcu_gateway.daemon.drain_plan import DrainPlan
-from vcu_gateway.daemon.event_log import EventLog
-from vcu_gateway.daemon.link_events import LinkEvents
+from vcu_gateway.daemon.events import EventLog, LinkEvents, StopEvents
 from vcu_gateway.daemon.log import log
-from vcu_gateway.daemon.processor_time import ProcessorTime
+from vcu_gateway.daemon.realtime import ProcessorTime
 from vcu_gateway.daemon.restart_state import RestartState
-from vcu_gateway.daemon.stop_events import StopEvents
-from vcu_gateway.daemon.work_queue import WorkQueue
+from vcu_gateway.daemon.work_queue import DrainPlan, WorkQueue
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 # No work for others is begun so shortly before the bus is read for a tick.

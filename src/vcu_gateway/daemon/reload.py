@@ -13,7 +13,7 @@ from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.settings import KEYS, Reload, Settings, loosened
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.errors import GatewayError
 

@@ -1,11 +1,7 @@
-"""Tap's socket: a datagram a tick to the recorder, where one listens; never waited for.
-
-A recorder that is not there is looked for once a second. One that does not keep up loses
-datagrams, which are counted; as soon as the socket has room again a checkpoint tells where the
-recording goes on.
-"""
+"""HELLO of a running gateway: what the recorder has to know of it, made when it connects."""
 
 import errno
+import os
 import select
 import socket
 import time
@@ -13,15 +9,60 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from vcu_gateway import config as configuration
+from vcu_gateway.bus.timestamps import read_clocks
+from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.gateway import TickResult
+from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.loop import TickLoop
+from vcu_gateway.daemon.reload import EffectiveConfig
+from vcu_gateway.daemon.restart_state import boot_id
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.core_lines import ShellEvent
 from vcu_gateway.recording.datagram import TickHeader
-from vcu_gateway.recording.tap import TappedGateway, TapStream, packed_frames
+from vcu_gateway.recording.layout import DBC_FILE
+from vcu_gateway.recording.tap import Hello, TappedGateway, TapStream, packed_frames
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
+
+_RUN_BYTES = 16
+
+
+class TapHello:
+    """Makes the HELLO; run id and clocks are those of its making, once for a process."""
+
+    def __init__(
+        self, in_effect: EffectiveConfig, gateway: Gateway, dbc: Path, dbc_digest: str
+    ) -> None:
+        self._in_effect = in_effect
+        self._gateway = gateway
+        self._dbc, self._dbc_digest = dbc.read_bytes().decode(), dbc_digest
+        self._run, self._boot = os.urandom(_RUN_BYTES).hex(), boot_id()
+        self._clock = read_clocks()
+        self._written: tuple[Config, str, str] | None = None
+
+    def __call__(self) -> Mapping[str, Any]:
+        config, digest, text = self._config()
+        return Hello(
+            run=self._run,
+            boot=self._boot,
+            channel=config.bus.channel,
+            clock=self._clock,
+            settings=self._gateway.settings,
+            config=text,
+            config_digest=digest,
+            dbc=self._dbc,
+            dbc_digest=self._dbc_digest,
+        ).values()
+
+    def _config(self) -> tuple[Config, str, str]:
+        """Configuration in effect, its digest and its text, which takes a while to make."""
+        config = self._in_effect.config
+        if self._written is None or self._written[0] is not config:
+            digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
+            self._written = config, digest, text
+        return self._written
+
 
 _CONNECT_EVERY_NS = NS_PER_S
 _CHECKPOINT_EVERY_NS = 60 * NS_PER_S

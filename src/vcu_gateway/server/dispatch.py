@@ -21,7 +21,7 @@ from vcu_gateway.core.demand import (
 )
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.daemon.event_log import LoggedEvent
+from vcu_gateway.daemon.events import LoggedEvent
 from vcu_gateway.daemon.reload import ReloadOutcome
 from vcu_gateway.rate_limit import LogRateLimit
 from vcu_gateway.server import queries, views

@@ -21,7 +21,7 @@ from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, percentile_ns
 from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
-from vcu_gateway.daemon.restarts import CountedStart
+from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.server import views
 from vcu_gateway.units import NS_PER_MS, NS_PER_S, NS_PER_US

@@ -1,4 +1,10 @@
-"""Link events: the reconnector's changes handed to the gateway and emitted as events."""
+"""Events: handed to subscribers and counted; those of a latched CUT and of the link."""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.bus.reconnect import (
@@ -13,8 +19,100 @@ from vcu_gateway.core.calls import ChangeCarrier, LoseLink, OpenLink
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
-from vcu_gateway.daemon.event_log import EventLog
+from vcu_gateway.core.stop import GAP_NS, Stop, StopStage
 from vcu_gateway.rate_limit import TokenBucket
+
+_ENTRIES = 200
+
+Sink = Callable[[Event], None]
+"""Takes each event as it happens, on the ticking thread; it must neither wait nor raise."""
+
+
+@dataclass(slots=True)
+class LoggedEvent:
+    """One event with its fields, counted; times of the monotonic clock in ns."""
+
+    event: Event
+    count: int
+    first_ns: int
+    last_ns: int
+    last_wall_s: float
+
+    def last_time(self) -> str:
+        """Wall-clock time of the last one, ISO 8601, UTC."""
+        return datetime.fromtimestamp(self.last_wall_s, UTC).isoformat(timespec="milliseconds")
+
+
+class EventLog:
+    """The latest events; one that happens again with the same severity and fields is counted.
+
+    Belongs to the ticking thread.
+
+    Attributes:
+        forgotten: entries that made room for later ones.
+    """
+
+    def __init__(self) -> None:
+        self._entries: OrderedDict[tuple[str, int, str], LoggedEvent] = OrderedDict()
+        self._sinks: list[Sink] = []
+        self.forgotten = 0
+
+    def subscribe(self, sink: Sink) -> None:
+        self._sinks.append(sink)
+
+    def emit(self, event: Event) -> None:
+        for sink in self._sinks:
+            sink(event)
+        key = (event.name, event.severity, repr(sorted(event.fields.items())))
+        now_ns, wall_s = time.monotonic_ns(), time.time()
+        entry = self._entries.get(key)
+        if entry is None:
+            self._entries[key] = LoggedEvent(event, 1, now_ns, now_ns, wall_s)
+            self._make_room()
+            return
+        entry.count += 1
+        entry.last_ns, entry.last_wall_s = now_ns, wall_s
+        self._entries.move_to_end(key)
+
+    def _make_room(self) -> None:
+        if len(self._entries) > _ENTRIES:
+            self._entries.popitem(last=False)
+            self.forgotten += 1
+
+    def latest(self, limit: int) -> Iterable[LoggedEvent]:
+        """The latest `limit` entries, the latest last."""
+        return list(self._entries.values())[-limit:]
+
+
+class StopEvents:
+    """Emits `stop_stage` where the stage changes, or lasts for longer than it should."""
+
+    def __init__(self, event_log: EventLog) -> None:
+        self._event_log = event_log
+        self._told: tuple[int, StopStage, Severity] | None = None
+
+    def after_tick(self, stop: Stop | None, now_ns: int) -> None:
+        """Once a tick, with the stop as it was known then; None where no CUT was latched."""
+        if stop is None:
+            self._told = None
+            return
+        severity = _severity(stop, now_ns)
+        if self._told == (told := (stop.latched_ns, stop.stage, severity)):
+            return
+        self._told = told
+        fields = {"stage": stop.stage.value, "sentence": stop.sentence()}
+        self._event_log.emit(Event("stop_stage", severity, fields))
+
+
+def _severity(stop: Stop, now_ns: int) -> Severity:
+    """WARNING where frames should be on the bus, or controllers should have answered, by now."""
+    if stop.stage is StopStage.NOT_OBEYED:
+        return Severity.CRITICAL
+    waits_long = now_ns - stop.latched_ns > GAP_NS
+    if stop.overdue or (waits_long and stop.stage in (StopStage.LATCHED, StopStage.SENT)):
+        return Severity.WARNING
+    return Severity.INFO
+
 
 _DROPS_EVERY_NS = 10_000_000_000
 _CHANGES_AT_ONCE = 10
