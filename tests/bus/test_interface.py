@@ -14,9 +14,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from vcu_gateway.bus import instance_lock, netlink
-from vcu_gateway.bus.connection import BusConnection, BusSettings
-from vcu_gateway.bus.instance_lock import InstanceLock
+from vcu_gateway.bus import connection as instance_lock
+from vcu_gateway.bus import netlink
+from vcu_gateway.bus.connection import BusConnection, BusSettings, InstanceLock
 from vcu_gateway.bus.interface import Interfaces
 from vcu_gateway.bus.netlink import InterfaceDetails, described
 from vcu_gateway.core.link import LinkState
@@ -146,7 +146,7 @@ def test_a_hundred_refusals_do_not_wear_it_out(channel):
 
 def test_a_gateway_that_was_killed_leaves_no_lock_behind(channel):
     program = (
-        "from vcu_gateway.bus.instance_lock import InstanceLock;"
+        "from vcu_gateway.bus.connection import InstanceLock;"
         f" c = InstanceLock({channel!r});print(flush=True); input()"
     )
     child = subprocess.Popen(

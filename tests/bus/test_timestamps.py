@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.bus import timestamps
+from vcu_gateway.bus import settings
 from vcu_gateway.core.schedule import ClockPair
 
 MS = 1_000_000
@@ -37,5 +37,5 @@ class TornClock:
 def test_a_torn_reading_is_taken_again_and_the_closest_of_three_counts(
     monkeypatch, took_ns, read_at_ns
 ):
-    monkeypatch.setattr(timestamps, "time", TornClock(*took_ns))
-    assert timestamps.read_clocks() == ClockPair(read_at_ns, WALL_NS + read_at_ns)
+    monkeypatch.setattr(settings, "time", TornClock(*took_ns))
+    assert settings.read_clocks() == ClockPair(read_at_ns, WALL_NS + read_at_ns)

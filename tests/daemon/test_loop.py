@@ -16,8 +16,7 @@ import can
 import pytest
 
 from vcu_gateway import simulator
-from vcu_gateway.bus.connection import BusConnection, BusSettings
-from vcu_gateway.bus.instance_lock import InstanceLock
+from vcu_gateway.bus.connection import BusConnection, BusSettings, InstanceLock
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.link import LinkState

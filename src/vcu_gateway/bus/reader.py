@@ -12,9 +12,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
-from vcu_gateway.bus.settings import BusCounters, BusSettings
+from vcu_gateway.bus.settings import BusCounters, BusSettings, read_clocks
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
-from vcu_gateway.bus.timestamps import read_clocks
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.schedule import arrival_ns
 from vcu_gateway.python_can import can

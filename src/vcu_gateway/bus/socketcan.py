@@ -20,8 +20,7 @@ from vcu_gateway.python_can import can
 # isort: split
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
-from vcu_gateway.bus.settings import BusCounters
-from vcu_gateway.bus.timestamps import read_clocks
+from vcu_gateway.bus.settings import BusCounters, read_clocks
 from vcu_gateway.core.link import ERROR_CLASSES
 from vcu_gateway.core.schedule import arrival_ns, steady
 from vcu_gateway.units import NS_PER_S

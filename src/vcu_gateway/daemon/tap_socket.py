@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway import config as configuration
-from vcu_gateway.bus.timestamps import read_clocks
+from vcu_gateway.bus.settings import read_clocks
 from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
