@@ -10,14 +10,7 @@ from scripts.documents import protocol_page
 
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError
-from vcu_gateway.protocol import (
-    cantools_dbc,
-    dbc,
-    dbc_module,
-    definition,
-    packaged,
-    vcu_dbc,
-)
+from vcu_gateway.protocol import cantools_dbc, dbc, definition, packaged, vcu_dbc
 
 DEFINITION = definition.load(packaged("vcu.yaml"))
 DBC_PATH = packaged("vcu.dbc")
@@ -52,14 +45,14 @@ def test_the_module_holds_every_field_that_cantools_reads():
 
 def test_the_committed_module_is_what_the_dbc_says():
     module = REPOSITORY / "src/vcu_gateway/protocol/vcu_dbc.py"
-    assert dbc_module.module_text(DBC_TEXT) == module.read_text(encoding="utf-8")
+    assert cantools_dbc.module_text(DBC_TEXT) == module.read_text(encoding="utf-8")
 
 
 def test_the_module_of_any_dbc_says_the_same_as_that_dbc():
     text = DBC_TEXT.replace("Steering angle", "\\ ' {x}\\n \\\\ \u2028 Steering angle")
     assert text != DBC_TEXT
     made: dict[str, object] = {}
-    exec(dbc_module.module_text(text), made)
+    exec(cantools_dbc.module_text(text), made)
     assert made["PROTOCOL"] == cantools_dbc.parse(text)
     assert made["SHA256"] == hashlib.sha256(text.encode()).hexdigest()
 

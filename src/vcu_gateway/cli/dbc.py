@@ -11,7 +11,7 @@ import click
 
 from vcu_gateway import files
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
-from vcu_gateway.protocol import cantools_dbc, dbc_module, definition
+from vcu_gateway.protocol import cantools_dbc, definition
 
 _DEFINITION = Path("dbc/vcu.yaml")
 _OUTPUT = Path("dbc/vcu.dbc")
@@ -49,7 +49,7 @@ def command(check: bool, source: Path, output: Path, module_path: Path) -> None:
         remedy = "run this in the source tree, or name the file with --definition"
         raise MissingInputError(Problem("is not here", str(source), remedy))
     dbc_text = cantools_dbc.write(definition.load(source))
-    generated = {output: dbc_text, module_path: dbc_module.module_text(dbc_text)}
+    generated = {output: dbc_text, module_path: cantools_dbc.module_text(dbc_text)}
     stale = {path: text for path, text in generated.items() if _current(path) != text}
     if check:
         for path, text in stale.items():

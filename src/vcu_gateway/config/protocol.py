@@ -11,7 +11,7 @@ from vcu_gateway.config.load import load
 from vcu_gateway.config.model import Config
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, DataError, Problem
-from vcu_gateway.protocol import compatibility, dbc, packaged, requirements
+from vcu_gateway.protocol import dbc, packaged, requirements
 
 _MOST_PROBLEMS = 20
 
@@ -55,4 +55,4 @@ def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
 def _differences(protocol: ProtocolSpec, where: str) -> list[Problem]:
     remedy = f"`protocol.dbc` may add to the packaged DBC, not change it; {requirements.REMEDY}"
     reference = dbc.load(packaged("vcu.dbc"))
-    return [Problem(what, where, remedy) for what in compatibility.differences(protocol, reference)]
+    return [Problem(what, where, remedy) for what in requirements.differences(protocol, reference)]

@@ -1,11 +1,12 @@
 """DBC of the protocol, written and read through cantools."""
 
+import dataclasses
+import hashlib
+import json
 from collections import OrderedDict
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from vcu_gateway import python_can  # noqa: F401 - cantools imports python-can
-
-# isort: split
 import cantools
 from cantools.database import Database, Message, Node, Signal
 from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute
@@ -14,12 +15,17 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 from cantools.database.conversion import BaseConversion
 from cantools.database.namedsignalvalue import NamedSignalValue
 
+from vcu_gateway import python_can  # noqa: F401 - cantools imports python-can
 from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, Problem
 
-if TYPE_CHECKING:  # the daemon reads a DBC and never the definition
+if TYPE_CHECKING:
     from vcu_gateway.protocol.definition import Definition
+
+
+# isort: split
+
 
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG"]
 _SATURATED = "VcuSaturatedRaw"
@@ -212,3 +218,65 @@ def _read_signal(signal: Any) -> SignalSpec:
 
 def _order(signal: Any) -> Any:
     return "little" if signal.byte_order == "little_endian" else "big"
+
+
+_HEAD = '''"""Protocol that cantools reads in dbc/vcu.dbc.
+
+Made by `vcu-gateway dbc`; do not change it here.
+
+`protocol.dbc` takes it where the SHA-256 of the DBC in use is this one.
+"""
+
+from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
+
+# fmt: off
+'''
+
+
+def module_text(dbc_text: str) -> str:
+    """The module of a DBC, the same text every time."""
+    protocol = parse(dbc_text)
+    digest = hashlib.sha256(dbc_text.encode()).hexdigest()
+    lines = [
+        f"SHA256 = {_literal(digest)}",
+        "PROTOCOL = ProtocolSpec(",
+        f"    nodes={_literal(protocol.nodes)},",
+        "    messages=(",
+        *(line for message in protocol.messages for line in _message_lines(message)),
+        "    ),",
+        ")",
+    ]
+    return _HEAD + "\n".join(lines) + "\n"
+
+
+def _message_lines(message: MessageSpec) -> Iterator[str]:
+    yield "        MessageSpec("
+    yield "            " + ", ".join(_arguments(message, leave_out="signals")) + ","
+    yield "            signals=("
+    for signal in message.signals:
+        yield f"                SignalSpec({', '.join(_arguments(signal))}),"
+    yield "            ),"
+    yield "        ),"
+
+
+def _arguments(spec: MessageSpec | SignalSpec, leave_out: str = "") -> Iterator[str]:
+    """Each field by its name, those at their default left out."""
+    for field in dataclasses.fields(spec):
+        value = getattr(spec, field.name)
+        default = field.default
+        if field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        if field.name != leave_out and value != default:
+            hexadecimal = field.name == "can_id"
+            yield f"{field.name}={f'0x{value:08X}' if hexadecimal else _literal(value)}"
+
+
+def _literal(value: object) -> str:
+    """Python source of a value, text in double quotes as everywhere in the source."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_literal(k)}: {_literal(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, tuple):
+        return "(" + "".join(f"{_literal(item)}, " for item in value).rstrip() + ")"
+    return repr(value)
