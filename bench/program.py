@@ -96,7 +96,7 @@ def receive(config: str) -> NoReturn:
 
     from vcu_gateway import config as configuration
     from vcu_gateway.app import Application
-    from vcu_gateway.config.protocol import load_protocol
+    from vcu_gateway.config.checks import load_protocol
 
     parsed = configuration.load(Path(config))
     connection = Application(parsed, load_protocol(parsed)).loop.connection

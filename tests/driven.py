@@ -14,7 +14,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.app import Application
 from vcu_gateway.client import Client
-from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Explanation
 from vcu_gateway.daemon.restart_state import CountedStart

@@ -15,7 +15,7 @@ from vcu_gateway.api.errors import Policy
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import Config, core_settings
-from vcu_gateway.config.protocol import dbc_path
+from vcu_gateway.config.checks import dbc_path
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.gateway import Gateway, TickResult

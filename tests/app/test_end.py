@@ -4,7 +4,7 @@ import pytest
 
 from vcu_gateway import config as configuration
 from vcu_gateway.app import Application
-from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.systemd import SystemdNotifier
 from vcu_gateway.errors import UnavailableError

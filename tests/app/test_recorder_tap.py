@@ -12,7 +12,7 @@ from tests.driven import Driven, driven, wait_until
 from vcu_gateway import config as configuration
 from vcu_gateway.app import Application
 from vcu_gateway.client import RefusedError
-from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import Tick

@@ -7,7 +7,7 @@ import pytest
 from vcu_gateway import config as configuration
 from vcu_gateway.app import Application
 from vcu_gateway.client import ApiError, Client, ClientError
-from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.causes import Event
 from vcu_gateway.server.dispatch import Dispatcher
 

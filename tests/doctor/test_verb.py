@@ -112,7 +112,7 @@ def test_a_user_without_any_right_gets_every_line_and_no_error(config):
     os.chmod(config, 0o600)
     program = (  # imported before: the interpreter itself may be root's alone
         "import difflib, os; from vcu_gateway import cli; import vcu_gateway.cli.doctor;"
-        "import vcu_gateway.config.protocol;"
+        "import vcu_gateway.config.checks;"
         "os.setgroups([]); os.setgid(65534); os.setuid(65534); cli.main()"
     )
     command = [sys.executable, "-c", program, "doctor", "-c", str(config)]

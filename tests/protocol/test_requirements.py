@@ -6,7 +6,7 @@ import pytest
 
 from tests.simulator.driving import drive
 from vcu_gateway import config as configuration
-from vcu_gateway.config.protocol import check_protocol, load_protocol
+from vcu_gateway.config.checks import check_protocol, load_protocol
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.core.supervisor import Mode

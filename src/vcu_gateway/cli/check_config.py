@@ -12,7 +12,7 @@ from vcu_gateway.app import bus_settings
 from vcu_gateway.bus.interface import Interfaces, unfit
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config import BenchDemandSection, Config
-from vcu_gateway.config.protocol import startable
+from vcu_gateway.config.checks import startable
 from vcu_gateway.server.acceptor import obstacle
 
 _NOT_ALL = "valid; the gateway starts, and goes on without what is not there now:"

@@ -12,7 +12,7 @@ from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports asy
 # isort: split
 from vcu_gateway.app import Application
 from vcu_gateway.cli.options import config_option, resolve_config
-from vcu_gateway.config.protocol import startable
+from vcu_gateway.config.checks import startable
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.daemon import log, realtime, systemd
 from vcu_gateway.daemon.events import EventLog

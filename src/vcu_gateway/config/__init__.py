@@ -7,11 +7,17 @@ from vcu_gateway.config.checks import (
     group_number,
     user_number,
 )
-from vcu_gateway.config.core_settings import core_settings
-from vcu_gateway.config.effective import digest, effective, schema, yaml_text
-from vcu_gateway.config.load import load, of_values, parse
-from vcu_gateway.config.model import Config
-from vcu_gateway.config.vehicle import BenchDemandSection, BenchSection
+from vcu_gateway.config.load import (
+    core_settings,
+    digest,
+    effective,
+    load,
+    of_values,
+    parse,
+    schema,
+    yaml_text,
+)
+from vcu_gateway.config.model import BenchDemandSection, BenchSection, Config
 
 __all__ = [
     "BenchDemandSection",

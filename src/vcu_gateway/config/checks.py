@@ -1,15 +1,19 @@
 """Checks of a configuration: against the protocol, this machine's accounts, and for effect."""
 
+import dataclasses
 import grp
 import pwd
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
+from vcu_gateway.config.load import load
 from vcu_gateway.config.model import IDENTIFIER_KEYS, Config
 from vcu_gateway.core import j1939
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.state import deadlines
-from vcu_gateway.errors import Problem, did_you_mean
+from vcu_gateway.errors import ConfigError, DataError, Problem, did_you_mean
+from vcu_gateway.protocol import dbc, packaged, requirements
 from vcu_gateway.strict_yaml.problems import FileProblem, problems
 from vcu_gateway.units import NS_PER_MS
 
@@ -155,3 +159,48 @@ def check_effect(config: Config) -> list[Problem]:
     )
     remedy = f"set limits.derated_power_w below it, as in derated_power_w: {most_w // 2}"
     return [Problem(what, config.source.lines.where(config.source.file, path), remedy)]
+
+
+_MOST_PROBLEMS = 20
+
+
+def startable(path: Path, *, on_this_machine: bool = True) -> tuple[Config, ProtocolSpec]:
+    """Configuration and protocol of a start, after every check that a start makes.
+
+    `run` and `check-config` both call it. Without `on_this_machine` the users and groups are not
+    looked up: the file is for another machine. Raises ConfigError, DataError or MissingInputError
+    where the gateway would not start.
+    """
+    config = load(path)
+    protocol = load_protocol(config)
+    check_protocol(config, protocol)
+    found = check_against(config, protocol) + (check_accounts(config) if on_this_machine else [])
+    if found:
+        raise ConfigError(*found)
+    return config, protocol
+
+
+def load_protocol(config: Config) -> ProtocolSpec:
+    """The configured DBC, or the packaged one, with the configured aliases."""
+    return dataclasses.replace(dbc.load(dbc_path(config)), aliases=config.protocol.aliases)
+
+
+def dbc_path(config: Config) -> Path:
+    return packaged("vcu.dbc") if config.protocol.dbc is None else config.protocol.dbc
+
+
+def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
+    """DataError where the gateway cannot run with this protocol.
+
+    A configured DBC must agree with the packaged one besides.
+    """
+    where = str(dbc_path(config))
+    found = [] if config.protocol.dbc is None else _differences(protocol, where)
+    if found := found or requirements.unmet(protocol, lambda *_: where):
+        raise DataError(*found[:_MOST_PROBLEMS])
+
+
+def _differences(protocol: ProtocolSpec, where: str) -> list[Problem]:
+    remedy = f"`protocol.dbc` may add to the packaged DBC, not change it; {requirements.REMEDY}"
+    reference = dbc.load(packaged("vcu.dbc"))
+    return [Problem(what, where, remedy) for what in requirements.differences(protocol, reference)]

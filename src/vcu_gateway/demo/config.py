@@ -5,7 +5,7 @@ from pathlib import Path
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import BenchDemandSection, BenchSection, Config
-from vcu_gateway.config.protocol import check_protocol, load_protocol
+from vcu_gateway.config.checks import check_protocol, load_protocol
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.demo.process import DemoOptions
 from vcu_gateway.errors import ConfigError

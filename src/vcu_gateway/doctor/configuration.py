@@ -143,7 +143,7 @@ class ProtocolFacts(NamedTuple):
 
 def read_protocol(config: Config) -> ProtocolFacts:
     """Read it as the gateway does; cantools is imported only here."""
-    from vcu_gateway.config.protocol import check_protocol, load_protocol
+    from vcu_gateway.config.checks import check_protocol, load_protocol
 
     facts = ProtocolFacts(None if config.protocol.dbc is None else str(config.protocol.dbc))
     try:

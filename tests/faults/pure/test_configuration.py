@@ -19,7 +19,7 @@ from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
 from tests.faults.pure.test_process import commands, moving, next_commands
 from tests.unrecorded import unrecorded
 from vcu_gateway import config as configuration
-from vcu_gateway.config.protocol import load_protocol
+from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.errors import ConfigError, GatewayError
 from vcu_gateway.protocol import packaged
 
