@@ -14,7 +14,7 @@ from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.state import deadlines
 from vcu_gateway.errors import ConfigError, DataError, Problem, did_you_mean
 from vcu_gateway.protocol import dbc, packaged, requirements
-from vcu_gateway.strict_yaml.problems import FileProblem, problems
+from vcu_gateway.strict_yaml.file_text import FileProblem, problems
 from vcu_gateway.units import NS_PER_MS
 
 _PATIENCE = 2  # times its default, for a required message

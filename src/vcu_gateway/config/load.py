@@ -13,7 +13,7 @@ from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W
 from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.strict_yaml import file_text, parser, validation
-from vcu_gateway.strict_yaml.problems import FileProblem, problems
+from vcu_gateway.strict_yaml.file_text import FileProblem, problems
 
 # The bench demand's own limits and what they must not exceed.
 _DEMAND_LIMITS = {

@@ -28,8 +28,8 @@ from vcu_gateway.config.value_types import (
 from vcu_gateway.core.settings import REQUIRED_MESSAGES, MessageName
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.protocol import DEFAULT_ALIASES
-from vcu_gateway.strict_yaml.lines import LineMap
-from vcu_gateway.strict_yaml.section import Section, refusal
+from vcu_gateway.strict_yaml.file_text import LineMap
+from vcu_gateway.strict_yaml.validation import Section, refusal
 
 
 @with_settings("limits")

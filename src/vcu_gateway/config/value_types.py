@@ -19,7 +19,7 @@ from pydantic import (
 
 from vcu_gateway.core.j1939 import ID_MASK
 from vcu_gateway.core.settings import KEYS, Settings
-from vcu_gateway.strict_yaml.section import Section, refusal
+from vcu_gateway.strict_yaml.validation import Section, refusal
 
 _SOCKET_PATH_BYTES = 107
 _MODE = "^0?[0-7]{3}$"

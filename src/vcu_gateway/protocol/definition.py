@@ -18,8 +18,7 @@ from vcu_gateway.protocol.definition_model import (
     parse_bits,
 )
 from vcu_gateway.strict_yaml import file_text, parser, validation
-from vcu_gateway.strict_yaml.lines import LineMap
-from vcu_gateway.strict_yaml.problems import problems
+from vcu_gateway.strict_yaml.file_text import LineMap, problems
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,31}")
 _NO_IDENTIFIER = -1

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from vcu_gateway.strict_yaml.section import Section
+from vcu_gateway.strict_yaml.validation import Section
 
 ByteOrder = Literal["little", "big"]
 

@@ -8,7 +8,7 @@ from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
 from vcu_gateway.errors import did_you_mean
-from vcu_gateway.strict_yaml.section import refusal
+from vcu_gateway.strict_yaml.validation import refusal
 
 PROTOCOL = "protocol"
 """Key of the validation's context; it holds the ProtocolSpec that names must be in."""

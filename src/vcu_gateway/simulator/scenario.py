@@ -13,9 +13,8 @@ from vcu_gateway.simulator.faults import FaultInterval, Report
 from vcu_gateway.simulator.names import PROTOCOL
 from vcu_gateway.simulator.steps import FAULTS, Step
 from vcu_gateway.strict_yaml import file_text, parser, validation
-from vcu_gateway.strict_yaml.lines import Path as KeyPath
-from vcu_gateway.strict_yaml.problems import FileProblem, problems, shown
-from vcu_gateway.strict_yaml.section import Section
+from vcu_gateway.strict_yaml.file_text import FileProblem, KeyPath, problems, shown
+from vcu_gateway.strict_yaml.validation import Section
 from vcu_gateway.units import NS_PER_S
 
 _EXAMPLE = "{at_s: 10, fault: silence, of: BMS}"

@@ -19,7 +19,7 @@ from vcu_gateway.simulator.names import (
     signal_spec,
 )
 from vcu_gateway.simulator.nodes import Transform
-from vcu_gateway.strict_yaml.section import Section, refusal
+from vcu_gateway.strict_yaml.validation import Section, refusal
 from vcu_gateway.units import NS_PER_MS
 
 _LONGEST_S = 86_400

@@ -1,11 +1,101 @@
-"""Text of a file that people write: UTF-8, at most 1 MiB, a regular file."""
+"""Files that people write: their text, the line of each key, and problems that name it."""
 
 import codecs
 import errno
+import json
+import math
 import stat
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from vcu_gateway.errors import ConfigError, GatewayError, MissingInputError, Problem
+
+KeyPath = tuple[str | int, ...]
+
+
+class LineMap:
+    """Line of each key and item, by its path in the document."""
+
+    def __init__(self) -> None:
+        self._lines: dict[KeyPath, int] = {}
+
+    def add(self, path: KeyPath, line: int) -> None:
+        self._lines[path] = line
+
+    def line(self, path: Sequence[str | int]) -> int | None:
+        """The line of the longest known beginning of this path, or None."""
+        known = tuple(path)
+        while known and known not in self._lines:
+            known = known[:-1]
+        return self._lines.get(known)
+
+    def where(self, file: str, path: Sequence[str | int]) -> str:
+        """file:line, or the file alone where the line is not known."""
+        line = self.line(path)
+        return file if line is None else f"{file}:{line}"
+
+
+_SHOWN_CHARACTERS = 40
+
+
+class FileProblem(NamedTuple):
+    """Problem of the key at `path`; `line` where another than the path's is meant."""
+
+    path: KeyPath
+    what: str
+    remedy: str = ""
+    line: int | None = None
+
+
+def problems(
+    findings: Iterable[FileProblem], file: str, lines: LineMap, hexadecimal: KeyPath | None = None
+) -> list[Problem]:
+    """The findings with file and line, in the order of the file.
+
+    The keys of the mapping at `hexadecimal` are shown as identifiers, 0x and 8 digits.
+    """
+    placed = [(finding.line or lines.line(finding.path), finding) for finding in findings]
+    placed.sort(key=lambda item: item[0] or 0)
+    return [
+        Problem(
+            f"{dotted(finding.path, hexadecimal)}: {finding.what}"
+            if finding.path
+            else finding.what,
+            file if line is None else f"{file}:{line}",
+            finding.remedy,
+        )
+        for line, finding in placed
+    ]
+
+
+def dotted(path: KeyPath, hexadecimal: KeyPath | None = None) -> str:
+    return ".".join(
+        _shown_key(key, as_hexadecimal=path[:depth] == hexadecimal)
+        for depth, key in enumerate(path)
+    )
+
+
+def _shown_key(key: str | int, *, as_hexadecimal: bool) -> str:
+    if isinstance(key, int):
+        return f"0x{key:08X}" if as_hexadecimal and key >= 0 else str(key)
+    return _shortened(key)
+
+
+def shown(value: Any) -> str:
+    """A value on one line, as it stands in YAML."""
+    if value is None:
+        return "empty"
+    if isinstance(value, dict | list):
+        return "a mapping" if isinstance(value, dict) else "a list"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value).replace("inf", ".inf").replace("nan", ".nan")
+    return json.dumps(_shortened(value) if isinstance(value, str) else value, ensure_ascii=False)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 1] + "…"
+
 
 _LARGEST_BYTES = 1 << 20
 _BYTE_ORDER_MARK = "\ufeff"

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from vcu_gateway.strict_yaml.lines import LineMap, Path
-from vcu_gateway.strict_yaml.problems import FileProblem, shown
+from vcu_gateway.strict_yaml.file_text import FileProblem, LineMap, shown
+from vcu_gateway.strict_yaml.file_text import KeyPath as Path
 
 _MAX_DEPTH = 8
 

@@ -1,19 +1,49 @@
-"""Validation against a model: pydantic's errors as problems in plain words, with a remedy."""
+"""Strict base of every model of a file, and the error of a value that it refuses."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
 from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin
+from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from vcu_gateway.errors import did_you_mean
-from vcu_gateway.strict_yaml.lines import Path
+from vcu_gateway.strict_yaml.file_text import FileProblem, shown
+from vcu_gateway.strict_yaml.file_text import KeyPath as Path
 from vcu_gateway.strict_yaml.parser import YamlDocument
-from vcu_gateway.strict_yaml.problems import FileProblem, shown
-from vcu_gateway.strict_yaml.section import REFUSED, Section
+
+REFUSED = "refused"
+"""The error type of our own refusals; their context holds `requirement` and `remedy`."""
+
+
+def refusal(requirement: str, remedy: str = "") -> PydanticCustomError:
+    """The error of a key that does not meet this requirement ("must be ...")."""
+    context: dict[str, Any] = {"requirement": requirement, "remedy": remedy}
+    return PydanticCustomError(REFUSED, "{requirement}", context)
+
+
+class Section(BaseModel):
+    """Strict model: nothing unknown, coerced or infinite, and nothing changed afterwards.
+
+    Attributes:
+        removed: keys of earlier versions, each with what to do instead.
+        outline: what a file must be that this is the model of.
+    """
+
+    removed: ClassVar[Mapping[str, str]] = {}
+    outline: ClassVar[str] = "must be a mapping, key: value in each line"
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        strict=True,
+        allow_inf_nan=False,
+        validate_default=True,
+        field_title_generator=lambda name, _: name,
+    )
+
 
 _Model = TypeVar("_Model", bound=Section)
 
