@@ -13,7 +13,7 @@ from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.core.settings import REQUIRED_MESSAGES
 from vcu_gateway.doctor import bus_traffic
 from vcu_gateway.doctor.bus_traffic import ObservedTraffic, TrafficFacts, judge, listen
-from vcu_gateway.doctor.procfs import Unreadable
+from vcu_gateway.doctor.check_result import Unreadable
 from vcu_gateway.protocol import dbc, packaged
 
 SPEC = dbc.load(packaged("vcu.dbc"))

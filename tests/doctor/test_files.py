@@ -8,9 +8,9 @@ import pytest
 
 from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.doctor import configuration
+from vcu_gateway.doctor.check_result import Unreadable
 from vcu_gateway.doctor.configuration import judge, read
 from vcu_gateway.doctor.permissions import FilePermissions
-from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.errors import Problem
 from vcu_gateway.protocol import packaged
 

@@ -17,8 +17,8 @@ from vcu_gateway.bus.netlink import (
 )
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.doctor import interface
+from vcu_gateway.doctor.check_result import Unreadable
 from vcu_gateway.doctor.interface import InterfaceFacts, judge
-from vcu_gateway.doctor.procfs import Unreadable
 
 QUIET_PAST = DeviceCounters(0, 0, 0, 0, 17, 0)
 CONTROLLER = CanController(100, ControllerMode(0), ErrorCounters(0, 0), QUIET_PAST)

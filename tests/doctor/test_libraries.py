@@ -11,8 +11,8 @@ import pytest
 from tests.doctor.judged import not_ok, only, well
 from tests.export_libraries import PATIENCE_S, export_folder, with_export_libraries
 from vcu_gateway.doctor import libraries
+from vcu_gateway.doctor.check_result import Unreadable
 from vcu_gateway.doctor.libraries import ForeignLibrary, ImportCost, LibraryFacts
-from vcu_gateway.doctor.procfs import Unreadable
 
 __all__ = ["export_folder"]
 

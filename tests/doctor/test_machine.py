@@ -11,8 +11,8 @@ import pytest
 
 from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.doctor import clock, process
+from vcu_gateway.doctor.check_result import Unreadable
 from vcu_gateway.doctor.process import RunningProcess
-from vcu_gateway.doctor.procfs import Unreadable
 
 # Time.
 

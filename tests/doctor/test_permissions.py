@@ -12,8 +12,8 @@ from vcu_gateway.api.errors import Policy
 from vcu_gateway.config import Config
 from vcu_gateway.config.model import ApiSection, ProtocolSection
 from vcu_gateway.doctor import permissions
+from vcu_gateway.doctor.check_result import Unreadable
 from vcu_gateway.doctor.permissions import Account, FilePermissions, PermissionFacts, judge
-from vcu_gateway.doctor.procfs import Unreadable
 
 DRIVER = Account("driver", 1000, frozenset({1000, 500}))
 GATEWAY = Account("vcu-gateway", 900, frozenset({900}))

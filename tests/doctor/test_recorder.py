@@ -9,10 +9,9 @@ import pytest
 from tests.doctor.judged import not_ok, only, well
 from tests.doctor.test_service import TOLD
 from tests.recorder.told import STATUS
-from vcu_gateway.doctor import recorder, recorder_disk
+from vcu_gateway.doctor import recorder
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
-from vcu_gateway.doctor.recorder import SOCKET_UNIT, RecorderFacts, judge
-from vcu_gateway.doctor.recorder_disk import RecordingDisk
+from vcu_gateway.doctor.recorder import SOCKET_UNIT, RecorderFacts, RecordingDisk, judge
 from vcu_gateway.doctor.service import ServiceFacts
 from vcu_gateway.errors import Problem
 
@@ -153,15 +152,15 @@ def test_an_emmc_says_itself_how_worn_it_is():
     [("0x01 0x02", 20), ("0x0b 0x01", 110), ("0x00 0x00", None), ("junk", None), ("", None)],
 )
 def test_the_wear_of_an_emmc_is_the_larger_of_both_estimates(told, worn):
-    assert recorder_disk.worn_pct(told) == worn
+    assert recorder.worn_pct(told) == worn
 
 
 def test_a_folder_that_is_there_has_a_file_system_and_room(tmp_path: Path):
-    found = recorder_disk.read(tmp_path)
+    found = recorder.read_disk(tmp_path)
     assert isinstance(found, RecordingDisk)
     assert 0 < found.free_bytes <= found.total_bytes
     assert found.file_system
-    assert recorder_disk.read(tmp_path / "none") is None
+    assert recorder.read_disk(tmp_path / "none") is None
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 
 from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.doctor import service
-from vcu_gateway.doctor.procfs import Unreadable
+from vcu_gateway.doctor.check_result import Unreadable
 from vcu_gateway.doctor.service import ServiceFacts, judge, parsed, unit_of
 
 UNIT = "vcu-gateway.service"

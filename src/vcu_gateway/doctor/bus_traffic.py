@@ -11,8 +11,13 @@ from typing import NamedTuple
 from vcu_gateway.core import j1939
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable, unreadable
+from vcu_gateway.doctor.check_result import (
+    CheckResult,
+    CheckSubject,
+    Outcome,
+    Unreadable,
+    unreadable,
+)
 
 SUBJECT = CheckSubject("bus")
 # Room for two frames of the slowest message, 500 ms apart.

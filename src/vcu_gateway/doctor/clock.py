@@ -7,8 +7,7 @@ import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable, number
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome, Unreadable, number
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 SUBJECT = CheckSubject("time")

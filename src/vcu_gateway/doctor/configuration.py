@@ -10,9 +10,8 @@ from typing import NamedTuple
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Unreadable
 from vcu_gateway.doctor.permissions import FilePermissions, permissions_of, user_name
-from vcu_gateway.doctor.procfs import Unreadable
 from vcu_gateway.errors import GatewayError, Problem
 
 SUBJECT = CheckSubject("configuration")

@@ -15,8 +15,15 @@ from vcu_gateway.bus.netlink import (
     InterfaceTraffic,
 )
 from vcu_gateway.core.link import LinkState
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable, names, text, unreadable
+from vcu_gateway.doctor.check_result import (
+    CheckResult,
+    CheckSubject,
+    Outcome,
+    Unreadable,
+    names,
+    text,
+    unreadable,
+)
 
 SUBJECT = CheckSubject("interface")
 _LONGEST_QUEUE = 4

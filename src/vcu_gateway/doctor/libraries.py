@@ -10,8 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
-from vcu_gateway.doctor.procfs import Unreadable
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Unreadable
 
 SUBJECT = CheckSubject("libraries")
 _PROGRAM = "vcu-gateway"

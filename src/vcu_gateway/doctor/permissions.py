@@ -10,8 +10,13 @@ from typing import NamedTuple
 
 from vcu_gateway.api.errors import Peer, Policy, Right
 from vcu_gateway.config import Config, group_number, user_number
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable, unreadable
+from vcu_gateway.doctor.check_result import (
+    CheckResult,
+    CheckSubject,
+    Outcome,
+    Unreadable,
+    unreadable,
+)
 
 SUBJECT = CheckSubject("permissions")
 _WORDS = {Right.READ: ("read", "stop"), Right.OPERATE: ("operate",), Right.SERVICE: ("service",)}

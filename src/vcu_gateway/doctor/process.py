@@ -5,8 +5,17 @@ import platform
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable, fields, names, number, text, unreadable
+from vcu_gateway.doctor.check_result import (
+    CheckResult,
+    CheckSubject,
+    Outcome,
+    Unreadable,
+    fields,
+    names,
+    number,
+    text,
+    unreadable,
+)
 
 SUBJECT = CheckSubject("process")
 BUFFERS = CheckSubject("buffers")

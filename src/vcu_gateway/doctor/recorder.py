@@ -1,17 +1,102 @@
-"""Recorder: running and connected, room, disk, latency of its writes, gaps."""
+"""Disk that the recordings are on: file system, device, what it has been through."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.doctor import recorder_disk
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable
-from vcu_gateway.doctor.recorder_disk import RecordingDisk
+from vcu_gateway.doctor.check_result import (
+    CheckResult,
+    CheckSubject,
+    Outcome,
+    Unreadable,
+    text,
+    unreadable,
+)
 from vcu_gateway.doctor.service import ServiceFacts
 from vcu_gateway.errors import GatewayError, NotPermittedError, Problem
 from vcu_gateway.recording.layout import DEFAULT_FOLDER as FOLDER
 from vcu_gateway.recording.recorder_status import STALE_S, RecorderStatus, read_status
+
+_MOUNTS = "/proc/self/mountinfo"
+_BLOCK_DEVICES = "/sys/dev/block"
+_SECTOR_BYTES = 512
+
+
+class RecordingDisk(NamedTuple):
+    """Facts about it.
+
+    Attributes:
+        file_system: such as ext4 or tmpfs.
+        is_read_only: nothing can be written.
+        total_bytes, free_bytes: free for others than root.
+        card: "SD" or "MMC" for a card or an eMMC; empty for other devices.
+        card_bytes: size of the whole card; 0 where it is none.
+        worn_pct: share of its life that an eMMC says it has used, in steps of 10; None where it
+            does not say.
+    """
+
+    file_system: str
+    is_read_only: bool
+    total_bytes: int
+    free_bytes: int
+    card: str = ""
+    card_bytes: int = 0
+    worn_pct: int | None = None
+
+
+def read_disk(folder: Path) -> RecordingDisk | Unreadable | None:
+    try:
+        found, device = os.statvfs(folder), folder.stat().st_dev
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        return unreadable(str(folder), error)
+    disk = RecordingDisk(
+        _file_system_of(device),
+        bool(found.f_flag & os.ST_RDONLY),
+        found.f_blocks * found.f_frsize,
+        found.f_bavail * found.f_frsize,
+    )
+    return _with_card(disk, Path(_BLOCK_DEVICES, f"{os.major(device)}:{os.minor(device)}"))
+
+
+def _file_system_of(device: int) -> str:
+    """Type of the file system on this device; empty where it is not mounted here."""
+    mounts = text(_MOUNTS)
+    number = f"{os.major(device)}:{os.minor(device)}"
+    lines = [] if isinstance(mounts, Unreadable) else mounts.splitlines()
+    for line in lines:
+        own, _, of_file_system = line.partition(" - ")
+        if own.split()[2:3] == [number]:
+            return of_file_system.split()[0]
+    return ""
+
+
+def _with_card(disk: RecordingDisk, block: Path) -> RecordingDisk:
+    """With what a card's driver tells; a partition's disk is the folder above it."""
+    whole = block.resolve()
+    if (whole / "partition").exists():
+        whole = whole.parent
+    kind, sectors = text(str(whole / "device/type")), text(str(whole / "size"))
+    if kind not in ("SD", "MMC") or not isinstance(sectors, str) or not sectors.isdecimal():
+        return disk
+    return disk._replace(
+        card=kind,
+        card_bytes=int(sectors) * _SECTOR_BYTES,
+        worn_pct=worn_pct(text(str(whole / "device/life_time"))),
+    )
+
+
+def worn_pct(told: str | Unreadable) -> int | None:
+    """The larger estimate of an eMMC, such as of `0x01 0x02`; None for 0, which says nothing."""
+    words = told.split() if isinstance(told, str) else []
+    try:
+        steps = max((int(word, 16) for word in words), default=0)
+    except ValueError:
+        return None
+    return 10 * steps if steps else None
+
 
 SUBJECT = CheckSubject("recorder")
 SOCKET_UNIT = "vcu-gateway-recorder.socket"
@@ -59,7 +144,7 @@ def read(socket: ServiceFacts, *, gateway_runs: bool) -> RecorderFacts:
     folder, age_s = FOLDER, 0.0
     if isinstance(status, RecorderStatus):
         folder, age_s = Path(status.folder), status.age_s()
-    return RecorderFacts(socket, status, age_s, recorder_disk.read(folder), gateway_runs)
+    return RecorderFacts(socket, status, age_s, read_disk(folder), gateway_runs)
 
 
 def judge(facts: RecorderFacts) -> Iterator[CheckResult]:

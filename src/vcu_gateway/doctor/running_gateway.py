@@ -8,8 +8,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.api import results
 from vcu_gateway.client import Client, ClientError
 from vcu_gateway.config import Config
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome, Unreadable
 
 SUBJECT = CheckSubject("gateway")
 _TIMEOUT_S = 0.5

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome
-from vcu_gateway.doctor.procfs import Unreadable
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, Outcome, Unreadable
 
 SUBJECT = CheckSubject("service")
 _BOOTED = "/run/systemd/system"
