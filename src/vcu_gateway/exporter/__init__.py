@@ -6,8 +6,7 @@
 """
 
 from vcu_gateway.exporter import program, recorder, vehicle
-from vcu_gateway.exporter.family import Family
-from vcu_gateway.exporter.reader import GatewayAnswers, GatewayReader
+from vcu_gateway.exporter.family import Family, GatewayAnswers, GatewayReader
 
 __all__ = ["FAMILIES", "Family", "GatewayAnswers", "GatewayReader"]
 

@@ -12,6 +12,7 @@ from vcu_gateway.exporter.family import (
     PREFIX,
     US_PER_S,
     Family,
+    GatewayAnswers,
     Kind,
     Samples,
     by,
@@ -22,7 +23,6 @@ from vcu_gateway.exporter.family import (
     one,
     states,
 )
-from vcu_gateway.exporter.reader import GatewayAnswers
 
 # Exposed from the start on, so that the first one counts as an increase.
 _USUAL_UNSENT = ("closed", "late", "ENOBUFS")

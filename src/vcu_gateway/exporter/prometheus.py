@@ -15,8 +15,7 @@ from prometheus_client.registry import Collector
 
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.exporter import FAMILIES
-from vcu_gateway.exporter.family import Family, Samples
-from vcu_gateway.exporter.reader import GatewayAnswers
+from vcu_gateway.exporter.family import Family, GatewayAnswers, Samples
 
 _IDLE_S = 10.0
 """Longest wait for a request on a connection: each holds a thread."""

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 
-from vcu_gateway.exporter.family import Family, Samples, counter, gauge, one, states
-from vcu_gateway.exporter.reader import GatewayAnswers
+from vcu_gateway.exporter.family import Family, GatewayAnswers, Samples, counter, gauge, one, states
 from vcu_gateway.recording.recorder_status import STALE_S, RecorderStatus, RecorderTotals
 
 _DISK_STATES = ("ok", "full", "failing", "stalled")

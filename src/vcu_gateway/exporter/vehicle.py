@@ -7,6 +7,7 @@ from vcu_gateway.api import results
 from vcu_gateway.exporter.family import (
     MS_PER_S,
     Family,
+    GatewayAnswers,
     Samples,
     by,
     gauge,
@@ -15,7 +16,6 @@ from vcu_gateway.exporter.family import (
     one,
     states,
 )
-from vcu_gateway.exporter.reader import GatewayAnswers
 
 _PCT = 100
 _MODES = get_args(results.ModeName)
