@@ -7,8 +7,7 @@ import pytest
 from rich.text import Text
 
 from tests.watch import view_models
-from vcu_gateway.watch.figures import controller_lines, panel_lines, short_lines
-from vcu_gateway.watch.formatting import cell, wrapped
+from vcu_gateway.watch.figures import cell, controller_lines, panel_lines, short_lines, wrapped
 from vcu_gateway.watch.layout import mode_lines, reason_lines, title_line, upper_lines
 from vcu_gateway.watch.signals import plain, signal_lines
 from vcu_gateway.watch.source import ViewModel

@@ -16,7 +16,7 @@ from textual.scroll_view import ScrollView
 from textual.strip import Strip
 from textual.widgets import Input, Static
 
-from vcu_gateway.watch.formatting import cell, line
+from vcu_gateway.watch.figures import cell, line
 from vcu_gateway.watch.layout import upper_lines
 from vcu_gateway.watch.signals import signal_lines
 from vcu_gateway.watch.source import SourceRefusedError, ViewModel, ViewSource

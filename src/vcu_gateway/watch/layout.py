@@ -7,7 +7,7 @@ from rich.text import Text
 from vcu_gateway.api.results import Cause, Why
 from vcu_gateway.text import narrow_duration
 from vcu_gateway.watch import figures
-from vcu_gateway.watch.formatting import cell, line, wrapped
+from vcu_gateway.watch.figures import cell, line, wrapped
 from vcu_gateway.watch.source import ViewModel
 
 MODE_STYLES = {

@@ -7,7 +7,7 @@ from rich.text import Text
 from vcu_gateway.api.results import Message, Signal, State
 from vcu_gateway.text import narrow_duration
 from vcu_gateway.watch import figures, layout
-from vcu_gateway.watch.formatting import (
+from vcu_gateway.watch.figures import (
     ABSENT,
     QUALITY_STYLES,
     cell,
