@@ -15,10 +15,9 @@ from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator import faults
-from vcu_gateway.simulator.names import PROTOCOL
 from vcu_gateway.simulator.nodes import NodeFrame
 from vcu_gateway.simulator.play import open_bus, play
-from vcu_gateway.simulator.steps import FAULTS
+from vcu_gateway.simulator.steps import FAULTS, PROTOCOL
 from vcu_gateway.simulator.vehicle import Vehicle
 
 Step = dict[str, Any]

@@ -17,8 +17,7 @@ from vcu_gateway.core import j1939
 from vcu_gateway.core.codec import Codec, Decoded
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.simulator.nodes import ANSWER_DELAY_NS, NodeFrame, Nodes
-from vcu_gateway.simulator.signals import sources
+from vcu_gateway.simulator.nodes import ANSWER_DELAY_NS, NodeFrame, Nodes, sources
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT, Vehicle
 
 MS_NS = 1_000_000

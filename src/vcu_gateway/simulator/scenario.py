@@ -10,8 +10,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, Problem, did_you_mean
 from vcu_gateway.simulator.faults import FaultInterval, Report
-from vcu_gateway.simulator.names import PROTOCOL
-from vcu_gateway.simulator.steps import FAULTS, Step
+from vcu_gateway.simulator.steps import FAULTS, PROTOCOL, Step
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.file_text import FileProblem, KeyPath, problems, shown
 from vcu_gateway.strict_yaml.validation import Section
