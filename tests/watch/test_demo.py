@@ -18,7 +18,7 @@ from tests.watch.terminals import ROOT, VCU_GATEWAY, window
 from vcu_gateway.client import Client
 from vcu_gateway.config import Config
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.demo import config as demo_config
+from vcu_gateway.demo import process as demo_config
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recording import layout

@@ -20,8 +20,7 @@ from vcu_gateway.bus.interface import Interfaces, can_socket_error
 from vcu_gateway.cli.extras import tui_needed, web_needed
 from vcu_gateway.cli.signals import stopped_by_signals
 from vcu_gateway.client.jsonrpc import SOCKET_VARIABLE
-from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
-from vcu_gateway.demo.recorder import DemoRecorder
+from vcu_gateway.demo.process import DemoOptions, DemoProcess, DemoRecorder, default_socket
 
 _PLAIN_EVERY_S = 2.0
 _LOOK_EVERY_S = 0.2
@@ -99,9 +98,9 @@ def command(**options: Any) -> None:
     given = _GivenOptions(**options)
     wanted = _wanted(given)
     if given.config_path is not None or given.scenario_path is not None:
-        from vcu_gateway.demo import config
+        from vcu_gateway.demo import process
 
-        config.load(wanted)  # for its errors, before anything starts
+        process.load(wanted)  # for its errors, before anything starts
     with _recorder(given.folder) as recorder:
         if recorder is not None:
             wanted = wanted._replace(recorder_socket=str(recorder.socket_path))

@@ -17,7 +17,7 @@ from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.demo import config as demo_config
+from vcu_gateway.demo import process as demo_config
 from vcu_gateway.demo.process import NOTE, READY, DemoOptions
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 from vcu_gateway.simulator.play import open_bus, play

@@ -1,15 +1,102 @@
-"""Child process of the demo: gateway and simulated vehicle, seen from the parent."""
+"""Process of the demo's gateway: its configuration, its recorder, and what it says."""
 
+import contextlib
+import dataclasses
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 from typing import IO, NamedTuple, Self
 
-from vcu_gateway.errors import GatewayError, Problem, UnavailableError
+from vcu_gateway import config as configuration
+from vcu_gateway.config import BenchDemandSection, BenchSection, Config
+from vcu_gateway.config.checks import check_protocol, load_protocol
+from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.recorder_status import STATUS_PATH
+from vcu_gateway.simulator import scenario
+from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
+
+_START_S = 10.0
+_END_S = 10.0
+_LOOK_EVERY_S = 0.02
+
+
+class DemoRecorder:
+    """Recorder that writes into a folder, which is made where it is not there.
+
+    Attributes:
+        socket_path: where the demo's gateway hands over.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """UnavailableError, with the recorder's own words, where it cannot write there."""
+        self.folder = folder
+        self._place = tempfile.TemporaryDirectory(prefix="vcu-gateway-demo.")
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
+        self.socket_path = Path(self._place.name, "tap.sock")
+        self._status_path = folder / STATUS_PATH.name  # where `recordings keep now` looks
+        options = ["--folder", folder, "--socket", self.socket_path, "--keep-free-bytes", "0"]
+        options += ["--status", self._status_path]
+        self._process = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-P", "-m", "vcu_gateway", "recorder", *map(str, options)],
+            stdin=subprocess.DEVNULL,
+            stderr=self._errors,  # on the terminal it would spoil the picture
+            start_new_session=True,  # Ctrl-C is for us
+        )
+        self._wait_for_the_socket()
+        self._before = set(self._drives())
+
+    def _wait_for_the_socket(self) -> None:
+        until_s = time.monotonic() + _START_S
+        while not self.socket_path.exists():
+            if self._process.poll() is not None or time.monotonic() > until_s:
+                self._end()
+                raise self._failure()
+            time.sleep(_LOOK_EVERY_S)
+
+    @property
+    def drive(self) -> Path | None:
+        """The drive that was recorded; None before there is one."""
+        return max(set(self._drives()) - self._before, default=None)
+
+    def _drives(self) -> list[Path]:
+        return layout.recorded_folders(self.folder / layout.DRIVES)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._end()
+        if kind is None and self._process.returncode != 0:
+            raise self._failure()
+        self._errors.close()
+
+    def _end(self) -> None:
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        with contextlib.suppress(OSError):
+            self._status_path.unlink()
+        self._place.cleanup()
+
+    def _failure(self) -> GatewayError:
+        with self._errors:
+            self._errors.seek(0)
+            lines = self._errors.read().splitlines()
+        ended = f"it ended with {self._process.returncode}"
+        said = lines[-1].removeprefix("error: ") if lines else ended
+        return UnavailableError(Problem(f"the demo's recorder: {said}"))
+
 
 READY = "ready"
 """First line of the child."""
@@ -133,3 +220,75 @@ def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
     if process.stdin is None or process.stdout is None:
         raise AssertionError("both are pipes")
     return process.stdin, process.stdout
+
+
+_THROTTLE_PCT = 30.0
+_BATTERY_SPEEDUP = 20.0  # a person waits, and wants to see it drain
+
+
+def load(wanted: DemoOptions) -> tuple[Config, ProtocolSpec, Scenario]:
+    """Read the files and put the demo together; GatewayError names everything wrong in them."""
+    config = _config(wanted)
+    protocol = load_protocol(config)
+    check_protocol(config, protocol)
+    if problems := configuration.check_against(config, protocol):
+        raise ConfigError(*problems)
+    return config, protocol, _scenario(wanted, protocol)
+
+
+def _config(wanted: DemoOptions) -> Config:
+    """All that the file says, but for the bus, the sockets and who may use them."""
+    path = wanted.config_path
+    file = configuration.of_values({}, "demo") if path is None else configuration.load(Path(path))
+    bus = {"interface": wanted.interface, "channel": wanted.channel}
+    accounts = dict.fromkeys(
+        ("operator_users", "operator_groups", "service_users", "service_groups"), ()
+    )
+    api = {
+        "enabled": True,
+        "socket_path": wanted.socket_path,
+        "socket_mode": "0600",
+        "socket_owner": None,
+        "socket_group": None,
+        **accounts,
+    }
+    recorder = {"socket_path": wanted.recorder_socket}
+    return file.model_copy(
+        update={
+            "bus": file.bus.model_copy(update=bus),
+            "api": file.api.model_copy(update=api),
+            "recorder": file.recorder.model_copy(update=recorder),
+            "bench": _bench(wanted, file),
+        }
+    )
+
+
+def _bench(wanted: DemoOptions, file: Config) -> BenchSection:
+    """The file's demand where it has one, with another throttle where that was asked for."""
+    bench, throttle_pct = file.bench, wanted.throttle_pct
+    if not wanted.has_demand:
+        return bench.model_copy(update={"demand": None})
+    demand = bench.demand
+    if demand is None:
+        demand = BenchDemandSection(
+            bench_use_only=True,
+            throttle_pct=_THROTTLE_PCT,
+            power_mode="normal",
+            speed_limit_rpm=file.limits.speed_limit_max_rpm,
+        )
+        bench = bench.model_copy(update={"auto_arm": True})
+    if throttle_pct is not None:
+        demand = demand.model_copy(update={"throttle_pct": throttle_pct})
+    return bench.model_copy(update={"demand": demand})
+
+
+def _scenario(wanted: DemoOptions, protocol: ProtocolSpec) -> Scenario:
+    """The file's; the option wins over its battery_speedup."""
+    path, speedup = wanted.scenario_path, wanted.battery_speedup
+    found = Scenario(ScenarioStart(battery_speedup=_BATTERY_SPEEDUP), ())
+    if path is not None:
+        found = scenario.load(Path(path), protocol)
+    if speedup is None:
+        return found
+    start = found.start.model_copy(update={"battery_speedup": speedup})
+    return dataclasses.replace(found, start=start)
