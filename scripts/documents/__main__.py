@@ -12,7 +12,7 @@ from pathlib import Path
 from scripts.documents import api_page, gateway_yaml, protocol_page
 
 from vcu_gateway.api import openrpc
-from vcu_gateway.cli.dbc import differences
+from vcu_gateway.cli.generate import differences
 from vcu_gateway.protocol import definition
 
 TREE = Path(__file__).resolve().parents[2]

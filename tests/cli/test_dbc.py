@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from vcu_gateway import cli
-from vcu_gateway.cli import dbc
+from vcu_gateway.cli import generate
 from vcu_gateway.errors import GatewayError, UnavailableError
 from vcu_gateway.protocol import packaged
 
@@ -154,9 +154,9 @@ def test_a_place_that_cannot_be_written_is_reported(tree):
 def test_a_file_that_cannot_be_replaced_stays_and_nothing_is_left_beside_it(tmp_path):
     (tmp_path / "vcu.dbc").mkdir()
     with pytest.raises(UnavailableError, match=r"vcu\.dbc: cannot be written: Is a directory"):
-        dbc.replace(tmp_path / "vcu.dbc", "text")
+        generate.replace(tmp_path / "vcu.dbc", "text")
     (tmp_path / "vcu.md").write_text("as it was")
     with pytest.raises(UnicodeEncodeError):
-        dbc.replace(tmp_path / "vcu.md", "a lone surrogate: \udc80")
+        generate.replace(tmp_path / "vcu.md", "a lone surrogate: \udc80")
     assert (tmp_path / "vcu.md").read_text() == "as it was"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["vcu.dbc", "vcu.md"]

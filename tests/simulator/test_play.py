@@ -19,7 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 from vcu_gateway import simulator
-from vcu_gateway.cli.simulate import command as simulate
+from vcu_gateway.cli.simulate import simulate
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.protocol import dbc, packaged

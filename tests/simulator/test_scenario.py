@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.simulator.driving import CRUISE, S_NS, START_NS, Asked, Drive, Ticked, drive, signals
-from vcu_gateway.cli.simulate import command as simulate
+from vcu_gateway.cli.simulate import simulate
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode

@@ -3,7 +3,7 @@
 import pytest
 from click.testing import CliRunner
 
-from vcu_gateway.cli import web_user
+from vcu_gateway.cli import web
 from vcu_gateway.errors import ConfigError, MissingInputError
 from vcu_gateway.web import users
 from vcu_gateway.web.users import PasswordHash, User, UserRole
@@ -61,7 +61,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 
 def test_the_verb_prints_a_line_that_is_read_back():
     given = "a long password\na long password\n"
-    done = CliRunner().invoke(web_user.command, ["anna", "--role", "service"], input=given)
+    done = CliRunner().invoke(web.web_user, ["anna", "--role", "service"], input=given)
     line = done.stdout.splitlines()[-1]
     assert users.parse([line], "users")["anna"].password.matches("a long password")
 
@@ -69,4 +69,4 @@ def test_the_verb_prints_a_line_that_is_read_back():
 @pytest.mark.parametrize(("name", "password"), [("anna", "short"), ("an na", "a long password")])
 def test_the_verb_refuses_a_short_password_and_a_name_that_is_none(name, password):
     given = f"{password}\n{password}\n"
-    assert CliRunner().invoke(web_user.command, [name], input=given).exit_code == 2
+    assert CliRunner().invoke(web.web_user, [name], input=given).exit_code == 2

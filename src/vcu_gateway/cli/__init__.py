@@ -46,7 +46,13 @@ _VERBS = {
     "version": "print the versions that matter for a bug report",
 }
 
-_OPERATOR_VERBS = {"arm", "disarm", "reset", "reload", "why", "events"}
+MODULES = {
+    **dict.fromkeys(("status", "arm", "disarm", "reset", "reload", "why", "events"), "operator"),
+    **{"estop": "operator", "check-config": "run", "version": "about", "completion": "about"},
+    **{"exporter": "web", "web-user": "web", "watch": "demo", "decode": "export"},
+    **{"schema": "generate", "dbc": "generate"},
+}
+"""Verb -> its module, where that has another name; the function is named as the verb."""
 
 _EPILOG = """\b
 Exit codes: 0 done, 1 a check answered no, 2 wrong command line, 3 a recording is incomplete,
@@ -88,12 +94,10 @@ class _VerbGroup(click.Group):
         del ctx
         if cmd_name not in _VERBS:
             return None
-        name = cmd_name.replace("-", "_")
-        in_operator = cmd_name in _OPERATOR_VERBS
-        module = importlib.import_module(f"vcu_gateway.cli.{'operator' if in_operator else name}")
+        module = importlib.import_module(f"vcu_gateway.cli.{MODULES.get(cmd_name, cmd_name)}")
         if cmd_name != "run":  # which collects when it has time to
             gc.enable()
-        command: click.Command = getattr(module, name if in_operator else "command")
+        command: click.Command = getattr(module, cmd_name.replace("-", "_"))
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

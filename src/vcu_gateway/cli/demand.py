@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from vcu_gateway.api import results
-from vcu_gateway.cli.api_options import api_options, connected
+from vcu_gateway.cli.operator import api_options, connected
 from vcu_gateway.client import Client, DemandOwner
 from vcu_gateway.demand_ranges import span
 
@@ -64,7 +64,7 @@ def _pedal_options(command: Any) -> Any:
 @click.option("--ttl-ms", type=int, default=200, show_default=True, help="Time to live.")
 @click.option("--for", "for_s", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS")
 @click.option("--arm", "arming", is_flag=True, help="Arm before the throttle is demanded.")
-def command(
+def demand(
     socket_path: Path | None,
     as_json: bool,
     source: str | None,

@@ -1,4 +1,4 @@
-"""`vcu-gateway demo`: gateway and simulated vehicle together, shown live."""
+"""`vcu-gateway demo` and `watch`: the live view of a simulated vehicle or a running gateway."""
 
 import contextlib
 import os
@@ -17,10 +17,30 @@ from typing import Any, NamedTuple
 import click
 
 from vcu_gateway.bus.interface import Interfaces, can_socket_error
-from vcu_gateway.cli.extras import tui_needed, web_needed
-from vcu_gateway.cli.signals import stopped_by_signals
+from vcu_gateway.cli.options import socket_option, stopped_by_signals, tui_needed, web_needed
 from vcu_gateway.client.jsonrpc import SOCKET_VARIABLE
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, DemoRecorder, default_socket
+from vcu_gateway.errors import Problem, UnavailableError
+
+
+@click.command("watch")
+@socket_option
+def watch(socket_path: Path | None) -> None:
+    """Show the running gateway live: mode and why, commanded beside reported, every signal.
+
+    It only reads; E (after e) is the emergency stop and D (after d) disarms. ? lists the keys.
+    A gateway that goes away is waited for. NO_COLOR is respected.
+    """
+    with tui_needed():
+        from vcu_gateway.watch import terminal
+        from vcu_gateway.watch.source import GatewaySource
+    if not terminal.is_full():
+        remedy = "`vcu-gateway status` prints the same once, as text or JSON"
+        what = "the live view needs a terminal for input, output and errors"
+        raise UnavailableError(Problem(what, remedy=remedy))
+    with GatewaySource(socket_path) as source:
+        terminal.watch(source, "vcu-gateway")
+
 
 _PLAIN_EVERY_S = 2.0
 _LOOK_EVERY_S = 0.2
@@ -87,7 +107,7 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     help="Record the drive into DIR; the last lines say what can be done with it.",
 )
 @click.option("--web", "in_browser", is_flag=True, help="Show it in a browser, not here.")
-def command(**options: Any) -> None:
+def demo(**options: Any) -> None:
     """Show gateway and simulated vehicle together, live, as `watch` shows a real one.
 
     Uses vcan0 where there is one that is up, else python-can's virtual bus inside a process of

@@ -40,7 +40,7 @@ more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
 @config_option
 @click.option("--listen", is_flag=True, help="Also receive from the bus for a second.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
-def command(config_path: Path | None, listen: bool, as_json: bool) -> None:
+def doctor(config_path: Path | None, listen: bool, as_json: bool) -> None:
     """Run the checks, print the results, exit with 1 where one is wrong."""
     path, missing = _file(config_path)
     results = list(run_checks(path, missing, listen=listen))

@@ -1,11 +1,18 @@
-"""Options shared by several verbs."""
+"""Options, signals and extras that several verbs share."""
 
+import contextlib
 import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from types import FrameType
+from typing import Any, NamedTuple, TypeVar
 
 import click
 
-from vcu_gateway.errors import MissingInputError, Problem
+from vcu_gateway.errors import MissingInputError, Problem, extra_needed
 from vcu_gateway.protocol import packaged
 from vcu_gateway.time_window import Moment, moment
 
@@ -55,3 +62,59 @@ socket_option = click.option(
     type=ANY_PATH,
     help="The gateway's socket; default: /run/vcu-gateway/control.sock.",
 )
+
+
+_MAX_PORT = 65_535
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+
+class ListenAddress(NamedTuple):
+    """Address and TCP port to listen on; port 0 is any that is free."""
+
+    address: str
+    port: int
+
+
+def listen_option(default: str, help_text: str) -> Callable[[_Command], _Command]:
+    """Decorator for the option; an IPv6 address stands in brackets."""
+    return click.option(
+        "--listen",
+        metavar="ADDRESS:PORT",
+        default=default,
+        show_default=True,
+        callback=_listen_address,
+        help=help_text,
+    )
+
+
+def _listen_address(context: click.Context, parameter: click.Parameter, text: str) -> ListenAddress:
+    del context, parameter
+    address, colon, port = text.rpartition(":")
+    address = address.removeprefix("[").removesuffix("]")
+    if not (address and colon and port.isascii() and port.isdecimal() and int(port) <= _MAX_PORT):
+        raise click.BadParameter(f"{text!r} is not ADDRESS:PORT, such as 127.0.0.1:9464")
+    return ListenAddress(address, int(port))
+
+
+@contextlib.contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set; the old handlers come back afterwards."""
+    stop = threading.Event()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        stop.set()
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, on_signal) for number in numbers}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+tui_needed = partial(extra_needed, "the live view needs", "tui", "textual", "rich")
+web_needed = partial(extra_needed, "the page needs", "web", "starlette", "uvicorn", "h11", "anyio")
+metrics_needed = partial(extra_needed, "the exporter needs", "metrics", "prometheus_client")

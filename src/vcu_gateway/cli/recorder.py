@@ -87,7 +87,7 @@ def _seconds_option(name: str, parameter: str, default: float, text: str) -> _Op
     help="Who may hand over a drive, besides root and the recorder's own user.  [default:"
     " vcu-gateway, where that user exists]",
 )
-def command(**options: Any) -> None:
+def recorder(**options: Any) -> None:
     """Record what the gateways of this machine receive, decide and send.
 
     A program beside them, which none of them waits for. SIGUSR1 keeps what surrounds this moment

@@ -49,7 +49,7 @@ def _opened(path: Path) -> RecordingFolder:
 
 
 @click.group("recordings")
-def command() -> None:
+def recordings() -> None:
     """List, check, keep and remove what the recorder has written.
 
     Neither a gateway nor the recorder has to run. Drives and incidents are named as `list` shows
@@ -58,7 +58,7 @@ def command() -> None:
     """
 
 
-@command.command("list")
+@recordings.command("list")
 @folder_option
 @json_option
 def list_command(folder_path: Path, as_json: bool) -> None:
@@ -99,7 +99,7 @@ def _row(one: RecordingSummary) -> tuple[str, ...]:
     )
 
 
-@command.command("check")
+@recordings.command("check")
 @click.argument("names", metavar="[NAME]...", nargs=-1)
 @folder_option
 @click.option(
@@ -174,7 +174,7 @@ def _sum(found: CheckedRecording) -> str:
     return f"{text.counted(found.segments, 'segment')}, {frames}{ticks}"
 
 
-@command.command("keep")
+@recordings.command("keep")
 @click.argument("name", metavar="NAME|now")
 @folder_option
 @click.option("--from", "begin", metavar="TIME", help="Only from here on: 12:03, 90 (s), a date.")
@@ -225,7 +225,7 @@ def keep_command(
     click.echo(made.name)
 
 
-@command.command("remove")
+@recordings.command("remove")
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @folder_option
 @click.option("--yes", is_flag=True, help="Do not ask.")

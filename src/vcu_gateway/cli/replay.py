@@ -78,7 +78,7 @@ differs, 3 where nothing does and the recording is incomplete, 65 where it was c
     help="Also write an offline report with plots; an old FILE is replaced.",
 )
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing; the exit code tells.")
-def command(
+def replay(
     recording: str,
     config_path: Path | None,
     assignments: tuple[str, ...],

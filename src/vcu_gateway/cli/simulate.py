@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway import simulator
-from vcu_gateway.cli.signals import stopped_by_signals
+from vcu_gateway.cli.options import stopped_by_signals
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator.play import CommandListener, Played, open_bus, open_log, play
@@ -70,7 +70,7 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
     type=click.Path(dir_okay=False, writable=True, path_type=Path),
     help="Write what is sent and received as a candump log; an old FILE is replaced.",
 )
-def command(
+def simulate(
     interface: str,
     channel: str,
     duration_s: float | None,

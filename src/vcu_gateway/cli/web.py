@@ -1,18 +1,50 @@
-"""`vcu-gateway web`: the page that shows what the vehicle does, and stops it."""
+"""`vcu-gateway web`, `web-user` and `exporter`: what serves over HTTP beside the gateway."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from vcu_gateway.cli.extras import web_needed
-from vcu_gateway.cli.listen_address import ListenAddress, listen_option
-from vcu_gateway.cli.options import ANY_PATH, socket_option
-from vcu_gateway.client import default_socket_path
+from vcu_gateway.cli.options import (
+    ANY_PATH,
+    ListenAddress,
+    listen_option,
+    metrics_needed,
+    socket_option,
+    stopped_by_signals,
+    web_needed,
+)
+from vcu_gateway.client import Client, default_socket_path
+from vcu_gateway.exporter import GatewayReader
 from vcu_gateway.text import say
+from vcu_gateway.web import users
+from vcu_gateway.web.users import UserRole
 
 if TYPE_CHECKING:
     from vcu_gateway.web.settings import WebSettings
+
+
+@click.command("exporter")
+@socket_option
+@listen_option("127.0.0.1:9464", "Where Prometheus reads; an IPv6 address stands in brackets.")
+def exporter(socket_path: Path | None, listen: ListenAddress) -> None:
+    """Serve the metrics of the running gateway to Prometheus, over HTTP.
+
+    A program beside the gateway: it asks the API at each scrape, and needs no more than to open
+    the gateway's socket; of the recorder it reads the state. A gateway that does not answer is
+    the metric vcu_gateway_up 0.
+    Whoever reaches the port can read the metrics. Ctrl-C or SIGTERM ends it.
+    """
+    with metrics_needed():
+        from vcu_gateway.exporter import prometheus
+    with stopped_by_signals() as stop, Client(socket_path) as client:
+        reader = GatewayReader(client, say)
+        server = prometheus.HttpServer(reader.read, listen.address, listen.port)
+        host = f"[{listen.address}]" if ":" in listen.address else listen.address
+        say(f"metrics of {client.socket_path} at http://{host}:{server.port}/metrics")
+        stop.wait()
+        server.close()
+
 
 ROLES = ("viewer", "operator", "service")
 
@@ -68,7 +100,7 @@ class WebOptions(NamedTuple):
     type=ANY_PATH,
     help="Where sessions are kept over a restart of this program.",
 )
-def command(**options: Any) -> None:
+def web(**options: Any) -> None:
     """Serve a page that shows what the vehicle does, and stops it.
 
     A program beside the gateway, with one subscription to it however many browsers look. It is
@@ -106,3 +138,24 @@ def _settings(options: WebOptions) -> "WebSettings":
         session_lifetime_s=options.session_hours * 3600,
         state_file=options.state_file,
     )
+
+
+@click.command("web-user")
+@click.argument("name")
+@click.option(
+    "--role", type=click.Choice(ROLES), default="viewer", show_default=True, help="What they may."
+)
+def web_user(name: str, role: str) -> None:
+    """Print a line for the users file of `vcu-gateway web`; the password is asked for.
+
+    viewer: look, stop and disarm. operator: arm, reset at driver level, recordings, too. service:
+    reset at service level, too. The web page's own user needs the right in the gateway's
+    configuration, as well (docs/web.md).
+    """
+    if not users.is_name(name):
+        raise click.BadParameter("1 to 32 of the characters A-Z a-z 0-9 _ . -", param_hint="NAME")
+    password = click.prompt("Password", hide_input=True, confirmation_prompt=True, err=True)
+    least, most = users.LEAST_PASSWORD_CHARACTERS, users.MOST_PASSWORD_CHARACTERS
+    if not least <= len(password) <= most:
+        raise click.UsageError(f"a password has {least} to {most} characters")
+    click.echo(users.User(name, UserRole(role), users.PasswordHash.of(password)).line())

@@ -1,4 +1,4 @@
-"""`vcu-gateway version`: versions for a bug report."""
+"""`vcu-gateway version` and `completion`: versions for a bug report, a shell's completion."""
 
 import hashlib
 import importlib.metadata
@@ -6,6 +6,7 @@ import json
 import platform
 
 import click
+from click.shell_completion import get_completion_class
 
 from vcu_gateway import __version__
 from vcu_gateway.bus.interface import can_socket_error
@@ -16,7 +17,7 @@ _LIBRARIES = ("python-can", "cantools")
 
 @click.command("version")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object.")
-def command(as_json: bool) -> None:
+def version(as_json: bool) -> None:
     """Print the versions that matter for a bug report.
 
     "can" tells whether this kernel gives the program a raw CAN socket; it needs no interface.
@@ -36,3 +37,27 @@ def command(as_json: bool) -> None:
     for name, value in facts.items():
         click.echo(f"{name} {value}")
     click.echo(f"can {'yes' if missing is None else f'no: {missing}'}")
+
+
+_FILES = {
+    "bash": "/etc/bash_completion.d/vcu-gateway",
+    "zsh": "/usr/share/zsh/vendor-completions/_vcu-gateway",
+    "fish": "/usr/share/fish/vendor_completions.d/vcu-gateway.fish",
+}
+
+
+@click.command("completion")
+@click.argument("shell", type=click.Choice(list(_FILES)))
+@click.pass_context
+def completion(context: click.Context, shell: str) -> None:
+    """Print the completion script of a shell.
+
+    \b
+    For one user:   vcu-gateway completion bash >> ~/.bashrc
+    For everybody:  vcu-gateway completion bash | sudo tee /etc/bash_completion.d/vcu-gateway
+    """  # noqa: D301 - click knows \\b as a character
+    kind = get_completion_class(shell)
+    if kind is None:
+        raise click.UsageError(f"{shell} is not supported by this version of click")
+    program = context.find_root().command
+    click.echo(kind(program, {}, "vcu-gateway", "_VCU_GATEWAY_COMPLETE").source())

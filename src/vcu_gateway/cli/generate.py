@@ -1,6 +1,7 @@
-"""`vcu-gateway dbc`: the DBC and its module, from the definition."""
+"""`vcu-gateway schema` and `dbc`: what is made from configuration, API and protocol."""
 
 import difflib
+import json
 import shlex
 from collections.abc import Callable, Iterable
 from itertools import islice
@@ -12,6 +13,32 @@ import click
 from vcu_gateway import files
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
 from vcu_gateway.protocol import cantools_dbc, definition
+
+
+@click.command("schema")
+@click.option("--yaml", "as_yaml", is_flag=True, help="Print every key at its default, as YAML.")
+@click.option("--api", "of_api", is_flag=True, help="Of the API instead: an OpenRPC document.")
+def schema(as_yaml: bool, of_api: bool) -> None:
+    """Print the JSON Schema of the configuration file.
+
+    With it an editor completes and checks keys: save it as schema.json beside the
+    configuration and begin that file with `# yaml-language-server: $schema=schema.json`.
+    """
+    if as_yaml and of_api:
+        raise click.UsageError("--yaml and --api exclude each other")
+    if as_yaml:
+        from vcu_gateway.protocol import packaged
+
+        click.echo(packaged("gateway.yaml").read_text(encoding="utf-8"), nl=False)
+    elif of_api:
+        from vcu_gateway.api import openrpc
+
+        click.echo(json.dumps(openrpc.document(), indent=2))
+    else:
+        from vcu_gateway import config
+
+        click.echo(json.dumps(config.schema(), indent=2))
+
 
 _DEFINITION = Path("dbc/vcu.yaml")
 _OUTPUT = Path("dbc/vcu.dbc")
@@ -44,7 +71,7 @@ def _file(name: str, parameter: str, usual: Path, text: str) -> Callable[[_Comma
 @_file("--definition", "source", _DEFINITION, "The protocol, written once.")
 @_file("--output", "output", _OUTPUT, "The DBC.")
 @_file("--module", "module_path", _MODULE, "What the DBC says, as Python data.")
-def command(check: bool, source: Path, output: Path, module_path: Path) -> None:
+def dbc(check: bool, source: Path, output: Path, module_path: Path) -> None:
     if not source.exists() and source == _DEFINITION:
         remedy = "run this in the source tree, or name the file with --definition"
         raise MissingInputError(Problem("is not here", str(source), remedy))
