@@ -1,13 +1,32 @@
-"""Text for people: durations, sizes, times in UTC, counts, tables, and a line of progress."""
+"""The standard streams at the end of the program."""
 
 import contextlib
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
+
+
+def flush() -> None:
+    """Flush stdout and stderr, or drop what cannot be written.
+
+    Else Python tries it again after the last line of the program, fails and makes the exit code
+    120 of whatever it was.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if stream is None:  # closed before the program began
+            continue
+        try:
+            stream.flush()
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
+
 
 _Item = TypeVar("_Item")
 

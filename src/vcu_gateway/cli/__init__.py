@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from vcu_gateway import streams
+from vcu_gateway import text
 from vcu_gateway.errors import GatewayError
 
 _VERBS = {
@@ -142,7 +142,7 @@ def main() -> None:
         _echo_error(functools.partial(_show_bug, error))
         sys.exit(os.EX_SOFTWARE)
     finally:
-        streams.flush()
+        text.flush()
 
 
 def _show_bug(error: Exception) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
-from vcu_gateway import streams
+from vcu_gateway import text
 from vcu_gateway.watch.app import WatchApp
 from vcu_gateway.watch.source import ViewSource
 
@@ -23,8 +23,8 @@ _EXIT_TIMEOUT_S = 2.0
 
 def is_full() -> bool:
     """True where the terminal can show a full-screen view and take keys."""
-    streams = (sys.stdin, sys.stdout, sys.stderr)
-    terminals = all(stream is not None and stream.isatty() for stream in streams)
+    text = (sys.stdin, sys.stdout, sys.stderr)
+    terminals = all(stream is not None and stream.isatty() for stream in text)
     return terminals and os.environ.get("TERM", "dumb") not in ("", "dumb", "unknown")
 
 
@@ -97,7 +97,7 @@ def watch(
     app = WatchApp(source, title, done, notes=notes)
     # Without the mouse the terminal keeps its own way to select and copy.
     app.run(mouse=False)
-    streams.flush()  # the terminal may be gone
+    text.flush()  # the terminal may be gone
     terminal_exit.finished()
     if app.return_code:
         raise SystemExit(os.EX_SOFTWARE)
