@@ -25,8 +25,8 @@ from tests.mutation.operators import Mutant, mutants
 from tests.mutation.run import CORE, Changed
 
 MODULES = (
-    "rules", "coded_signals", "causes", "supervisor", "mode_manager", "operator_requests",
-    "commands", "pedals", "motor_speeds", "plausibility", "lifecycle", "link", "demand", "gate",
+    "rules", "causes", "supervisor", "mode_manager", "operator_requests", "commands", "pedals",
+    "plausibility", "link", "demand", "gate",
 )  # fmt: skip
 BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked", "commands.Commander.replaced")
 """Rules that act on mistakes of the rest of the core alone."""

@@ -48,9 +48,16 @@ _VERBS = {
 
 MODULES = {
     **dict.fromkeys(("status", "arm", "disarm", "reset", "reload", "why", "events"), "operator"),
-    **{"estop": "operator", "check-config": "run", "version": "about", "completion": "about"},
-    **{"exporter": "web", "web-user": "web", "watch": "demo", "decode": "export"},
-    **{"schema": "generate", "dbc": "generate"},
+    "estop": "operator",
+    "check-config": "run",
+    "version": "about",
+    "completion": "about",
+    "exporter": "web",
+    "web-user": "web",
+    "watch": "demo",
+    "decode": "export",
+    "schema": "generate",
+    "dbc": "generate",
 }
 """Verb -> its module, where that has another name; the function is named as the verb."""
 

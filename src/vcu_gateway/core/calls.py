@@ -7,8 +7,8 @@ replayed by applying them to another gateway:
     gateway.apply(Arm(now_ns)).granted
 
 `Gateway.receive` and `Gateway.tick` are called themselves: there are many of them. A new call is a
-class here and its word in `WORDS`; a recording has its fields as `recording/call_text.py` writes their
-types.
+class here and its word in `WORDS`; a recording has its fields as `recording/call_text.py` writes
+their types.
 """
 
 from collections.abc import Mapping

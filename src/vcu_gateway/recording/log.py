@@ -1,4 +1,4 @@
-"""Log of a bus in any format: candump's read here, every other by python-can."""
+"""Recording of any format, opened by its name."""
 
 import codecs
 import gzip
@@ -9,86 +9,11 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import PurePath
-from typing import IO, Any, cast
+from typing import IO, cast
 
-from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
-
-from vcu_gateway.core import j1939
-from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
-from vcu_gateway.python_can import can, mf4_reader
 from vcu_gateway.recording import candump
-from vcu_gateway.recording.candump import LineProblems, LineReader, RecordedFrame, Verdict
-from vcu_gateway.units import NS_PER_S
-
-# isort: split
-
-
-Content = LineReader | IO[bytes] | str
-"""The lines of a text format, the open file of a binary one, or the name of a database."""
-
-
-def suffixes() -> tuple[str, ...]:
-    return tuple(sorted(can.io.MESSAGE_READERS))
-
-
-def is_text(suffix: str) -> bool:
-    return issubclass(can.io.MESSAGE_READERS[suffix], TextIOMessageReader)
-
-
-def is_binary(suffix: str) -> bool:
-    return issubclass(can.io.MESSAGE_READERS[suffix], BinaryIOMessageReader)
-
-
-def frames(suffix: str, content: Content, problems: LineProblems) -> Iterator[RecordedFrame]:
-    """Every frame; ends with an error at the first damage, as python-can cannot go on."""
-    messages = _messages(suffix, content)
-    place = 0
-    while True:
-        try:
-            message = next(messages, None)
-        except Exception as error:
-            # Any bytes go into python-can's parsers: their errors have no common base.
-            place = content.number if isinstance(content, LineReader) else place + 1
-            raise problems.failure(place, error) from error
-        if message is None:
-            return
-        place = content.number if isinstance(content, LineReader) else place + 1
-        if recorded := _recorded(message, place, problems):
-            yield recorded
-
-
-def _messages(suffix: str, content: Content) -> Iterator[can.Message]:
-    reader_type: Any = mf4_reader() if suffix == ".mf4" else can.io.MESSAGE_READERS[suffix]
-    with reader_type(content) as reader:
-        yield from reader
-
-
-def _recorded(message: can.Message, place: int, problems: LineProblems) -> RecordedFrame | None:
-    try:
-        # A database may hold any type in its columns.
-        arrival_ns = round(float(message.timestamp) * NS_PER_S)
-        can_id = int(message.arbitration_id)
-    except (TypeError, ValueError, OverflowError):
-        what = f"time {message.timestamp!r} or identifier {message.arbitration_id!r} is no number"
-        problems.damaged(place, what)
-        return None
-    error = message.is_error_frame
-    if not error and can_id & j1939.ID_MASK != can_id:
-        error = True
-        if problems.flagged(place, can_id) is Verdict.UNREADABLE:
-            return None
-    frame = Frame(
-        can_id & j1939.ID_MASK,
-        bytes(message.data),
-        arrival_ns,
-        message.is_extended_id,
-        message.is_remote_frame,
-        error,
-    )
-    channel = None if message.channel is None else str(message.channel)
-    return RecordedFrame(frame, channel, place, message.is_fd)
-
+from vcu_gateway.recording.candump import LineProblems, LineReader, RecordedFrame
 
 STANDARD_INPUT = "-"
 """The name that stands for candump text on standard input."""
@@ -130,8 +55,9 @@ class Recording:
     def _is_text(self) -> bool:
         if self._suffix == _CANDUMP:
             return True
+        from vcu_gateway.recording import formats
 
-        return is_text(self._suffix)
+        return formats.is_text(self._suffix)
 
     def _counted(self) -> LineReader:
         # Bytes that are no text make their line a damaged one, not the file unreadable.
@@ -151,13 +77,14 @@ class Recording:
     def __iter__(self) -> Iterator[RecordedFrame]:
         if self._lines is not None and self._suffix == _CANDUMP:
             return self._candump(self._lines)
+        from vcu_gateway.recording import formats
 
-        content: Content = self._plain
+        content: formats.Content = self._plain
         if self._lines is not None:
             content = self._lines
-        elif not is_binary(self._suffix):
+        elif not formats.is_binary(self._suffix):
             content = self.name
-        return frames(self._suffix, content, self.problems)
+        return formats.frames(self._suffix, content, self.problems)
 
     def _candump(self, lines: LineReader) -> Iterator[RecordedFrame]:
         try:
@@ -233,13 +160,14 @@ def _standard_input(report: Callable[[Problem], None]) -> Recording:
 def _check_format(name: str, suffix: str, packed: bool) -> None:
     if suffix == _CANDUMP:
         return
+    from vcu_gateway.recording import formats
 
-    known = suffixes()
+    known = formats.suffixes()
     if suffix not in known:
         what = f"{suffix} is no known format" if suffix else "has no suffix to tell its format"
         remedy = f"known are {', '.join(known)}, and most of them with .gz; candump text is .log"
         raise MissingInputError(Problem(what, name, remedy))
-    if packed and not is_text(suffix) and not is_binary(suffix):
+    if packed and not formats.is_text(suffix) and not formats.is_binary(suffix):
         raise MissingInputError(Problem(f"{suffix} cannot be read packed", name, "gunzip it first"))
     if suffix == _MF4 and importlib.util.find_spec("asammdf") is None:
         remedy = "pip install 'vcu-gateway[mf4]'"
