@@ -17,8 +17,9 @@ UNWANTED = {
     *(
         f"vcu_gateway.{name}"
         for name in (
-            *("client", "demo", "doctor", "exporter", "recording", "simulator", "watch"),
-            *("protocol.cantools_dbc", "protocol.definition"),
+            *("client", "demo", "doctor", "exporter", "simulator", "watch"),
+            *("protocol.cantools_dbc", "protocol.definition", "recording.candump"),
+            *("recording.check", "recording.log", "recording.reader", "recording.segment"),
         )
     ),
 }

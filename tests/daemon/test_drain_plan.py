@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.daemon.work_queue import DrainPlan
+from vcu_gateway.daemon.ticking_thread import DrainPlan
 
 US = 1_000
 

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from vcu_gateway.daemon import realtime
-from vcu_gateway.daemon.realtime import ProcessorTime
+from vcu_gateway.daemon import ticking_thread
+from vcu_gateway.daemon.ticking_thread import ProcessorTime
 
 MS = 1_000_000
 
@@ -81,7 +81,7 @@ def test_where_the_kernel_does_not_tell_the_wait_is_unknown(tmp_path, monkeypatc
     path = tmp_path / "schedstat"
     if contents is not None:
         path.write_text(contents)
-    monkeypatch.setattr(realtime, "_SCHEDSTAT", str(path))
+    monkeypatch.setattr(ticking_thread, "_SCHEDSTAT", str(path))
     one = ProcessorTime()
     assert one.since_last().waited_ns is None
     one.close()

@@ -4,7 +4,7 @@ import gc
 import subprocess
 import sys
 
-from vcu_gateway.daemon import realtime
+from vcu_gateway.daemon import ticking_thread
 
 TOLD = "print(next(line for line in open('/proc/self/status') if line.startswith('VmLck')))"
 
@@ -40,12 +40,12 @@ def test_garbage_is_collected_once_a_minute_and_by_nothing_else():
         if phase == "stop":
             collected.append((index, info["generation"]))
 
-    with realtime.few_pauses():
+    with ticking_thread.few_pauses():
         gc.callbacks.append(note)
         try:
             for index in range(2400):  # two minutes
                 kept = [[] for _ in range(1000)]
-                realtime.collect_after(index)
+                ticking_thread.collect_after(index)
                 del kept
         finally:
             gc.callbacks.remove(note)

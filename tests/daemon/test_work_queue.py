@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from vcu_gateway.daemon.work_queue import WorkQueue
+from vcu_gateway.daemon.ticking_thread import WorkQueue
 
 
 def test_work_is_done_in_the_order_of_posting():

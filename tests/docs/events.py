@@ -205,7 +205,7 @@ class Module:
 
 def of_the_program() -> list[SourceEvent]:
     """Every event of every file; recorded drives hold events, and have none of their own."""
-    files = sorted(path for path in SOURCE.rglob("*.py") if path.parent.name != "drive")
+    files = sorted(path for path in SOURCE.rglob("*.py") if path.parent.name != "recording")
     return [
         told
         for path in files

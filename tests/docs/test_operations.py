@@ -156,7 +156,7 @@ def test_the_words_of_the_process_that_sends_the_safe_frames_are_on_the_page():
 def test_every_cause_that_a_rule_finds_is_on_the_page_and_no_other():
     found = {
         node.args[0].value if isinstance(node.args[0], ast.Constant) else ast.unparse(node)
-        for module in ("rules.py", "coded_signals.py")
+        for module in ("rules.py", "causes.py")
         for node in ast.walk(ast.parse((SOURCE / "core" / module).read_text()))
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "Finding"
     }

@@ -7,7 +7,7 @@ import pytest
 
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.protocol.requirements import differences
+from vcu_gateway.protocol.dbc import differences
 
 PROTOCOL = dbc.load(packaged("vcu.dbc"))
 BATTERY = PROTOCOL.message("BMS_Status")

@@ -5,7 +5,7 @@ import re
 import pytest
 from scripts.documents import protocol_page
 
-from vcu_gateway.protocol import definition, packaged, requirements
+from vcu_gateway.protocol import dbc, definition, packaged
 
 TEXT = packaged("vcu.yaml").read_text(encoding="utf-8")
 
@@ -93,4 +93,4 @@ def test_the_page_says_what_an_own_definition_may_change():
     assert {one.split(" | ")[0] for one in lines[at:] if one.startswith("| ")} >= {
         *("| messages", "| signals", "| identifiers", "| periods", "| commands"),
     }
-    assert f"see docs/protocol.md, {lines[at].removeprefix('## ')}" == requirements.REMEDY
+    assert f"see docs/protocol.md, {lines[at].removeprefix('## ')}" == dbc.REMEDY

@@ -12,7 +12,7 @@ from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.errors import DataError
 from vcu_gateway.protocol import cantools_dbc, dbc, definition, packaged
-from vcu_gateway.protocol.requirements import REMEDY, unmet
+from vcu_gateway.protocol.dbc import REMEDY, unmet
 from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 
 TEXT = packaged("vcu.yaml").read_text(encoding="utf-8")

@@ -174,7 +174,7 @@ def test_what_the_map_does_not_know_runs_all(path):
 @pytest.mark.parametrize(
     ("path", "tests", "most"),
     [
-        ("export/lines", "tests/export/test_lines.py tests/cli/test_cli.py", 30),
+        ("export/report", "tests/export/test_lines.py tests/cli/test_cli.py", 30),
         ("doctor/checks", "tests/doctor/test_verb.py tests/docs/test_install.py", 25),
         ("watch/layout", "tests/watch/test_layout.py tests/watch/test_demo.py", 20),
         ("web/guard", "tests/web/test_server.py tests/web/test_demo.py", 20),

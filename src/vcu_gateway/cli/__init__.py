@@ -52,7 +52,6 @@ MODULES = {
     "check-config": "run",
     "version": "about",
     "completion": "about",
-    "exporter": "web",
     "web-user": "web",
     "watch": "demo",
     "decode": "export",

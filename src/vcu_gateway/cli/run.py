@@ -8,15 +8,17 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway import config as configuration
 from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports asyncio or hashlib
+
+# isort: split
+from vcu_gateway import config as configuration
 from vcu_gateway.app import Application, bus_settings
 from vcu_gateway.bus.interface import Interfaces, unfit
 from vcu_gateway.cli.options import config_option, resolve_config
 from vcu_gateway.config import BenchDemandSection, Config
 from vcu_gateway.config.checks import startable
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.daemon import log, realtime, systemd
+from vcu_gateway.daemon import log, systemd, ticking_thread
 from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import report_effect
@@ -91,9 +93,6 @@ def _in_capitals(config: Config, demand: BenchDemandSection) -> str:
         f" brake {demand.brake_pct:g} %, {demand.power_mode}, {direction},"
         f" at most {demand.speed_limit_rpm} rpm and {power_w} W"
     )
-
-
-# isort: split
 
 
 @click.command("run")
@@ -174,7 +173,7 @@ def _run(
 
 def _lock_memory(event_log: EventLog) -> None:
     try:
-        realtime.lock_memory()
+        ticking_thread.lock_memory()
     except UnavailableError as error:
         reason = str(error)
         event_log.emit(Event("memory_not_locked", Severity.WARNING, {"reason": reason}))

@@ -1,4 +1,4 @@
-"""`vcu-gateway web`, `web-user` and `exporter`: what serves over HTTP beside the gateway."""
+"""`vcu-gateway web` and `web-user`: the page that shows what the vehicle does, and its users."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,41 +9,16 @@ from vcu_gateway.cli.options import (
     ANY_PATH,
     ListenAddress,
     listen_option,
-    metrics_needed,
     socket_option,
-    stopped_by_signals,
     web_needed,
 )
-from vcu_gateway.client import Client, default_socket_path
-from vcu_gateway.exporter import GatewayReader
+from vcu_gateway.client import default_socket_path
 from vcu_gateway.text import say
 from vcu_gateway.web import users
 from vcu_gateway.web.users import UserRole
 
 if TYPE_CHECKING:
     from vcu_gateway.web.settings import WebSettings
-
-
-@click.command("exporter")
-@socket_option
-@listen_option("127.0.0.1:9464", "Where Prometheus reads; an IPv6 address stands in brackets.")
-def exporter(socket_path: Path | None, listen: ListenAddress) -> None:
-    """Serve the metrics of the running gateway to Prometheus, over HTTP.
-
-    A program beside the gateway: it asks the API at each scrape, and needs no more than to open
-    the gateway's socket; of the recorder it reads the state. A gateway that does not answer is
-    the metric vcu_gateway_up 0.
-    Whoever reaches the port can read the metrics. Ctrl-C or SIGTERM ends it.
-    """
-    with metrics_needed():
-        from vcu_gateway.exporter import prometheus
-    with stopped_by_signals() as stop, Client(socket_path) as client:
-        reader = GatewayReader(client, say)
-        server = prometheus.HttpServer(reader.read, listen.address, listen.port)
-        host = f"[{listen.address}]" if ":" in listen.address else listen.address
-        say(f"metrics of {client.socket_path} at http://{host}:{server.port}/metrics")
-        stop.wait()
-        server.close()
 
 
 ROLES = ("viewer", "operator", "service")

@@ -13,7 +13,7 @@ from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.state import deadlines
 from vcu_gateway.errors import ConfigError, DataError, Problem, did_you_mean
-from vcu_gateway.protocol import dbc, packaged, requirements
+from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.strict_yaml.file_text import FileProblem, problems
 from vcu_gateway.units import NS_PER_MS
 
@@ -196,11 +196,11 @@ def check_protocol(config: Config, protocol: ProtocolSpec) -> None:
     """
     where = str(dbc_path(config))
     found = [] if config.protocol.dbc is None else _differences(protocol, where)
-    if found := found or requirements.unmet(protocol, lambda *_: where):
+    if found := found or dbc.unmet(protocol, lambda *_: where):
         raise DataError(*found[:_MOST_PROBLEMS])
 
 
 def _differences(protocol: ProtocolSpec, where: str) -> list[Problem]:
-    remedy = f"`protocol.dbc` may add to the packaged DBC, not change it; {requirements.REMEDY}"
+    remedy = f"`protocol.dbc` may add to the packaged DBC, not change it; {dbc.REMEDY}"
     reference = dbc.load(packaged("vcu.dbc"))
-    return [Problem(what, where, remedy) for what in requirements.differences(protocol, reference)]
+    return [Problem(what, where, remedy) for what in dbc.differences(protocol, reference)]

@@ -16,12 +16,11 @@ from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.stop import Stop
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Explanation, Reasons, explained
-from vcu_gateway.daemon import realtime
+from vcu_gateway.daemon import ticking_thread
 from vcu_gateway.daemon.events import EventLog, LinkEvents, StopEvents
 from vcu_gateway.daemon.log import log
-from vcu_gateway.daemon.realtime import ProcessorTime
 from vcu_gateway.daemon.restart_state import RestartState
-from vcu_gateway.daemon.work_queue import DrainPlan, WorkQueue
+from vcu_gateway.daemon.ticking_thread import DrainPlan, ProcessorTime, WorkQueue
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 # No work for others is begun so shortly before the bus is read for a tick.
@@ -148,7 +147,7 @@ class TickLoop:
         Raises UnavailableError where another gateway of this machine has the interface.
         """
         self.connection.acquire_lock()
-        with realtime.few_pauses():
+        with ticking_thread.few_pauses():
             self._run(duration_s)
         self._log_end()
 
@@ -215,7 +214,7 @@ class TickLoop:
         for observe in self._observers:
             observe(tick, result)
         self._link_events.after_tick(now_ns)
-        realtime.collect_after(tick.index)
+        ticking_thread.collect_after(tick.index)
 
     def _send_in_time(self, frame: OutFrame, tick: Tick) -> bool:
         """Send, unless the process was held up since the tick: what it decided is old by now."""

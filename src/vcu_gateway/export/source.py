@@ -12,7 +12,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
 from vcu_gateway.export.decisions import CoreLines, Decisions
 from vcu_gateway.export.frame_store import FrameStore
-from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged, requirements
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.candump import LineProblems
 from vcu_gateway.recording.log import STANDARD_INPUT, open_recording
@@ -148,7 +148,7 @@ def read(name: str, options: ReadOptions) -> Source:
 
 def _codec(path: Path, known: Mapping[int, str], of_drive: bool = False) -> Codec:
     protocol = dbc.load(path)
-    if of_drive and (unmet := requirements.unmet(protocol, lambda *_: str(path))):
+    if of_drive and (unmet := dbc.unmet(protocol, lambda *_: str(path))):
         raise DataError(*unmet[:_MOST_PROBLEMS])
     names = {message.name for message in protocol.messages}
     aliases = {can_id: name for can_id, name in known.items() if name in names}

@@ -7,6 +7,9 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from vcu_gateway import python_can  # noqa: F401 - cantools imports python-can
+
+# isort: split
 import cantools
 from cantools.database import Database, Message, Node, Signal
 from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute
@@ -15,16 +18,12 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 from cantools.database.conversion import BaseConversion
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-from vcu_gateway import python_can  # noqa: F401 - cantools imports python-can
 from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, Problem
 
 if TYPE_CHECKING:
     from vcu_gateway.protocol.definition import Definition
-
-
-# isort: split
 
 
 _FRAME_FORMATS = ["StandardCAN", "ExtendedCAN", "reserved", "J1939PG"]

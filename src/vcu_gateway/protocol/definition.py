@@ -9,7 +9,7 @@ from typing import NamedTuple
 from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
-from vcu_gateway.protocol import requirements
+from vcu_gateway.protocol import dbc
 from vcu_gateway.protocol.definition_model import (
     ByteOrder,
     DefinitionFile,
@@ -307,6 +307,6 @@ def parse(text: str, where: str = "definition") -> Definition:
         raise DataError(*problems(findings, where, document.lines))
     builder = Builder(file, where, document.lines)
     spec = builder.build()
-    if found := builder.problems or requirements.unmet(spec, builder.where):
+    if found := builder.problems or dbc.unmet(spec, builder.where):
         raise DataError(*found)
     return Definition(file, spec, builder.rows)

@@ -9,7 +9,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, DataError, Problem
-from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, requirements
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.reader import Drive
 from vcu_gateway.strict_yaml import file_text, parser
@@ -61,7 +61,7 @@ def protocol_of(drive: Drive) -> ProtocolSpec:
     """
     path = drive.folder / layout.DBC_FILE
     protocol = dbc.load(path)
-    if unmet := requirements.unmet(protocol, lambda *_: str(path)):
+    if unmet := dbc.unmet(protocol, lambda *_: str(path)):
         raise DataError(*unmet[:_MOST_PROBLEMS])
     return with_aliases(protocol, recorded_aliases(drive.info.config))
 
