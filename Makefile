@@ -128,7 +128,7 @@ SERVING := tests/api tests/server tests/client tests/app
 test-serving: $(TESTED)
 	$(PYTEST) $(SERVING)
 
-SHELL_TESTS := $(addprefix tests/,bus cli config daemon exporter recording)
+SHELL_TESTS := $(addprefix tests/,bus cli config daemon exporter)
 test-shell: $(TESTED)
 	$(NEEDS) export
 	$(PYTEST) $(SHELL_TESTS)
@@ -138,7 +138,7 @@ test-recorder: $(TESTED)
 	$(NEEDS) compiler
 	$(PYTEST) tests/recorder
 
-RECORDED_DATA := $(addprefix tests/,drive drive_format judge recordings replay export)
+RECORDED_DATA := $(addprefix tests/,judge recording replay export)
 test-recordings: $(TESTED)  ## what reads, replays and exports recorded drives
 	$(NEEDS) browser export
 	$(PYTEST) $(RECORDED_DATA)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.drive.drive_writer import DriveWriter
+from tests.recording.drive_writer import DriveWriter
 
 from bench.figures import Figure, Options, alone, counts_finely
 from vcu_gateway import config as configuration

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tests.drive.recorded import RecordedDrive
+from tests.recording.recorded import RecordedDrive
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.supervisor import Mode
 

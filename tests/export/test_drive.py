@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from tests.drive.recorded import WALL_NS
 from tests.export.drives import record
+from tests.recording.recorded import WALL_NS
 from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.export.decisions import MODES
 from vcu_gateway.export.formats import tables_of

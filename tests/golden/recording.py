@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.core.simulated_drive import CODEC
-from tests.drive.drive_writer import DriveWriter
 from tests.golden.scripts import GoldenDrive
 from tests.golden.simulate import begun, settings_of
+from tests.recording.drive_writer import DriveWriter
 from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.protocol import packaged
 from vcu_gateway.recording import layout

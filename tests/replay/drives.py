@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.drive.drive_writer import DriveWriter
+from tests.recording.drive_writer import DriveWriter
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.core import calls

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.core.simulated_drive import CODEC, Drive
-from tests.drive.tapped import TappedDrive
+from tests.recording.tapped import TappedDrive
 from vcu_gateway import daemon
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.core.simulated_drive import CODEC, MS, Drive, active, in_mode
-from tests.drive.graphs import DifferenceError, compare
+from tests.recording.graphs import DifferenceError, compare
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.gateway import Gateway
@@ -322,7 +322,7 @@ def test_a_checkpoint_takes_a_tenth_of_a_period_at_the_most():
 
 def test_the_text_is_the_same_whatever_order_python_gives_its_sets():
     program = (
-        "import json; from tests.drive.test_checkpoint import busy_drive, state_of;"
+        "import json; from tests.recording.test_checkpoint import busy_drive, state_of;"
         "print(json.dumps(state_of(busy_drive().gateway)))"
     )
     texts = [

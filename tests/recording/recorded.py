@@ -4,8 +4,8 @@ import hashlib
 from pathlib import Path
 
 from tests.core.simulated_drive import PERIOD_NS
-from tests.drive.drive_writer import DriveWriter
-from tests.drive.tapped import TappedDrive
+from tests.recording.drive_writer import DriveWriter
+from tests.recording.tapped import TappedDrive
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.protocol import packaged

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.core.simulated_drive import CODEC, MS
-from tests.drive.recorded import WALL_NS, RecordedDrive
+from tests.recording.recorded import WALL_NS, RecordedDrive
 from vcu_gateway.core import calls
 from vcu_gateway.core.calls import Receive, RunTick
 from vcu_gateway.core.demand import ControllerDemand

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.recordings.forger import KINDS, content, forge
-from tests.recordings.recorded import WrittenDrive
-from tests.recordings.signed import make_key, sign
+from tests.recording.forger import KINDS, content, forge
+from tests.recording.kept import WrittenDrive
+from tests.recording.signed import make_key, sign
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.check import check_recording
 from vcu_gateway.recording.folder import RecordingPath

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.recordings.recorded import FRAMES, FRAMES_A_SECOND, WrittenDrive, torn, zeroed
-from tests.recordings.signed import make_key, sign
+from tests.recording.kept import FRAMES, FRAMES_A_SECOND, WrittenDrive, torn, zeroed
+from tests.recording.signed import make_key, sign
 from vcu_gateway.errors import MissingInputError
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.check import CheckedRecording, RecordingState, check_recording

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.core.simulated_drive import MS, ZERO_TORQUE
 from tests.core.test_invariants import ASKED, SETTINGS
-from tests.drive.tapped import TappedDrive, lines_of, parsed
+from tests.recording.tapped import TappedDrive, lines_of, parsed
 from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.demand import (

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.recordings.recorded import FRAMES, START_S, WrittenDrive, torn
+from tests.recording.kept import FRAMES, START_S, WrittenDrive, torn
 from vcu_gateway.recording import layout
 
 PROGRAM = [sys.executable, "-m", "vcu_gateway", "recordings"]
