@@ -186,7 +186,7 @@ def test_the_completion_of_each_shell_is_printed_and_completes_verbs():
 def test_a_verb_answers_in_a_moment(ask):
     """It imports the client only: no bus, no configuration, no protocol."""
     code = (
-        "import sys; from vcu_gateway.cli import status, demand; "
+        "import sys; from vcu_gateway.cli import operator, demand; "
         "print([name for name in ('can', 'cantools', 'pydantic', 'yaml') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=90)

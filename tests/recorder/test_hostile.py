@@ -26,7 +26,7 @@ MEMORY_MAX_KB = int(re.search(r"^MemoryMax=(\d+)M$", UNIT.read_text(), re.MULTIL
 
 IMPOSTOR = """
 import socket, sys, time
-from vcu_gateway.drive_format import datagram
+from vcu_gateway.recording import datagram
 sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 sock.connect(sys.argv[1])
 for part in datagram.packed_hello(__import__("json").loads(sys.argv[2])):

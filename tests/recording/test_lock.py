@@ -9,8 +9,8 @@ import pytest
 
 from vcu_gateway.recording import layout
 
-_HOLD = "import sys; from vcu_gateway.drive_format import lock; from pathlib import Path; \
-lock.hold(Path(sys.argv[1])); print(flush=True); sys.stdin.read()"
+_HOLD = "import sys; from vcu_gateway.recording import layout; from pathlib import Path; \
+layout.hold(Path(sys.argv[1])); print(flush=True); sys.stdin.read()"
 
 
 def test_a_folder_is_free_until_somebody_holds_it_and_when_it_is_let_go(tmp_path: Path):

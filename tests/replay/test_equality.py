@@ -301,11 +301,11 @@ def test_a_recording_is_found_by_its_name(every, monkeypatch, tmp_path):
 def test_who_may_not_look_is_told_which_group_to_join():
     with tempfile.TemporaryDirectory() as name:
         code = (
-            "import os; from pathlib import Path; from vcu_gateway.recordings import names;"
+            "import os; from pathlib import Path; from vcu_gateway.recording import folder;"
             "os.setgroups([]); os.setresgid(65534, 65534, 65534);"
             "os.setresuid(65534, 65534, 65534);"
-            f" names.DEFAULT_FOLDER = Path({name!r});"
-            f" names.recording_path('20261123T180412Z-1f3a9c2e')"
+            f" folder.DEFAULT_FOLDER = Path({name!r});"
+            f" folder.recording_path('20261123T180412Z-1f3a9c2e')"
         )
         done = subprocess.run(
             [sys.executable, "-c", code], cwd="/", capture_output=True, text=True, check=False
