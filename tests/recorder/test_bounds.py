@@ -118,6 +118,15 @@ def test_a_run_is_that_of_the_process_that_named_it_first_as_long_as_that_one_li
     assert owners.other("c", mine) is None
 
 
+def test_who_names_many_runs_does_not_make_anothers_forgotten():
+    owners, mine = RunOwners(), Sender(os.getpid(), 0, 0)
+    parent = Sender(os.getppid(), 0, 0)
+    assert owners.other("mine", mine) is None
+    for number in range(2000):
+        assert owners.other(f"theirs {number}", parent) is None
+    assert owners.other("mine", parent) == mine
+
+
 def test_what_has_just_come_stays_however_little_memory_there_is():
     one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with one, other:

@@ -80,9 +80,19 @@ class RunOwners:
         if owner is not None and owner != sender and _lives(owner.pid):
             return owner
         while len(self._owners) >= _MOST_RUNS:
-            del self._owners[next(iter(self._owners))]
+            del self._owners[self._least_wanted()]
         self._owners[run] = sender
         return None
+
+    def _least_wanted(self) -> str:
+        """A run whose process is gone, else the oldest of the process that named most.
+
+        Whoever names many runs must not make another one's forgotten.
+        """
+        gone = (run for run, owner in self._owners.items() if not _lives(owner.pid))
+        most = Counter(self._owners.values()).most_common(1)[0][0]
+        of_most = (run for run, owner in self._owners.items() if owner == most)
+        return next(gone, None) or next(of_most)
 
 
 def _lives(pid: int) -> bool:
