@@ -10,7 +10,8 @@ TOLD = "print(next(line for line in open('/proc/self/status') if line.startswith
 
 
 def locked(prepare: str = "") -> subprocess.CompletedProcess[str]:
-    code = f"from vcu_gateway.daemon import ticking_thread\n{prepare}\nticking_thread.lock_memory()\n{TOLD}"
+    code = "from vcu_gateway.daemon import ticking_thread\n"
+    code += f"{prepare}\nticking_thread.lock_memory()\n{TOLD}"
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
 
 

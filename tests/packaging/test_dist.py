@@ -104,7 +104,7 @@ def test_it_comes_with_a_configuration_that_it_accepts(run, installed):
 
 def test_it_makes_the_dbc_that_it_comes_with(run, installed, tmp_path):
     (data,) = installed.parent.glob("lib/*/site-packages/vcu_gateway/data")
-    outputs = ("--output", "vcu.dbc", "--module", "vcu_dbc.py", "--page", "page.md")
+    outputs = ("--output", "vcu.dbc", "--module", "vcu_dbc.py")
     names = ("--definition", str(data / "vcu.yaml"), *outputs)
     run("dbc", *names)
     assert (tmp_path / "vcu.dbc").read_bytes() == (data / "vcu.dbc").read_bytes()
