@@ -33,8 +33,8 @@ def test_it_remembers_at_most_100_kinds():
 def test_a_token_bucket_is_a_burst_and_then_one_after_the_other(late_ns, at_once):
     bucket, now_ns = TokenBucket(10 * MS, 3, 1000), 1000 + late_ns
     taken = 0
-    while bucket.ready_ns <= now_ns:
-        bucket.take(now_ns)
+    while bucket.taken(now_ns):
         taken += 1
     assert taken == at_once
+    assert not bucket.taken(now_ns + 10 * MS - 1)
     assert bucket.ready_ns == now_ns + 10 * MS

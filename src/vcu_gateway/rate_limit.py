@@ -27,6 +27,13 @@ class TokenBucket:
         """Only from `ready_ns` on."""
         self._taken_until_ns = max(self.ready_ns, now_ns - self._burst_ns + self._interval_ns)
 
+    def taken(self, now_ns: int) -> bool:
+        """Take one; False where it is too early."""
+        if now_ns < self.ready_ns:
+            return False
+        self.take(now_ns)
+        return True
+
 
 class LogRateLimit:
     """Log rate limit: admits one of a kind per second and counts the others; at most 100 kinds."""

@@ -7,9 +7,14 @@ import subprocess
 
 import pytest
 
-from vcu_gateway.recorder import connection as bounds
 from vcu_gateway.recorder.backlog import Backlog, Received
-from vcu_gateway.recorder.connection import GatewayConnection, RunOwners, Sender
+from vcu_gateway.recorder.connection import (
+    MOST_LINES_BYTES,
+    GatewayConnection,
+    check_lines,
+    checked_hello,
+)
+from vcu_gateway.recorder.senders import RunOwners, Sender
 from vcu_gateway.recording.datagram import DatagramError, TickHeader, packed_tick, tick_parts
 
 HELLO = {
@@ -25,7 +30,7 @@ NESTED = {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": {"a": 1}}}}}}}}}
 
 
 def test_an_ordinary_hello_is_taken():
-    assert bounds.checked_hello(HELLO) == HELLO
+    assert checked_hello(HELLO) == HELLO
 
 
 @pytest.mark.parametrize(
@@ -52,7 +57,7 @@ def test_an_ordinary_hello_is_taken():
 )
 def test_a_hello_outside_the_bounds_is_refused(changed):
     with pytest.raises(DatagramError, match="HELLO") as refused:
-        bounds.checked_hello(HELLO | changed)
+        checked_hello(HELLO | changed)
     assert refused.value.kind == "hello"
 
 
@@ -67,7 +72,7 @@ def test_a_hello_outside_the_bounds_is_refused(changed):
     ],
 )
 def test_core_lines_of_a_gateway_are_taken(lines):
-    bounds.check_lines(lines)
+    check_lines(lines)
 
 
 @pytest.mark.parametrize(
@@ -95,13 +100,13 @@ def test_core_lines_of_a_gateway_are_taken(lines):
         b'{"f":' + b"[" * 50_000 + b"\n",
         b'{"f":' + b"1" * 5_000 + b"}\n",
         b'{"f":0}\n' * 10_001,
-        json.dumps({"f": 0, "why": "x" * bounds.MOST_LINES_BYTES}).encode() + b"\n",
+        json.dumps({"f": 0, "why": "x" * MOST_LINES_BYTES}).encode() + b"\n",
     ],
     ids=lambda lines: lines[:60].decode(errors="replace"),
 )
 def test_core_lines_that_are_none_of_a_gateway_are_refused(lines):
     with pytest.raises(DatagramError) as refused:
-        bounds.check_lines(lines)
+        check_lines(lines)
     assert refused.value.kind == "core_lines"
 
 

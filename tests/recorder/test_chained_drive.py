@@ -20,12 +20,11 @@ from tests.recorder.gateway import (
     members,
     recorded_frames,
 )
-from vcu_gateway.recorder import drive as resume
 from vcu_gateway.recorder.backlog import Backlog
-from vcu_gateway.recorder.connection import Refusals
-from vcu_gateway.recorder.drive import DriveRecorder
-from vcu_gateway.recorder.receiver import DatagramReceiver, TapListener
+from vcu_gateway.recorder.drive import DriveRecorder, ticks_of
+from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.ring import Disk, Ring
+from vcu_gateway.recorder.senders import Refusals, TapListener
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, datagram, layout, signature
 from vcu_gateway.recording.chain import BreakKind, Linked
@@ -232,7 +231,7 @@ def test_a_recorder_goes_on_with_what_one_without_links_began(drive):
 
 def test_a_tick_in_an_events_fields_is_counted_once():
     line = b'{"f":3,"tick":1,"events":[["x","info",{"a":1,"tick":5}]]}\n'
-    assert resume.ticks_of(line * 2) == 2
+    assert ticks_of(line * 2) == 2
 
 
 def test_a_begin_whose_losses_are_no_numbers_is_none():

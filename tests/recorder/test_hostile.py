@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.recorder.gateway import account, drives, incidents
-from vcu_gateway.recorder import connection as senders
-from vcu_gateway.recorder.connection import Refusals
+from vcu_gateway.recorder.senders import Refusals, trusted_users
 from vcu_gateway.recording import datagram, layout
 from vcu_gateway.recording.datagram import TickHeader
 
@@ -260,9 +259,9 @@ def test_an_honest_drive_is_whole_beside_hostile_connections(
 
 
 def test_only_root_the_own_user_and_the_gateways_are_trusted():
-    assert senders.trusted_users(None) >= {0, os.geteuid()}
+    assert trusted_users(None) >= {0, os.geteuid()}
     with pytest.raises(Exception, match="no user nobody-of-this-name"):
-        senders.trusted_users("nobody-of-this-name")
+        trusted_users("nobody-of-this-name")
 
 
 def test_a_kind_of_refusal_is_one_line_in_ten_seconds_and_counted():

@@ -250,4 +250,4 @@ def test_it_imports_nothing_of_the_gateway():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     imported = {name.split(".")[1] for name in ast.literal_eval(done.stdout)}
-    assert imported == {"recorder", "recording", "errors", "files", "text", "units"}
+    assert imported == {"recorder", "recording", "errors", "files", "rate_limit", "text", "units"}

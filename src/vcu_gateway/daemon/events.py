@@ -184,8 +184,7 @@ class LinkEvents:
         """Emit a changed link state and newly dropped frames, both at a bounded rate."""
         state = self._gateway.link.state
         reported = (self._reported_state, LinkState.LOST)  # a loss is emitted with its reason
-        if state not in reported and now_ns >= self._changes.ready_ns:
-            self._changes.take(now_ns)
+        if state not in reported and self._changes.taken(now_ns):
             self._emit_state(state)
         dropped = self._connection.dropped or 0
         if dropped != self._dropped_before and now_ns >= self._next_drops_ns:

@@ -2,9 +2,9 @@
 
 `receiver` takes the tap's datagrams from the gateways that connected, and never waits for the disk:
 what it took lies in the `backlog`, bounded, until the `writer`'s thread has it. A connection's
-drive is a `DriveRecorder`, which writes segments through `drive_format`; `ring` removes the oldest
-of them, `incidents` keeps what surrounds a fault by hard links, and `status` says how it goes.
-Nothing of the gateway is imported, and the standard library alone.
+drive is a `DriveRecorder`, which writes segments in the format of `recording`; `ring` removes the
+oldest of them, `incidents` keeps what surrounds a fault by hard links, and `program` says how it
+goes. Nothing of the gateway is imported, and the standard library alone.
 """
 
 from vcu_gateway.recorder.options import RecorderOptions

@@ -1,4 +1,6 @@
-"""Connection of a gateway: who it is, what it may hand over, and its datagrams.
+"""Connection of a gateway: what it said of itself, what it may hand over, and its datagrams.
+
+Bounds of what a gateway hands over: its HELLO and its core lines, before any of it is kept.
 
 The limits are far above what a gateway sends: a checkpoint of it has 5 kB, both texts of its HELLO
 40 kB. A line is checked for its shape only; whether it makes sense is the reader's question.
@@ -7,145 +9,18 @@ The limits are far above what a gateway sends: a checkpoint of it has 5 kB, both
 import contextlib
 import json
 import math
-import os
-import pwd
 import re
 import socket
-import struct
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
-from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.rate_limit import TokenBucket
+from vcu_gateway.recorder.senders import Sender
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.datagram import DatagramError, HelloPart, HelloText, TickParts
-
-GATEWAY_USER = "vcu-gateway"
-_CREDENTIALS = struct.Struct("iII")
-_SAY_EVERY_S = 10.0
-_MOST_RUNS = 256
-
-
-class Sender(NamedTuple):
-    """Process at the other end, as the kernel saw it connect (SO_PEERCRED)."""
-
-    pid: int
-    uid: int
-    gid: int
-
-    def __str__(self) -> str:
-        return f"process {self.pid} of user {_user(self.uid)}"
-
-
-def sender_of(sock: socket.socket) -> Sender:
-    """The process that connected; OSError where the kernel does not say."""
-    found = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    return Sender(*_CREDENTIALS.unpack(found))
-
-
-def trusted_users(gateway_user: str | None) -> frozenset[int]:
-    """Ids of those who may hand over: root, the recorder's own user, the gateway's.
-
-    None: `vcu-gateway`, where that user exists. UnavailableError where a named one does not.
-    """
-    trusted = {0, os.geteuid()}
-    try:
-        trusted.add(pwd.getpwnam(gateway_user or GATEWAY_USER).pw_uid)
-    except KeyError as error:
-        if gateway_user is not None:
-            remedy = "name the user that the gateway runs as; look at: getent passwd"
-            what = f"there is no user {gateway_user} (--gateway-user)"
-            raise UnavailableError(Problem(what, remedy=remedy)) from error
-    return frozenset(trusted)
-
-
-def _user(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return str(uid)
-
-
-class RunOwners:
-    """Which process each run is of: the one that named it first, as long as that one lives."""
-
-    def __init__(self) -> None:
-        self._owners: dict[str, Sender] = {}
-
-    def other(self, run: str, sender: Sender) -> Sender | None:
-        """The process that has this run already; None where it is the sender's now."""
-        owner = self._owners.get(run)
-        if owner is not None and owner != sender and _lives(owner.pid):
-            return owner
-        while len(self._owners) >= _MOST_RUNS:
-            del self._owners[self._least_wanted()]
-        self._owners[run] = sender
-        return None
-
-    def _least_wanted(self) -> str:
-        """A run whose process is gone, else the oldest of the process that named most.
-
-        Whoever names many runs must not make another one's forgotten.
-        """
-        gone = (run for run, owner in self._owners.items() if not _lives(owner.pid))
-        most = Counter(self._owners.values()).most_common(1)[0][0]
-        of_most = (run for run, owner in self._owners.items() if owner == most)
-        return next(gone, None) or next(of_most)
-
-
-def _lives(pid: int) -> bool:
-    """False where that process is gone, or is one that the kernel does not name."""
-    if pid <= 0:
-        return False
-    try:
-        os.kill(pid, 0)
-    except PermissionError:
-        return True
-    except OSError:
-        return False
-    return True
-
-
-class Allowance:
-    """Token bucket: bursts of `burst`, and `a_second` in the long run."""
-
-    def __init__(self, burst: float, a_second: float) -> None:
-        self._burst, self._a_second = burst, a_second
-        self._left, self._at_s = burst, time.monotonic()
-
-    def take(self) -> bool:
-        now_s = time.monotonic()
-        self._left = min(self._burst, self._left + (now_s - self._at_s) * self._a_second)
-        self._at_s = now_s
-        if self._left < 1:
-            return False
-        self._left -= 1
-        return True
-
-
-class Refusals:
-    """Counts what was refused by its reason; a line in the log, of each at most one in 10 s.
-
-    Attributes:
-        counts: by reason, since the start.
-    """
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self.counts: Counter[str] = Counter()
-        self._say = say
-        self._said_s: dict[str, float] = {}
-
-    def note(self, reason: str, sentence: str) -> None:
-        self.counts[reason] += 1
-        now_s = time.monotonic()
-        said_s = self._said_s.get(reason)
-        if said_s is None or now_s - said_s >= _SAY_EVERY_S:
-            self._said_s[reason] = now_s
-            count = self.counts[reason]
-            self._say(f"{sentence} (number {count} of this kind)" if count > 1 else sentence)
-
+from vcu_gateway.units import NS_PER_S
 
 MOST_LINES_BYTES = 512 << 10
 """Of the core lines in one datagram."""
@@ -293,7 +168,7 @@ BUFFER_BYTES = 1 << 20
 """Room for the longest datagram."""
 _MOST_FRAMES = 50_000
 _MOST_COUNT = 1 << 63
-_CHECKPOINTS = 20, 4.0
+_CHECKPOINTS = NS_PER_S // 4, 20
 """At once, and a second: a gateway that loses datagrams sends one every 250 ms."""
 
 
@@ -322,7 +197,7 @@ class GatewayConnection:
         self.hello_bytes = 0
         self.fault: DatagramError | None = None
         self.frames = 0
-        self._checkpoints = Allowance(*_CHECKPOINTS)
+        self._checkpoints = TokenBucket(*_CHECKPOINTS, time.monotonic_ns())
         self.begun_s = self.latest_s = time.monotonic()
         self.since_wall_ns = self.last_wall_ns = time.time_ns()
 
@@ -363,7 +238,7 @@ class GatewayConnection:
         if max(tick.header) >= _MOST_COUNT or tick.header.frames < tick.frame_count:
             raise DatagramError("its numbers of frames and datagrams cannot be")
         check_lines(tick.lines)
-        if tick.begins_segment and not self._checkpoints.take():
+        if tick.begins_segment and not self._checkpoints.taken(time.monotonic_ns()):
             raise DatagramError("too many checkpoints", "rate")
         self.frames = tick.header.frames
         return tick

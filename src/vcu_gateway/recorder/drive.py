@@ -1,4 +1,7 @@
-"""How far a drive is recorded: read from its last segments, after a recorder ended."""
+"""Recorded drive of one run of a gateway: its folder, its segments, and what is missing in it.
+
+How far a drive is recorded: read from its last segments, after a recorder ended.
+"""
 
 import contextlib
 import errno

@@ -14,10 +14,11 @@ from types import FrameType
 from vcu_gateway import __version__, files
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 from vcu_gateway.recorder.backlog import Backlog
-from vcu_gateway.recorder.connection import GatewayConnection, Refusals, trusted_users
+from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.options import RecorderOptions
-from vcu_gateway.recorder.receiver import DatagramReceiver, TapListener
+from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.ring import Disk, room_bytes
+from vcu_gateway.recorder.senders import Refusals, TapListener, trusted_users
 from vcu_gateway.recorder.writer import Writer
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.recorder_status import RecordedConnection, RecorderStatus

@@ -1,93 +1,25 @@
-"""Listening SEQPACKET socket: systemd's (LISTEN_FDS), or one of our own."""
+"""Receiver: takes the datagrams of every connected gateway; it never waits for the disk."""
 
-import contextlib
-import os
 import selectors
 import socket
-import stat
 import time
-from collections.abc import Callable, Container, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Container, Sequence
 
-from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.rate_limit import TokenBucket
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received, received
-from vcu_gateway.recorder.connection import (
-    BUFFER_BYTES,
-    Allowance,
-    GatewayConnection,
-    Refusals,
-    RunOwners,
-    Sender,
-    sender_of,
-)
+from vcu_gateway.recorder.connection import BUFFER_BYTES, GatewayConnection
+from vcu_gateway.recorder.senders import Refusals, RunOwners, Sender, TapListener, sender_of
 from vcu_gateway.recording.datagram import DatagramError, TickParts
-
-_FIRST_PASSED = 3
-_BACKLOG = 16
-_MODE = 0o660
-
-
-class TapListener:
-    """Socket that gateways connect to; its name goes with it where it is our own."""
-
-    def __init__(self, path: Path, environment: Mapping[str, str], own_pid: int) -> None:
-        """Take the socket that was handed over, else make one; UnavailableError if neither can."""
-        self._own_path: Path | None = None
-        if environment.get("LISTEN_PID") == str(own_pid) and environment.get("LISTEN_FDS"):
-            self.sock = socket.socket(fileno=_FIRST_PASSED)
-            self.name = "the socket of the service manager"
-        else:
-            self.sock = _bound(path)
-            self._own_path = path
-            self.name = str(path)
-        self.sock.setblocking(False)
-
-    def close(self) -> None:
-        self.sock.close()
-        if self._own_path is not None:
-            with contextlib.suppress(OSError):
-                self._own_path.unlink()
-
-
-def _bound(path: Path) -> socket.socket:
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    try:
-        _remove_leftover(path)
-        sock.bind(os.fspath(path))
-        path.chmod(_MODE)
-        sock.listen(_BACKLOG)
-    except OSError as error:
-        sock.close()
-        what = f"cannot listen at {path}: {error.strerror or error}"
-        remedy = f"its folder must be there and be this user's; look at: ls -ld {path.parent}"
-        raise UnavailableError(Problem(what, remedy=remedy)) from error
-    return sock
-
-
-def _remove_leftover(path: Path) -> None:
-    if not os.path.lexists(path):
-        return
-    if not stat.S_ISSOCK(path.lstat().st_mode):
-        what = f"{path} exists and is no socket"
-        raise UnavailableError(Problem(what, remedy="remove it, or choose another path"))
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
-        try:
-            probe.connect(os.fspath(path))
-        except ConnectionRefusedError:
-            path.unlink()
-            return
-    remedy = "stop it, or choose another path with --socket"
-    raise UnavailableError(Problem(f"another recorder answers at {path}", remedy=remedy))
-
+from vcu_gateway.units import NS_PER_S
 
 _MOST_CONNECTIONS = 16
 _MOST_WITHOUT_HELLO = 8
 _MOST_UNFINISHED_BYTES = 2 << 20
 _HELLO_S = 5.0
 _QUIET_S = 5.0
-_RUNS = 16, 0.5
-"""New ones of one process, at once and a second: each makes a folder, and waits for the disk."""
+_RUNS = 2 * NS_PER_S, 16
+"""New ones of one process, one in so long, and at once: each makes a folder, which waits."""
 _MOST_SENDERS = 64
 _MOST_AT_ONCE = 200
 _MOST_OF_ONE = 20
@@ -124,7 +56,7 @@ class DatagramReceiver:
         self._trusted = trusted
         self._refusals = refusals
         self._owners = RunOwners()
-        self._runs: dict[Sender, tuple[set[str], Allowance]] = {}
+        self._runs: dict[Sender, tuple[set[str], TokenBucket]] = {}
         self._buffer = bytearray(BUFFER_BYTES)
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener.sock, selectors.EVENT_READ)
@@ -245,11 +177,11 @@ class DatagramReceiver:
         if sender not in self._runs:
             for old in list(self._runs)[: 1 - _MOST_SENDERS]:
                 del self._runs[old]
-            self._runs[sender] = set(), Allowance(*_RUNS)
+            self._runs[sender] = set(), TokenBucket(*_RUNS, time.monotonic_ns())
         known, allowance = self._runs[sender]
-        if run not in known and not allowance.take():
+        if run not in known and not allowance.taken(time.monotonic_ns()):
             raise DatagramError("too many runs of one process", "rate")
-        if len(known) < _RUNS[0]:
+        if len(known) < _RUNS[1]:
             known.add(run)
 
     def _put(self, connection: GatewayConnection, tick: TickParts) -> None:

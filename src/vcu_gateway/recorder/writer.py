@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
-from vcu_gateway.recorder.connection import GatewayConnection, Refusals
+from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
 from vcu_gateway.recorder.options import RecorderOptions
@@ -23,6 +23,7 @@ from vcu_gateway.recorder.ring import (
     probe,
     room_bytes,
 )
+from vcu_gateway.recorder.senders import Refusals
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import Trigger
 from vcu_gateway.recording import layout
