@@ -1,4 +1,7 @@
-"""The standard streams at the end of the program."""
+"""Text for people: durations, sizes, times in UTC, counts, tables, and a line of progress.
+
+The standard streams at the end of the program.
+"""
 
 import contextlib
 import math

@@ -18,7 +18,7 @@ _SEGMENT_NS = 60 * NS_PER_S
 class DriveWriter:
     """Records a gateway from now on, until `close`.
 
-    `hello` is what `hello.hello` gives. Call `after_tick` when the frames of a tick were sent.
+    `hello` is what `Hello.values` gives. Call `after_tick` when the frames of a tick were sent.
 
     Attributes:
         folder: of the drive; it was not there.

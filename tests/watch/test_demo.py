@@ -18,8 +18,8 @@ from tests.watch.terminals import ROOT, VCU_GATEWAY, window
 from vcu_gateway.client import Client
 from vcu_gateway.config import Config
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.demo import process as demo_config
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, default_socket
+from vcu_gateway.demo.process import load as load_demo
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.check import check_recording
@@ -277,7 +277,7 @@ def test_a_wrong_file_is_an_error_and_nothing_is_started(folder, option, text, s
 
 
 def loaded(**options: Any) -> tuple[Config, ProtocolSpec, Scenario]:
-    return demo_config.load(in_process()._replace(**options))
+    return load_demo(in_process()._replace(**options))
 
 
 def test_the_demand_is_the_configurations_else_the_demos_or_nobodys(tmp_path):

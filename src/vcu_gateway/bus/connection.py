@@ -1,4 +1,10 @@
-"""Instance lock: one gateway on an interface of this machine.
+"""Bus connection: opens, receives, sends and closes, whatever the interface.
+
+Received frames go to one callable, on the thread that calls `read_waiting`: the ticking one. A
+failed interface is reported once through `on_lost`; the reconnector opens
+it again, the ticking thread starts sending again.
+
+Instance lock: one gateway on an interface of this machine.
 
 The lock is the name of a Unix socket in the abstract namespace: it belongs to the network
 namespace that the interface is in, needs no file, and is free again when the process has ended,

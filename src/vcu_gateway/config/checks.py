@@ -1,4 +1,9 @@
-"""Checks of a configuration: against the protocol, this machine's accounts, and for effect."""
+"""Checks of a configuration: against the protocol, this machine's accounts, and for effect.
+
+Protocol that a configuration names, and every check before a start.
+
+The packaged DBC, or another one that agrees with it.
+"""
 
 import dataclasses
 import grp

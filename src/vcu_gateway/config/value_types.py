@@ -1,4 +1,7 @@
-"""Value types of the configuration's keys: identifiers, paths, modes and names."""
+"""Value types of the configuration's keys: identifiers, paths, modes and names.
+
+Sections of the configuration made from the core's settings.
+"""
 
 import dataclasses
 import re

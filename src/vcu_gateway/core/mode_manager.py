@@ -1,5 +1,7 @@
 """Mode of the gateway: how it begins, is held from tick to tick, and ends.
 
+Mode manager: the supervisor's mode, the causes that move it, and the events of both.
+
 Findings come with a tick, requests between two ticks; both change the mode here alone, and every
 change is an event of the next tick's result.
 """

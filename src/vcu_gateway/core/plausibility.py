@@ -3,6 +3,8 @@
 Every frame since the tick before is looked at once, in the order of arrival; one that is older
 than the one before it is no next step of anything and is left out there. Its verdict
 stands until the next one of its kind.
+
+Motor speeds, as far as they are known, and the interlock of regeneration.
 """
 
 import math

@@ -1,4 +1,10 @@
-"""Inputs of the rules: the snapshot of a tick, and facts that no message carries."""
+"""Rules: one function for each reason not to move, or to move less (docs/safety.md, Causes).
+
+A rule sees its inputs and returns its findings; it does not log, remember or command. The
+tuple at the bottom is the whole list. What codes mean is in `causes`.
+
+Inputs of the rules: the snapshot of a tick, and facts that no message carries.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple

@@ -1,7 +1,11 @@
 """Time in the core: the grid of ticks, and when a frame arrived.
 
+Arrival time: the kernel's stamps of the wall clock in monotonic time.
+
 The kernel stamps frames on the wall clock only. Both clocks are slewed alike, so their
 distance changes only when the wall clock is stepped (or the machine was suspended).
+
+Deadlines on a fixed grid: skip what was missed, never make it up.
 
 All integers, so that 200 days of uptime are as exact as the first second.
 """

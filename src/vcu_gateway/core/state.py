@@ -1,5 +1,7 @@
 """State store: the messages received, how old they may be, and the snapshot that a tick judges.
 
+State store: the latest frame of each message, and every frame since the last tick.
+
 The ticking thread replaces whole immutable records; any thread reads the latest ones without a
 lock. Each record also goes into a list of arrivals, which the next tick takes.
 """

@@ -1,4 +1,10 @@
-"""Restart counter: starts of this boot, and those that no orderly end came before."""
+"""Restart state: a latched CUT and the directions, kept for the next start in this boot.
+
+A gateway that is killed, crashes or ends must not come back as if the power had never been cut, nor
+with another direction than the wheels turn in.
+
+Restart counter: starts of this boot, and those that no orderly end came before.
+"""
 
 import contextlib
 import json

@@ -1,4 +1,7 @@
-"""Safe frames, kept in a file for `safe_stop` to send after a crash."""
+"""systemd: readiness, watchdog and status over sd_notify, and the runtime folder's files.
+
+Safe frames, kept in a file for `safe_stop` to send after a crash.
+"""
 
 import contextlib
 import os

@@ -1,4 +1,11 @@
-"""HELLO of a running gateway: what the recorder has to know of it, made when it connects."""
+"""Tap's socket: a datagram a tick to the recorder, where one listens; never waited for.
+
+A recorder that is not there is looked for once a second. One that does not keep up loses
+datagrams, which are counted; as soon as the socket has room again a checkpoint tells where the
+recording goes on.
+
+HELLO of a running gateway: what the recorder has to know of it, made when it connects.
+"""
 
 import errno
 import os
@@ -86,7 +93,7 @@ class TapCounts(NamedTuple):
 class RecorderTap:
     """Hands what a tapped gateway was given and answered to the recorder; for the ticking thread.
 
-    `hello` gives the begin of a connection, as `drive.hello.Hello.values` does.
+    `hello` gives the begin of a connection, as `Hello.values` does.
     """
 
     def __init__(

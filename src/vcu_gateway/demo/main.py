@@ -17,7 +17,7 @@ from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.demo import process as demo_config
+from vcu_gateway.demo import process
 from vcu_gateway.demo.process import NOTE, READY, DemoOptions
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
@@ -35,7 +35,7 @@ def main() -> None:
 
 def run(wanted: DemoOptions) -> None:
     writer = log.configure("error", "console")
-    config, protocol, scenario = demo_config.load(wanted)
+    config, protocol, scenario = process.load(wanted)
     application = Application(config, protocol, lambda: writer.dropped)
     loop = application.loop
     api_failures: list[Event] = []

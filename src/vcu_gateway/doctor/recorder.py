@@ -1,4 +1,7 @@
-"""Disk that the recordings are on: file system, device, what it has been through."""
+"""Recorder: running and connected, room, disk, latency of its writes, gaps.
+
+Disk that the recordings are on: file system, device, what it has been through.
+"""
 
 import os
 from collections.abc import Iterator

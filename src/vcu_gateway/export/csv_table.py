@@ -1,4 +1,7 @@
-"""Output files, written under a temporary name and renamed when they are whole."""
+"""CSV for a spreadsheet: a row each 50 ms, with the value of every signal at that moment.
+
+Output files, written under a temporary name and renamed when they are whole.
+"""
 
 import contextlib
 import csv

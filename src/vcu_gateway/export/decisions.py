@@ -1,4 +1,7 @@
-"""Decisions of the gateway in a recording: modes, events, causes and `why`, by wall time."""
+"""Decisions of the gateway in a recording: modes, events, causes and `why`, by wall time.
+
+Core lines of a drive, as decisions of the gateway.
+"""
 
 import contextlib
 import io

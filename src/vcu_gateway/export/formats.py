@@ -1,4 +1,7 @@
-"""Libraries of an extra: what is said where one is not installed."""
+"""Formats of an export: what each is written with, and into.
+
+Libraries of an extra: what is said where one is not installed.
+"""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager

@@ -1,4 +1,7 @@
-"""Frames of one message as they were recorded: 16 bytes each, on the disk where they are many."""
+"""Frames of a recording, sorted by message; whole blocks of candump lines at once.
+
+Frames of one message as they were recorded: 16 bytes each, on the disk where they are many.
+"""
 
 import io
 import os

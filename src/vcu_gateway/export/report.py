@@ -1,5 +1,7 @@
 """Report of a recording as values, its lines on a common grid and as bytes; not how it is drawn.
 
+Lines of a plot on a common grid: of each bucket the earlier and the later of its extremes.
+
 So a peak of one frame stays visible however far an hour is drawn together, and a line has two
 points a bucket however many frames there were.
 """
@@ -96,14 +98,6 @@ class LineBuilder:
             elif held != GAP and bucket - since <= hold_buckets:
                 earlier[bucket] = later[bucket] = held
         return CodeLine(earlier, later)
-
-
-def sampled(
-    buckets: Sequence[int], codes: Sequence[int], count: int, hold_buckets: int
-) -> CodeLine:
-    builder = LineBuilder(count)
-    builder.add(buckets, codes)
-    return builder.line(hold_buckets)
 
 
 _SMALL = range(-(1 << 15), 1 << 15)

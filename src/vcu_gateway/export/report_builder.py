@@ -1,4 +1,7 @@
-"""Bands of a report: modes, causes and named codes as stretches of time."""
+"""Report built from a recording: headline, facts, bands, plots and events.
+
+Bands of a report: modes, causes and named codes as stretches of time.
+"""
 
 import contextlib
 import json

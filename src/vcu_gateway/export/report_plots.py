@@ -1,4 +1,7 @@
-"""Lines of a recording's signals on the report's grid."""
+"""Plots of a report: commanded and actual of each controller first, then other signals by unit.
+
+Lines of a recording's signals on the report's grid.
+"""
 
 import math
 import re

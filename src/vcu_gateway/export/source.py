@@ -1,4 +1,7 @@
-"""Selection of signals: `--signals GLOB`."""
+"""Recording to be exported: a drive, an incident, one of its files, or a foreign log.
+
+Selection of signals: `--signals GLOB`.
+"""
 
 import contextlib
 import dataclasses

@@ -1,4 +1,7 @@
-"""Tables of an export: decoded messages, commanded beside actual, and what the gateway decided."""
+"""Tables of an export: decoded messages, commanded beside actual, and what the gateway decided.
+
+Commanded beside actual: what each controller was told, and what it said at that moment.
+"""
 
 import math
 import re

@@ -1,4 +1,7 @@
-"""Frames of the bus in the judge's own arithmetic, from docs/protocol.md by hand."""
+"""Frames of the bus in the judge's own arithmetic, from docs/protocol.md by hand.
+
+Configured values that a drive is held against; docs/safety.md says what they mean.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""DBC of the protocol, written and read through cantools."""
+"""DBC of the protocol, written and read through cantools.
+
+Source of `protocol/vcu_dbc.py`: what cantools reads in a DBC, as data of the program.
+"""
 
 import dataclasses
 import hashlib

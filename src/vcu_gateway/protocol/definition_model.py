@@ -1,4 +1,4 @@
-"""Models of the rows of dbc/vcu.yaml; whether they fit together is for `builder`."""
+"""Models of the rows of dbc/vcu.yaml; whether they fit together is for `definition`."""
 
 import re
 from typing import Annotated, Literal

@@ -1,5 +1,7 @@
 """Settings, demands and calls of the core as JSON, and back.
 
+Calls of the core in a core line: each field is written and read as its type says.
+
 A call's first field stands under its word, every other one under its own name without the unit:
 
     Arm(5)                  "arm":5

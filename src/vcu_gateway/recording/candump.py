@@ -1,4 +1,15 @@
-"""Recorded frame, the common result of every reader."""
+"""candump's log format, read: `(1700000000.123456) can0 040AD079#0011223344556677 R`.
+
+`frames` reads the text of any program and goes on behind a damaged line; `recorded_frames` and
+`recorded_frame` read what our recorder wrote (candump_lines), where a damaged line is an
+error. `quick_lines` matches many lines at once.
+
+Recorded frame, the common result of every reader.
+
+Problems of a recording, reported a bounded number of times.
+
+Reader of text lines that counts them and bounds their length.
+"""
 
 import gzip
 import re

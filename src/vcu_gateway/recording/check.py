@@ -1,4 +1,18 @@
-"""Files beside the members of a recording: are they there, and what the recorder wrote?"""
+"""Check of a recording as text for people and as JSON.
+
+Files beside the members of a recording: are they there, and what the recorder wrote?
+
+Check of a recording: is each piece of it there, and what the recorder wrote?
+
+Every member is read, and the chain is followed from the first to the closing record: a member that
+was changed, removed or added breaks it, and the files beside the members are named in it. Who made
+a whole chain anew is found by a signature only; without one the recording is unsigned.
+
+What a chain cannot show is counted: received = recorded + gaps. Before each segment the recorder
+notes how many frames and ticks the gateway had handed on, and what of them it did not get. So
+between the beginnings of two segments each is in a file, or in a gap, or it is missing. And each
+command is there twice, as it was sent and as the bus gave it back.
+"""
 
 import hashlib
 import time

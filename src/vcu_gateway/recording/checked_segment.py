@@ -1,4 +1,6 @@
-"""Commands of a recording, which has each twice: as it was sent, and as the bus gave it back.
+"""Check of one segment: every member of both files, every core line.
+
+Commands of a recording, which has each twice: as it was sent, and as the bus gave it back.
 
     core lines   {"f":9,"tick":...,"frames":[["PCU1","0008A7D0","0c000000e02e0000"],...]}
     frames       (1763920000.123456789) can0 0008A7D0#0C000000E02E0000 T

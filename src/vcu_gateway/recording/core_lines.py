@@ -1,10 +1,12 @@
 """Core lines: a line of JSON for each call and what it answered, written and read.
 
+Core lines written: the calls that a tap gathered, a line of JSON each.
+
     {"f":0,"offer":{"source":"driver",...},"now":1000950000000,"granted":true}
     {"f":9,"tick":1001000000000,"frames":[["PCU1","0008A7D0","0c000000e02e0000"],...],"ok":[true,true]}
 
 `f` is the number of frames of the segment before the call. The table of the keys is in
-docs/recordings-format.md; `core_line_parser` reads them.
+docs/recordings-format.md; both ways are here.
 """
 
 import json

@@ -1,5 +1,7 @@
 """Decoded frames of a log: counted, and written as JSON lines or CSV.
 
+Decoded frames as text: JSON lines or CSV.
+
 A signal's text follows from its raw code alone, so it is made once a code and kept.
 """
 

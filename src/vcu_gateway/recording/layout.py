@@ -1,4 +1,6 @@
-"""Names and folders of recorded drives and incidents.
+"""Mark of a drive's folder that is being written; it ends with the process, however that ends.
+
+Names and folders of recorded drives and incidents.
 
     drives/20261123T180412Z-1f3a9c2e/    start of the gateway by the wall clock, and of its run id
         drive.json  config.yaml  vcu.dbc

@@ -1,4 +1,13 @@
-"""Reader of one segment: frames and core lines of its two files, put into one order."""
+"""Reader of recorded drives: what a gateway was given and what it answered, in order.
+
+    drive = open_drive(Path("drives/20261123T180412Z-1f3a9c2e"))
+    for record in drive.records():
+        ...
+
+Memory does not grow with the drive. What is missing is a `Gap`; after it a checkpoint follows.
+
+Reader of one segment: frames and core lines of its two files, put into one order.
+"""
 
 import contextlib
 from collections.abc import Iterator, Mapping

@@ -1,5 +1,7 @@
 """Segment of a drive: its writer, a gzip member a second in each file, and the recorder's lines.
 
+The recorder's own lines of a segment: how it begins, what is missing before it, how it ends.
+
     {"f":0,"begin":{"frames":71600,"ticks":4000,"wall_ns":...,"recorder":"0.1.0",...}}
     {"f":0,"gap":{"frames":358,"ticks":20,"why":"the recorder's memory was full"}}
     {"f":21480,"end":{"frames":21480,"ticks":1200,"closes":true,"why":"..."}}

@@ -1,5 +1,7 @@
 """Tap: every call of a gateway's core and its result, noted for the recorder, batch by batch.
 
+Tap: a gateway core that notes every call and its result, for the recorder.
+
 It behaves as the core does, and costs an append a frame. Belongs to the ticking thread.
 """
 

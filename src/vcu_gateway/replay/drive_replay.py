@@ -1,4 +1,11 @@
-"""Work in a process beside this one, where the machine has a processor for it."""
+"""Replay of a recorded drive: is it the same to the byte, does it hold, and what if?
+
+report = replay_drive(Path("drives/20261123T180412Z-1f3a9c2e"))
+report = replay_drive(path, Changes(assignments=("limits.derated_power_w=5000",)))
+report.lines, report.values, report.exit_code
+
+Work in a process beside this one, where the machine has a processor for it.
+"""
 
 import contextlib
 import os
@@ -13,7 +20,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.export.html_report import Overlay
 from vcu_gateway.judge import DriveVerdict
-from vcu_gateway.recording import check as check_text
+from vcu_gateway.recording import check as recording_check
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.check import RecordingState, check_recording
 from vcu_gateway.recording.checkpoint import StateError
@@ -300,15 +307,15 @@ class _DriveReplay:
             f" {info.versions.get('gateway', 'unknown')},"
             f" {counted(len(self._drive.segments), 'segment')}"
         )
-        checked = f"recording: {check_text.headline(found)}"
-        faults = check_text.fault_lines(found, _MOST_FAULTS)
+        checked = f"recording: {recording_check.headline(found)}"
+        faults = recording_check.fault_lines(found, _MOST_FAULTS)
         described = {
             "recording": str(folder),
             "run": info.run,
             "channel": info.channel,
             "recorded_by": info.versions,
             "replayed_by": __version__,
-            "check": check_text.values(found),
+            "check": recording_check.values(found),
         }
         exit_code = 0 if same else 1
         if found.is_chained and (same or found.state is RecordingState.CHANGED):

@@ -1,8 +1,12 @@
 """A drive decided again: in open loop as recorded, in closed loop with a simulated vehicle.
 
+Open loop: the recorded inputs given to a core with another configuration.
+
 The recorded vehicle does not react: from the first differing command on, what it answered is what
 it answered to the recorded one. Its echoes of throttle and direction are held against the recorded
 commands.
+
+Closed loop: the simulated vehicle answers, and the recorded demands drive.
 
 Requests, demands and ticks come when they were recorded; every frame comes from the simulator. It
 knows nothing of what was wrong with the recorded vehicle.

@@ -1,4 +1,12 @@
-"""Handlers of the methods that change something: run on the ticking thread, between its ticks."""
+"""Dispatcher of requests: queries on the API's thread, commands on the ticking thread.
+
+`methods.METHODS` has an entry for every method in `QUERIES`, `COMMANDS`, for the reload and for
+the subscriptions, and no others; a test says so.
+
+Handlers of the methods that change something: run on the ticking thread, between its ticks.
+
+Request that any number of connections make at once, and that is carried out once for all.
+"""
 
 import time
 from collections import deque

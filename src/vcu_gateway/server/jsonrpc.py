@@ -1,4 +1,9 @@
-"""Requests to stop the vehicle: which they are, also malformed, and what they overtake."""
+"""JSON-RPC 2.0 codec, without sockets: a line to a request, a result to a line.
+
+`parse` raises nothing, whatever the bytes; its cost is bounded for any line of 64 KiB.
+
+Requests to stop the vehicle: which they are, also malformed, and what they overtake.
+"""
 
 import json
 import re

@@ -1,4 +1,7 @@
-"""Line buffer: received bytes, cut into lines, from which a stop is taken before its turn."""
+"""Session of one connection: buffers, pending requests, subscriptions and timeouts.
+
+Line buffer: received bytes, cut into lines, from which a stop is taken before its turn.
+"""
 
 import fcntl
 import select

@@ -1,7 +1,7 @@
 """The simulated vehicle: everything on the bus but the gateway.
 
-`motor`, `battery` and `vehicle` are the physics, `signals` has what each message carries of
-them, `nodes` when it is sent, `faults` what can break; all of these are pure. `scenario` reads
+`motor` and `vehicle` are the physics, `nodes` has what each message carries of them and when it is
+sent, `faults` what can break; all of these are pure. `scenario` reads
 from a file what breaks when, and `play` puts everything on a bus.
 """
 

@@ -1,4 +1,7 @@
-"""Signal values of each message, from the state of the vehicle, in physical units."""
+"""Nodes on the bus: the sender, period and schedule of each frame.
+
+Signal values of each message, from the state of the vehicle, in physical units.
+"""
 
 import heapq
 import itertools

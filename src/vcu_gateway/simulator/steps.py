@@ -1,4 +1,7 @@
-"""Names in a scenario: nodes, messages, signals and controllers that the protocol has."""
+"""Steps of a scenario: a class for each fault; `FAULTS` is the whole list.
+
+Names in a scenario: nodes, messages, signals and controllers that the protocol has.
+"""
 
 from collections.abc import Mapping
 from typing import Annotated

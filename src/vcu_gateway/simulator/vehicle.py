@@ -1,4 +1,9 @@
-"""The traction battery: charge, voltage under load, temperature."""
+"""Vehicle model: two motors, battery, driving resistance and body movements.
+
+Axes as in ISO 8855: x forwards, y left, z up; a positive steering angle turns left.
+
+The traction battery: charge, voltage under load, temperature.
+"""
 
 import math
 from collections.abc import Mapping

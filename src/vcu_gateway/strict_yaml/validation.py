@@ -1,4 +1,7 @@
-"""Strict base of every model of a file, and the error of a value that it refuses."""
+"""Validation against a model: pydantic's errors as problems in plain words, with a remedy.
+
+Strict base of every model of a file, and the error of a value that it refuses.
+"""
 
 import re
 from collections.abc import Callable, Iterator, Mapping

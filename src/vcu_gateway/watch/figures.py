@@ -1,4 +1,7 @@
-"""Formatting of values and cells; a quality is a colour and a word or mark, never colour alone."""
+"""Figures: controllers, commanded beside reported; bus, ticks and API.
+
+Formatting of values and cells; a quality is a colour and a word or mark, never colour alone.
+"""
 
 import textwrap
 from collections.abc import Callable, Mapping

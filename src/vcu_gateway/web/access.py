@@ -1,4 +1,7 @@
-"""Sessions of browsers: random tokens, kept as hashes, over a restart in a file."""
+"""Who asks: the session's user and role, signing in and signing out.
+
+Sessions of browsers: random tokens, kept as hashes, over a restart in a file.
+"""
 
 import asyncio
 import contextlib

@@ -1,4 +1,9 @@
-"""When a certificate ends; the standard library reads that of a peer alone, never its own."""
+"""The page as an ASGI application: settings -> link, access, routes, guard.
+
+When a certificate ends; the standard library reads that of a peer alone, never its own.
+
+HTTP server of the page: its socket, its limits, and the end by a signal.
+"""
 
 import asyncio
 import contextlib

@@ -1,4 +1,14 @@
-"""Token buckets by key: of questions, of connections that give way, of attempts to sign in."""
+"""Connections with limits that uvicorn has not: on their number, and on a slow beginning.
+
+A new connection always finds a place: whoever wants to stop the vehicle gets in. Where all are
+taken, or all of its address, another one gives way: first those that no session was seen on, then
+those with one, then streams, of each the longest idle. One on which a stop is asked for stays.
+Where an address makes others give way again and again its connections are parked: a stop and
+signing in are carried out there, everything else waits for a place. What is more than may be parked
+is closed unread, a second later: so whoever connects again at once does that once a second.
+
+Token buckets by key: of questions, of connections that give way, of attempts to sign in.
+"""
 
 import asyncio
 import contextlib

@@ -1,4 +1,8 @@
-"""What the gateway answered, as sections for the browsers; none of it needs to be as it should.
+"""Link to the gateway: one subscription and a few questions a second, for all browsers together.
+
+While nobody looks it brings the samples that the plots keep, and asks nothing.
+
+What the gateway answered, as sections for the browsers; none of it needs to be as it should.
 
 What is not understood is named, with the versions that meet, and costs what it concerns alone.
 """

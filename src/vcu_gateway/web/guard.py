@@ -1,4 +1,10 @@
-"""Limit on questions: what each costs, by address and by session; a stop is done at once."""
+"""Guard before every route: Host, Origin, size of the body, and the headers of every answer.
+
+A page of another site can make a browser send requests here, with its cookies: it must not get
+anything done by that, nor read anything (docs/web.md).
+
+Limit on questions: what each costs, by address and by session; a stop is done at once.
+"""
 
 import asyncio
 import json

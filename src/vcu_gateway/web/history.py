@@ -1,4 +1,7 @@
-"""Every signal over the last ten minutes, ten times a second, in arrays of a fixed size."""
+"""Every signal over the last ten minutes, ten times a second, in arrays of a fixed size.
+
+Answers with samples, encoded once for all who ask for the same, beside the loop.
+"""
 
 import asyncio
 import json

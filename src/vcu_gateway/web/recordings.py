@@ -2,6 +2,8 @@
 
 Computing takes a processor for long, and reads files: it is done by `vcu-gateway replay`, a process
 of its own with limits on time, memory and output, one at a time.
+
+Routes of the recordings: the list, a download, the verdict of a replay, a what-if.
 """
 
 import asyncio

@@ -1,4 +1,12 @@
-"""Call that many ask for at once, and that is made once for all who wait."""
+"""Routes of the page: who may ask for what, and how it is answered.
+
+Call that many ask for at once, and that is made once for all who wait.
+
+What the page may ask of the gateway: stop, disarm, arm, reset; never a demand.
+
+The emergency stop is asked for again and again until the gateway has answered. What became of it
+on the bus and at the controllers is no part of the answer: every state tells it.
+"""
 
 import asyncio
 import functools

@@ -1,4 +1,8 @@
-"""Whether an answer has the shape that api/results.py says, and where it has not.
+"""State as a browser gets it twenty times a second: numbers in the definition's order, no names.
+
+A part that is not as it should be is null, or the worst of its kind, and the others stay.
+
+Whether an answer has the shape that api/results.py says, and where it has not.
 
 A gateway of another version beside this page may leave out a field or send another type.
 """

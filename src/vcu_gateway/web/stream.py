@@ -1,4 +1,7 @@
-"""Latest values for all browsers: sections, each encoded once, and whoever is slow skips some."""
+"""Server-sent events: what has changed, to each browser as fast as its network takes it.
+
+Latest values for all browsers: sections, each encoded once, and whoever is slow skips some.
+"""
 
 import asyncio
 import contextlib

@@ -1,5 +1,7 @@
 """Users of the page: roles, hashed passwords, and the events of who asked for what.
 
+Users of the page: a file with a line for each, and the scrypt hashes of their passwords.
+
     anna operator scrypt:16384:8:5:c2FsdA==:aGFzaA==
 
 The name, the role and the hash (n, r, p, salt and hash in Base64), with blanks between them; lines
