@@ -11,7 +11,7 @@ from tests.export.drives import record
 from tests.export.logs import PROTOCOL, START_NS, Sent, by_cantools, random_frames, write_log
 from vcu_gateway.core.state import deadlines
 from vcu_gateway.export import csv_table
-from vcu_gateway.export.csv_table import written_text
+from vcu_gateway.export.formats import written_text
 from vcu_gateway.export.source import ReadOptions, Selection, read
 from vcu_gateway.time_window import Window
 

@@ -10,7 +10,7 @@ from tests.browser import Chromium, Page, chromium
 from tests.export.drives import record
 from tests.export.logs import random_frames, write_log
 from vcu_gateway.export import html_report
-from vcu_gateway.export.csv_table import written_text
+from vcu_gateway.export.formats import written_text
 from vcu_gateway.export.html_report import Overlay, write_report
 from vcu_gateway.export.report import CodeLine, Line, LineBuilder, Plot, Report, Role
 from vcu_gateway.text import TIME_OF_DAY_MS, utc

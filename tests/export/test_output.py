@@ -5,7 +5,7 @@ import os
 import pytest
 
 from vcu_gateway.errors import UnavailableError
-from vcu_gateway.export.csv_table import written_file, written_folder, written_text
+from vcu_gateway.export.formats import written_file, written_folder, written_text
 
 
 def interrupted(out, end):

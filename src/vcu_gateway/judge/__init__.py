@@ -7,8 +7,8 @@ keep the core, the drive's readers and the configuration out.
 from vcu_gateway.judge.command_rules import SentFrame
 from vcu_gateway.judge.demands import GrantedDemand
 from vcu_gateway.judge.judge import Judge
+from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
 from vcu_gateway.judge.result import DriveVerdict, Findings, ReactionTime, Violation
-from vcu_gateway.judge.wire import JudgedDemand, VerdictLimits
 
 __all__ = [
     "DriveVerdict",

@@ -5,7 +5,8 @@ from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 from vcu_gateway.judge import wire
-from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MS, PERCENT_PER_BIT, REVERSE, VerdictLimits
+from vcu_gateway.judge.limits import VerdictLimits
+from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MS, PERCENT_PER_BIT, REVERSE
 
 _SENT_FRAMES = 80
 _THROTTLE_WINDOW_NS = 1_000 * MS

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from vcu_gateway.judge.arrivals import Arrivals
-from vcu_gateway.judge.wire import CONTROLLERS, MS, VerdictLimits
+from vcu_gateway.judge.limits import VerdictLimits
+from vcu_gateway.judge.wire import CONTROLLERS, MS
 
 _BUS_OFF, _CONTROLLER, _RESTARTED = 0x040, 0x004, 0x100
 _PASSIVE, _ACTIVE = 0x10 | 0x20, 0x40

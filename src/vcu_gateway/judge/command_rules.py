@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.judge.causes import CUT, POWER_LIMIT, REGEN_LIMIT, REGEN_OFF, STOP, TURBO_OFF
+from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
 from vcu_gateway.judge.wire import (
     CONTROLLERS,
     LENGTH,
@@ -16,8 +17,6 @@ from vcu_gateway.judge.wire import (
     REVERSE,
     SAFETY_MODE,
     CommandBytes,
-    JudgedDemand,
-    VerdictLimits,
 )
 
 _FULL_PCT = 100.0

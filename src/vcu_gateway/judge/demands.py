@@ -2,7 +2,8 @@
 
 from typing import NamedTuple
 
-from vcu_gateway.judge.wire import MS, JudgedDemand, JudgedDemands
+from vcu_gateway.judge.limits import JudgedDemand, JudgedDemands
+from vcu_gateway.judge.wire import MS
 
 _TRACKS_PCT, _TRACKS_NS = 10.0, 100 * MS
 _RELEASED_PCT = 5.0

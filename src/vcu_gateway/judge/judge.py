@@ -34,9 +34,10 @@ from vcu_gateway.judge.command_rules import (
     TickFacts,
 )
 from vcu_gateway.judge.demands import GrantedDemand, GrantedDemands
+from vcu_gateway.judge.limits import VerdictLimits
 from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
 from vcu_gateway.judge.result import Findings, Reactions
-from vcu_gateway.judge.wire import LENGTH, MS, VerdictLimits
+from vcu_gateway.judge.wire import LENGTH, MS
 
 _REGEN_RETURN_RPM = 50
 _SPEED_HIGHEST_RPM = 6_000

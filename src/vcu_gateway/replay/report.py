@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway import text
-from vcu_gateway.export.csv_table import written_text
+from vcu_gateway.export.formats import written_text
 from vcu_gateway.export.html_report import Overlay, write_report
 from vcu_gateway.judge import DriveVerdict
 from vcu_gateway.recording.cause_spans import CauseSpan
