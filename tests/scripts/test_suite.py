@@ -158,10 +158,13 @@ def order(folder: Path) -> list[str]:
     return lines
 
 
-def test_a_step_that_measures_the_machine_runs_alone_after_all_others(nightly: Path) -> None:
+def test_steps_that_measure_the_machine_run_alone_after_all_others(nightly: Path) -> None:
     assert suite(nightly, "--jobs", "8", name="nightly").returncode == 0
     lines = order(nightly)
-    assert lines[-2:] == ["test-web-figures nightly", "end test-web-figures"]
+    assert lines[-4:] == [
+        *("test-clock nightly", "end test-clock"),
+        *("test-web-figures nightly", "end test-web-figures"),
+    ]
     assert len(lines) == 2 * len(NIGHTLY) > 20
 
 
