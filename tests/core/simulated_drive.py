@@ -12,6 +12,7 @@ from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, Reque
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
+from vcu_gateway.core.plausibility import NO_DEVIATION
 from vcu_gateway.core.rules import RuleInputs
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Store
@@ -85,9 +86,21 @@ def rule_inputs(
             raws = raws_of(name, codes or {}) | ({} if life is None else {"LifeSignal": life})
             store.put(name, CODEC.by_name[name].decode(data(name, raws)), NOW_NS - age_ns)
     late_after_ns = {name: one.late_after_ns for name, one in deadlines.items()}
-    facts.setdefault("link", LinkStatus(LinkState.UP, 0))
-    facts.setdefault("coded", CodedSignals())
-    return RuleInputs(store.snapshot(NOW_NS), settings, late_after_ns, **facts)
+    ordinary: dict[str, Any] = {
+        "link": LinkStatus(LinkState.UP, 0),
+        "coded": CodedSignals(),
+        "history": {},
+        "observed": NO_DEVIATION,
+        "passive_ns": 0,
+        "tick_late_ns": 0,
+        "period_ns": settings.period_ns,
+        "unconfirmed_ticks": 0,
+        "foreign_sender": None,
+        "emergency_stop": False,
+        "blocked_by_gate": None,
+        "restart_state_failure": None,
+    }
+    return RuleInputs(store.snapshot(NOW_NS), settings, late_after_ns, **(ordinary | facts))
 
 
 class Drive:

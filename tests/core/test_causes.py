@@ -1,6 +1,7 @@
 """How long a cause counts: from the tick that sees it until the hold after the first without it."""
 
 import itertools
+import logging
 
 import pytest
 
@@ -170,3 +171,8 @@ def test_a_finding_reads_as_subject_value_and_effect():
     assert str(Finding("foreign_sender", "command", Effect.STOP, "0008A7D0")) == (
         "command 0008A7D0: stop"
     )
+
+
+def test_an_events_severity_is_the_level_of_pythons_logging():
+    levels = logging.getLevelNamesMapping()
+    assert all(severity == levels[severity.name] for severity in Severity)

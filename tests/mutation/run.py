@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[2]
 CORE = ROOT / "src" / "vcu_gateway" / "core"
 SURVIVORS = Path(__file__).with_name("survivors.toml")
 TESTS = {
-    "rules": ["rules"],
+    "rules": ["rules", "gateway"],
     "plausibility": ["plausibility", "motor_speeds"],
     "causes": ["causes", "coded_signals", "rules"],
     "pedals": ["pedals"],

@@ -25,8 +25,6 @@ from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.transmit import SentHistory
 from vcu_gateway.units import NS_PER_MS
 
-NOTHING_SENT: History = {}
-
 
 class RuleInputs(NamedTuple):
     """Inputs of every rule at one tick.
@@ -50,16 +48,16 @@ class RuleInputs(NamedTuple):
     late_after_ns: Mapping[str, int]
     link: LinkStatus
     coded: CodedSignals
-    history: History = NOTHING_SENT
-    observed: Observed = NO_DEVIATION
-    passive_ns: int = 0
-    tick_late_ns: int = 0
-    period_ns: int = 50_000_000
-    unconfirmed_ticks: int = 0
-    foreign_sender: int | None = None
-    emergency_stop: bool = False
-    blocked_by_gate: str | None = None
-    restart_state_failure: str | None = None
+    history: History
+    observed: Observed
+    passive_ns: int
+    tick_late_ns: int
+    period_ns: int
+    unconfirmed_ticks: int
+    foreign_sender: int | None
+    emergency_stop: bool
+    blocked_by_gate: str | None
+    restart_state_failure: str | None
 
 
 class InputCollector:
