@@ -13,7 +13,9 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 from vcu_gateway.core.codec import Codec, MessageCodec, Reason
+from vcu_gateway.core.commands import message_name
 from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.simulator.motor import voltage_level
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT, Vehicle
@@ -162,7 +164,6 @@ def _status2(vehicle: Vehicle, controller: str, _: int) -> Values:
 ANSWER_DELAY_NS = 1_000_000
 """From a command to the controller's Status2."""
 
-_GATEWAY_NODE = "VCU"
 # Successive messages start so far apart: one frame at 250 kbit/s takes 0.6 ms.
 _PHASE_NS = 1_000_000
 
@@ -242,7 +243,7 @@ class Nodes:
         self._faults = tuple(faults)
         self._transforms = (*transforms, *(fault.transform for fault in faults))
         self._senders = _senders(codec, sources(vehicle, noise))
-        self._controllers = {f"VCU_{name}_Command": name for name in vehicle.motors}
+        self._controllers = {message_name(name): name for name in vehicle.motors}
         answers = {_answer(controller) for controller in vehicle.motors}
         self._grids = _grids(
             [sender for name, sender in self._senders.items() if name not in answers],
@@ -321,17 +322,13 @@ class Nodes:
 
 
 def _senders(codec: Codec, known: Mapping[str, Source]) -> dict[str, _Sender]:
-    """What sends each message; the ones that the vehicle models first, they keep their phases."""
-    spoken = [m for m in codec.protocol.messages if m.sender != _GATEWAY_NODE]
-    spoken.sort(key=lambda message: message.name not in known)
-    return {
-        m.name: _Sender(codec.by_name[m.name], known.get(m.name, _nearest_to_0)) for m in spoken
-    }
+    """What sends each message; the ones that the vehicle models first, they keep their phases.
 
-
-def _nearest_to_0(_: int) -> Mapping[str, float]:
-    """Values of a message that the vehicle does not model: each signal's nearest to 0."""
-    return {}
+    In a message that it does not model each signal has its value nearest to 0.
+    """
+    names = [m.name for m in codec.protocol.messages if m.sender != OWN_NODE]
+    names.sort(key=lambda name: name not in known)
+    return {name: _Sender(codec.by_name[name], known.get(name, lambda _: {})) for name in names}
 
 
 def _answer(controller: str) -> str:
