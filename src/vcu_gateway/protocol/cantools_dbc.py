@@ -197,16 +197,11 @@ def _read_message(message: Any) -> MessageSpec:
 def _read_signal(signal: Any) -> SignalSpec:
     attributes = signal.dbc.attributes if signal.dbc else {}
     saturated = attributes.get(_SATURATED)
-    whole = SignalSpec(
-        signal.name, signal.start, signal.length, 0, 0, _order(signal), signal.is_signed
-    )
-    ends = [raw * signal.scale + signal.offset for raw in (whole.raw_lowest, whole.raw_highest)]
-    return SignalSpec(
-        name=signal.name,
-        start_bit=signal.start,
-        length_bits=signal.length,
-        byte_order=_order(signal),
-        signed=signal.is_signed,
+    order: Any = "little" if signal.byte_order == "little_endian" else "big"
+    bits = SignalSpec(signal.name, signal.start, signal.length, 0, 0, order, signal.is_signed)
+    ends = [raw * signal.scale + signal.offset for raw in (bits.raw_lowest, bits.raw_highest)]
+    return dataclasses.replace(
+        bits,
         factor=float(signal.scale),
         offset=float(signal.offset),
         unit=signal.unit or "",
@@ -216,10 +211,6 @@ def _read_signal(signal: Any) -> SignalSpec:
         saturated_raw=None if saturated is None else int(saturated.value),
         comment=signal.comment or "",
     )
-
-
-def _order(signal: Any) -> Any:
-    return "little" if signal.byte_order == "little_endian" else "big"
 
 
 _HEAD = '''"""Protocol that cantools reads in dbc/vcu.dbc.

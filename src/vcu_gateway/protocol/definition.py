@@ -1,5 +1,6 @@
 """Definition file dbc/vcu.yaml, read, checked and built: the protocol and its documentation."""
 
+import dataclasses
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -179,23 +180,18 @@ class Builder:
         if row.factor == 0:
             self._refuse("a factor of 0 loses the value", *at, "factor")
             return None
-        whole = SignalSpec(name, *place, 0, 0, byte_order, row.signed, row.factor, row.offset)
+        bits = SignalSpec(name, *place, 0, 0, byte_order, row.signed, row.factor, row.offset)
         lowest, highest = sorted(
-            raw * row.factor + row.offset for raw in (whole.raw_lowest, whole.raw_highest)
+            raw * row.factor + row.offset for raw in (bits.raw_lowest, bits.raw_highest)
         )
-        signal = SignalSpec(
-            name,
-            *place,
-            lowest if row.minimum is None else row.minimum,
-            highest if row.maximum is None else row.maximum,
-            byte_order,
-            row.signed,
-            row.factor,
-            row.offset,
-            row.unit,
-            {code: named[0] for code, named in row.values.items()},
-            row.saturated_raw,
-            "; ".join(text for text in (row.source_term, row.comment) if text),
+        signal = dataclasses.replace(
+            bits,
+            minimum=lowest if row.minimum is None else row.minimum,
+            maximum=highest if row.maximum is None else row.maximum,
+            unit=row.unit,
+            names={code: named[0] for code, named in row.values.items()},
+            saturated_raw=row.saturated_raw,
+            comment="; ".join(text for text in (row.source_term, row.comment) if text),
         )
         self._check_range(signal, lowest, highest, at)
         self._check_codes(signal, at)
