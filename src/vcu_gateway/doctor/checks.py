@@ -145,17 +145,15 @@ def _process(shared: _SharedFacts) -> Iterable[CheckResult]:
     return process.judge(process.read(shared.pid, *map(shared.unit.get, names)))
 
 
-def _protocol(shared: _SharedFacts) -> Iterable[CheckResult]:
-    return configuration.judge_protocol(configuration.read_protocol(shared.file.in_effect))
-
-
 def _buffers(shared: _SharedFacts) -> Iterable[CheckResult]:
     wanted = shared.file.in_effect.bus.receive_buffer_bytes
     return process.judge_buffers(process.read_buffers(wanted))
 
 
 _CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
-    "protocol": _protocol,
+    "protocol": lambda shared: configuration.judge_protocol(
+        configuration.read_protocol(shared.file.in_effect)
+    ),
     "interface": _interface,
     "bus": _bus,
     "time": lambda _: clock.judge(clock.read()),
