@@ -16,6 +16,7 @@ from typing import IO, NamedTuple, Self
 from vcu_gateway import config as configuration
 from vcu_gateway.config import BenchDemandSection, BenchSection, Config
 from vcu_gateway.config.checks import check_protocol, load_protocol
+from vcu_gateway.config.model import ApiSection
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
 from vcu_gateway.recording import layout
@@ -241,22 +242,12 @@ def _config(wanted: DemoOptions) -> Config:
     path = wanted.config_path
     file = configuration.of_values({}, "demo") if path is None else configuration.load(Path(path))
     bus = {"interface": wanted.interface, "channel": wanted.channel}
-    accounts = dict.fromkeys(
-        ("operator_users", "operator_groups", "service_users", "service_groups"), ()
-    )
-    api = {
-        "enabled": True,
-        "socket_path": wanted.socket_path,
-        "socket_mode": "0600",
-        "socket_owner": None,
-        "socket_group": None,
-        **accounts,
-    }
+    api = {"socket_path": wanted.socket_path, "socket_mode": "0600"}
     recorder = {"socket_path": wanted.recorder_socket}
     return file.model_copy(
         update={
             "bus": file.bus.model_copy(update=bus),
-            "api": file.api.model_copy(update=api),
+            "api": ApiSection().model_copy(update=api),
             "recorder": file.recorder.model_copy(update=recorder),
             "bench": _bench(wanted, file),
         }
