@@ -32,7 +32,7 @@ class RecordingDisk(NamedTuple):
     Attributes:
         file_system: such as ext4 or tmpfs.
         is_read_only: nothing can be written.
-        total_bytes, free_bytes: free for others than root.
+        free_bytes: free for others than root.
         card: "SD" or "MMC" for a card or an eMMC; empty for other devices.
         card_bytes: size of the whole card; 0 where it is none.
         worn_pct: share of its life that an eMMC says it has used, in steps of 10; None where it
@@ -41,7 +41,6 @@ class RecordingDisk(NamedTuple):
 
     file_system: str
     is_read_only: bool
-    total_bytes: int
     free_bytes: int
     card: str = ""
     card_bytes: int = 0
@@ -58,7 +57,6 @@ def read_disk(folder: Path) -> RecordingDisk | Unreadable | None:
     disk = RecordingDisk(
         _file_system_of(device),
         bool(found.f_flag & os.ST_RDONLY),
-        found.f_blocks * found.f_frsize,
         found.f_bavail * found.f_frsize,
     )
     return _with_card(disk, Path(_BLOCK_DEVICES, f"{os.major(device)}:{os.minor(device)}"))
