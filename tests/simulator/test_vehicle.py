@@ -288,3 +288,73 @@ def test_no_number_makes_an_order_out_of_bounds(values: dict[str, float]) -> Non
     assert order.power_limit_w >= 0
     vehicle = Drive().hold(0.2, values)
     assert math.isfinite(vehicle.speed_m_s)
+
+
+def spin_kmh(vehicle: Vehicle) -> float:
+    """How much faster the faster driven wheel turns than its front wheel rolls."""
+    road_m_s = {LEFT: vehicle.left_speed_m_s, RIGHT: vehicle.right_speed_m_s}
+    return max(vehicle.wheels[name].speed_m_s - road_m_s[name] for name in road_m_s) * 3.6
+
+
+def on_a_road(friction: float, throttle_pct: float = 99.45) -> tuple[Vehicle, float]:
+    """A vehicle after four seconds from standstill on this road, and its largest spin, km/h."""
+    drive = Drive()
+    drive.vehicle.slip_on((LEFT, RIGHT), friction)
+    throttle = FULL | {"Throttle": throttle_pct}
+    return drive.vehicle, max(spin_kmh(drive.hold(0.05, throttle)) for _ in range(80))
+
+
+def test_much_throttle_spins_the_wheels_on_a_wet_road_and_not_on_a_dry_one() -> None:
+    (wet, wet_kmh), (dry, dry_kmh) = on_a_road(0.3, 80), on_a_road(0.9, 80)
+    assert wet_kmh > 20 > 10 > dry_kmh
+    assert wet.speed_m_s < dry.speed_m_s * 0.6
+
+
+def test_a_third_of_the_throttle_is_as_fast_on_a_wet_road_and_spins_no_wheel() -> None:
+    (full, _), (third, third_kmh) = on_a_road(0.3), on_a_road(0.3, 30)
+    assert third_kmh < 8
+    assert third.speed_m_s > full.speed_m_s
+
+
+def test_a_tyre_with_more_grip_than_torque_drives_as_a_wheel_that_never_slips() -> None:
+    gripping, rolling = on_a_road(1.2, 20)[0], Drive().hold(4, FULL | {"Throttle": 20})
+    # Two wheels of 1.5 kg m2 turn with it, which makes it a tenth heavier.
+    assert gripping.speed_m_s == pytest.approx(rolling.speed_m_s * 350 / 388, rel=0.03)
+
+
+def test_one_slippery_wheel_spins_alone_and_pushes_less() -> None:
+    drive = Drive()
+    drive.vehicle.slip_on((LEFT,), 0.15)
+    drive.vehicle.slip_on((RIGHT,), 0.9)
+    wheels = drive.hold(3, FULL | {"Throttle": 60}).wheels
+    assert wheels[LEFT].speed_m_s > wheels[RIGHT].speed_m_s + 2
+    assert wheels[LEFT].force_n < wheels[RIGHT].force_n
+
+
+def test_a_spinning_wheel_holds_again_when_the_road_is_dry() -> None:
+    drive = Drive()
+    drive.vehicle.slip_on((LEFT, RIGHT), 0.1)
+    assert spin_kmh(drive.hold(2, FULL)) > 20
+    drive.vehicle.slip_on((LEFT, RIGHT), None)
+    assert spin_kmh(drive.hold(0.5, FULL | {"Throttle": 20})) < 2
+
+
+def test_a_standing_vehicle_on_ice_does_not_creep() -> None:
+    drive = Drive()
+    drive.vehicle.slip_on((LEFT, RIGHT), 0.1)
+    assert drive.hold(5, ZERO_TORQUE).speed_m_s == 0
+
+
+def test_the_friction_brake_follows_the_foot_where_it_is_known() -> None:
+    drive = Drive()
+    drive.hold(2, FULL)
+    drive.vehicle.brake_pedal_pct = 40
+    foot_m_s2 = drive.hold(0.2, ZERO_TORQUE).acceleration_m_s2
+    assert foot_m_s2 < -2, "though nothing is commanded"
+    drive.vehicle.brake_pedal_pct = None
+    assert drive.hold(0.2, ZERO_TORQUE).acceleration_m_s2 > -1
+
+
+def test_a_weak_battery_sags_more_under_the_same_load() -> None:
+    strong, weak = (Drive(battery_resistance_ohm=ohm).hold(2, FULL) for ohm in (0.02, 0.08))
+    assert weak.battery.voltage_v < strong.battery.voltage_v - 5

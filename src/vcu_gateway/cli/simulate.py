@@ -92,6 +92,7 @@ def simulate(
         start_ns,
         soc_pct=start.soc_pct if soc_pct is None else soc_pct,
         battery_speedup=start.battery_speedup if battery_speedup is None else battery_speedup,
+        battery_resistance_ohm=start.battery_resistance_ohm,
         seed=seed,
         faults=scenario.faults(codec, start_ns, _note),
     )

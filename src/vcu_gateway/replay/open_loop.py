@@ -17,7 +17,7 @@ import json
 from vcu_gateway import simulator
 from vcu_gateway.core import calls
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.demand import RequestResult
+from vcu_gateway.core.demand import ControllerDemands, RequestResult
 from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
@@ -198,6 +198,10 @@ class _Loop:
             receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
         return result
 
+    def press_brake(self, demanded: ControllerDemands) -> None:
+        """The driver's foot: the friction brake follows it, whatever the command leaves of it."""
+        self._nodes.vehicle.brake_pedal_pct = max(one.brake_pct for one in demanded.values())
+
     @property
     def speed_m_s(self) -> float:
         """Of the vehicle, positive forwards."""
@@ -254,6 +258,9 @@ class ClosedLoop:
         if isinstance(one, _LEFT_OUT):
             self.reloads += isinstance(one, calls.ReloadSettings)
             return
+        if isinstance(one, calls.Offer):
+            for loop in self._loops:
+                loop.press_brake(one.demand.controllers)
         answers = [one.apply(loop.gateway) for loop in self._loops]
         before, after = answers
         if isinstance(before, RequestResult) and isinstance(after, RequestResult):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.simulator.nodes import Nodes, Transform, VehicleFault
-from vcu_gateway.simulator.vehicle import Vehicle
+from vcu_gateway.simulator.vehicle import RESISTANCE_OHM, Vehicle
 
 
 def build(
@@ -19,11 +19,17 @@ def build(
     *,
     soc_pct: float = 80.0,
     battery_speedup: float = 1.0,
+    battery_resistance_ohm: float = RESISTANCE_OHM,
     seed: int = 0,
     transforms: Sequence[Transform] = (),
     faults: Sequence[VehicleFault] = (),
 ) -> Nodes:
     """All nodes of a vehicle that stands still at start_ns; the seed decides the noise."""
-    vehicle = Vehicle(start_ns, soc_pct=soc_pct, battery_speedup=battery_speedup)
+    vehicle = Vehicle(
+        start_ns,
+        soc_pct=soc_pct,
+        battery_speedup=battery_speedup,
+        battery_resistance_ohm=battery_resistance_ohm,
+    )
     noise = random.Random(seed)  # noqa: S311 - noise, not a secret
     return Nodes(codec, vehicle, noise, transforms, faults)

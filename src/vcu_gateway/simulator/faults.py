@@ -170,6 +170,11 @@ def turned_round(controllers: Sequence[str]) -> Change:
     return change
 
 
+def slippery(controllers: Sequence[str], friction: float) -> Change:
+    """Wheels on a road of this friction, and on a dry one afterwards."""
+    return lambda vehicle, broken: vehicle.slip_on(controllers, friction if broken else None)
+
+
 # Put together.
 
 

@@ -11,6 +11,7 @@ from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, Problem, did_you_mean
 from vcu_gateway.simulator.faults import FaultInterval, Report
 from vcu_gateway.simulator.steps import FAULTS, PROTOCOL, Step
+from vcu_gateway.simulator.vehicle import RESISTANCE_OHM
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.file_text import FileProblem, KeyPath, problems, shown
 from vcu_gateway.strict_yaml.validation import Section
@@ -28,6 +29,9 @@ class ScenarioStart(Section):
         ge=0,
         le=10_000,
         description="Charge flows so many times as fast as it really would.",
+    )
+    battery_resistance_ohm: float = Field(
+        default=RESISTANCE_OHM, ge=0.001, le=0.5, description="Of the pack, from end to end."
     )
 
 

@@ -281,6 +281,15 @@ class IgnoreCommands(_ControllerStep):
         return Fault(change=faults.ignoring(self.controllers, self.throttle_pct))
 
 
+class Slippery(_ControllerStep):
+    """The road is slippery under a motor's wheel or both."""
+
+    friction: float = Field(ge=0.05, le=1.2, description="Of tyre and road: ice 0.1, dry 0.9.")
+
+    def broken(self, _: Codec) -> Fault:
+        return Fault(change=faults.slippery(self.controllers, self.friction))
+
+
 class ForeignSender(Step):
     """Another node commands a controller too."""
 
@@ -314,6 +323,7 @@ FAULTS: Mapping[str, type[Step]] = {
     "freeze": Freeze,
     "wrong_direction": WrongDirection,
     "ignore_commands": IgnoreCommands,
+    "slippery": Slippery,
     "foreign_sender": ForeignSender,
 }
 """Every fault that a step can name."""
