@@ -104,7 +104,7 @@ def test_its_policy_lets_nothing_in(pages):
     [policy] = re.findall(r'Content-Security-Policy" content="([^"]+)"', text)
     digest = r"'sha256-[\w+/]{43}='"
     assert re.fullmatch(
-        rf"default-src 'none'; script-src {digest} {digest}; style-src {digest};"
+        rf"default-src 'none'; script-src {digest} {digest} {digest}; style-src {digest};"
         r" base-uri 'none'; form-action 'none'",
         policy,
     )

@@ -55,7 +55,7 @@ def test_the_page_and_all_that_it_loads_come_from_here_and_forbid_the_rest(web):
     assert page.headers["content-security-policy"].startswith("default-src 'self';")
     assert page.headers["x-frame-options"] == "DENY"
     text = page.body.decode()
-    for path in ("/uplot/uPlot.iife.min.js", "/page.css", "/main.js"):
+    for path in ("/uplot/uPlot.iife.min.js", "/plots.js", "/page.css", "/main.js"):
         assert path in text
         assert web.request("GET", path).status == 200
     assert "http://" not in text

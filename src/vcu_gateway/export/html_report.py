@@ -23,9 +23,13 @@ from vcu_gateway.export.source import ReadOptions, Selection, Source, read
 from vcu_gateway.time_window import Window
 from vcu_gateway.units import NS_PER_S
 
-_FOLDER = Path(__file__).parent
-UPLOT = _FOLDER / "uplot"
+UPLOT = Path(__file__).with_name("uplot")
 """uPlot 1.6.32 as npm has it, with its licence (MIT)."""
+
+_PAGE_FILES = Path(__file__).with_name("page")
+_SCRIPTS = (UPLOT / "uPlot.iife.min.js", _PAGE_FILES / "plots.js", _PAGE_FILES / "report.js")
+"""In their order: each needs what the one before it defines."""
+_STYLES = (UPLOT / "uPlot.min.css", _PAGE_FILES / "report.css")
 
 MOST_DATA_BYTES = 1_150_000
 """Of packed lines; longer recordings get a coarser grid, so that the page stays below 2 MB."""
@@ -46,8 +50,7 @@ _PAGE = """<!doctype html>
 {body}
 </main>
 <script type="application/json" id="data">{data}</script>
-<script>{uplot}</script>
-<script>{script}</script>
+{scripts}
 </body>
 </html>
 """
@@ -55,12 +58,10 @@ _PAGE = """<!doctype html>
 
 def page(report: Report) -> str:
     bucket_ns, lines = _small_enough(report)
-    uplot = (UPLOT / "uPlot.iife.min.js").read_text(encoding="utf-8")
-    script = (_FOLDER / "page" / "report.js").read_text(encoding="utf-8")
-    style = (UPLOT / "uPlot.min.css").read_text(encoding="utf-8")
-    style += (_FOLDER / "page" / "report.css").read_text(encoding="utf-8")
+    scripts = [path.read_text(encoding="utf-8") for path in _SCRIPTS]
+    style = "".join(path.read_text(encoding="utf-8") for path in _STYLES)
     policy = (
-        f"default-src 'none'; script-src {_hash(uplot)} {_hash(script)}; style-src {_hash(style)};"
+        f"default-src 'none'; script-src {' '.join(map(_hash, scripts))}; style-src {_hash(style)};"
         " base-uri 'none'; form-action 'none'"
     )
     return _PAGE.format(
@@ -69,8 +70,7 @@ def page(report: Report) -> str:
         style=style,
         body="\n".join(_body(report)),
         data=_json(_data(report, bucket_ns, lines)),
-        uplot=uplot,
-        script=script,
+        scripts="\n".join(f"<script>{script}</script>" for script in scripts),
     )
 
 

@@ -56,8 +56,10 @@ def page_files() -> dict[str, PageFile]:
     """Every file by its path on the server; / is the page."""
     package = resources.files("vcu_gateway")
     files = {f"/{name}": read for name, read in _read(package / "web" / "page")}
-    # The one copy of uPlot; the package that it lies in is not imported.
-    files |= {f"/uplot/{name}": read for name, read in _read(package / "export" / "uplot")}
+    # The one copy of uPlot and of how plots are drawn; the package they lie in is not imported.
+    export = package / "export"
+    files |= {f"/uplot/{name}": read for name, read in _read(export / "uplot")}
+    files["/plots.js"] = dict(_read(export / "page"))["plots.js"]
     files["/"] = files.pop("/index.html")
     return files
 

@@ -3,10 +3,8 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const stage = document.getElementById("stage");
   const wall = data.start > 946684800;
-  const root = document.documentElement;
   const AXIS = matchMedia("(max-width: 560px)").matches ? 46 : 62;
   const SEVERE = new Set(["critical", "error"]);
-  const FONT = '12px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
   const plots = [];
   let range = [0, Math.max(data.length, data.bucket)];
   const whole = range.slice();
@@ -19,7 +17,7 @@
     made.append(...children);
     return made;
   };
-  const colour = (name) => getComputedStyle(root).getPropertyValue(`--${name}`).trim();
+  const { colour } = Plots;
 
   // Times: of day where the recording has a date, else seconds since its beginning.
   const two = (n) => String(n).padStart(2, "0");
@@ -147,10 +145,10 @@
 
   // Why, at the cursor.
   const why = element("p", { className: "why" });
+  const whyTimes = data.whys.map(([at]) => at);
   function explain(at) {
-    let low = 0, high = data.whys.length;
-    while (low < high) { const middle = (low + high) >> 1; if (data.whys[middle][0] <= at) low = middle + 1; else high = middle; }
-    why.replaceChildren(element("time", { textContent: clock(at) }), low ? data.whys[low - 1][1] : "");
+    const next = Plots.firstAbove(whyTimes, at);
+    why.replaceChildren(element("time", { textContent: clock(at) }), next ? data.whys[next - 1][1] : "");
   }
 
   // Shading of modes and lines of events, behind every plot.
@@ -190,15 +188,14 @@
     ctx.restore();
   }
 
-  const axes = (unit) => [
-    { stroke: () => colour("muted"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("rule"), width: 1, size: 5 }, font: FONT, incrs: STEPS, splits: ticks, values: tickTexts, space: 84, size: 30 },
-    { stroke: () => colour("muted"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false }, font: FONT, size: AXIS, gap: 4, space: 34, ...unit },
-  ];
-  const common = () => ({
-    legend: { show: false },
+  const axes = (values) => Plots.axes("grid",
+    { ticks: { stroke: () => colour("rule"), width: 1, size: 5 }, incrs: STEPS, splits: ticks, values: tickTexts, space: 84 },
+    { size: AXIS, gap: 4, space: 34, ...values },
+  );
+  const common = (y) => ({
     focus: { alpha: 1 },
     cursor: { sync: { key: "report" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { zoom(...whole); return null; } } },
-    scales: { x: { time: false, auto: false, range: (u, min, max) => [min, max] } },
+    scales: { x: { auto: false, range: (u, min, max) => [min, max] }, y },
   });
   const selected = (u) => {
     if (u.select.width > 4) {
@@ -207,10 +204,11 @@
     }
     if (u.select.width) u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
   };
-  function keep(u, box) {
+  function keep(box, height, options, data) {
+    const u = Plots.draw(box, () => height, options, data);
     plots.push(u);
     u.setScale("x", { min: range[0], max: range[1] });
-    new ResizeObserver(() => u.setSize({ width: box.clientWidth, height: u.height })).observe(box);
+    return u;
   }
 
   // Bands.
@@ -239,7 +237,7 @@
       ctx.textAlign = "left";
       bands.forEach((band, row) => {
         const y = bbox.top + (top + row * ROW) * ratio;
-        ctx.font = `${11.5 * ratio}px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif`;
+        ctx.font = Plots.font(11.5 * ratio);
         ctx.fillStyle = colour(band.whatIf ? "whatif" : "muted");
         ctx.fillText(band.title + (band.whatIf && !band.title.endsWith("what if") ? " (what if)" : ""), bbox.left + 4 * ratio, y + 11 * ratio);
         for (const [begin, end, kind, text] of band.spans) {
@@ -264,10 +262,9 @@
       });
       ctx.restore();
     };
-    const options = { ...common(), width: box.clientWidth || 600, height, padding: [0, 26, 0, 0], series: [{}, { show: false }],
-      axes: axes({ values: () => [], grid: { show: false }, splits: () => [] }), hooks: { drawClear: [], draw: [draw, mark], setSelect: [selected], setCursor: [(u) => u.cursor.left >= 0 && explain(u.posToVal(u.cursor.left, "x"))] } };
-    options.scales.y = { range: [0, 1] };
-    keep(new uPlot(options, [[0, whole[1]], [null, null]], box), box);
+    const options = { ...common({ range: [0, 1] }), padding: [0, 26, 0, 0], series: [{}, { show: false }],
+      axes: axes({ values: () => [], grid: { show: false }, splits: () => [] }), hooks: { draw: [draw, mark], setSelect: [selected], setCursor: [(u) => u.cursor.left >= 0 && explain(u.posToVal(u.cursor.left, "x"))] } };
+    keep(box, height, options, [[0, whole[1]], [null, null]]);
   }
 
   // Plots.
@@ -293,30 +290,29 @@
   function draw(card, plot, points) {
     const box = element("div");
     card.append(box);
-    const series = plot.lines.map((line, index) => ({
-      label: line.label, scale: "y", stroke: () => colour(stroke(line, index)), width: line.role === "commanded" && !limit(line) ? 5 : 1.6,
-      alpha: line.role === "commanded" && !limit(line) ? 0.5 : 1, dash: line.role === "what if" || limit(line) ? [6, 4] : [], points: { show: false },
+    const series = plot.lines.map((line, index) => Plots.line({
+      label: line.label, scale: "y", stroke: () => colour(stroke(line, index)), dash: line.role === "what if" || limit(line) ? [6, 4] : [],
+      ...(line.role === "commanded" && !limit(line) ? { width: 5, alpha: 0.5 } : {}),
       paths: line.steps ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear(),
     }));
     const named = plot.lines[0].names && Object.keys(plot.lines[0].names).length ? plot.lines[0].names : null;
     const small = matchMedia("(max-width: 560px)").matches;
     const texts = named ? { splits: () => Object.keys(named).map(Number), values: (u, all) => all.map((one) => named[one] ?? "") } : {};
-    const options = { ...common(), width: box.clientWidth || 600, height: named ? 120 : small ? 170 : 200, padding: [8, 26, 0, 0],
-      series: [{}, ...series], axes: axes(texts),
-      hooks: { drawClear: [shade], draw: [mark], setSelect: [selected], setCursor: [(u) => { legend(u); if (u.cursor.left >= 0) explain(u.posToVal(u.cursor.left, "x")); }] } };
-    options.scales.y = { range: (u, low, high) => {
+    const valueRange = (u, low, high) => {
       if (named) { const codes = Object.keys(named).map(Number); return [Math.min(...codes) - 0.25, Math.max(...codes) + 0.25]; }
       if (low == null) return [0, 1];
       if (low === high) return [low - 1, high + 1];
       const room = (high - low) * 0.06;
       return [low >= 0 && low < (high - low) * 0.5 ? Math.min(0, low) : low - room, high + room];
-    } };
+    };
+    const options = { ...common({ range: valueRange }), padding: [8, 26, 0, 0], series: [{}, ...series], axes: axes(texts),
+      hooks: { drawClear: [shade], draw: [mark], setSelect: [selected], setCursor: [(u) => { legend(u); if (u.cursor.left >= 0) explain(u.posToVal(u.cursor.left, "x")); }] } };
     const labels = card.querySelectorAll(".legend b");
     const legend = (u) => plot.lines.forEach((line, index) => {
       const at = u.cursor.idx;
       labels[index].textContent = at == null ? "" : rounded(line, u.data[index + 1][at]);
     });
-    const u = new uPlot(options, [times(points), ...plot.lines.map((line) => values(line, points))], box);
+    const u = keep(box, named ? 120 : small ? 170 : 200, options, [times(points), ...plot.lines.map((line) => values(line, points))]);
     card.querySelectorAll(".legend button").forEach((toggle, index) => {
       toggle.onclick = () => {
         const show = toggle.getAttribute("aria-pressed") === "false";
@@ -324,7 +320,6 @@
         u.setSeries(index + 1, { show });
       };
     });
-    keep(u, box);
   }
   function plotCard(plot) {
     const card = element("section", { className: "card" });

@@ -43,7 +43,6 @@ export function build(root) {
   chips = h("ul.chips", { "aria-label": "Signals shown" });
   area = h("div.charts");
   root.append(h("div.tools", {}, input, list, ranges, status), chips, area);
-  new ResizeObserver(() => charts.forEach((one) => one.plot.setSize(size(one.element)))).observe(area);
 }
 
 export function addPlot(key) {
@@ -59,7 +58,7 @@ export function show() {
 }
 
 export function recolour() {
-  if (charts.length) rebuild();
+  for (const { plot } of charts) plot.redraw(false);
 }
 
 function choose() {
@@ -165,7 +164,6 @@ function rebuild() {
   const units = [...new Set([...columns.keys()].map(unitOf))];
   charts = units.map(chart);
   area.replaceChildren(...charts.map((one) => one.element));
-  for (const one of charts) one.plot.setSize(size(one.element));
   drawCharts();
 }
 
@@ -177,29 +175,23 @@ function stepDecimals([first, second]) {
   return decimals;
 }
 
-const size = (element) => ({ width: Math.max(240, element.clientWidth - 12), height: matchMedia("(max-width: 36rem)").matches ? 190 : 240 });
+const height = () => (matchMedia("(max-width: 36rem)").matches ? 190 : 240);
 
 function chart(unit) {
   const keys = [...columns.keys()].filter((key) => unitOf(key) === unit);
-  const style = getComputedStyle(document.documentElement);
-  const axis = { stroke: style.getPropertyValue("--muted"), grid: { stroke: style.getPropertyValue("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
-  const element = h("section.panel", { "aria-label": `Plot, ${unit}` }, h("h2", {}, unitText(unit)));
   const holder = h("div", { role: "img", "aria-label": `Plot of ${keys.join(", ")}` });
-  element.append(holder);
-  const plot = new uPlot({
-    width: 400,
-    height: 240,
+  const element = h("section.panel", { "aria-label": `Plot, ${unit}` }, h("h2", {}, unitText(unit)), holder);
+  const options = {
     pxAlign: 0,
-    legend: { show: false },
     cursor: { y: false, drag: { x: false, y: false } },
-    scales: { x: { time: false } },
-    axes: [
-      { ...axis, size: 30, values: (_, splits) => splits.map((time) => clockTime(wallOf(time))), space: 90 },
-      { ...axis, size: 58, values: (_, splits) => splits.map((value) => fixed(value, stepDecimals(splits))) },
-    ],
-    series: [{}, ...keys.map((key) => ({ label: key, stroke: COLOURS[chosen.indexOf(key)], width: 1.6, spanGaps: false, points: { show: false } }))],
-  }, [[], ...keys.map(() => [])], holder);
-  return { element, plot, keys };
+    axes: Plots.axes(
+      "line",
+      { values: (_, splits) => splits.map((time) => clockTime(wallOf(time))), space: 90 },
+      { size: 58, values: (_, splits) => splits.map((value) => fixed(value, stepDecimals(splits))) },
+    ),
+    series: [{}, ...keys.map((key) => Plots.line({ label: key, stroke: COLOURS[chosen.indexOf(key)] }))],
+  };
+  return { element, plot: Plots.draw(holder, height, options, [[], ...keys.map(() => [])]), keys };
 }
 
 export function draw() {
@@ -212,16 +204,9 @@ function drawCharts() {
   if (!times.length) return;
   const end = times.at(-1);
   const begin = end - minutes * 60_000;
-  let from = 0;
-  let to = times.length;
-  while (from < to) {
-    const middle = (from + to) >> 1;
-    if (times[middle] < begin) from = middle + 1;
-    else to = middle;
-  }
-  const shown = times.slice(Math.max(0, from - 1));
+  const from = Math.max(0, Plots.firstAbove(times, begin) - 1); // the line comes in from the left
   for (const { plot, keys } of charts) {
-    plot.setData([shown, ...keys.map((key) => columns.get(key).slice(Math.max(0, from - 1)))], false);
+    plot.setData([times, ...keys.map((key) => columns.get(key))].map((column) => column.slice(from)), false);
     plot.setScale("x", { min: begin, max: end });
   }
 }
