@@ -15,6 +15,7 @@ import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
@@ -27,7 +28,7 @@ from vcu_gateway.errors import ConfigError, Problem, UnavailableError
 from vcu_gateway.web.access import Access
 from vcu_gateway.web.connections import LimitedListener, LimitedProtocol
 from vcu_gateway.web.gateway_link import GatewayLink
-from vcu_gateway.web.guard import Guard
+from vcu_gateway.web.guard import Guard, RequestRefusedError
 from vcu_gateway.web.page_files import PageFile, page_files
 from vcu_gateway.web.recordings import RecordingRoutes
 from vcu_gateway.web.routes import Actions, Routes
@@ -127,9 +128,17 @@ def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
             await link.close()
 
     routes = [*_api_routes(api, recordings), *_file_routes(page_files())]
-    starlette = Starlette(routes=routes, lifespan=lifespan)
+    starlette = Starlette(
+        routes=routes, lifespan=lifespan, exception_handlers={RequestRefusedError: _refused}
+    )
     starlette.router.redirect_slashes = False  # a path is one of the routes, or none
     return Guard(starlette, settings)
+
+
+async def _refused(_: Request, refused: Any) -> Response:
+    """Answer that a handler's RequestRefusedError carries."""
+    response: Response = refused.response
+    return response
 
 
 def _certificate_watch(settings: WebSettings, link: GatewayLink) -> list[asyncio.Task[None]]:

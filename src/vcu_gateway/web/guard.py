@@ -7,13 +7,11 @@ Limit on questions: what each costs, by address and by session; a stop is done a
 """
 
 import asyncio
-import json
 import re
 import time
 from collections.abc import Mapping
-from http import HTTPStatus
-from typing import NamedTuple
 
+from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from vcu_gateway.units import NS_PER_S
@@ -21,6 +19,7 @@ from vcu_gateway.web.connections import SESSION, STOPS, CostLimit
 from vcu_gateway.web.settings import WebSettings, without_port
 
 HISTORY = "/api/history"
+NO_STORE = {"cache-control": "no-store"}
 
 _LONGEST_WAIT_NS = NS_PER_S
 _COSTS = {HISTORY: 20}
@@ -39,14 +38,16 @@ class QuestionLimit:
         self._sessions = CostLimit(burst=200, per_s=40)
         self._stops = CostLimit(burst=20, per_s=10)
 
-    async def has_turn(self, scope: Scope) -> bool:
-        """Wait for the turn of this request; False where it is refused."""
+    async def take_turn(self, scope: Scope) -> None:
+        """Wait for the turn of this request; RequestRefusedError where that is too far."""
         cost = cost_of(scope["method"], scope["path"])
         if not cost:
-            return True
+            return
         wait_ns = self.wait_ns(_address(scope), _cookie(scope), cost, time.monotonic_ns())
         await _wait(wait_ns)
-        return wait_ns <= _LONGEST_WAIT_NS
+        if wait_ns > _LONGEST_WAIT_NS:
+            sentence = "too many questions: try again in a second"
+            raise RequestRefusedError(429, sentence, {"retry-after": "1"})
 
     async def hold_answer(self, scope: Scope) -> None:
         """Wait before the answer to a stop, where too many were asked for."""
@@ -112,11 +113,16 @@ _HEADERS: Mapping[str, str] = {
 _TLS_HEADERS = {"strict-transport-security": "max-age=31536000"}
 
 
-class HttpRefusal(NamedTuple):
-    """Status of HTTP, and a sentence for the person."""
+class RequestRefusedError(Exception):
+    """A request is not carried out: status of HTTP, a sentence for the person, further headers."""
 
-    status: int
-    sentence: str
+    def __init__(
+        self, status: int, sentence: str, headers: Mapping[str, str] | None = None
+    ) -> None:
+        super().__init__(sentence)
+        self.response = JSONResponse(
+            {"sentence": sentence}, status, {**NO_STORE, **(headers or {})}
+        )
 
 
 class Guard:
@@ -135,11 +141,11 @@ class Guard:
             await self._app(scope, receive, send)
             return
         guarded = self._with_headers(scope, send)
-        refusal = self._refusal(scope)
-        if refusal is None and not await self._limit.has_turn(scope):
-            refusal = HttpRefusal(429, "too many questions: try again in a second")
-        if refusal is not None:
-            await _refuse(guarded, refusal)
+        try:
+            self._check(scope)
+            await self._limit.take_turn(scope)
+        except RequestRefusedError as refused:
+            await refused.response(scope, receive, guarded)
             return
         await self._app(scope, receive, guarded)
 
@@ -152,51 +158,38 @@ class Guard:
 
         return guarded
 
-    def _refusal(self, scope: Scope) -> HttpRefusal | None:
-        """Why this request is not let through; None where it is."""
+    def _check(self, scope: Scope) -> None:
+        """RequestRefusedError for a request that is not let through."""
         headers = _single(scope)
-        if headers is None:
-            return HttpRefusal(400, "a header is there twice")
         if scope["method"] not in _KNOWN_METHODS:
-            return HttpRefusal(405, "no such method here")
+            raise RequestRefusedError(405, "no such method here")
         if without_port(headers.get("host", "").lower()) not in self._hosts:
-            return HttpRefusal(421, "this host is not known by that name (--host-name)")
+            raise RequestRefusedError(421, "this host is not known by that name (--host-name)")
         reads = scope["method"] in _READING
         if not (reads and scope["path"] == "/") and headers.get("sec-fetch-site") in _FOREIGN_SITES:
-            return HttpRefusal(403, "another site may not ask for this")
-        return None if reads else self._change_refusal(headers)
+            raise RequestRefusedError(403, "another site may not ask for this")
+        if not reads:
+            self._check_change(headers)
 
-    def _change_refusal(self, headers: Mapping[str, str]) -> HttpRefusal | None:
+    def _check_change(self, headers: Mapping[str, str]) -> None:
         """The same for a request that may change something."""
         if headers.get("origin", "").lower() != f"{self._scheme}://{headers['host'].lower()}":
-            return HttpRefusal(403, "the request comes from no page of this host (Origin)")
+            sentence = "the request comes from no page of this host (Origin)"
+            raise RequestRefusedError(403, sentence)
         length = headers.get("content-length", "0")
         if not _NUMBER.fullmatch(length):
-            return HttpRefusal(400, "Content-Length is no number")
+            raise RequestRefusedError(400, "Content-Length is no number")
         if int(length) > MOST_BODY_BYTES:
-            return HttpRefusal(413, f"larger than {MOST_BODY_BYTES} bytes")
-        return None
+            raise RequestRefusedError(413, f"larger than {MOST_BODY_BYTES} bytes")
 
 
-def _single(scope: Scope) -> Mapping[str, str] | None:
-    """Headers that decide; None where one of them is there twice."""
+def _single(scope: Scope) -> Mapping[str, str]:
+    """Headers that decide; RequestRefusedError where one of them is there twice."""
     headers: dict[str, str] = {}
     for name, value in scope["headers"]:
         word = name.decode("latin-1")
         if word in ("host", "origin", "content-length", "sec-fetch-site"):
             if word in headers:
-                return None
+                raise RequestRefusedError(400, "a header is there twice")
             headers[word] = value.decode("latin-1")
     return headers
-
-
-async def _refuse(send: Send, refusal: HttpRefusal) -> None:
-    body = json.dumps({"sentence": refusal.sentence}).encode()
-    headers: list[tuple[bytes, bytes]] = [
-        (b"content-type", b"application/json"),
-        (b"content-length", str(len(body)).encode()),
-    ]
-    if refusal.status == HTTPStatus.TOO_MANY_REQUESTS:
-        headers.append((b"retry-after", b"1"))
-    await send({"type": "http.response.start", "status": refusal.status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})

@@ -16,7 +16,7 @@ import signal
 import sys
 import tarfile
 import tempfile
-from collections.abc import Awaitable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +25,8 @@ from starlette.responses import Response, StreamingResponse
 
 from vcu_gateway.api.errors import Right
 from vcu_gateway.web.access import Visitor
-from vcu_gateway.web.routes import answer, body, problem
+from vcu_gateway.web.guard import RequestRefusedError
+from vcu_gateway.web.routes import answer, body
 from vcu_gateway.web.users import WebEvents
 
 WITHIN_S = 120.0
@@ -38,6 +39,7 @@ _LIMITS = {
     resource.RLIMIT_CORE: 0,
 }
 _READ_BYTES = 65_536
+_LATER = {"retry-after": "5"}
 _KINDS = ("drives", "incidents")
 _NAME = re.compile(r"[0-9]{8}T[0-9]{6}Z-[A-Za-z0-9_.-]{1,64}")
 
@@ -48,10 +50,6 @@ class VerbResult(NamedTuple):
     code: int | None
     output: bytes
     errors: bytes
-
-
-class TooBusyError(Exception):
-    """Another one is running."""
 
 
 class RecorderFolder:
@@ -79,10 +77,15 @@ class RecorderFolder:
 
 
 async def _alone(lock: asyncio.Lock, *arguments: str) -> VerbResult:
+    """What the verb said; RequestRefusedError where another one runs, or it cannot run."""
     if lock.locked():
-        raise TooBusyError
-    async with lock:
-        return await _verb(*arguments)
+        raise RequestRefusedError(429, "another one is being computed: try again soon", _LATER)
+    try:
+        async with lock:
+            return await _verb(*arguments)
+    except OSError as error:
+        sentence = f"it cannot be computed now: {error.strerror}"
+        raise RequestRefusedError(503, sentence, _LATER) from error
 
 
 async def _verb(*arguments: str) -> VerbResult:
@@ -170,18 +173,11 @@ class RecordingRoutes:
         del request
         if self._folder is None and visitor.may(Right.OPERATE):
             return answer({"recordings": [], "sentence": _NO_FOLDER})
-        folder = self._for(visitor)
-        if isinstance(folder, Response):
-            return folder
-        listed = await _result(folder.listed())
-        return listed if isinstance(listed, Response) else _listed(listed)
+        return _listed(await self._for(visitor).listed())
 
     async def download(self, request: Request, visitor: Visitor) -> Response:
         """The whole folder of one as a tar file."""
-        found = self._find(request, visitor)
-        if isinstance(found, Response):
-            return found
-        _, path = found
+        _, path = self._find(request, visitor)
         self._tell("recording_downloaded", path, visitor)
         headers = {
             "content-disposition": f'attachment; filename="{path.name}.tar"',
@@ -190,46 +186,39 @@ class RecordingRoutes:
         return StreamingResponse(archive(path), media_type="application/x-tar", headers=headers)
 
     async def replay(self, request: Request, visitor: Visitor) -> Response:
-        found = self._find(request, visitor)
-        if isinstance(found, Response):
-            return found
-        folder, path = found
+        folder, path = self._find(request, visitor)
         self._tell("recording_replayed", path, visitor)
-        replayed = await _result(folder.replay(path))
-        return replayed if isinstance(replayed, Response) else _said(replayed)
+        return _said(await folder.replay(path))
 
     async def what_if(self, request: Request, visitor: Visitor) -> Response:
-        found = self._find(request, visitor)
-        if isinstance(found, Response):
-            return found
-        folder, path = found
+        folder, path = self._find(request, visitor)
         config = await body(request, MOST_CONFIG_BYTES)
-        if isinstance(config, Response):
-            return config
         self._tell("what_if_asked", path, visitor)
         try:
             with tempfile.TemporaryDirectory(prefix="vcu-web.") as temporary:
                 file = Path(temporary) / "gateway.yaml"
                 file.write_bytes(config)
-                replayed = await _result(folder.replay(path, file))
-                hide = temporary + os.sep
+                return _said(await folder.replay(path, file), temporary + os.sep)
         except OSError as error:
-            return problem(507, f"the configuration cannot be kept: {error.strerror}")
-        return replayed if isinstance(replayed, Response) else _said(replayed, hide)
+            sentence = f"the configuration cannot be kept: {error.strerror}"
+            raise RequestRefusedError(507, sentence) from error
 
-    def _for(self, visitor: Visitor) -> RecorderFolder | Response:
+    def _for(self, visitor: Visitor) -> RecorderFolder:
+        """The folder; RequestRefusedError for who may not see it, and where there is none."""
         if not visitor.may(Right.OPERATE):
-            return problem(403, "recordings tell about people: they are for operators")
-        return self._folder or problem(404, _NO_FOLDER)
+            sentence = "recordings tell about people: they are for operators"
+            raise RequestRefusedError(403, sentence)
+        if self._folder is None:
+            raise RequestRefusedError(404, _NO_FOLDER)
+        return self._folder
 
-    def _find(self, request: Request, visitor: Visitor) -> tuple[RecorderFolder, Path] | Response:
-        folder = self._for(visitor)
-        if isinstance(folder, Response):
-            return folder
-        path = None
+    def _find(self, request: Request, visitor: Visitor) -> tuple[RecorderFolder, Path]:
+        folder, path = self._for(visitor), None
         with contextlib.suppress(OSError, ValueError):
             path = folder.find(request.path_params["kind"], request.path_params["name"])
-        return (folder, path) if path else problem(404, "there is no such recording")
+        if path is None:
+            raise RequestRefusedError(404, "there is no such recording")
+        return folder, path
 
     def _tell(self, name: str, path: Path, visitor: Visitor) -> None:
         self._events.tell(name, "info", recording=path.name, **visitor.fields())
@@ -245,10 +234,10 @@ def _listed(result: VerbResult) -> Response:
 def _said(result: VerbResult, hide: str = "") -> Response:
     """The verdict and its lines; the sentence of the error where there is none."""
     if result.code is None:
-        return problem(504, "it took longer than two minutes and was ended")
+        raise RequestRefusedError(504, "it took longer than two minutes and was ended")
     lines = result.output.decode(errors="replace").replace(hide or "\0", "").splitlines()
     if result.code not in (_SAME, _DIFFERS) or not lines:
-        return problem(422, _reason(result).replace(hide or "\0", ""))
+        raise RequestRefusedError(422, _reason(result).replace(hide or "\0", ""))
     return answer({"same": result.code == _SAME, "lines": lines})
 
 
@@ -256,13 +245,3 @@ def _reason(result: VerbResult) -> str:
     lines = result.errors.decode(errors="replace").splitlines()[-10:]
     said = "\n".join(line.removeprefix("error: ") for line in lines)
     return said or f"it ended with {result.code} and said nothing"
-
-
-async def _result(running: Awaitable[VerbResult]) -> VerbResult | Response:
-    """What the verb said; why it did not run, where it did not."""
-    try:
-        return await running
-    except TooBusyError:
-        return problem(429, "another one is being computed: try again soon", {"retry-after": "5"})
-    except OSError as error:
-        return problem(503, f"it cannot be computed now: {error.strerror}", {"retry-after": "5"})

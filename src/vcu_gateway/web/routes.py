@@ -23,8 +23,9 @@ from vcu_gateway.api.errors import Right
 from vcu_gateway.api.results import Granted, ModeName
 from vcu_gateway.client import ApiError, AsyncClient, ClientError
 from vcu_gateway.client.calls import Call, arm, disarm, estop, reset
-from vcu_gateway.web.access import Access, SignInError, Visitor
+from vcu_gateway.web.access import Access, Visitor
 from vcu_gateway.web.gateway_link import GatewayLink, now_ms
+from vcu_gateway.web.guard import NO_STORE, RequestRefusedError
 from vcu_gateway.web.history import MOST_SIGNALS, PreparedSamples
 from vcu_gateway.web.stream import Streams
 from vcu_gateway.web.users import ACTION_RIGHTS, WebEvents
@@ -143,7 +144,6 @@ _BODY_WITHIN_S = 10.0
 _MOST_JSON_BYTES = 4096
 _POINTS = range(2, 4001)
 _SIGN_IN = "sign in: there is no session, or it has ended"
-_NO_STORE = {"cache-control": "no-store"}
 
 Handler = Callable[[Request, Visitor], Awaitable[Response]]
 
@@ -172,7 +172,7 @@ class Routes:
         async def guarded(request: Request) -> Response:
             visitor = self._access.visitor(request)
             if visitor is None or not visitor.looks:
-                return problem(401, _SIGN_IN)
+                raise RequestRefusedError(401, _SIGN_IN)
             return await handler(request, visitor)
 
         return guarded
@@ -199,17 +199,11 @@ class Routes:
 
     async def sign_in(self, request: Request) -> Response:
         given = await json_body(request)
-        if isinstance(given, Response):
-            return given
         name, password = given.get("name"), given.get("password")
         if not (isinstance(name, str) and isinstance(password, str) and self._access.has_users):
-            return problem(400, "name and password are needed")
+            raise RequestRefusedError(400, "name and password are needed")
         address = request.client.host if request.client else ""
-        try:
-            token, role = await self._access.sign_in(name, password, address)
-        except SignInError as error:
-            headers = {"retry-after": str(error.wait_s)} if error.wait_s else {}
-            return problem(error.status, error.sentence, headers)
+        token, role = await self._access.sign_in(name, password, address)
         response = answer({"user": name, "role": role.value})
         self._access.set_cookie(response, token)
         return response
@@ -221,8 +215,7 @@ class Routes:
         return response
 
     async def stream(self, request: Request, visitor: Visitor) -> Response:
-        room = self._streams.response(request, visitor.address, lambda: self._looks(request))
-        return room or problem(503, "too many browsers look already")
+        return self._streams.response(request, visitor.address, lambda: self._looks(request))
 
     def _looks(self, request: Request) -> bool:
         visitor = self._access.visitor(request)
@@ -233,13 +226,13 @@ class Routes:
         name = request.path_params["name"].replace("-", " ")
         right = ACTION_RIGHTS.get(name)
         if right is None:
-            return problem(404, "there is no such action")
+            raise RequestRefusedError(404, "there is no such action")
         visitor = self._access.visitor(request)
         if visitor is None or not (visitor.looks or name == "estop"):
-            return problem(401, _SIGN_IN)
+            raise RequestRefusedError(401, _SIGN_IN)
         if not visitor.may(right):
             self._tell(name, visitor, granted=False, sentence="the role may not")
-            return problem(403, f"a {visitor.role.value} may not ask for {name}")
+            raise RequestRefusedError(403, f"a {visitor.role.value} may not ask for {name}")
         done = await self._actions.act(name)
         self._tell(name, visitor, granted=done["granted"], sentence=done["sentence"])
         status = 200 if done["granted"] else 409 if done["answered"] else 503
@@ -262,12 +255,13 @@ class Routes:
         names = [name for name in request.query_params.get("signals", "").split(",") if name]
         unknown = [name for name in names if name not in known]
         if unknown or not 0 < len(names) <= MOST_SIGNALS:
-            return problem(400, f"signals: 1 to {MOST_SIGNALS} names that there are samples of")
+            sentence = f"signals: 1 to {MOST_SIGNALS} names that there are samples of"
+            raise RequestRefusedError(400, sentence)
         points = _number(request.query_params.get("points", "1200"))
         if points not in _POINTS:
-            return problem(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
+            raise RequestRefusedError(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
         encoded = await self._samples.encoded(tuple(names), points)
-        return encoded.response(request, _NO_STORE)
+        return encoded.response(request, NO_STORE)
 
 
 def clock() -> dict[str, float]:
@@ -277,36 +271,32 @@ def clock() -> dict[str, float]:
 
 def answer(value: object, status: int = 200) -> JSONResponse:
     """An answer that nobody keeps."""
-    return JSONResponse(value, status, _NO_STORE)
+    return JSONResponse(value, status, NO_STORE)
 
 
-def problem(status: int, sentence: str, headers: dict[str, str] | None = None) -> Response:
-    return JSONResponse({"sentence": sentence}, status, {**_NO_STORE, **(headers or {})})
-
-
-async def body(request: Request, most_bytes: int) -> bytes | Response:
-    """The request's body, or why there is none."""
+async def body(request: Request, most_bytes: int) -> bytes:
+    """The request's body; RequestRefusedError where it does not come, or is larger."""
     received = bytearray()
     try:
         async with asyncio.timeout(_BODY_WITHIN_S):
             async for chunk in request.stream():
                 received += chunk
                 if len(received) > most_bytes:
-                    return problem(413, f"larger than {most_bytes} bytes")
-    except (TimeoutError, ClientDisconnect):
-        return problem(408, "the request did not come in time")
+                    raise RequestRefusedError(413, f"larger than {most_bytes} bytes")
+    except (TimeoutError, ClientDisconnect) as error:
+        raise RequestRefusedError(408, "the request did not come in time") from error
     return bytes(received)
 
 
-async def json_body(request: Request) -> dict[str, Any] | Response:
-    received = await body(request, _MOST_JSON_BYTES)
-    if isinstance(received, Response):
-        return received
+async def json_body(request: Request) -> dict[str, Any]:
+    """The request's body; RequestRefusedError where it is no JSON object."""
     try:
-        value = json.loads(received)
-    except (ValueError, RecursionError):
-        return problem(400, "no JSON")
-    return value if isinstance(value, dict) else problem(400, "no JSON object")
+        value = json.loads(await body(request, _MOST_JSON_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise RequestRefusedError(400, "no JSON") from error
+    if not isinstance(value, dict):
+        raise RequestRefusedError(400, "no JSON object")
+    return value
 
 
 def _number(text: str) -> int:
