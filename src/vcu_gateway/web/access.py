@@ -10,7 +10,7 @@ import json
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from starlette.responses import Response
 
 from vcu_gateway import files
 from vcu_gateway.api.errors import Right
-from vcu_gateway.web.connections import LoginLimit, has_session
+from vcu_gateway.web.connections import LoginLimit, counted, has_session
 from vcu_gateway.web.guard import RequestRefusedError
 from vcu_gateway.web.settings import WebSettings
 from vcu_gateway.web.users import MOST_PASSWORD_CHARACTERS, NOBODY, UserRole, WebEvents, is_name
@@ -227,7 +227,7 @@ class Access:
             return False
         user = self._settings.users.get(name)
         hashed = user.password if user else NOBODY
-        with _counted(self._names_waiting, name), _counted(self._addresses_waiting, address):
+        with counted(self._names_waiting, name), counted(self._addresses_waiting, address):
             async with self._one_at_a_time:
                 matches = await asyncio.to_thread(hashed.matches, password)
         return matches and user is not None
@@ -249,17 +249,6 @@ class Access:
             httponly=True,
             samesite="strict",
         )
-
-
-@contextlib.contextmanager
-def _counted(counts: Counter[str], key: str) -> Iterator[None]:
-    counts[key] += 1
-    try:
-        yield
-    finally:
-        counts[key] -= 1
-        if not counts[key]:
-            del counts[key]
 
 
 def _told(name: str) -> str:

@@ -12,7 +12,7 @@ import signal
 import socket
 import ssl
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from vcu_gateway.web.access import Access
 from vcu_gateway.web.connections import LimitedListener, LimitedProtocol
 from vcu_gateway.web.gateway_link import GatewayLink
 from vcu_gateway.web.guard import Guard, RequestRefusedError
-from vcu_gateway.web.page_files import PageFile, page_files
+from vcu_gateway.web.page_files import page_files
 from vcu_gateway.web.recordings import RecordingRoutes
 from vcu_gateway.web.routes import Actions, Routes
 from vcu_gateway.web.settings import WebSettings
@@ -127,7 +127,8 @@ def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
             await actions.close()
             await link.close()
 
-    routes = [*_api_routes(api, recordings), *_file_routes(page_files())]
+    of_files = [Route(path, file.response) for path, file in page_files().items()]
+    routes = [*_api_routes(api, recordings), *of_files]
     starlette = Starlette(
         routes=routes, lifespan=lifespan, exception_handlers={RequestRefusedError: _refused}
     )
@@ -169,17 +170,6 @@ def _api_routes(api: Routes, recordings: RecordingRoutes) -> list[Route]:
             "/api/recordings/{kind}/{name}/what-if", visitors(recordings.what_if), methods=["POST"]
         ),
     ]
-
-
-def _file_routes(files: dict[str, PageFile]) -> list[Route]:
-    return [Route(path, _file_handler(file)) for path, file in files.items()]
-
-
-def _file_handler(file: PageFile) -> Callable[[Request], Awaitable[Response]]:
-    async def handler(request: Request) -> Response:
-        return file.response(request)
-
-    return handler
 
 
 _BACKLOG = 128

@@ -17,7 +17,7 @@ import socket
 import sys
 import termios
 import time
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Collection, Iterator
 from typing import Any, ClassVar
 
@@ -58,6 +58,18 @@ class CostLimit:
     def forgive(self, key: str) -> None:
         """Give this key all of its tokens back."""
         self._free_ns.pop(key, None)
+
+
+@contextlib.contextmanager
+def counted(counts: Counter[str], key: str) -> Iterator[None]:
+    """This key counts for as long as the block; one that nobody has is not kept."""
+    counts[key] += 1
+    try:
+        yield
+    finally:
+        counts[key] -= 1
+        if not counts[key]:
+            del counts[key]
 
 
 class LoginLimit:

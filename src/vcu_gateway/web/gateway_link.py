@@ -225,11 +225,16 @@ class GatewayLink:
         self._mode_changed = asyncio.Event()
 
     async def run(self) -> None:
+        client, answers = self._client, self.answers
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_again_and_again())
-            tasks.create_task(self._every(_WHY_EVERY_S, self._ask_why, self._mode_changed))
-            tasks.create_task(self._every(_HEALTH_EVERY_S, self._ask_health))
-            tasks.create_task(self._every(_HEALTH_EVERY_S, self._ask_events))
+            tasks.create_task(
+                self._every(_WHY_EVERY_S, client.why, answers.take_why, self._mode_changed)
+            )
+            tasks.create_task(self._every(_HEALTH_EVERY_S, client.health, answers.take_health))
+            tasks.create_task(
+                self._every(_HEALTH_EVERY_S, lambda: client.events(_EVENTS), answers.take_events)
+            )
             tasks.create_task(self._beat())
 
     async def _follow_again_and_again(self) -> None:
@@ -282,10 +287,11 @@ class GatewayLink:
     async def _every(
         self,
         period_s: float,
-        ask: Callable[[], Awaitable[None]],
+        ask: Callable[[], Awaitable[Any]],
+        take: Callable[[Any], None],
         at_once: asyncio.Event | None = None,
     ) -> None:
-        """Ask again and again while somebody looks, and where `at_once` is set."""
+        """Ask each period while somebody looks, and where `at_once` is set; take the answers."""
         at_once = at_once or asyncio.Event()
         while True:
             if not self._is_read.is_set():
@@ -295,18 +301,9 @@ class GatewayLink:
             if self.problem is None:
                 # Whether the gateway is there decides the subscription alone.
                 with contextlib.suppress(ClientError):
-                    await ask()
+                    take(await ask())
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(at_once.wait(), period_s)
-
-    async def _ask_why(self) -> None:
-        self.answers.take_why(await self._client.why())
-
-    async def _ask_health(self) -> None:
-        self.answers.take_health(await self._client.health())
-
-    async def _ask_events(self) -> None:
-        self.answers.take_events(await self._client.events(_EVENTS))
 
     async def _beat(self) -> None:
         """Four times a second: this program lives, and whether the gateway does."""

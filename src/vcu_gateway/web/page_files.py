@@ -44,8 +44,8 @@ class PageFile(NamedTuple):
     body: EncodedBody
     tag: str
 
-    def response(self, request: Request) -> Response:
-        """The file, or 304 where the browser has it."""
+    async def response(self, request: Request) -> Response:
+        """The file, or 304 where the browser has it; it is the handler of its path."""
         headers = {"etag": self.tag, "cache-control": "no-cache", "vary": "accept-encoding"}
         if request.headers.get("if-none-match") == self.tag:
             return Response(status_code=304, headers=headers)

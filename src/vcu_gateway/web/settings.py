@@ -75,7 +75,7 @@ class WebSettings(NamedTuple):
         if not self.is_local and not self.users:
             what = f"{self.address} can be reached from a network, and there are no users"
             problems.append(Problem(what, "--listen", f"give --users FILE; {_DOCS}"))
-        if _is_unspecified(self.address) and not self.host_names:
+        if ipaddress.ip_address(self.address).is_unspecified and not self.host_names:
             what = f"{self.address} is no name that a browser uses"
             problems.append(Problem(what, "--listen", "give each one with --host-name NAME"))
         return problems
@@ -107,10 +107,6 @@ def _is_address(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _is_unspecified(text: str) -> bool:
-    return ipaddress.ip_address(text).is_unspecified
 
 
 def _is_readable(path: Path) -> bool:

@@ -15,7 +15,7 @@ from functools import cached_property
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
-from vcu_gateway.web.connections import undelivered_bytes
+from vcu_gateway.web.connections import counted, undelivered_bytes
 from vcu_gateway.web.guard import RequestRefusedError
 
 GZIP_HEAD = b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\x03"
@@ -139,7 +139,7 @@ class Streams:
         What its network has not delivered yet makes it miss the next ones.
         """
         seen, look_again_s = SeenVersions(), time.monotonic() + _LOOK_AGAIN_S
-        with self._counted(address), self._broadcast.read():
+        with counted(self._by_address, address), self._broadcast.read():
             yield GZIP_HEAD + packed(_RETRY) if as_gzip else _RETRY
             while True:
                 change = self._broadcast.next_change
@@ -154,13 +154,3 @@ class Streams:
                     look_again_s = time.monotonic() + _LOOK_AGAIN_S
                     if not may_look():
                         return
-
-    @contextlib.contextmanager
-    def _counted(self, address: str) -> Iterator[None]:
-        self._by_address[address] += 1
-        try:
-            yield
-        finally:
-            self._by_address[address] -= 1
-            if not self._by_address[address]:
-                del self._by_address[address]
