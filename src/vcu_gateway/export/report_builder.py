@@ -10,7 +10,7 @@ from itertools import groupby
 
 from vcu_gateway.export.decisions import MODES, NEVER_RECEIVED, DecidedEvent, Decisions
 from vcu_gateway.export.report import GAP, Band, Overlay, Report, ReportEvent, Span
-from vcu_gateway.export.report_plots import Grid, SignalLine, by_key, plots, signal_lines
+from vcu_gateway.export.report_plots import Grid, SignalLine, plots, signal_lines
 from vcu_gateway.export.source import Selection, Source
 from vcu_gateway.export.tables import GATEWAY, severity_name
 from vcu_gateway.recording.cause_spans import CauseSpan
@@ -121,7 +121,7 @@ def build(
 ) -> Report:
     grid = _grid(source)
     end_ns = grid.start_ns + grid.buckets * grid.bucket_ns
-    lines = by_key(signal_lines(source.store.rows.values(), selection, grid))
+    lines = {one.key: one for one in signal_lines(source.store.rows.values(), selection, grid)}
     drawn, constant = plots(lines, overlay, grid)
     bands = [*mode_band(source.decisions, end_ns)]
     if overlay is not None:

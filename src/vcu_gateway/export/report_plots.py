@@ -108,10 +108,6 @@ def _value(signal: SignalSpec, code: int) -> float:
     return code * signal.factor + signal.offset
 
 
-def by_key(lines: Iterable[SignalLine]) -> Mapping[str, SignalLine]:
-    return {line.key: line for line in lines}
-
-
 _MOST_LINES = 6
 _COMMAND = re.compile(r"VCU_(\w+)_Command\.(\w+)")
 _TITLES = {

@@ -88,15 +88,9 @@ def _message_table(rows: MessageRows, wanted: list[int]) -> Table:
 
 def signal_channel(signal: SignalSpec) -> Channel:
     whole = float(signal.factor).is_integer() and float(signal.offset).is_integer()
-    kind = "int" if whole else "float"
-    return Channel(
-        *(signal.name, signal.unit, kind, signal.names, signal.comment),
-        *(
-            signal.factor,
-            signal.offset,
-            -signal.length_bits if signal.signed else signal.length_bits,
-        ),
-    )
+    described = signal.name, signal.unit, "int" if whole else "float", signal.names, signal.comment
+    raw_bits = -signal.length_bits if signal.signed else signal.length_bits
+    return Channel(*described, signal.factor, signal.offset, raw_bits)
 
 
 def _decoded(rows: MessageRows, chunk: RowChunk, wanted: list[int], part: int) -> Chunk:
@@ -217,7 +211,6 @@ class _Pair(NamedTuple):
     signal: SignalSpec
     place: int
     actual: str
-    unit: str
     source: MessageRows
     value: Callable[[Decoded], float]
 
@@ -250,11 +243,11 @@ def _pairs(node: str, rows: Mapping[str, MessageRows]) -> Iterator[_Pair]:
         if signal.name in echoed:
             place = echoed.index(signal.name)
             yield _Pair(
-                *(signal, index, signal.name, signal.unit, status1),
+                *(signal, index, signal.name, status1),
                 lambda decoded, place=place: decoded.values[place],  # type: ignore[misc]
             )
         elif (name := STATUS_OF_LIMIT.get(signal.name)) and (value := _limited(status2, name)):
-            yield _Pair(signal, index, name, signal.unit, status2, value)
+            yield _Pair(signal, index, name, status2, value)
 
 
 def _limited(status2: MessageRows, name: str) -> Callable[[Decoded], float] | None:
@@ -269,11 +262,11 @@ def _limited(status2: MessageRows, name: str) -> Callable[[Decoded], float] | No
 
 
 def _channels(pair: _Pair) -> tuple[Channel, Channel]:
-    names = pair.signal.names
+    names, unit = pair.signal.names, pair.signal.unit
     whence = f"{pair.source.message.spec.name}, NaN where it is stale"
     return (
-        Channel(f"{pair.signal.name}_commanded", pair.signal.unit, names=names),
-        Channel(f"{pair.actual}_actual", pair.unit, names=names, comment=whence),
+        Channel(f"{pair.signal.name}_commanded", unit, names=names),
+        Channel(f"{pair.actual}_actual", unit, names=names, comment=whence),
     )
 
 
