@@ -118,7 +118,7 @@ class DrivenWheel:
     """Wheel of a motor, with its inertia and a tyre that slips where it is asked for too much.
 
     Attributes:
-        speed_m_s: of its tread, signed.
+        speed_m_s: of its circumference, signed.
         friction: of tyre and road; None: it never slips.
         force_n: what it pushes the vehicle with.
     """
