@@ -26,7 +26,9 @@ def rebuilt(dist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel made from the sdist, in a place that git knows nothing of."""
     place = tmp_path_factory.mktemp("from the sdist")
     with tarfile.open(dist / f"{NAME}.tar.gz") as archive:
-        archive.extractall(place, filter="data")
+        # Python 3.11.2, which is Debian 12's, does not take it as an argument.
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)
+        archive.extractall(place)
     subprocess.run(
         [BIN / "hatchling", "build", "-t", "wheel", "-d", place],
         cwd=place / NAME,
