@@ -20,7 +20,7 @@ from starlette.responses import Response
 from vcu_gateway import files
 from vcu_gateway.api.errors import Right
 from vcu_gateway.web.connections import LoginLimit, counted, has_session
-from vcu_gateway.web.guard import RequestRefusedError
+from vcu_gateway.web.guard import PageRequestError
 from vcu_gateway.web.settings import WebSettings
 from vcu_gateway.web.users import MOST_PASSWORD_CHARACTERS, NOBODY, UserRole, WebEvents, is_name
 
@@ -198,17 +198,17 @@ class Access:
         return Visitor(user.name, user.role, address, looks)
 
     async def sign_in(self, name: str, password: str, address: str) -> tuple[str, UserRole]:
-        """Token and role of a new session; RequestRefusedError where it is refused."""
+        """Token and role of a new session; PageRequestError where it is refused."""
         wait_s = self._limit.wait_s(address, name, time.monotonic_ns())
         if wait_s > 0 or self._too_many_wait(name, address):
             self._events.tell("sign_in_limited", "warning", user=_told(name), address=address)
             wait_s = max(1, wait_s)
             sentence = f"too many attempts: try again in {wait_s} s"
-            raise RequestRefusedError(429, sentence, {"retry-after": str(wait_s)})
+            raise PageRequestError(429, sentence, {"retry-after": str(wait_s)})
         if not await self._is_right(name, password, address):
             self._limit.failed(address, name, time.monotonic_ns())
             self._events.tell("sign_in_failed", "warning", user=_told(name), address=address)
-            raise RequestRefusedError(401, "name or password is wrong")
+            raise PageRequestError(401, "name or password is wrong")
         self._limit.succeeded(address)
         role = self._settings.users[name].role
         self._events.tell("signed_in", "info", user=name, role=role.value, address=address)

@@ -28,7 +28,7 @@ from vcu_gateway.errors import ConfigError, Problem, UnavailableError
 from vcu_gateway.web.access import Access
 from vcu_gateway.web.connections import LimitedListener, LimitedProtocol
 from vcu_gateway.web.gateway_link import GatewayLink
-from vcu_gateway.web.guard import Guard, RequestRefusedError
+from vcu_gateway.web.guard import Guard, PageRequestError
 from vcu_gateway.web.page_files import page_files
 from vcu_gateway.web.recordings import RecordingRoutes
 from vcu_gateway.web.routes import Actions, Routes
@@ -130,14 +130,14 @@ def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
     of_files = [Route(path, file.response) for path, file in page_files().items()]
     routes = [*_api_routes(api, recordings), *of_files]
     starlette = Starlette(
-        routes=routes, lifespan=lifespan, exception_handlers={RequestRefusedError: _refused}
+        routes=routes, lifespan=lifespan, exception_handlers={PageRequestError: _refused}
     )
     starlette.router.redirect_slashes = False  # a path is one of the routes, or none
     return Guard(starlette, settings)
 
 
 async def _refused(_: Request, refused: Any) -> Response:
-    """Answer that a handler's RequestRefusedError carries."""
+    """Answer that a handler's PageRequestError carries."""
     response: Response = refused.response
     return response
 

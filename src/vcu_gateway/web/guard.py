@@ -39,7 +39,7 @@ class QuestionLimit:
         self._stops = CostLimit(burst=20, per_s=10)
 
     async def take_turn(self, scope: Scope) -> None:
-        """Wait for the turn of this request; RequestRefusedError where that is too far."""
+        """Wait for the turn of this request; PageRequestError where that is too far."""
         cost = cost_of(scope["method"], scope["path"])
         if not cost:
             return
@@ -47,7 +47,7 @@ class QuestionLimit:
         await _wait(wait_ns)
         if wait_ns > _LONGEST_WAIT_NS:
             sentence = "too many questions: try again in a second"
-            raise RequestRefusedError(429, sentence, {"retry-after": "1"})
+            raise PageRequestError(429, sentence, {"retry-after": "1"})
 
     async def hold_answer(self, scope: Scope) -> None:
         """Wait before the answer to a stop, where too many were asked for."""
@@ -113,7 +113,7 @@ _HEADERS: Mapping[str, str] = {
 _TLS_HEADERS = {"strict-transport-security": "max-age=31536000"}
 
 
-class RequestRefusedError(Exception):
+class PageRequestError(Exception):
     """A request is not carried out: status of HTTP, a sentence for the person, further headers."""
 
     def __init__(
@@ -144,7 +144,7 @@ class Guard:
         try:
             self._check(scope)
             await self._limit.take_turn(scope)
-        except RequestRefusedError as refused:
+        except PageRequestError as refused:
             await refused.response(scope, receive, guarded)
             return
         await self._app(scope, receive, guarded)
@@ -159,15 +159,15 @@ class Guard:
         return guarded
 
     def _check(self, scope: Scope) -> None:
-        """RequestRefusedError for a request that is not let through."""
+        """PageRequestError for a request that is not let through."""
         headers = _single(scope)
         if scope["method"] not in _KNOWN_METHODS:
-            raise RequestRefusedError(405, "no such method here")
+            raise PageRequestError(405, "no such method here")
         if without_port(headers.get("host", "").lower()) not in self._hosts:
-            raise RequestRefusedError(421, "this host is not known by that name (--host-name)")
+            raise PageRequestError(421, "this host is not known by that name (--host-name)")
         reads = scope["method"] in _READING
         if not (reads and scope["path"] == "/") and headers.get("sec-fetch-site") in _FOREIGN_SITES:
-            raise RequestRefusedError(403, "another site may not ask for this")
+            raise PageRequestError(403, "another site may not ask for this")
         if not reads:
             self._check_change(headers)
 
@@ -175,21 +175,21 @@ class Guard:
         """The same for a request that may change something."""
         if headers.get("origin", "").lower() != f"{self._scheme}://{headers['host'].lower()}":
             sentence = "the request comes from no page of this host (Origin)"
-            raise RequestRefusedError(403, sentence)
+            raise PageRequestError(403, sentence)
         length = headers.get("content-length", "0")
         if not _NUMBER.fullmatch(length):
-            raise RequestRefusedError(400, "Content-Length is no number")
+            raise PageRequestError(400, "Content-Length is no number")
         if int(length) > MOST_BODY_BYTES:
-            raise RequestRefusedError(413, f"larger than {MOST_BODY_BYTES} bytes")
+            raise PageRequestError(413, f"larger than {MOST_BODY_BYTES} bytes")
 
 
 def _single(scope: Scope) -> Mapping[str, str]:
-    """Headers that decide; RequestRefusedError where one of them is there twice."""
+    """Headers that decide; PageRequestError where one of them is there twice."""
     headers: dict[str, str] = {}
     for name, value in scope["headers"]:
         word = name.decode("latin-1")
         if word in ("host", "origin", "content-length", "sec-fetch-site"):
             if word in headers:
-                raise RequestRefusedError(400, "a header is there twice")
+                raise PageRequestError(400, "a header is there twice")
             headers[word] = value.decode("latin-1")
     return headers

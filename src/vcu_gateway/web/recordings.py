@@ -25,7 +25,7 @@ from starlette.responses import Response, StreamingResponse
 
 from vcu_gateway.api.errors import Right
 from vcu_gateway.web.access import Visitor
-from vcu_gateway.web.guard import RequestRefusedError
+from vcu_gateway.web.guard import PageRequestError
 from vcu_gateway.web.routes import answer, body
 from vcu_gateway.web.users import WebEvents
 
@@ -77,15 +77,15 @@ class RecorderFolder:
 
 
 async def _alone(lock: asyncio.Lock, *arguments: str) -> VerbResult:
-    """What the verb said; RequestRefusedError where another one runs, or it cannot run."""
+    """What the verb said; PageRequestError where another one runs, or it cannot run."""
     if lock.locked():
-        raise RequestRefusedError(429, "another one is being computed: try again soon", _LATER)
+        raise PageRequestError(429, "another one is being computed: try again soon", _LATER)
     try:
         async with lock:
             return await _verb(*arguments)
     except OSError as error:
         sentence = f"it cannot be computed now: {error.strerror}"
-        raise RequestRefusedError(503, sentence, _LATER) from error
+        raise PageRequestError(503, sentence, _LATER) from error
 
 
 async def _verb(*arguments: str) -> VerbResult:
@@ -201,15 +201,15 @@ class RecordingRoutes:
                 return _said(await folder.replay(path, file), temporary + os.sep)
         except OSError as error:
             sentence = f"the configuration cannot be kept: {error.strerror}"
-            raise RequestRefusedError(507, sentence) from error
+            raise PageRequestError(507, sentence) from error
 
     def _for(self, visitor: Visitor) -> RecorderFolder:
-        """The folder; RequestRefusedError for who may not see it, and where there is none."""
+        """The folder; PageRequestError for who may not see it, and where there is none."""
         if not visitor.may(Right.OPERATE):
             sentence = "recordings tell about people: they are for operators"
-            raise RequestRefusedError(403, sentence)
+            raise PageRequestError(403, sentence)
         if self._folder is None:
-            raise RequestRefusedError(404, _NO_FOLDER)
+            raise PageRequestError(404, _NO_FOLDER)
         return self._folder
 
     def _find(self, request: Request, visitor: Visitor) -> tuple[RecorderFolder, Path]:
@@ -217,7 +217,7 @@ class RecordingRoutes:
         with contextlib.suppress(OSError, ValueError):
             path = folder.find(request.path_params["kind"], request.path_params["name"])
         if path is None:
-            raise RequestRefusedError(404, "there is no such recording")
+            raise PageRequestError(404, "there is no such recording")
         return folder, path
 
     def _tell(self, name: str, path: Path, visitor: Visitor) -> None:
@@ -234,10 +234,10 @@ def _listed(result: VerbResult) -> Response:
 def _said(result: VerbResult, hide: str = "") -> Response:
     """The verdict and its lines; the sentence of the error where there is none."""
     if result.code is None:
-        raise RequestRefusedError(504, "it took longer than two minutes and was ended")
+        raise PageRequestError(504, "it took longer than two minutes and was ended")
     lines = result.output.decode(errors="replace").replace(hide or "\0", "").splitlines()
     if result.code not in (_SAME, _DIFFERS) or not lines:
-        raise RequestRefusedError(422, _reason(result).replace(hide or "\0", ""))
+        raise PageRequestError(422, _reason(result).replace(hide or "\0", ""))
     return answer({"same": result.code == _SAME, "lines": lines})
 
 

@@ -25,7 +25,7 @@ from vcu_gateway.client import ApiError, AsyncClient, ClientError
 from vcu_gateway.client.calls import Call, arm, disarm, estop, reset
 from vcu_gateway.web.access import Access, Visitor
 from vcu_gateway.web.gateway_link import GatewayLink, now_ms
-from vcu_gateway.web.guard import NO_STORE, RequestRefusedError
+from vcu_gateway.web.guard import NO_STORE, PageRequestError
 from vcu_gateway.web.history import MOST_SIGNALS, PreparedSamples
 from vcu_gateway.web.stream import Streams
 from vcu_gateway.web.users import ACTION_RIGHTS, WebEvents
@@ -172,7 +172,7 @@ class Routes:
         async def guarded(request: Request) -> Response:
             visitor = self._access.visitor(request)
             if visitor is None or not visitor.looks:
-                raise RequestRefusedError(401, _SIGN_IN)
+                raise PageRequestError(401, _SIGN_IN)
             return await handler(request, visitor)
 
         return guarded
@@ -201,7 +201,7 @@ class Routes:
         given = await json_body(request)
         name, password = given.get("name"), given.get("password")
         if not (isinstance(name, str) and isinstance(password, str) and self._access.has_users):
-            raise RequestRefusedError(400, "name and password are needed")
+            raise PageRequestError(400, "name and password are needed")
         address = request.client.host if request.client else ""
         token, role = await self._access.sign_in(name, password, address)
         response = answer({"user": name, "role": role.value})
@@ -226,13 +226,13 @@ class Routes:
         name = request.path_params["name"].replace("-", " ")
         right = ACTION_RIGHTS.get(name)
         if right is None:
-            raise RequestRefusedError(404, "there is no such action")
+            raise PageRequestError(404, "there is no such action")
         visitor = self._access.visitor(request)
         if visitor is None or not (visitor.looks or name == "estop"):
-            raise RequestRefusedError(401, _SIGN_IN)
+            raise PageRequestError(401, _SIGN_IN)
         if not visitor.may(right):
             self._tell(name, visitor, granted=False, sentence="the role may not")
-            raise RequestRefusedError(403, f"a {visitor.role.value} may not ask for {name}")
+            raise PageRequestError(403, f"a {visitor.role.value} may not ask for {name}")
         done = await self._actions.act(name)
         self._tell(name, visitor, granted=done["granted"], sentence=done["sentence"])
         status = 200 if done["granted"] else 409 if done["answered"] else 503
@@ -256,10 +256,10 @@ class Routes:
         unknown = [name for name in names if name not in known]
         if unknown or not 0 < len(names) <= MOST_SIGNALS:
             sentence = f"signals: 1 to {MOST_SIGNALS} names that there are samples of"
-            raise RequestRefusedError(400, sentence)
+            raise PageRequestError(400, sentence)
         points = _number(request.query_params.get("points", "1200"))
         if points not in _POINTS:
-            raise RequestRefusedError(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
+            raise PageRequestError(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
         encoded = await self._samples.encoded(tuple(names), points)
         return encoded.response(request, NO_STORE)
 
@@ -275,27 +275,27 @@ def answer(value: object, status: int = 200) -> JSONResponse:
 
 
 async def body(request: Request, most_bytes: int) -> bytes:
-    """The request's body; RequestRefusedError where it does not come, or is larger."""
+    """The request's body; PageRequestError where it does not come, or is larger."""
     received = bytearray()
     try:
         async with asyncio.timeout(_BODY_WITHIN_S):
             async for chunk in request.stream():
                 received += chunk
                 if len(received) > most_bytes:
-                    raise RequestRefusedError(413, f"larger than {most_bytes} bytes")
+                    raise PageRequestError(413, f"larger than {most_bytes} bytes")
     except (TimeoutError, ClientDisconnect) as error:
-        raise RequestRefusedError(408, "the request did not come in time") from error
+        raise PageRequestError(408, "the request did not come in time") from error
     return bytes(received)
 
 
 async def json_body(request: Request) -> dict[str, Any]:
-    """The request's body; RequestRefusedError where it is no JSON object."""
+    """The request's body; PageRequestError where it is no JSON object."""
     try:
         value = json.loads(await body(request, _MOST_JSON_BYTES))
     except (ValueError, RecursionError) as error:
-        raise RequestRefusedError(400, "no JSON") from error
+        raise PageRequestError(400, "no JSON") from error
     if not isinstance(value, dict):
-        raise RequestRefusedError(400, "no JSON object")
+        raise PageRequestError(400, "no JSON object")
     return value
 
 

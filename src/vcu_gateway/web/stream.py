@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from vcu_gateway.web.connections import counted, undelivered_bytes
-from vcu_gateway.web.guard import RequestRefusedError
+from vcu_gateway.web.guard import PageRequestError
 
 GZIP_HEAD = b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\x03"
 """Begins the body of a browser that takes gzip (RFC 1952); packed sections follow."""
@@ -119,10 +119,10 @@ class Streams:
         self._by_address: Counter[str] = Counter()
 
     def response(self, request: Request, address: str, may_look: Callable[[], bool]) -> Response:
-        """A stream for whoever may look; RequestRefusedError where there is no room for it."""
+        """A stream for whoever may look; PageRequestError where there is no room for it."""
         is_full = self._by_address.total() >= MOST_STREAMS
         if is_full or self._by_address[address] >= MOST_STREAMS_PER_ADDRESS:
-            raise RequestRefusedError(503, "too many browsers look already")
+            raise PageRequestError(503, "too many browsers look already")
         as_gzip = "gzip" in request.headers.get("accept-encoding", "")
         headers = {**_HEADERS, "content-encoding": "gzip"} if as_gzip else _HEADERS
         kind = "text/event-stream"
