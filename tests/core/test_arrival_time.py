@@ -38,6 +38,10 @@ def test_a_step_back_after_the_arrival_does_not_put_the_frame_into_the_future():
     assert arrival_ns(stamped_before_the_step, BEFORE, now(DISTANCE - HOUR)) == 1050 * MS
 
 
+def test_a_reading_at_the_very_last_drain_is_possible_and_the_older_one_wins():
+    assert arrival_ns(1050 * MS + DISTANCE, BEFORE, now(DISTANCE + 50 * MS)) == 1000 * MS
+
+
 def test_a_step_back_before_the_arrival_does_not_age_the_frame():
     stamped_after_the_step = 1050 * MS + DISTANCE - HOUR
     assert arrival_ns(stamped_after_the_step, BEFORE, now(DISTANCE - HOUR)) == 1050 * MS

@@ -31,6 +31,14 @@ def test_each_message_is_stale_after_what_the_safety_page_says(
     assert found == Deadlines(late_ms * MS, stale_ms * MS)
 
 
+@pytest.mark.parametrize(("period_ms", "stale_ms"), [(499, 1497), (99, 396), (49, 490), (1, 10)])
+def test_a_period_just_below_one_of_the_table_has_the_next_rows_deadline(
+    protocol, period_ms, stale_ms
+):
+    message = dataclasses.replace(protocol.message("BMS_Status"), period_ms=period_ms)
+    assert deadlines(message, {}, {}).stale_after_ns == stale_ms * MS
+
+
 def test_the_configuration_overrides_by_name(protocol):
     message = protocol.message("BMS_Status")
     assert deadlines(message, {"BMS_Status": 900}, {"BMS_Status": 1200}) == Deadlines(
