@@ -62,7 +62,14 @@ def drive(
     gateway = Gateway(codec, Settings(**settings), now_ns)
     done = Drive(gateway, [], [], [])
     faults = scenario.faults(codec, START_NS, done.reports.append)
-    nodes = simulator.build(codec, START_NS, soc_pct=scenario.start.soc_pct, faults=faults)
+    start = scenario.start
+    nodes = simulator.build(
+        codec,
+        START_NS,
+        soc_pct=start.soc_pct,
+        battery_resistance_ohm=start.battery_resistance_ohm,
+        faults=faults,
+    )
     tick_ns = now_ns + 7_000_000  # on no grid of the vehicle's
     while now_ns < end_ns:
         now_ns = min(tick_ns, nodes.next_due_ns())

@@ -421,6 +421,34 @@ def test_a_scenario_without_steps_starts_the_vehicle_otherwise():
     assert (scenario.start.soc_pct, scenario.steps) == (12, ())
 
 
+def decoded(done: Drive, message: str, signal: str) -> list[float]:
+    codec = CODEC.by_name[message]
+    place = codec.spec.signal_names.index(signal)
+    heard = done.heard_of(message, from_s=3)
+    return [codec.decode(frame.data).values[place] for _, frame in heard]
+
+
+def test_on_a_slippery_road_the_motors_outrun_the_front_wheels():
+    healthy = drive(CODEC, scenario_of(), 6)
+    slipping = drive(CODEC, scenario_of("{at_s: 0, fault: slippery, friction: 0.1}"), 6)
+    for controller in ("PCU1", "PCU2"):
+        speeds = [
+            decoded(one, f"{controller}_Status2", "MotorSpeed") for one in (healthy, slipping)
+        ]
+        assert max(speeds[1]) > max(speeds[0])
+    wheels = [decoded(one, "ARD2_SteeringWheel", "WheelSpeedFL") for one in (healthy, slipping)]
+    assert max(wheels[1]) < max(wheels[0]) / 2
+
+
+def test_a_weak_battery_of_a_scenario_sags_under_load():
+    weak = parse("start: {battery_resistance_ohm: 0.1}", "s", CODEC.protocol)
+    volts = [
+        min(decoded(drive(CODEC, one, 6), "PCU1_Status2", "BatteryVoltage"))
+        for one in (scenario_of(), weak)
+    ]
+    assert volts[1] < volts[0] - 3
+
+
 def test_each_step_is_reported_when_it_begins_and_ends():
     scenario = parse(
         "steps: [{at_s: 1, for_s: 0.5, fault: drop, of: IMU, share_pct: 50}]", "s", CODEC.protocol
