@@ -24,6 +24,10 @@ class BrokenCore(NamedTuple):
     new: str
     drives: tuple[str, ...]
 
+    def told(self) -> str:
+        """Which mistake, for a report."""
+        return f"with {self.blocked} broken: {self.drives[0]}"
+
     def source(self) -> str:
         """The module with the mistake."""
         text = (CORE / f"{self.module}.py").read_text(encoding="utf-8")

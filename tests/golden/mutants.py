@@ -20,9 +20,9 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import NamedTuple
 
-from tests.golden.broken_cores import BROKEN_CORES
+from tests.golden.broken_cores import BROKEN_CORES, BrokenCore
 from tests.mutation.operators import Mutant, mutants
-from tests.mutation.run import CORE, Changed
+from tests.mutation.run import CORE, Changed, forget_the_core
 
 MODULES = (
     "rules", "causes", "supervisor", "mode_manager", "operator_requests", "commands", "pedals",
@@ -39,6 +39,7 @@ DRIVES_SHOWN = 3
 TOLD_EVERY = 25
 BROKEN = "cannot be imported"
 ENDLESS = "takes no end"
+NOT_IMPORTED = "no drive imports the changed module"
 
 
 class Rule(NamedTuple):
@@ -105,7 +106,7 @@ def digests(names: tuple[str, ...]) -> str:
 
 def _is_equal(replay: Callable, golden: object) -> bool:
     with suppress(Exception):  # a mutant may raise anything: that is seen
-        return replay(golden).is_equal
+        return replay(golden, to_the_end=False).is_equal
     return False
 
 
@@ -126,8 +127,13 @@ class Child(NamedTuple):
         os.dup2(null, 1)
         os.dup2(null, 2)
         try:
-            sys.meta_path[:0] = [Changed(*one) for one in changed]
-            os.write(writing, work().encode())
+            forget_the_core()
+            changes = [Changed(*one) for one in changed]
+            sys.meta_path[:0] = changes
+            found = work()
+            if not all(one.was_executed for one in changes):
+                found = NOT_IMPORTED
+            os.write(writing, found.encode())
         except BaseException:  # noqa: BLE001 - a mutant may end the program, too
             os.write(writing, BROKEN.encode())
         finally:
@@ -149,13 +155,18 @@ class Seen(NamedTuple):
 
 
 class Run:
-    """Mutants, some at a time; the drives that saw most of a module's go first."""
+    """Mutants, some at a time.
+
+    The drives that saw most of a module's go first; for the gate, the mistakes beside which most of
+    the rule's were seen.
+    """
 
     def __init__(self, jobs: list[Job], width: int, one: bool) -> None:
         self._waiting = list(reversed(jobs))
         self._width, self._one = width, one
         self._running: dict[int, tuple[Job, Child]] = {}
         self._by_module: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        self._by_rule: defaultdict[Rule, Counter[str]] = defaultdict(Counter)
         self._done: set[Rule] = set()
         of_the_gate = any(job.rule.is_of_the_gate for job in jobs)
         self._expected = [
@@ -184,19 +195,12 @@ class Run:
         order = sorted(self._names, key=lambda name: -seen[name])
         changed = (job.rule.module, job.mutant.source)
         if job.rule.is_of_the_gate:
-            child = Child.of(lambda: self._first_mistake(changed))
+            sight = self._by_rule[job.rule]
+            expected = sorted(self._expected, key=lambda one: -sight[one[0].told()])
+            child = Child.of(lambda: _first_mistake(expected, changed))
         else:
             child = Child.of(lambda: first_differing(order, self._ends), changed)
         self._running[child.pid] = job, child
-
-    def _first_mistake(self, changed: tuple[str, str]) -> str:
-        """In the child: the first mistake elsewhere beside which the mutant is seen."""
-        for core, expected in self._expected:
-            mistake = core.module, core.source()
-            found = Child.of(lambda: digests(core.drives), mistake, changed).found()  # noqa: B023
-            if found != expected:
-                return f"with {core.blocked} broken: {core.drives[0]}"
-        return ""
 
     def _ended(self, job: Job, child: Child, status: int) -> Seen:
         drive = ENDLESS if os.WIFSIGNALED(status) else child.found()
@@ -204,7 +208,18 @@ class Run:
             self._by_module[job.rule.module][drive] += 1
         if drive:
             self._done.add(job.rule)
+            self._by_rule[job.rule][drive] += 1
         return Seen(job, drive)
+
+
+def _first_mistake(expected: list[tuple[BrokenCore, str]], changed: tuple[str, str]) -> str:
+    """In the child: the first mistake elsewhere beside which the mutant is seen."""
+    for core, right in expected:
+        mistake = core.module, core.source()
+        found = Child.of(lambda: digests(core.drives), mistake, changed).found()  # noqa: B023
+        if found != right:
+            return core.told()
+    return ""
 
 
 def _names() -> str:
@@ -248,9 +263,11 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--one", action="store_true", help="each rule until its first is seen")
     options = parser.parse_args()
-    if unchanged := Child.of(lambda: first_differing([])).found():
-        print(f"{unchanged} differs without a mutant; the figures mean nothing")
-        return 2
+    for module in options.modules:
+        source = (CORE / f"{module}.py").read_text(encoding="utf-8")
+        if unchanged := Child.of(lambda: first_differing([]), (module, source)).found():
+            print(f"{module}: without a mutant: {unchanged}; the figures mean nothing")
+            return 2
     begun_s = time.monotonic()
     jobs = [job for module in options.modules for job in jobs_of(module)]
     found = []

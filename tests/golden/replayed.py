@@ -44,8 +44,8 @@ class Replayed(NamedTuple):
         ]
 
 
-def replay(golden: GoldenDrive) -> Replayed:
-    """Replay one from the beginning of its gateway.
+def replay(golden: GoldenDrive, to_the_end: bool = True) -> Replayed:
+    """Replay one from the beginning of its gateway, or only until it is different.
 
     It begins with a new gateway and not with the recorded state: a part of the core that is
     only named otherwise changes no byte.
@@ -56,6 +56,8 @@ def replay(golden: GoldenDrive) -> Replayed:
         check = EqualityCheck(CODEC, gateway)
         for record in drive.records():
             check.note(record)
+            if check.is_different and not to_the_end:
+                break
     except (GatewayError, ValueError, KeyError) as error:
         return Replayed(golden, None, f"cannot be replayed: {error}")
     return Replayed(golden, check.result())

@@ -76,7 +76,7 @@ def _files(names: list[str]) -> list[str]:
     return [str(path) for path in paths if path.exists()]
 
 
-def _forget_the_core() -> None:
+def forget_the_core() -> None:
     """Have the gateway imported anew, but for what describes the protocol.
 
     A module that this process has imported already would not be the changed one.
@@ -92,7 +92,7 @@ def _forget_the_core() -> None:
 
 def _survives(module: str, source: str) -> bool:
     """In the child: True where every test passes."""
-    _forget_the_core()
+    forget_the_core()
     changed = Changed(module, source)
     sys.meta_path.insert(0, changed)
     arguments = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--timeout=0"]

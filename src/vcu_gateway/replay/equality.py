@@ -141,6 +141,11 @@ class EqualityCheck:
         self._why_open = False
         self._unsaid: str | None = None
 
+    @property
+    def is_different(self) -> bool:
+        """Whether a difference was found so far."""
+        return self._first is not None
+
     def note(self, record: FrameRun | CoreRecord) -> None:
         gateway = self._gateway
         if self._why_open and not isinstance(record, ShellEvent) and not _is_sent(record):
