@@ -32,7 +32,10 @@ BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked", "commands.Com
 """Rules that act on mistakes of the rest of the core alone."""
 ENDED = ("ended-in-order", "ended-without-a-bus", "ended-while-listening")
 """Drives that end when the core says so: a replay does not ask it, so they are driven anew."""
-CANNOT = {"link.ERROR_CLASSES": "the socket's filter: frames that it keeps away reach no core"}
+CANNOT = {
+    "link.ERROR_CLASSES": "the socket's filter: frames that it keeps away reach no core",
+    "causes.Severity": "logging's numbers: everything goes by the names",
+}
 """What no recording can show, with the reason."""
 CPU_AT_MOST_S = 60
 DRIVES_SHOWN = 3
