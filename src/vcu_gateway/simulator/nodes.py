@@ -234,14 +234,13 @@ class Nodes:
         codec: Codec,
         vehicle: Vehicle,
         noise: random.Random,
-        transforms: Sequence[Transform] = (),
         faults: Sequence[VehicleFault] = (),
     ) -> None:
-        """Start the grids at vehicle.start_ns; each frame passes transforms and faults in turn."""
+        """Start the grids at vehicle.start_ns; each frame passes the faults in turn."""
         self._codec = codec
         self.vehicle = vehicle
         self._faults = tuple(faults)
-        self._transforms = (*transforms, *(fault.transform for fault in faults))
+        self._transforms = tuple(fault.transform for fault in faults)
         self._senders = _senders(codec, sources(vehicle, noise))
         self._controllers = {message_name(name): name for name in vehicle.motors}
         answers = {_answer(controller) for controller in vehicle.motors}
@@ -278,13 +277,11 @@ class Nodes:
 
     def next_due_ns(self) -> int:
         """Time at which `due` has something again."""
-        next_ns = min(schedule.next_deadline_ns for schedule, _ in self._grids)
-        next_ns = min((next_ns, *(fault.next_due_ns() for fault in self._faults)))
-        if self._answers:
-            next_ns = min(next_ns, self._answers[0][0])
-        if self._outgoing:
-            next_ns = min(next_ns, self._outgoing[0][0])
-        return next_ns
+        times_ns = [schedule.next_deadline_ns for schedule, _ in self._grids]
+        times_ns += [fault.next_due_ns() for fault in self._faults]
+        times_ns += [due_ns for due_ns, _ in self._answers]
+        times_ns += [due_ns for due_ns, _, _ in self._outgoing]
+        return min(times_ns)
 
     def due(self, now_ns: int) -> list[NodeFrame]:
         """The frames to send now, the earliest due first."""

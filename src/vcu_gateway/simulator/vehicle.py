@@ -168,7 +168,6 @@ class Vehicle:
     def __init__(
         self,
         start_ns: int,
-        *,
         soc_pct: float = 80.0,
         battery_speedup: float = 1.0,
         battery_resistance_ohm: float = RESISTANCE_OHM,
