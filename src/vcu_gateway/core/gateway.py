@@ -49,12 +49,7 @@ from vcu_gateway.core.mode_manager import (
     Shutdown,
     echoed_directions,
 )
-from vcu_gateway.core.operator_requests import (
-    LISTENING,
-    OperatorRequests,
-    demand_terms,
-    reload_refusal,
-)
+from vcu_gateway.core.operator_requests import LISTENING, OperatorRequests, reload_refusal
 from vcu_gateway.core.plausibility import RegenerationInterlock
 from vcu_gateway.core.receive import OWN_NODE, FrameCounters, Receiver
 from vcu_gateway.core.rules import InputCollector
@@ -130,10 +125,6 @@ class Gateway:
         """Take in one frame; one that is not decoded is counted and changes no message."""
         self.receiver.receive(frame)
 
-    def link_lost(self, now_ns: int) -> None:
-        """The interface is down or gone."""
-        self.receiver.monitor.lose(now_ns)
-
     def link_opened(self, link: LinkStatus, carrier: Carrier | None, now_ns: int) -> None:
         """The interface was opened in this state; `carrier` is None where it is not known."""
         self.receiver.monitor.open(link, carrier)
@@ -141,14 +132,6 @@ class Gateway:
         self._qualification.begin(self.snapshot(now_ns), self.settings.required_messages)
         if self.supervisor.mode is Mode.STANDBY:
             self._modes.apply(Stimulus.REQUIRED_LOST, now_ns, "the link was opened anew")
-
-    def carrier_changed(self, carrier: Carrier) -> None:
-        """The carrier of the open interface came or went."""
-        self.receiver.monitor.change_carrier(carrier)
-
-    def restarted(self, unexpectedly: int) -> None:
-        """How often the gateway was started in this drive without having ended in order."""
-        self.requests.restarts = unexpectedly
 
     def begin_from(self, cut_reason: str | None, reverse: Mapping[str, bool]) -> None:
         """State that the process before this one left; before the first tick.
@@ -159,10 +142,6 @@ class Gateway:
         self._commander.take_over(reverse)
         if cut_reason is not None:
             self._modes.apply(Stimulus.CUT, self._snapshot.now_ns, cut_reason)
-
-    def restart_state_tried(self, failure: str | None) -> None:
-        """Whether the restart state was kept when that was last tried: why not, or None."""
-        self.requests.restart_state_failure = failure
 
     def sent(self, frame: OutFrame, ok: bool, now_ns: int) -> None:
         """Whether the bus took a frame of the last tick."""
@@ -179,7 +158,7 @@ class Gateway:
         if reason := reload_refusal(self.settings, settings, self.supervisor.mode):
             return self.requests.refuse("reload", reason)
         self.settings = settings
-        self.requests.terms = demand_terms(settings)
+        self.requests.terms = settings
         self.transmitter.gate.limits = settings
         return GRANTED
 

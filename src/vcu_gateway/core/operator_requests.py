@@ -15,7 +15,6 @@ from vcu_gateway.core.demand import (
     ControllerDemands,
     Demand,
     DemandArbiter,
-    DemandTerms,
     Refusal,
     RequestResult,
     directions_differ,
@@ -63,7 +62,7 @@ class OperatorRequests:
 
     Attributes:
         arbiter: takes demands and knows the one that counts.
-        terms: what a demand has to be.
+        terms: the settings in effect; they say what a demand has to be.
         emergency_stop_requested: since the last tick.
         terminating: the gateway is to send safe frames and end.
         restarts: unexpected restarts of this gateway in this drive.
@@ -78,7 +77,7 @@ class OperatorRequests:
         listening: ListenBeforeTalk,
     ) -> None:
         self.arbiter = DemandArbiter(settings.bench_demand)
-        self.terms = demand_terms(settings)
+        self.terms = settings
         self.emergency_stop_requested = False
         self.terminating = False
         self.restarts = 0
@@ -191,15 +190,6 @@ class OperatorRequests:
             name: dataclasses.replace(one, throttle_pct=0.0)
             for name, one in demand.controllers.items()
         }
-
-
-def demand_terms(settings: Settings) -> DemandTerms:
-    return DemandTerms(
-        ttl_max_ms=settings.ttl_max_ms,
-        priorities=settings.priorities,
-        independent_directions=settings.independent_directions,
-        second_track_required=settings.second_track_required,
-    )
 
 
 def arming_refusal(inputs: RequestInputs) -> str:
