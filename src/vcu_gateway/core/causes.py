@@ -192,10 +192,7 @@ CONTROLLER_EFFECTS: Mapping[str, tuple[tuple[Effect, ...], ...]] = {
 }
 """Effects of each code of a controller's Status1."""
 
-_EFFECTS = {
-    BATTERY_STATUS: BATTERY_EFFECTS,
-    **dict.fromkeys(CONTROLLER_STATUS, CONTROLLER_EFFECTS),
-}
+_EFFECTS = {BATTERY_STATUS: BATTERY_EFFECTS, **dict.fromkeys(CONTROLLER_STATUS, CONTROLLER_EFFECTS)}
 _CODED = {message: tuple(effects) for message, effects in _EFFECTS.items()}
 
 

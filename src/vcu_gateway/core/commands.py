@@ -101,11 +101,7 @@ class Commander:
         return False
 
     def safe(
-        self,
-        demanded: ControllerDemands | None,
-        settings: Settings,
-        power_cut: bool,
-        now_ns: int,
+        self, demanded: ControllerDemands | None, settings: Settings, power_cut: bool, now_ns: int
     ) -> Mapping[str, Command]:
         """Command ZERO_TORQUE or POWER_CUT to both; the pedals are watched all the same."""
         self._step(settings, demanded, now_ns)
