@@ -133,7 +133,6 @@ def fault_of(demand: Demand, terms: DemandTerms) -> RequestResult:
 
 
 def directions_differ(demanded: ControllerDemands) -> bool:
-    """True where the controllers are to have different directions."""
     return len({one.motor_reverse for one in demanded.values()}) > 1
 
 

@@ -275,17 +275,12 @@ class Gateway:
     def _decide(self, settings: Settings, now_ns: int) -> Mapping[str, Command]:
         mode = self.supervisor.mode
         effects, demanded = self.causes.effects(), self.requests.demanded(now_ns)
-        regenerates = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
+        fast = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
         slow = plausibility.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
         if mode is Mode.ACTIVE and demanded is not None:
+            released = self.transmitter.history.released
             return self._commander.active(
-                demanded,
-                effects,
-                slow,
-                settings,
-                now_ns,
-                regenerates=regenerates,
-                released=self.transmitter.history.released,
+                demanded, effects, slow, settings, now_ns, regenerates=fast, released=released
             )
         if mode is Mode.STANDBY:
             return self._commander.settle(demanded, effects, slow, settings, now_ns)
@@ -315,26 +310,19 @@ class Gateway:
             refusal = requests.against_arming(now_ns)
         elif mode is Mode.FAULT:
             refusal = requests.against_resetting(FaultClass.SERVICE, now_ns)
-        demand = requests.arbiter.current
-        return Reasons(
-            mode,
-            self.supervisor.latch,
-            self.causes.held,
-            tuple(self._waits(now_ns)),
-            None if demand is None else demand.source,
-            None if demand is None else demand.ttl_ms,
-            requests.arbiter.fresh(now_ns),
-            refusal,
-        )
+        demand, fresh = requests.arbiter.current, requests.arbiter.fresh(now_ns)
+        source = None if demand is None else demand.source
+        ttl_ms = None if demand is None else demand.ttl_ms
+        waits, held = tuple(self._waits(now_ns)), self.causes.held
+        return Reasons(mode, self.latch, held, waits, source, ttl_ms, fresh, refusal)
 
     def _power_mode_waits(self, demanded: ControllerDemands | None) -> Iterable[str]:
         """What a PowerMode in ACTIVE waits for; without throttle it rises in the next tick."""
-        if demanded is None or self.supervisor.mode is not Mode.ACTIVE:
+        released = self.transmitter.history.released
+        if demanded is None or self.supervisor.mode is not Mode.ACTIVE or released:
             return ()
-        waiting = self._commander.waiting_modes(demanded, self.causes.effects())
-        if not waiting or self.transmitter.history.released:
-            return ()
-        return why.power_mode_waits(waiting)
+        effects = self.causes.effects()
+        return why.power_mode_waits(self._commander.waiting_modes(demanded, effects))
 
     def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:

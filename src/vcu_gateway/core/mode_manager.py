@@ -142,7 +142,6 @@ class ModeManager:
         self._events += self.causes.update(findings, hold_ns, now_ns)
 
     def apply_causes(self, now_ns: int) -> None:
-        """Apply the stimulus of every cause that stops or cuts."""
         for held in self.causes.having(BLOCKING):
             self.apply(_stimulus_of(held.finding), now_ns, str(held.finding))
 

@@ -195,7 +195,8 @@ class OperatorRequests:
 def arming_refusal(inputs: RequestInputs) -> str:
     """First reason against entering ACTIVE; empty where there is none."""
     if inputs.restarts > _RESTARTS_MAX:
-        return _restarted_too_often(inputs.restarts)
+        remedy = "find out why, then restart the service"
+        return f"the gateway was restarted {inputs.restarts} times in this drive; {remedy}"
     if inputs.listening:
         return LISTENING
     if inputs.supervisor.mode is not Mode.STANDBY:
@@ -203,13 +204,6 @@ def arming_refusal(inputs: RequestInputs) -> str:
     if inputs.restart_state_failure is not None:
         return f"the restart state cannot be kept: {inputs.restart_state_failure}"
     return _blocking_cause(inputs.causes) or _against_demand(inputs)
-
-
-def _restarted_too_often(times: int) -> str:
-    return (
-        f"the gateway was restarted {times} times in this drive; find out why, then restart"
-        " the service"
-    )
 
 
 def _against_demand(inputs: RequestInputs) -> str:
