@@ -119,7 +119,6 @@ class FaultInterval:
         return min(changes_ns, self._grid.next_deadline_ns)
 
     def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
-        """Break or repair the vehicle where that is due; the frames of a foreign node."""
         while self._changes and self._changes[0][0] <= now_ns:
             at_ns, broken = self._changes.pop(0)
             vehicle.advance(at_ns)
@@ -136,6 +135,5 @@ class FaultInterval:
         return (NodeFrame(node.can_id, node.data, node.message, tick.deadline_ns),)
 
     def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
-        """Frames sent in place of a due frame while the fault lasts."""
         lasts = self._begin_ns <= frame.due_ns < self._end_ns
         return self._fault.transform(frame) if lasts else (frame,)

@@ -203,9 +203,8 @@ class Set(Step):
             raise refusal("must not stand beside raw", "keep one of them")
         spec = signal_spec(info.data["signal"], protocol_of(info))
         if not spec.raw_lowest <= _code(spec, value) <= spec.raw_highest:
-            ends = sorted(
-                raw * spec.factor + spec.offset for raw in (spec.raw_lowest, spec.raw_highest)
-            )
+            raws = spec.raw_lowest, spec.raw_highest
+            ends = sorted(raw * spec.factor + spec.offset for raw in raws)
             raise refusal(f"must be {ends[0]:g} to {ends[1]:g} {spec.unit}".rstrip())
         return value
 

@@ -1,8 +1,6 @@
 """Vehicle model: two motors, tyres, battery, driving resistance and body movements.
 
 Axes as in ISO 8855: x forwards, y left, z up; a positive steering angle turns left.
-
-The traction battery: charge, voltage under load, temperature.
 """
 
 import math
