@@ -13,7 +13,7 @@ import pytest
 from can.interfaces.socketcan import socketcan as library
 
 from vcu_gateway.bus.connection import BusConnection, BusSettings
-from vcu_gateway.bus.reader import DrainedBus, DrainingReader, FrameListener
+from vcu_gateway.bus.reader import DrainedBus, FrameListener
 from vcu_gateway.bus.settings import BusCounters
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
 from vcu_gateway.core.j1939 import Frame
@@ -61,7 +61,8 @@ class Wire:
         self.on_frame: Callable[[Frame], object] = lambda frame: None
         self.bus = DrainingSocketcanBus("can0", None, None, self.counters)
         listener = FrameListener(self.receive, self.counters, self.lost.append, True)
-        self.reader = DrainingReader(self.bus, listener)
+        self.reader = DrainedBus(self.bus)
+        self.reader.start(listener)
 
     def receive(self, frame: Frame) -> None:
         self.frames.append(frame)
@@ -355,7 +356,6 @@ def test_no_thread_is_started(connection: BusConnection):
 
 
 def test_it_is_python_cans_notifier_that_receives(connection: BusConnection):
-    assert connection._opening is not None
-    bus = connection._opening.bus
+    bus = connection._bus
     assert isinstance(bus, DrainedBus)
     assert len(can.Notifier.find_instances(bus._library_bus)) == 1

@@ -18,6 +18,7 @@ from tests.core.simulated_drive import (
     in_mode,
     standby,
 )
+from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand
@@ -314,7 +315,7 @@ def test_what_is_lost_in_a_fault_has_to_qualify_again_after_the_reset(how):
         drive.run(500)
         drive.silent.clear()
     else:
-        drive.gateway.link_lost(drive.now_ns)
+        drive.gateway.apply(calls.LoseLink(drive.now_ns))
         drive.run(100)
         drive.open_link()
     drive.run(1100)
@@ -326,7 +327,7 @@ def test_what_is_lost_in_a_fault_has_to_qualify_again_after_the_reset(how):
 
 def test_a_link_lost_for_a_moment_in_standby_begins_the_qualification_anew():
     drive = standby()
-    drive.gateway.link_lost(drive.now_ns)
+    drive.gateway.apply(calls.LoseLink(drive.now_ns))
     drive.open_link()
     drive.tick()
     assert drive.mode is Mode.STARTING

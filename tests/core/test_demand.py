@@ -19,14 +19,13 @@ from vcu_gateway.core.demand import (
     fault_of,
     refused,
 )
-from vcu_gateway.core.operator_requests import demand_terms
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.demand_ranges import RANGES
 
 MS = 1_000_000
 TTL_MAX_MS = 1000
 PRIORITIES = {"remote": 5, "driver": 5, "supervisor": 10, "guest": 1, "last": -1}
-TERMS = dataclasses.replace(demand_terms(Settings()), priorities=PRIORITIES)
+TERMS = Settings(priorities=PRIORITIES)
 IDLE = ControllerDemand()
 
 

@@ -19,7 +19,7 @@ from tests.core.simulated_drive import (
     in_mode,
     standby,
 )
-from vcu_gateway.core import j1939
+from vcu_gateway.core import calls, j1939
 from vcu_gateway.core.causes import Severity
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import ControllerDemand, PowerMode, Refusal
@@ -269,7 +269,7 @@ def test_it_stays_silent_while_it_sees_another_sender():
 def test_without_a_bus_nobody_can_be_heard_so_the_listening_begins_again():
     drive = Drive()
     drive.run(600)
-    drive.gateway.link_lost(drive.now_ns)
+    drive.gateway.apply(calls.LoseLink(drive.now_ns))
     drive.run(2000)
     assert drive.commands == []
     drive.open_link()
@@ -281,7 +281,7 @@ def test_without_a_bus_nobody_can_be_heard_so_the_listening_begins_again():
 
 def test_a_lost_link_later_needs_no_new_listening():
     drive = standby()
-    drive.gateway.link_lost(drive.now_ns)
+    drive.gateway.apply(calls.LoseLink(drive.now_ns))
     assert len(drive.tick().frames) == 2
     drive.open_link()
     assert len(drive.tick().frames) == 2
@@ -289,10 +289,10 @@ def test_a_lost_link_later_needs_no_new_listening():
 
 def test_a_carrier_that_goes_latches_a_fault_which_outlasts_its_return():
     drive = active()
-    drive.gateway.carrier_changed(Carrier(False, drive.now_ns))
+    drive.gateway.apply(calls.ChangeCarrier(Carrier(False, drive.now_ns)))
     assert drive.tick().mode is Mode.FAULT
     assert drive.gateway.latch.reason == "link bus off: stop"
-    drive.gateway.carrier_changed(Carrier(True, drive.now_ns))
+    drive.gateway.apply(calls.ChangeCarrier(Carrier(True, drive.now_ns)))
     assert drive.gateway.link.state is LinkState.UP
     assert drive.tick().mode is Mode.FAULT
 
@@ -768,8 +768,8 @@ def test_overcharge_forbids_regeneration_until_restart():
 
 def test_the_lost_link_stops_in_the_next_tick():
     drive = active()
-    drive.gateway.link_lost(drive.now_ns)
-    drive.gateway.link_lost(drive.now_ns + 1)
+    drive.gateway.apply(calls.LoseLink(drive.now_ns))
+    drive.gateway.apply(calls.LoseLink(drive.now_ns + 1))
     assert drive.gateway.link.since_ns == drive.now_ns, "since the first word of it"
     drive.tick()
     assert drive.mode is Mode.FAULT
@@ -1193,7 +1193,7 @@ def test_another_source_cannot_end_the_demand():
 @pytest.mark.parametrize(("restarts", "granted"), [(0, True), (1, True), (2, True), (3, False)])
 def test_three_unexpected_restarts_in_one_drive_end_arming(restarts, granted):
     drive = standby()
-    drive.gateway.restarted(restarts)
+    drive.gateway.apply(calls.CountRestarts(restarts))
     answer = drive.arm()
     assert answer.granted is granted
     assert granted or answer.sentence == (
@@ -1207,13 +1207,13 @@ def test_a_gateway_that_was_told_of_no_restart_counts_none():
 
 def test_why_says_that_restarts_ended_arming():
     drive = standby()
-    drive.gateway.restarted(4)
+    drive.gateway.apply(calls.CountRestarts(4))
     assert "before arming: the gateway was restarted 4 times in this drive" in drive.sentence
 
 
 def test_a_bench_does_not_arm_itself_after_three_restarts():
     drive = Drive(bench_demand=BENCH, auto_arm=True)
-    drive.gateway.restarted(3)
+    drive.gateway.apply(calls.CountRestarts(3))
     drive.run(5000)
     assert drive.mode is Mode.STANDBY
 
@@ -1225,33 +1225,33 @@ def restart_state_causes(drive: Drive) -> list[str]:
 
 def test_nobody_can_arm_while_the_restart_state_cannot_be_kept():
     drive = standby()
-    drive.gateway.restart_state_tried("No space")
+    drive.gateway.apply(calls.NoteRestartState("No space"))
     drive.run(500)
     assert drive.arm().sentence == "the restart state cannot be kept: No space"
     assert "before arming: the restart state cannot be kept: No space" in drive.sentence
     assert restart_state_causes(drive) == [], "it is an alarm in ACTIVE alone"
-    drive.gateway.restart_state_tried(None)
+    drive.gateway.apply(calls.NoteRestartState(None))
     assert drive.arm().granted
 
 
 def test_a_restart_state_that_was_not_kept_in_active_is_an_alarm_from_the_next_tick_on():
     drive = active()
-    drive.gateway.restart_state_tried("No space")
+    drive.gateway.apply(calls.NoteRestartState("No space"))
     drive.tick()
     assert restart_state_causes(drive) == ["restart state not kept (No space): alarm"]
     drive.run(1500)
     assert drive.mode is Mode.ACTIVE
-    drive.gateway.restart_state_tried(None)
+    drive.gateway.apply(calls.NoteRestartState(None))
     drive.run(1100)
     assert restart_state_causes(drive) == []
 
 
 def test_a_bench_arms_itself_only_once_the_restart_state_can_be_kept():
     drive = Drive(bench_demand=BENCH, auto_arm=True)
-    drive.gateway.restart_state_tried("No space")
+    drive.gateway.apply(calls.NoteRestartState("No space"))
     drive.run(5000)
     assert drive.mode is Mode.STANDBY
-    drive.gateway.restart_state_tried(None)
+    drive.gateway.apply(calls.NoteRestartState(None))
     drive.run(100)
     assert drive.mode is Mode.ACTIVE
 

@@ -33,7 +33,7 @@ def test_before_the_first_frame_everything_is_never_and_none(store):
     for message in snapshot.messages:
         for reading in snapshot.readings(message.name):
             assert reading.quality is Quality.NEVER
-            assert reading.value is reading.raw is reading.age_ns is reading.good_value is None
+            assert reading.value is reading.raw is reading.age_ns is None
             assert reading.code_name is None
 
 
@@ -44,7 +44,6 @@ def test_a_reading_has_value_raw_unit_quality_age_and_name(store, put):
     assert voltage.value == pytest.approx(52.34)
     assert (voltage.raw, voltage.unit, voltage.quality) == (5234, "V", Quality.GOOD)
     assert voltage.age_ns == 30 * MS
-    assert voltage.good_value == voltage.value
     assert voltage.code_name is None
     assert snapshot.reading(STATUS, "CellUndervoltage").code_name == "level1"
 
@@ -65,7 +64,6 @@ def test_a_value_is_stale_one_nanosecond_after_its_deadline(store, put):
     late = store.snapshot(STALE_NS + 1).reading(STATUS, "SOC")
     assert late.quality is Quality.STALE
     assert late.value == 80, "a stale value is kept"
-    assert late.good_value is None, "and is not relied upon"
 
 
 def test_the_values_of_a_stale_message_are_not_relied_upon(store, put):
@@ -106,7 +104,7 @@ def test_out_of_range_and_saturated_values_are_kept_and_marked(codec, store):
     store.put(STATUS, decoded, 0)
     snapshot = store.snapshot(0)
     soc = snapshot.reading(STATUS, "SOC")
-    assert (soc.value, soc.quality, soc.good_value) == (102, Quality.OUT_OF_RANGE, None)
+    assert (soc.value, soc.quality) == (102, Quality.OUT_OF_RANGE)
     assert snapshot.reading(STATUS, "PackVoltage").value == pytest.approx(655.35)
     assert snapshot.reading(STATUS, "CellOvervoltage").quality is Quality.GOOD
     wheel = codec.by_name["ARD2_SteeringWheel"].decode(bytes([0, 0, 0xFF, 0xFF, 0xFE, 0xFF, 0, 0]))

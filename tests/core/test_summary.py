@@ -9,6 +9,7 @@ from tests.core.simulated_drive import MS, RECEIVED, Drive, active, rule_inputs
 from tests.core.test_operator_requests import NOTHING_DEMANDED, STANDBY, throttle
 from tests.core.test_operator_requests import inputs as requests
 from tests.core.test_rules import BY_NAME, ROWS
+from vcu_gateway.core import calls
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, Finding, HeldCause
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.operator_requests import arming_refusal
@@ -171,7 +172,7 @@ def test_a_limit_whose_cause_is_over_says_how_long_it_stays(code, line):
 def test_a_dead_link_comes_before_the_messages_that_it_keeps_away():
     drive = Drive()
     drive.silent |= set(RECEIVED)
-    drive.gateway.link_lost(drive.now_ns)
+    drive.gateway.apply(calls.LoseLink(drive.now_ns))
     drive.run(3000)
     assert said(drive) == "waiting for the bus: lost and 3 more, since 3.0 s"
 

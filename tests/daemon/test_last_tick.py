@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.core.simulated_drive import MS, Drive, active, in_mode, standby
+from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import LastTick
@@ -30,7 +31,7 @@ CHANGES = {
     "well": lambda drive: (drive.codes.clear(), drive.silent.clear()),
     "silent": lambda drive: drive.silent.update({"BMS_Status", "PCU1_Status2"}),
     "foreign": lambda drive: drive.receive_foreign(),
-    "lost": lambda drive: drive.gateway.link_lost(drive.now_ns),
+    "lost": lambda drive: drive.gateway.apply(calls.LoseLink(drive.now_ns)),
     "opened": lambda drive: drive.open_link(),
     "refused": lambda drive: setattr(drive, "accepted", False),
     "accepted": lambda drive: setattr(drive, "accepted", True),
@@ -38,7 +39,7 @@ CHANGES = {
     "disarmed": lambda drive: drive.gateway.requests.disarm(drive.now_ns),
     "reset": lambda drive: drive.reset(),
     "emergency stop": lambda drive: drive.gateway.requests.emergency_stop(),
-    "restarted": lambda drive: drive.gateway.restarted(3),
+    "restarted": lambda drive: drive.gateway.apply(calls.CountRestarts(3)),
 }
 BEGUN = {mode: in_mode(mode) for mode in Mode}
 BENCH = Drive(bench_demand=DEMANDED, auto_arm=True)

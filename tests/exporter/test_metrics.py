@@ -22,6 +22,7 @@ from tests.recorder.told import STATUS
 from vcu_gateway import __version__, exporter
 from vcu_gateway.api.errors import ErrorCode
 from vcu_gateway.config import Config, digest
+from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.codec import Reason
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
@@ -409,7 +410,7 @@ def test_the_link_is_told_with_its_state_and_the_time_in_it(can_id, bits, state)
 
 def test_a_lost_link_is_lost_whatever_the_error_frames_said():
     program = Program(standby())
-    program.drive.gateway.link_lost(program.drive.now_ns)
+    program.drive.gateway.apply(calls.LoseLink(program.drive.now_ns))
     expected = {s.value: float(s is LinkState.LOST) for s in LinkState}
     assert program.scrape().by("link_state", "state") == expected
 

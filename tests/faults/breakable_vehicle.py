@@ -17,7 +17,7 @@ from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.nodes import NodeFrame
 from vcu_gateway.simulator.play import open_bus, play
-from vcu_gateway.simulator.steps import FAULTS, PROTOCOL
+from vcu_gateway.simulator.scenario import FAULTS, PROTOCOL
 from vcu_gateway.simulator.vehicle import Vehicle
 
 Step = dict[str, Any]

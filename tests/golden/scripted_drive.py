@@ -18,7 +18,7 @@ from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.nodes import NodeFrame, VehicleFault
-from vcu_gateway.simulator.steps import FAULTS, PROTOCOL
+from vcu_gateway.simulator.scenario import FAULTS, PROTOCOL
 from vcu_gateway.simulator.vehicle import Vehicle
 
 START_NS = 5_000 * MS

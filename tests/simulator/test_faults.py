@@ -1,6 +1,7 @@
 """Each fault does one thing, to what it names, while it lasts."""
 
 import random
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -9,9 +10,9 @@ from hypothesis import strategies as st
 from vcu_gateway import simulator
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.faults import NEVER_NS, Fault, FaultInterval, ForeignNode
 from vcu_gateway.simulator.nodes import NodeFrame, Nodes
+from vcu_gateway.simulator.scenario import FAULTS, PROTOCOL
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT
 
 CODEC = Codec(dbc.load(packaged("vcu.dbc")))
@@ -26,6 +27,12 @@ SIGNALS = [
     for signal in message.signals
     if message.sender != "VCU"
 ]
+
+
+def broken(name: str, **given: Any) -> Fault:
+    """The fault of a scenario's step."""
+    step = {"at_s": 0, "fault": name, **given}
+    return FAULTS[name].model_validate(step, context={PROTOCOL: CODEC.protocol}).broken(CODEC)
 
 
 def spell(fault: Fault, begin_s: float = 0.0, end_s: float | None = None) -> FaultInterval:
@@ -51,21 +58,22 @@ def says(frame: NodeFrame, signal: str) -> float:
 
 
 def test_frames_are_lost_doubled_delayed_and_shortened():
-    assert list(faults.whole(FRAME)) == [FRAME]
-    assert list(faults.lost(FRAME)) == []
-    assert list(faults.doubled(FRAME)) == [FRAME, FRAME]
-    assert list(faults.delayed(3)(FRAME)) == [FRAME._replace(due_ns=START_NS + 3 * MS_NS)]
-    assert list(faults.shortened(5)(FRAME)) == [FRAME._replace(data=bytes(range(5)))]
+    delayed, shortened = broken("delay", delay_ms=3), broken("shorten", length_bytes=5)
+    assert list(Fault().transform(FRAME)) == [FRAME]
+    assert list(broken("silence", of="BMS").transform(FRAME)) == []
+    assert list(broken("duplicate").transform(FRAME)) == [FRAME, FRAME]
+    assert list(delayed.transform(FRAME)) == [FRAME._replace(due_ns=START_NS + 3 * MS_NS)]
+    assert list(shortened.transform(FRAME)) == [FRAME._replace(data=bytes(range(5)))]
 
 
 @given(data=st.binary(max_size=8), flips=st.integers(1, 64), seed=st.integers())
 def test_corruption_flips_exactly_so_many_bits_and_repeats_with_its_seed(data, flips, seed):
     frame = FRAME._replace(data=data)
-    (found,) = faults.corrupted(flips, seed)(frame)
+    (found,) = broken("corrupt", flip_bits=flips, seed=seed).transform(frame)
     wrong = int.from_bytes(found.data, "little") ^ int.from_bytes(data, "little")
     assert len(found.data) == len(data)
     assert wrong.bit_count() == min(flips, 8 * len(data))
-    assert list(faults.corrupted(flips, seed)(frame)) == [found]
+    assert list(broken("corrupt", flip_bits=flips, seed=seed).transform(frame)) == [found]
 
 
 @pytest.mark.parametrize(("message", "signal"), SIGNALS)
@@ -75,15 +83,16 @@ def test_a_signal_is_overridden_with_any_code_and_no_other_changes(message, sign
     dice = random.Random(signal.name)
     for raw in (signal.raw_lowest, signal.raw_highest, dice.randrange(0, signal.raw_highest + 1)):
         data = dice.randbytes(8)
-        (found,) = faults.overridden(signal, raw)(FRAME._replace(data=data))
+        set_to = broken("set", signal=f"{message}.{signal.name}", raw=raw)
+        (found,) = set_to.transform(FRAME._replace(data=data, message=message))
         raws = list(codec.decode(data).raws)
         raws[index] = raw
         assert list(codec.decode(found.data).raws) == raws
 
 
 def test_a_signal_of_a_short_frame_is_overridden_as_far_as_it_is_there():
-    life = CODEC.protocol.message("BMS_Status").signal("LifeSignal")
-    (found,) = faults.overridden(life, 1)(FRAME._replace(data=b"\0\0\0"))
+    set_to = broken("set", signal="BMS_Status.LifeSignal", raw=1)
+    (found,) = set_to.transform(FRAME._replace(data=b"\0\0\0"))
     assert found.data == b"\0\0\0"
 
 
@@ -93,16 +102,17 @@ def test_a_signal_is_shifted_as_far_as_its_bits_go_and_no_other_changes(message,
     index = codec.spec.signal_names.index(signal.name)
     data = random.Random(signal.name).randbytes(8)
     before = codec.decode(data).raws[index]
-    for by in (1, -1, 1 << signal.length_bits, -(1 << signal.length_bits)):
-        (found,) = faults.shifted(signal, by)(FRAME._replace(data=data))
+    most = (1 << signal.length_bits) - 1
+    for by in (1, -1, most, -most):
+        shifted = broken("shift", signal=f"{message}.{signal.name}", by=by * signal.factor)
+        (found,) = shifted.transform(FRAME._replace(data=data, message=message))
         raws = list(codec.decode(data).raws)
         raws[index] = max(signal.raw_lowest, min(signal.raw_highest, before + by))
         assert list(codec.decode(found.data).raws) == raws
 
 
 def test_a_frozen_signal_keeps_its_first_code():
-    life = CODEC.protocol.message("BMS_Status").signal("LifeSignal")
-    frozen = faults.frozen(life)
+    frozen = broken("freeze", signal="BMS_Status.LifeSignal").transform
     found = [
         next(iter(frozen(FRAME._replace(data=bytes(7) + bytes([byte]))))).data[7]
         for byte in (0x81, 0x02, 0x83)
@@ -111,7 +121,7 @@ def test_a_frozen_signal_keeps_its_first_code():
 
 
 def test_only_the_named_messages_are_met():
-    transform = faults.only(["BMS_Status"], faults.lost)
+    transform = broken("silence", of="BMS_Status").transform
     assert list(transform(FRAME)) == []
     other = FRAME._replace(message="IMU_Attitude")
     assert list(transform(other)) == [other]
@@ -120,7 +130,7 @@ def test_only_the_named_messages_are_met():
 @pytest.mark.parametrize("share_pct", [0, 30, 100])
 def test_a_share_of_the_frames_is_met_and_the_same_ones_for_the_same_seed(share_pct):
     def met(seed: int) -> list[bool]:
-        transform = faults.sometimes(share_pct, seed, faults.lost)
+        transform = broken("drop", share_pct=share_pct, seed=seed).transform
         return [not list(transform(FRAME)) for _ in range(2000)]
 
     assert sum(met(1)) / 20 == pytest.approx(share_pct, abs=3)
@@ -129,7 +139,7 @@ def test_a_share_of_the_frames_is_met_and_the_same_ones_for_the_same_seed(share_
 
 
 def test_a_spell_lasts_from_its_begin_until_just_before_its_end():
-    lasting = spell(Fault(faults.lost), 1, 2)
+    lasting = spell(broken("silence", of="BMS"), 1, 2)
     found = [
         bool(list(lasting.transform(FRAME._replace(due_ns=START_NS + at_ns))))
         for at_ns in (S_NS - 1, S_NS, 2 * S_NS - 1, 2 * S_NS)
@@ -147,7 +157,7 @@ def test_a_spell_wakes_the_nodes_when_it_begins_and_ends_and_never_again():
 
 
 def test_a_controller_that_ignores_commands_keeps_torque_and_echo_without_a_time_out():
-    ignoring = spell(Fault(change=faults.ignoring([LEFT], None)), 1, 3)
+    ignoring = spell(broken("ignore_commands", controller=LEFT), 1, 3)
     nodes = simulator.build(CODEC, START_NS, faults=[ignoring])
     drive(nodes, 1)
     nodes.vehicle.advance(START_NS + S_NS)
@@ -161,14 +171,14 @@ def test_a_controller_that_ignores_commands_keeps_torque_and_echo_without_a_time
 
 
 def test_a_controller_that_runs_away_echoes_a_throttle_of_its_own():
-    runaway = spell(Fault(change=faults.ignoring([LEFT], 90.0)), 0.5)
+    runaway = spell(broken("ignore_commands", controller=LEFT, throttle_pct=90.0), 0.5)
     frames = drive(simulator.build(CODEC, START_NS, faults=[runaway]), 1.2)
     echoes = [says(frame, "Throttle") for frame in frames if frame.message == "PCU1_Status1"]
     assert echoes[-1] == pytest.approx(90, abs=0.2)
 
 
 def test_both_controllers_turned_round_drive_the_vehicle_backwards():
-    turned = spell(Fault(change=faults.turned_round([LEFT, RIGHT])), 0, 2)
+    turned = spell(broken("wrong_direction"), 0, 2)
     nodes = simulator.build(CODEC, START_NS, faults=[turned])
     frames = drive(nodes, 2)
     assert nodes.vehicle.speed_m_s < -1
@@ -179,11 +189,11 @@ def test_both_controllers_turned_round_drive_the_vehicle_backwards():
 
 
 def test_a_speed_below_0_reads_as_one_that_no_motor_has():
-    speed = CODEC.protocol.message("PCU1_Status2").signal("MotorSpeed")
+    negated = broken("wrong_direction", controller=LEFT).transform
     codec = CODEC.by_name["PCU1_Status2"]
     for rpm, expected in ((0, 0), (1, 65_535), (3000, 62_536)):
         frame = NodeFrame(0x0809D0A7, codec.encode({"MotorSpeed": rpm}), "PCU1_Status2", START_NS)
-        (found,) = faults.negated(speed)(frame)
+        (found,) = negated(frame)
         assert says(found, "MotorSpeed") == expected
 
 

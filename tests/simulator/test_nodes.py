@@ -17,6 +17,7 @@ from vcu_gateway.core import j1939
 from vcu_gateway.core.codec import Codec, Decoded
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.protocol import dbc, packaged
+from vcu_gateway.simulator.faults import Fault, FaultInterval
 from vcu_gateway.simulator.nodes import ANSWER_DELAY_NS, NodeFrame, Nodes, sources
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT, Vehicle
 
@@ -276,7 +277,11 @@ def test_a_transform_can_lose_change_double_and_delay_frames() -> None:
             return [frame]
         return [frame, frame._replace(due_ns=frame.due_ns + 30 * MS_NS)]
 
-    nodes = simulator.build(CODEC, START_NS, transforms=[lose_imu, freeze_life, double_late])
+    faults = [
+        FaultInterval("test", Fault(one), START_NS, None, lambda _: None)
+        for one in (lose_imu, freeze_life, double_late)
+    ]
+    nodes = simulator.build(CODEC, START_NS, faults=faults)
     frames = run(nodes, START_NS + S_NS - 1)
     assert not [frame for frame in frames if frame.message.startswith("IMU")]
     assert {signal(frame, "LifeSignal") for frame in of(frames, "BMS_Status")} == {0}

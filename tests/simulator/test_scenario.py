@@ -17,8 +17,7 @@ from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.errors import ConfigError
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.simulator.scenario import Scenario, load, parse
-from vcu_gateway.simulator.steps import FAULTS
+from vcu_gateway.simulator.scenario import FAULTS, Scenario, load, parse
 
 ROOT = Path(__file__).parents[2]
 READY = ROOT / "config/scenarios"

@@ -27,10 +27,10 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 from vcu_gateway.bus.interface import unopened
-from vcu_gateway.bus.reader import Bus, FrameListener, Reader, open_bus
+from vcu_gateway.bus.reader import Bus, FrameListener, open_bus
 from vcu_gateway.bus.settings import BusCounters, BusSettings
 from vcu_gateway.core import j1939
 from vcu_gateway.core.j1939 import Frame
@@ -131,13 +131,6 @@ __all__ = ["BusConnection", "BusCounters", "BusSettings", "kernel_filters"]
 _GONE = {"ENETDOWN", "ENODEV", "ENXIO"}
 
 
-class _Opening(NamedTuple):
-    """One bus and its reader, from an opening to its close."""
-
-    bus: Bus
-    reader: Reader
-
-
 class BusConnection:
     """Connection to one bus, open or lost.
 
@@ -159,14 +152,14 @@ class BusConnection:
         self.settings = settings
         self._filters = kernel_filters(identifiers, groups) if settings.kernel_filters else None
         self._receive = receive
-        self._opening: _Opening | None = None
+        self._bus: Bus | None = None
         self._sending_bus: Bus | None = None
         self._send_lock = threading.Lock()
         self._read_since_loss = threading.Event()
         self._instance_lock: InstanceLock | None = None
         self.counters = BusCounters()
         self.lost: str | None = "not opened yet"
-        self.on_lost: Callable[[], None] = _ignore_loss
+        self.on_lost: Callable[[], None] = lambda: None
 
     @property
     def is_open(self) -> bool:
@@ -181,13 +174,13 @@ class BusConnection:
     @property
     def receive_buffer_bytes(self) -> int | None:
         """Receive buffer that the kernel granted; None where the bus has none."""
-        return None if self._opening is None else self._opening.bus.receive_buffer_bytes
+        return None if self._bus is None else self._bus.receive_buffer_bytes
 
     @property
     def drains(self) -> int | None:
         """Times that the open bus was read to the end; None where that is not our part."""
-        opening = self._opening
-        return opening.reader.drains if opening is not None and self.is_open else None
+        bus = self._bus
+        return bus.drains if bus is not None and self.is_open else None
 
     def report(self) -> dict[str, Any]:
         return {**dataclasses.asdict(self.counters), "dropped": self.dropped, "lost": self.lost}
@@ -230,11 +223,12 @@ class BusConnection:
         except (OSError, can.CanError, ImportError) as error:
             raise UnavailableError(unopened(error, self.settings)) from error
         self.lost = None
-        self._opening = _Opening(bus, bus.start_reader(self._listener(bus)))
+        bus.start(self._listener(bus))
+        self._bus = bus
 
     def _listener(self, bus: Bus) -> FrameListener:
         def lost(why: str) -> None:
-            if self._opening is None or self._opening.bus is bus:
+            if self._bus is None or self._bus is bus:
                 self.mark_lost(why)  # the reader of an earlier opening does not count
 
         return FrameListener(self._receive, self.counters, lost, bus.stamps_are_monotonic)
@@ -246,8 +240,8 @@ class BusConnection:
         in, too. It neither waits nor raises.
         """
         was_lost = self.lost is not None
-        opening = self._opening
-        frames = 0 if opening is None else opening.reader.read_waiting(until_ns)
+        bus = self._bus
+        frames = 0 if bus is None else bus.read_waiting(until_ns)
         if was_lost:
             self._read_since_loss.set()
         return frames
@@ -257,8 +251,7 @@ class BusConnection:
         self._read_since_loss.wait(patience_s)
 
     def start_sending(self) -> None:
-        opening = self._opening
-        self._sending_bus = opening.bus if opening is not None and self.is_open else None
+        self._sending_bus = self._bus if self.is_open else None
 
     def mark_lost(self, why: str) -> None:
         """Record that the interface cannot be used: nothing is sent on it again."""
@@ -304,13 +297,9 @@ class BusConnection:
         self.lost = self.lost or why
         with self._send_lock:
             self._sending_bus = None
-        opening, self._opening = self._opening, None
-        if opening is not None:
-            opening.reader.close()
-
-
-def _ignore_loss() -> None:
-    """Nothing: no listener is registered."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.close()
 
 
 def kernel_filters(identifiers: Iterable[int], groups: Iterable[int] = ()) -> list[Any]:

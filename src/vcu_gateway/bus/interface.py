@@ -24,11 +24,10 @@ _SIOCGIFTXQLEN = 0x8942
 _IFF_UP, _IFF_RUNNING = 0x1, 0x40
 _ARPHRD_CAN = 280
 
-_by_name = struct.Struct("16s24x")
-_by_index = struct.Struct("16xi20x")
+# struct ifreq with the name alone, or behind the name an integer or a short.
+_name = struct.Struct("16s24x")
 _integer = struct.Struct("16xi20x")
 _short = struct.Struct("16xH22x")
-_name = struct.Struct("16s24x")
 _USUAL_BIT_S = 250_000
 _WITHOUT_CAN = "this kernel has no CAN; try `vcu-gateway demo`, or a kernel with the can modules"
 
@@ -68,7 +67,7 @@ class Interfaces:
 
     def look(self, name: str) -> Interface | None:
         """The interface of this name; None where there is none."""
-        request = _by_name.pack(os.fsencode(name))
+        request = _name.pack(os.fsencode(name))
         try:
             number, queue = (
                 _integer.unpack(self._ask(code, request))[0]
@@ -86,7 +85,7 @@ class Interfaces:
     def name_of(self, number: int) -> str | None:
         """Present name of the interface of this number; None where it is gone."""
         try:
-            answer = self._ask(_SIOCGIFNAME, _by_index.pack(number))
+            answer = self._ask(_SIOCGIFNAME, _integer.pack(number))
         except OSError:
             return None
         return os.fsdecode(_name.unpack(answer)[0].rstrip(b"\0"))
@@ -137,10 +136,7 @@ def unfit(found: Interface | None, settings: BusSettings, renamed_to: str | None
 
 
 def left(
-    opened: Interface,
-    found: Interface | None,
-    channel: str,
-    name_of: Callable[[int], str | None],
+    opened: Interface, found: Interface | None, channel: str, name_of: Callable[[int], str | None]
 ) -> str | None:
     """Problem of an interface in use that cannot be used any more; None where it can.
 

@@ -36,11 +36,6 @@ _header = struct.Struct("=IHHII")
 _link = struct.Struct("=BxHiII")
 _attribute = struct.Struct("=HH")
 _number = struct.Struct("=I")
-_error = struct.Struct("=i")
-_mode = struct.Struct("=4xI")
-_error_counters = struct.Struct("=2H")
-_device_counters = struct.Struct("=6I")
-_statistics = struct.Struct("=12Q")
 
 _STATES: dict[int | None, LinkState] = {
     0: LinkState.UP,
@@ -193,7 +188,7 @@ def described(answer: bytes) -> InterfaceInfo:
     length, kind, _, _, _ = _header.unpack_from(answer)
     if kind != _RTM_NEWLINK:
         is_refusal = kind == _NLMSG_ERROR
-        number = -_error.unpack_from(answer, _header.size)[0] if is_refusal else errno.EBADMSG
+        number = -struct.unpack_from("=i", answer, _header.size)[0] if is_refusal else errno.EBADMSG
         raise OSError(number, os.strerror(number))
     _, hardware, _, flags, _ = _link.unpack_from(answer, _header.size)
     found = dict(_attributes(answer[_header.size + _link.size : length]))
@@ -231,9 +226,9 @@ def _controller(info: dict[int, bytes]) -> CanController | None:
     counters = info.get(_IFLA_INFO_XSTATS)
     return CanController(
         _first(data, _IFLA_CAN_RESTART_MS),
-        None if modes is None else ControllerMode(_mode.unpack_from(modes)[0]),
-        None if errors is None else ErrorCounters._make(_error_counters.unpack_from(errors)),
-        None if counters is None else DeviceCounters._make(_device_counters.unpack_from(counters)),
+        None if modes is None else ControllerMode(struct.unpack_from("=4xI", modes)[0]),
+        None if errors is None else ErrorCounters._make(struct.unpack_from("=2H", errors)),
+        None if counters is None else DeviceCounters._make(struct.unpack_from("=6I", counters)),
     )
 
 
@@ -241,7 +236,7 @@ def _traffic(found: dict[int, bytes]) -> InterfaceTraffic | None:
     """The used fields of struct rtnl_link_stats64."""
     if _IFLA_STATS64 not in found:
         return None
-    counts = _statistics.unpack_from(found[_IFLA_STATS64])
+    counts = struct.unpack_from("=12Q", found[_IFLA_STATS64])
     return InterfaceTraffic(counts[0], counts[1], counts[6], counts[7], counts[11])
 
 

@@ -73,26 +73,40 @@ class FrameListener:
             self._counters.receiver_bugs += 1
             self._counters.last_bug = repr(error)
 
-    def stop(self) -> None:
-        """Nothing to flush."""
 
+class Bus(Protocol):
+    """One open bus; OSError or can.CanError where its interface fails.
 
-class Reader(Protocol):
-    """Hands the frames of one open bus to its listener, from an opening to its close."""
+    What it has received is handed to its listener by the thread that calls `read_waiting`.
+    """
+
+    @property
+    def stamps_are_monotonic(self) -> bool:
+        """True where `Message.timestamp` is of the monotonic clock, not of the wall clock."""
+
+    @property
+    def receive_buffer_bytes(self) -> int | None:
+        """Receive buffer that the kernel granted; None where the bus has none."""
 
     @property
     def drains(self) -> int | None:
         """Times that all that waited was read; None where a thread of its own reads."""
 
+    def start(self, listener: FrameListener) -> None:
+        """Begin to receive."""
+
     def read_waiting(self, until_ns: int) -> int:
-        """Hand on what arrived until this time, on the calling thread; how many were read."""
+        """Hand on what arrived until this time; how many frames were read. It never raises."""
+
+    def send_now(self, can_id: int, data: bytes) -> None:
+        """Send one extended data frame without waiting."""
 
     def close(self) -> None:
-        """Read no more, then close the bus."""
+        """Read no more, then close."""
 
 
-class DrainingReader:
-    """Reads on the thread that calls `read_waiting`, through the Notifier's own callback.
+class DrainedBus:
+    """SocketCAN, read by the thread that calls `read_waiting`, through the Notifier's own callback.
 
     The Notifier registers its callback for one frame by an event loop's `add_reader` and takes it
     back by `remove_reader`; it asks no more of a loop. This object takes the loop's place.
@@ -102,12 +116,19 @@ class DrainingReader:
         drains: times that all that waited was read, frames or none.
     """
 
-    def __init__(self, bus: DrainingSocketcanBus, listener: FrameListener) -> None:
+    stamps_are_monotonic = True
+
+    def __init__(self, library_bus: DrainingSocketcanBus) -> None:
         self.drains = 0
-        self._bus, self._listener = bus, listener
+        self.receive_buffer_bytes = library_bus.receive_buffer_bytes
+        self.send_now = library_bus.send_now
+        self._library_bus = library_bus
         self._in_use = threading.Lock()
         self._receive_one: Callable[[], object] | None = None
-        self._notifier = can.Notifier(bus, [listener], loop=cast(Any, self))
+
+    def start(self, listener: FrameListener) -> None:
+        self._listener = listener
+        self._notifier = can.Notifier(self._library_bus, [listener], loop=cast(Any, self))
 
     def add_reader(self, descriptor: int, callback: Callable[..., object], *arguments: Any) -> None:
         del descriptor
@@ -118,7 +139,6 @@ class DrainingReader:
         self._receive_one = None
 
     def read_waiting(self, until_ns: int) -> int:
-        """Hand on what arrived until this time; how many frames were read. It never raises."""
         if not self._in_use.acquire(blocking=False):
             return 0
         try:
@@ -131,13 +151,13 @@ class DrainingReader:
         if receive_one is None:
             return 0
         frames = self._receive_batch(receive_one, until_ns)
-        while self._bus.has_more(until_ns):
+        while self._library_bus.has_more(until_ns):
             frames += self._receive_batch(receive_one, until_ns)
         self.drains += 1
         return frames
 
     def _receive_batch(self, receive_one: Callable[[], object], now_ns: int) -> int:
-        count = self._bus.read_batch(now_ns)
+        count = self._library_bus.read_batch(now_ns)
         _hand_on(receive_one, count, self._listener)
         return count
 
@@ -145,32 +165,39 @@ class DrainingReader:
         """Stop the Notifier, count what was never read, close the bus."""
         with self._in_use:
             self._notifier.stop()
-            self._bus.finish()
-            self._bus.shutdown()
+            self._library_bus.finish()
+            self._library_bus.shutdown()
 
 
-class ThreadReader:
-    """The Notifier on a thread of its own; its frames wait for `read_waiting`."""
+class PlainBus:
+    """A bus with the Notifier on a thread of its own; its frames wait for `read_waiting`."""
 
+    stamps_are_monotonic = False
+    receive_buffer_bytes = None
     drains = None
 
-    def __init__(self, bus: can.BusABC, listener: FrameListener) -> None:
-        self._bus, self._listener = bus, listener
+    def __init__(self, library_bus: can.BusABC) -> None:
+        self._library_bus = library_bus
+
+    def start(self, listener: FrameListener) -> None:
+        self._listener = listener
         self._inbox = _Inbox(listener)
-        self._notifier = can.Notifier(bus, [self._inbox], timeout=_NOTIFIER_TIMEOUT_S)
+        self._notifier = can.Notifier(self._library_bus, [self._inbox], timeout=_NOTIFIER_TIMEOUT_S)
 
     def read_waiting(self, until_ns: int) -> int:
-        """Hand on what has arrived; how many frames that were. It never raises."""
         del until_ns
         waiting = self._inbox.messages
         count = len(waiting)
         _hand_on(lambda: self._listener(waiting.popleft()), count, self._listener)
         return count
 
+    def send_now(self, can_id: int, data: bytes) -> None:
+        self._library_bus.send(can.Message(arbitration_id=can_id, data=data))
+
     def close(self) -> None:
         """Stop the Notifier, then close the bus; it takes as long as a wake-up of its thread."""
         self._notifier.stop()
-        self._bus.shutdown()
+        self._library_bus.shutdown()
 
 
 class _Inbox:
@@ -183,9 +210,6 @@ class _Inbox:
     def __call__(self, message: can.Message) -> None:
         self.messages.append(message)
 
-    def stop(self) -> None:
-        """Nothing to flush."""
-
 
 def _hand_on(receive_one: Callable[[], object], count: int, listener: FrameListener) -> None:
     for _ in range(count):
@@ -195,70 +219,14 @@ def _hand_on(receive_one: Callable[[], object], count: int, listener: FrameListe
             listener.on_error(error)
 
 
-class Bus(Protocol):
-    """One open bus; OSError or can.CanError where its interface fails."""
-
-    @property
-    def stamps_are_monotonic(self) -> bool:
-        """True where `Message.timestamp` is of the monotonic clock, not of the wall clock."""
-
-    @property
-    def receive_buffer_bytes(self) -> int | None:
-        """Receive buffer that the kernel granted; None where the bus has none."""
-
-    def start_reader(self, listener: FrameListener) -> Reader:
-        """Begin to receive; the reader closes the bus."""
-
-    def send_now(self, can_id: int, data: bytes) -> None:
-        """Send one extended data frame without waiting."""
-
-
-class DrainedBus:
-    """SocketCAN, read by the ticking thread."""
-
-    stamps_are_monotonic = True
-
-    def __init__(self, library_bus: DrainingSocketcanBus) -> None:
-        self._library_bus = library_bus
-        self.receive_buffer_bytes = library_bus.receive_buffer_bytes
-        self.send_now = library_bus.send_now
-
-    def start_reader(self, listener: FrameListener) -> Reader:
-        """Begin to receive, when the reader is told to read."""
-        return DrainingReader(self._library_bus, listener)
-
-
-class PlainBus:
-    """A bus that is read by a thread of its own."""
-
-    stamps_are_monotonic = False
-    receive_buffer_bytes = None
-
-    def __init__(self, library_bus: can.BusABC) -> None:
-        self._library_bus = library_bus
-
-    def start_reader(self, listener: FrameListener) -> Reader:
-        return ThreadReader(self._library_bus, listener)
-
-    def send_now(self, can_id: int, data: bytes) -> None:
-        self._library_bus.send(can.Message(arbitration_id=can_id, data=data))
-
-
 def open_bus(settings: BusSettings, filters: list[Any] | None, counters: BusCounters) -> Bus:
     """Open a bus; OSError, can.CanError or ImportError where that cannot be."""
-    if settings.interface == "socketcan":
-        return DrainedBus(
-            DrainingSocketcanBus(settings.channel, filters, settings.receive_buffer_bytes, counters)
-        )
-    if settings.interface == "udp_multicast":
+    interface, channel = settings.interface, settings.channel
+    if interface == "socketcan":
+        buffer_bytes = settings.receive_buffer_bytes
+        return DrainedBus(DrainingSocketcanBus(channel, filters, buffer_bytes, counters))
+    if interface == "udp_multicast":
         from vcu_gateway.bus.multicast import EchoingMulticastBus
 
-        return PlainBus(EchoingMulticastBus(settings.channel, filters, counters))
-    return PlainBus(
-        can.Bus(
-            interface=settings.interface,
-            channel=settings.channel,
-            can_filters=filters,
-            receive_own_messages=True,
-        )
-    )
+        return PlainBus(EchoingMulticastBus(channel, filters, counters))
+    return PlainBus(can.Bus(channel, interface, can_filters=filters, receive_own_messages=True))

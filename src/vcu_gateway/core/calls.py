@@ -33,12 +33,12 @@ class Receive(NamedTuple):
 
 
 class LoseLink(NamedTuple):
-    """`Gateway.link_lost`."""
+    """The interface is down or gone."""
 
     at_ns: int
 
     def apply(self, gateway: Gateway) -> None:
-        gateway.link_lost(self.at_ns)
+        gateway.receiver.monitor.lose(self.at_ns)
 
 
 class OpenLink(NamedTuple):
@@ -53,21 +53,21 @@ class OpenLink(NamedTuple):
 
 
 class ChangeCarrier(NamedTuple):
-    """`Gateway.carrier_changed`."""
+    """The carrier of the open interface came or went."""
 
     carrier: Carrier
 
     def apply(self, gateway: Gateway) -> None:
-        gateway.carrier_changed(self.carrier)
+        gateway.receiver.monitor.change_carrier(self.carrier)
 
 
 class CountRestarts(NamedTuple):
-    """`Gateway.restarted`."""
+    """How often the gateway was started in this drive without having ended in order."""
 
     unexpectedly: int
 
     def apply(self, gateway: Gateway) -> None:
-        gateway.restarted(self.unexpectedly)
+        gateway.requests.restarts = self.unexpectedly
 
 
 class BeginFrom(NamedTuple):
@@ -81,12 +81,12 @@ class BeginFrom(NamedTuple):
 
 
 class NoteRestartState(NamedTuple):
-    """`Gateway.restart_state_tried`."""
+    """Whether the restart state was kept when that was last tried: why not, or None."""
 
     failure: str | None
 
     def apply(self, gateway: Gateway) -> None:
-        gateway.restart_state_tried(self.failure)
+        gateway.requests.restart_state_failure = self.failure
 
 
 class Offer(NamedTuple):

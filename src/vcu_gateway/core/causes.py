@@ -139,7 +139,6 @@ class Causes:
         return frozenset(held.finding.effect for held in self._held.values())
 
     def having(self, effects: frozenset[Effect]) -> tuple[HeldCause, ...]:
-        """Causes that count with one of these effects."""
         if not self._held:
             return ()
         return tuple(held for held in self._held.values() if held.finding.effect in effects)
@@ -192,10 +191,7 @@ CONTROLLER_EFFECTS: Mapping[str, tuple[tuple[Effect, ...], ...]] = {
 }
 """Effects of each code of a controller's Status1."""
 
-_EFFECTS = {
-    BATTERY_STATUS: BATTERY_EFFECTS,
-    **dict.fromkeys(CONTROLLER_STATUS, CONTROLLER_EFFECTS),
-}
+_EFFECTS = {BATTERY_STATUS: BATTERY_EFFECTS, **dict.fromkeys(CONTROLLER_STATUS, CONTROLLER_EFFECTS)}
 _CODED = {message: tuple(effects) for message, effects in _EFFECTS.items()}
 
 
@@ -221,11 +217,7 @@ def _found(snapshot: Snapshot, message: str) -> Iterator[Finding]:
     for codes in snapshot.codes(message, _CODED[message]):
         for (signal, effects), raw in zip(_EFFECTS[message].items(), codes, strict=True):
             name = snapshot.code_name(message, signal, raw)
+            subject, detail = f"{message}.{signal}", f"{raw} ({name or 'reserved'})"
+            stays = (signal, raw) in UNTIL_RESTART
             for effect in effects[raw]:
-                yield Finding(
-                    "code",
-                    f"{message}.{signal}",
-                    effect,
-                    f"{raw} ({name or 'reserved'})",
-                    until_restart=(signal, raw) in UNTIL_RESTART,
-                )
+                yield Finding("code", subject, effect, detail, until_restart=stays)

@@ -114,7 +114,6 @@ class Codec:
 
 
 def compile_message(message: MessageSpec) -> MessageCodec:
-    """Write out and compile the decoder and the encoder of one message."""
     layout = codegen.plan(message)
     names = {
         "Decoded": Decoded,
@@ -124,11 +123,9 @@ def compile_message(message: MessageSpec) -> MessageCodec:
         "pack_all": _ALL_BITS.pack,
         "complete": partial(_complete, message.signal_names),
     }
-    return MessageCodec(
-        message,
-        decode=_build("decode", codegen.decoder(message, layout), names),
-        encode=_build("encode", codegen.encoder(message, layout), names),
-    )
+    decode = _build("decode", codegen.decoder(message, layout), names)
+    encode = _build("encode", codegen.encoder(message, layout), names)
+    return MessageCodec(message, decode, encode)
 
 
 def _build(name: str, text: str, names: Mapping[str, object]) -> Any:

@@ -23,7 +23,6 @@ from vcu_gateway.units import NS_PER_S
 
 _SPEED_LIMIT_MIN_RPM = 500.0
 _FULL_PCT = 100.0
-_HIGHEST_RPM = math.inf
 _RISING = (PowerMode.SAFETY, PowerMode.ECO, PowerMode.NORMAL, PowerMode.TURBO)
 
 
@@ -101,11 +100,7 @@ class Commander:
         return False
 
     def safe(
-        self,
-        demanded: ControllerDemands | None,
-        settings: Settings,
-        power_cut: bool,
-        now_ns: int,
+        self, demanded: ControllerDemands | None, settings: Settings, power_cut: bool, now_ns: int
     ) -> Mapping[str, Command]:
         """Command ZERO_TORQUE or POWER_CUT to both; the pedals are watched all the same."""
         self._step(settings, demanded, now_ns)
@@ -120,7 +115,7 @@ class Commander:
             name: Command(
                 motor_reverse=last.motor_reverse,
                 power_cut=power_cut,
-                speed_limit_rpm=self._speed_limit_rpm(name, _HIGHEST_RPM, settings),
+                speed_limit_rpm=self._speed_limit_rpm(name, math.inf, settings),
             )
             for name, last in self.last.items()
         }

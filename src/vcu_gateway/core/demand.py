@@ -4,14 +4,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
-from vcu_gateway.demand_ranges import (
-    POWER_LIMIT_HIGHEST_W,
-    RANGES,
-    SPEED_LIMIT_HIGHEST_RPM,
-    span,
-)
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, RANGES, SPEED_LIMIT_HIGHEST_RPM, span
 from vcu_gateway.units import NS_PER_MS
 
 CONTROLLERS = ("PCU1", "PCU2")
@@ -106,20 +101,17 @@ def refused(refusal: Refusal, sentence: str) -> RequestResult:
     return RequestResult(False, refusal, sentence)
 
 
-@dataclass(frozen=True, slots=True)
-class DemandTerms:
-    """Configuration of the arbiter: conditions of a demand, and priorities of sources.
+class DemandTerms(Protocol):
+    """Conditions of a demand, and priorities of sources; the settings have them."""
 
-    Attributes:
-        ttl_max_ms: longest time to live; priorities: by source, 0 where it is not listed.
-        independent_directions: the controllers may have different directions.
-        second_track_required: the pedal's second track must be there.
-    """
-
-    ttl_max_ms: int
-    priorities: Mapping[str, int]
-    independent_directions: bool
-    second_track_required: bool
+    @property
+    def ttl_max_ms(self) -> int: ...
+    @property
+    def priorities(self) -> Mapping[str, int]: ...
+    @property
+    def independent_directions(self) -> bool: ...
+    @property
+    def second_track_required(self) -> bool: ...
 
 
 def fault_of(demand: Demand, terms: DemandTerms) -> RequestResult:
@@ -141,7 +133,6 @@ def fault_of(demand: Demand, terms: DemandTerms) -> RequestResult:
 
 
 def directions_differ(demanded: ControllerDemands) -> bool:
-    """True where the controllers are to have different directions."""
     return len({one.motor_reverse for one in demanded.values()}) > 1
 
 

@@ -49,12 +49,7 @@ from vcu_gateway.core.mode_manager import (
     Shutdown,
     echoed_directions,
 )
-from vcu_gateway.core.operator_requests import (
-    LISTENING,
-    OperatorRequests,
-    demand_terms,
-    reload_refusal,
-)
+from vcu_gateway.core.operator_requests import LISTENING, OperatorRequests, reload_refusal
 from vcu_gateway.core.plausibility import RegenerationInterlock
 from vcu_gateway.core.receive import OWN_NODE, FrameCounters, Receiver
 from vcu_gateway.core.rules import InputCollector
@@ -130,10 +125,6 @@ class Gateway:
         """Take in one frame; one that is not decoded is counted and changes no message."""
         self.receiver.receive(frame)
 
-    def link_lost(self, now_ns: int) -> None:
-        """The interface is down or gone."""
-        self.receiver.monitor.lose(now_ns)
-
     def link_opened(self, link: LinkStatus, carrier: Carrier | None, now_ns: int) -> None:
         """The interface was opened in this state; `carrier` is None where it is not known."""
         self.receiver.monitor.open(link, carrier)
@@ -141,14 +132,6 @@ class Gateway:
         self._qualification.begin(self.snapshot(now_ns), self.settings.required_messages)
         if self.supervisor.mode is Mode.STANDBY:
             self._modes.apply(Stimulus.REQUIRED_LOST, now_ns, "the link was opened anew")
-
-    def carrier_changed(self, carrier: Carrier) -> None:
-        """The carrier of the open interface came or went."""
-        self.receiver.monitor.change_carrier(carrier)
-
-    def restarted(self, unexpectedly: int) -> None:
-        """How often the gateway was started in this drive without having ended in order."""
-        self.requests.restarts = unexpectedly
 
     def begin_from(self, cut_reason: str | None, reverse: Mapping[str, bool]) -> None:
         """State that the process before this one left; before the first tick.
@@ -159,10 +142,6 @@ class Gateway:
         self._commander.take_over(reverse)
         if cut_reason is not None:
             self._modes.apply(Stimulus.CUT, self._snapshot.now_ns, cut_reason)
-
-    def restart_state_tried(self, failure: str | None) -> None:
-        """Whether the restart state was kept when that was last tried: why not, or None."""
-        self.requests.restart_state_failure = failure
 
     def sent(self, frame: OutFrame, ok: bool, now_ns: int) -> None:
         """Whether the bus took a frame of the last tick."""
@@ -179,7 +158,7 @@ class Gateway:
         if reason := reload_refusal(self.settings, settings, self.supervisor.mode):
             return self.requests.refuse("reload", reason)
         self.settings = settings
-        self.requests.terms = demand_terms(settings)
+        self.requests.terms = settings
         self.transmitter.gate.limits = settings
         return GRANTED
 
@@ -296,17 +275,12 @@ class Gateway:
     def _decide(self, settings: Settings, now_ns: int) -> Mapping[str, Command]:
         mode = self.supervisor.mode
         effects, demanded = self.causes.effects(), self.requests.demanded(now_ns)
-        regenerates = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
+        fast = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
         slow = plausibility.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
         if mode is Mode.ACTIVE and demanded is not None:
+            released = self.transmitter.history.released
             return self._commander.active(
-                demanded,
-                effects,
-                slow,
-                settings,
-                now_ns,
-                regenerates=regenerates,
-                released=self.transmitter.history.released,
+                demanded, effects, slow, settings, now_ns, regenerates=fast, released=released
             )
         if mode is Mode.STANDBY:
             return self._commander.settle(demanded, effects, slow, settings, now_ns)
@@ -336,26 +310,19 @@ class Gateway:
             refusal = requests.against_arming(now_ns)
         elif mode is Mode.FAULT:
             refusal = requests.against_resetting(FaultClass.SERVICE, now_ns)
-        demand = requests.arbiter.current
-        return Reasons(
-            mode,
-            self.supervisor.latch,
-            self.causes.held,
-            tuple(self._waits(now_ns)),
-            None if demand is None else demand.source,
-            None if demand is None else demand.ttl_ms,
-            requests.arbiter.fresh(now_ns),
-            refusal,
-        )
+        demand, fresh = requests.arbiter.current, requests.arbiter.fresh(now_ns)
+        source = None if demand is None else demand.source
+        ttl_ms = None if demand is None else demand.ttl_ms
+        waits, held = tuple(self._waits(now_ns)), self.causes.held
+        return Reasons(mode, self.latch, held, waits, source, ttl_ms, fresh, refusal)
 
     def _power_mode_waits(self, demanded: ControllerDemands | None) -> Iterable[str]:
         """What a PowerMode in ACTIVE waits for; without throttle it rises in the next tick."""
-        if demanded is None or self.supervisor.mode is not Mode.ACTIVE:
+        released = self.transmitter.history.released
+        if demanded is None or self.supervisor.mode is not Mode.ACTIVE or released:
             return ()
-        waiting = self._commander.waiting_modes(demanded, self.causes.effects())
-        if not waiting or self.transmitter.history.released:
-            return ()
-        return why.power_mode_waits(waiting)
+        effects = self.causes.effects()
+        return why.power_mode_waits(self._commander.waiting_modes(demanded, effects))
 
     def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:

@@ -69,7 +69,6 @@ class Identifier(NamedTuple):
 
     @property
     def can_id(self) -> int:
-        """The identifier on the wire."""
         return (
             self.priority << 26
             | self.extended_data_page << 25

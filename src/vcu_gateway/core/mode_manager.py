@@ -1,9 +1,7 @@
 """Mode of the gateway: how it begins, is held from tick to tick, and ends.
 
-Mode manager: the supervisor's mode, the causes that move it, and the events of both.
-
-Findings come with a tick, requests between two ticks; both change the mode here alone, and every
-change is an event of the next tick's result.
+Findings come with a tick, requests between two ticks; both change the mode in the mode manager
+alone, and every change is an event of the next tick's result.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -11,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from vcu_gateway.core import rules
 from vcu_gateway.core.causes import BLOCKING, Causes, Effect, Event, Finding
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import Snapshot
+from vcu_gateway.core.state import Quality, Snapshot
 from vcu_gateway.core.supervisor import Mode, Stimulus, Supervisor
 from vcu_gateway.core.why import WAITING_FOR
 from vcu_gateway.units import NS_PER_MS
@@ -74,9 +72,7 @@ def _good_frames(snapshot: Snapshot, message: str) -> int:
 def echoed_directions(snapshot: Snapshot, controllers: Iterable[str]) -> Mapping[str, bool]:
     """Reverse or not, of each of these controllers that echoes its last command."""
     readings = {name: snapshot.reading(f"{name}_Status1", "MotorReverse") for name in controllers}
-    return {
-        name: bool(one.good_value) for name, one in readings.items() if one.good_value is not None
-    }
+    return {name: bool(one.value) for name, one in readings.items() if one.quality is Quality.GOOD}
 
 
 _TICKS = 3
@@ -146,7 +142,6 @@ class ModeManager:
         self._events += self.causes.update(findings, hold_ns, now_ns)
 
     def apply_causes(self, now_ns: int) -> None:
-        """Apply the stimulus of every cause that stops or cuts."""
         for held in self.causes.having(BLOCKING):
             self.apply(_stimulus_of(held.finding), now_ns, str(held.finding))
 

@@ -15,7 +15,6 @@ from vcu_gateway.core.demand import (
     ControllerDemands,
     Demand,
     DemandArbiter,
-    DemandTerms,
     Refusal,
     RequestResult,
     directions_differ,
@@ -63,7 +62,7 @@ class OperatorRequests:
 
     Attributes:
         arbiter: takes demands and knows the one that counts.
-        terms: what a demand has to be.
+        terms: the settings in effect; they say what a demand has to be.
         emergency_stop_requested: since the last tick.
         terminating: the gateway is to send safe frames and end.
         restarts: unexpected restarts of this gateway in this drive.
@@ -78,7 +77,7 @@ class OperatorRequests:
         listening: ListenBeforeTalk,
     ) -> None:
         self.arbiter = DemandArbiter(settings.bench_demand)
-        self.terms = demand_terms(settings)
+        self.terms = settings
         self.emergency_stop_requested = False
         self.terminating = False
         self.restarts = 0
@@ -193,19 +192,11 @@ class OperatorRequests:
         }
 
 
-def demand_terms(settings: Settings) -> DemandTerms:
-    return DemandTerms(
-        ttl_max_ms=settings.ttl_max_ms,
-        priorities=settings.priorities,
-        independent_directions=settings.independent_directions,
-        second_track_required=settings.second_track_required,
-    )
-
-
 def arming_refusal(inputs: RequestInputs) -> str:
     """First reason against entering ACTIVE; empty where there is none."""
     if inputs.restarts > _RESTARTS_MAX:
-        return _restarted_too_often(inputs.restarts)
+        remedy = "find out why, then restart the service"
+        return f"the gateway was restarted {inputs.restarts} times in this drive; {remedy}"
     if inputs.listening:
         return LISTENING
     if inputs.supervisor.mode is not Mode.STANDBY:
@@ -213,13 +204,6 @@ def arming_refusal(inputs: RequestInputs) -> str:
     if inputs.restart_state_failure is not None:
         return f"the restart state cannot be kept: {inputs.restart_state_failure}"
     return _blocking_cause(inputs.causes) or _against_demand(inputs)
-
-
-def _restarted_too_often(times: int) -> str:
-    return (
-        f"the gateway was restarted {times} times in this drive; find out why, then restart"
-        " the service"
-    )
 
 
 def _against_demand(inputs: RequestInputs) -> str:

@@ -317,15 +317,13 @@ class MotorSpeeds(NamedTuple):
     highest_rpm: SpeedsRpm
 
 
-_MESSAGES = {name: f"{name}_Status2" for name in CONTROLLERS}
-
 UNKNOWN = MotorSpeeds(*[(None,) * len(CONTROLLERS)] * 2)
 
 
 def of(snapshot: Snapshot, observed: Observed) -> MotorSpeeds:
     lowest: list[float | None] = []
     highest: list[float | None] = []
-    for name, message in _MESSAGES.items():
+    for name, message in _STATUS2.items():
         doubted = name in observed.speed_steps_rpm
         values = () if doubted else snapshot.good_values(message, "MotorSpeed")
         lowest.append(min(values) if values else None)

@@ -41,13 +41,10 @@ class Receiver:
 
     Attributes:
         store: the latest message of each kind.
-        rejected: frames not decoded, by reason.
-        confirmed: own command frames that came back because they had left, by controller.
-        echoes: the last of them, by controller.
-        foreign_commands: command frames from another sender, by controller; one to all counts for
-            each.
+        rejected, confirmed, foreign_commands: as `FrameCounters`; a command to all counts for each.
+        echoes: the last of the confirmed, by controller.
         command_groups: controllers by the `j1939.group_key` of what commands them.
-        foreign_id: identifier of the last one of them.
+        foreign_id: identifier of the last foreign command.
         monitor: state of the link, from error frames and from what the shell knows.
     """
 
@@ -100,7 +97,6 @@ class Receiver:
             self.foreign_count += 1
 
     def counters(self, blocked_by_gate: Mapping[str, int]) -> FrameCounters:
-        """Counts so far, copied, beside those of the gate."""
         return FrameCounters(
             rejected=dict(self.rejected),
             out_of_order=self.store.out_of_order,

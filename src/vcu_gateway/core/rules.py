@@ -2,8 +2,6 @@
 
 A rule sees its inputs and returns its findings; it does not log, remember or command. The
 tuple at the bottom is the whole list. What codes mean is in `causes`.
-
-Inputs of the rules: the snapshot of a tick, and facts that no message carries.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +25,7 @@ from vcu_gateway.units import NS_PER_MS
 
 
 class RuleInputs(NamedTuple):
-    """Inputs of every rule at one tick.
+    """Inputs of every rule at one tick: its snapshot, and facts that no message carries.
 
     Attributes:
         late_after_ns: by message name.
@@ -303,9 +301,7 @@ def late(late_ns: int, period_ns: int) -> Sequence[Finding]:
 
 def emergency_stop(inputs: RuleInputs) -> Sequence[Finding]:
     """Emergency stop requested."""
-    if not inputs.emergency_stop:
-        return ()
-    return [EMERGENCY_STOP]
+    return [EMERGENCY_STOP] if inputs.emergency_stop else ()
 
 
 def gate_blocked(inputs: RuleInputs) -> Sequence[Finding]:

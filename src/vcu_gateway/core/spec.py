@@ -130,9 +130,7 @@ class ProtocolSpec:
         raise KeyError(f"the protocol has no message {name}")
 
     def sent_by(self, node: str) -> tuple[MessageSpec, ...]:
-        """The messages that this node sends."""
         return tuple(message for message in self.messages if message.sender == node)
 
     def received_by(self, node: str) -> tuple[MessageSpec, ...]:
-        """The messages that this node receives."""
         return tuple(message for message in self.messages if node in message.receivers)

@@ -1,7 +1,5 @@
 """State store: the messages received, how old they may be, and the snapshot that a tick judges.
 
-State store: the latest frame of each message, and every frame since the last tick.
-
 The ticking thread replaces whole immutable records; any thread reads the latest ones without a
 lock. Each record also goes into a list of arrivals, which the next tick takes.
 """
@@ -32,9 +30,7 @@ class Deadlines:
 
 
 def deadlines(
-    message: MessageSpec,
-    late_after_ms: Mapping[str, int],
-    stale_after_ms: Mapping[str, int],
+    message: MessageSpec, late_after_ms: Mapping[str, int], stale_after_ms: Mapping[str, int]
 ) -> Deadlines:
     """The deadlines of a message; an override by name wins over what the period gives.
 
@@ -100,11 +96,6 @@ class Reading(NamedTuple):
     age_ns: int | None
     code_name: str | None = None
 
-    @property
-    def good_value(self) -> float | None:
-        """The value where it can be relied upon, else None."""
-        return self.value if self.quality is Quality.GOOD else None
-
 
 # Takes some signals' codes out of all codes of a message, by message and signals: an itemgetter
 # made once takes a fifth of the time of looking for each signal in every tick.
@@ -114,10 +105,7 @@ Pickers = dict[tuple[str, tuple[str, ...]], Callable[[tuple[int, ...]], tuple[in
 class Snapshot:
     """State of every message at one instant."""
 
-    __slots__ = (
-        *("_arrived", "_fresh", "_indexes", "_latest", "_pickers", "_specs"),
-        "now_ns",
-    )
+    __slots__ = (*("_arrived", "_fresh", "_indexes", "_latest", "_pickers", "_specs"), "now_ns")
 
     def __init__(
         self,
@@ -179,8 +167,7 @@ class Snapshot:
 
     def reading(self, message: str, signal: str) -> Reading:
         """One signal; KeyError where the protocol has none of that name."""
-        index = self.index(message, signal)
-        return self._reading(message, index, self._specs[message].signals[index])
+        return self._reading(message, self.index(message, signal))
 
     def good_values(self, message: str, signal: str) -> Sequence[float]:
         """A signal's values that are to be judged; none where one of them cannot be relied upon."""
@@ -228,8 +215,7 @@ class Snapshot:
         return index
 
     def readings(self, message: str) -> tuple[Reading, ...]:
-        signals = self._specs[message].signals
-        return tuple(self._reading(message, i, signal) for i, signal in enumerate(signals))
+        return tuple(self._reading(message, i) for i in range(len(self._specs[message].signals)))
 
     def marked(self, message: str) -> tuple[tuple[str, int], ...]:
         """Name and code of each signal out of range or saturated in a frame to be judged."""
@@ -241,21 +227,14 @@ class Snapshot:
                 marked.update((name, raws[i]) for i, name in names if marks >> i & 1)
         return tuple(marked.items())
 
-    def _reading(self, message: str, index: int, signal: SignalSpec) -> Reading:
-        latest = self._latest.get(message)
+    def _reading(self, message: str, index: int) -> Reading:
+        latest, signal = self._latest.get(message), self._specs[message].signals[index]
         if latest is None:
             return Reading(signal.name, None, None, signal.unit, Quality.NEVER, None)
-        raw = latest.decoded.raws[index]
+        value, raw = latest.decoded.values[index], latest.decoded.raws[index]
         quality = Quality.STALE if self.stale(message) else mark(latest.decoded, index, signal)
-        return Reading(
-            signal.name,
-            latest.decoded.values[index],
-            raw,
-            signal.unit,
-            quality,
-            self.age_ns(message),
-            signal.names.get(raw),
-        )
+        age_ns, code_name = self.age_ns(message), signal.names.get(raw)
+        return Reading(signal.name, value, raw, signal.unit, quality, age_ns, code_name)
 
 
 def mark(decoded: Decoded, index: int, signal: SignalSpec) -> Quality:
@@ -352,13 +331,6 @@ class Store:
         return self._snapshot(now_ns, arrived)
 
     def _snapshot(self, now_ns: int, arrived: Mapping[str, Sequence[LatestFrame]]) -> Snapshot:
-        latest = self._latest.copy()
-        return Snapshot(
-            now_ns,
-            self._specs,
-            self._indexes,
-            self._pickers,
-            latest,
-            arrived,
-            self._stale_after_ns,
-        )
+        specs, indexes, latest = self._specs, self._indexes, self._latest.copy()
+        stale_after_ns = self._stale_after_ns
+        return Snapshot(now_ns, specs, indexes, self._pickers, latest, arrived, stale_after_ns)

@@ -77,18 +77,18 @@ class Stop(NamedTuple):
             reports = [f"{name} {one.report}" for name, one in known if one.obeyed is False]
             return f"NOT OBEYED: {', and '.join(reports)}; use the contactor"
         if self.stage is StopStage.LATCHED:
-            unsent = _listed(name for name, one in known if one.sent_ns is None)
+            unsent = " and ".join(name for name, one in known if one.sent_ns is None)
             return f"Stop latched; not sent to {unsent}"
         if self.stage is StopStage.SENT:
-            unseen = _listed(name for name, one in known if one.echoed_ns is None)
+            unseen = " and ".join(name for name, one in known if one.echoed_ns is None)
             return f"Stop sent; not seen on the bus for {unseen}"
         if self.overdue:
             verb = "does" if len(self.overdue) == 1 else "do"
-            return f"Stop sent; {_listed(self.overdue)} {verb} not confirm"
+            return f"Stop sent; {' and '.join(self.overdue)} {verb} not confirm"
         if self.stage is StopStage.ON_BUS:
-            unknown = _listed(name for name, one in known if one.obeyed is None)
+            unknown = " and ".join(name for name, one in known if one.obeyed is None)
             return f"Stop on the bus; waiting for {unknown} to confirm"
-        return f"Power is cut: {_listed(self.controllers)} confirm"
+        return f"Power is cut: {' and '.join(self.controllers)} confirm"
 
     def missing(self, controller: str) -> str:
         """What is not known to be so of this controller; empty where nothing is missing."""
@@ -102,10 +102,6 @@ class Stop(NamedTuple):
         if one.obeyed is None:
             return "does not confirm" if controller in self.overdue else "has not confirmed yet"
         return ""
-
-
-def _listed(names: Iterable[str]) -> str:
-    return " and ".join(names)
 
 
 class _Run:
@@ -194,8 +190,7 @@ class StopWatch:
         status = snapshot.latest(message)
         if first_ns is None or status is None or not _counts(status, first_ns, now_ns):
             return known
-        index = snapshot.index(message, "PowerCut")
-        raw = status.decoded.raws[index]
+        raw = status.decoded.raws[snapshot.index(message, "PowerCut")]
         throttle_pct = status.decoded.values[snapshot.index(message, "Throttle")]
         return known._replace(
             obeyed=raw == _CUT_RAW and throttle_pct < _RELEASED_PCT,

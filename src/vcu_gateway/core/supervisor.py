@@ -100,7 +100,8 @@ class Supervisor:
         if after is not before:
             self.mode, self.since_ns = after, now_ns
             fields = {"before": before.value, "after": after.value, "reason": reason}
-            events.append(Event("mode_changed", _severity(after), fields))
+            severity = Severity.ERROR if after is Mode.FAULT else Severity.INFO
+            events.append(Event("mode_changed", severity, fields))
         return events
 
     def _latch(self, stimulus: Stimulus, now_ns: int, reason: str) -> list[Event]:
@@ -120,7 +121,3 @@ class Supervisor:
     def power_is_cut(self) -> bool:
         """True while a fault of service class is latched: POWER_CUT instead of ZERO_TORQUE."""
         return self.latch is not None and self.latch.fault_class is FaultClass.SERVICE
-
-
-def _severity(mode: Mode) -> Severity:
-    return Severity.ERROR if mode is Mode.FAULT else Severity.INFO

@@ -81,12 +81,7 @@ class Transmitter:
         fault: str | None = None
         for slot, frame in enumerate(frames):
             broken = self.gate.check(
-                slot,
-                frame.can_id,
-                frame.data,
-                armed=armed,
-                speeds_rpm=speeds_rpm,
-                now_ns=now_ns,
+                slot, frame.can_id, frame.data, armed=armed, speeds_rpm=speeds_rpm, now_ns=now_ns
             )
             fault = fault or broken
         return fault

@@ -72,9 +72,7 @@ def _vehicle(
     nodes = simulator.build(
         codec,
         start_ns,
-        soc_pct=scenario.start.soc_pct,
-        battery_speedup=scenario.start.battery_speedup,
-        battery_resistance_ohm=scenario.start.battery_resistance_ohm,
+        **scenario.start.model_dump(),
         faults=scenario.faults(codec, start_ns, lambda sentence: _say(NOTE + sentence)),
     )
     bus = open_bus(wanted.interface, wanted.channel, nodes.command_ids)

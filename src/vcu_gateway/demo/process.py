@@ -24,8 +24,7 @@ from vcu_gateway.recording.recorder_status import STATUS_PATH
 from vcu_gateway.simulator import scenario
 from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 
-_START_S = 10.0
-_END_S = 10.0
+_PATIENCE_S = 10.0
 _LOOK_EVERY_S = 0.02
 
 
@@ -55,7 +54,7 @@ class DemoRecorder:
         self._before = set(self._drives())
 
     def _wait_for_the_socket(self) -> None:
-        until_s = time.monotonic() + _START_S
+        until_s = time.monotonic() + _PATIENCE_S
         while not self.socket_path.exists():
             if self._process.poll() is not None or time.monotonic() > until_s:
                 self._end()
@@ -82,7 +81,7 @@ class DemoRecorder:
     def _end(self) -> None:
         self._process.send_signal(signal.SIGTERM)
         try:
-            self._process.wait(_END_S)
+            self._process.wait(_PATIENCE_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -105,7 +104,6 @@ NOTE = "scenario, "
 """Beginning of a line that says which step of the scenario begins or ends."""
 
 _PROGRAM = "vcu_gateway.demo.main"
-_PATIENCE_S = 10.0
 
 
 def default_socket() -> Path:

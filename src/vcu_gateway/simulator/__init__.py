@@ -1,15 +1,15 @@
 """The simulated vehicle: everything on the bus but the gateway.
 
 `motor` and `vehicle` are the physics, `nodes` has what each message carries of them and when it is
-sent, `faults` what can break; all of these are pure. `scenario` reads
-from a file what breaks when, and `play` puts everything on a bus.
+sent, `faults` how it breaks; all of these are pure. `scenario` has each fault, and reads from a
+file what breaks when; `play` puts everything on a bus.
 """
 
 import random
 from collections.abc import Sequence
 
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.simulator.nodes import Nodes, Transform, VehicleFault
+from vcu_gateway.simulator.nodes import Nodes, VehicleFault
 from vcu_gateway.simulator.vehicle import RESISTANCE_OHM, Vehicle
 
 
@@ -21,15 +21,9 @@ def build(
     battery_speedup: float = 1.0,
     battery_resistance_ohm: float = RESISTANCE_OHM,
     seed: int = 0,
-    transforms: Sequence[Transform] = (),
     faults: Sequence[VehicleFault] = (),
 ) -> Nodes:
     """All nodes of a vehicle that stands still at start_ns; the seed decides the noise."""
-    vehicle = Vehicle(
-        start_ns,
-        soc_pct=soc_pct,
-        battery_speedup=battery_speedup,
-        battery_resistance_ohm=battery_resistance_ohm,
-    )
+    vehicle = Vehicle(start_ns, soc_pct, battery_speedup, battery_resistance_ohm)
     noise = random.Random(seed)  # noqa: S311 - noise, not a secret
-    return Nodes(codec, vehicle, noise, transforms, faults)
+    return Nodes(codec, vehicle, noise, faults)

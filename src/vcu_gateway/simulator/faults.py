@@ -1,19 +1,18 @@
-"""Faults of the simulated vehicle: each one is one small function.
+"""Faults of the simulated vehicle by their parts, and the time that each lasts.
 
 A transform changes a frame on its way to the bus, a change the vehicle itself, and a
 foreign node sends frames of its own. `FaultInterval` says from when until when.
 """
 
 import random
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple
 
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.simulator.nodes import NodeFrame, Transform
 from vcu_gateway.simulator.vehicle import Vehicle
-from vcu_gateway.units import NS_PER_MS, NS_PER_S
+from vcu_gateway.units import NS_PER_S
 
 NEVER_NS = 2**62
 """Later than anything happens."""
@@ -28,34 +27,9 @@ Report = Callable[[str], None]
 """Takes one sentence for the person at the terminal."""
 
 
-# What may happen to a frame.
-
-
-def whole(frame: NodeFrame) -> Iterable[NodeFrame]:
-    return (frame,)
-
-
-def lost(_: NodeFrame) -> Iterable[NodeFrame]:
-    return ()
-
-
-def doubled(frame: NodeFrame) -> Iterable[NodeFrame]:
-    return (frame, frame)
-
-
-def delayed(delay_ms: int) -> Transform:
-    """The frame, sent later by this delay."""
-    return lambda frame: (frame._replace(due_ns=frame.due_ns + delay_ms * NS_PER_MS),)
-
-
-def shortened(length_bytes: int) -> Transform:
-    """The frame, cut to this number of bytes."""
-    return lambda frame: (frame._replace(data=frame.data[:length_bytes]),)
-
-
 def corrupted(flip_bits: int, seed: int) -> Transform:
     """The frame with this number of inverted bits, others in each frame."""
-    chance = _random(seed)
+    chance = random.Random(seed)  # noqa: S311 - chance that can be repeated, no secret
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         bits = len(frame.data) * _BYTE_BITS
@@ -65,34 +39,18 @@ def corrupted(flip_bits: int, seed: int) -> Transform:
     return transform
 
 
-def overridden(signal: SignalSpec, raw: int) -> Transform:
-    """The frame with one signal at this code."""
-    return _recoded(signal, lambda _: raw)
-
-
-def frozen(signal: SignalSpec) -> Transform:
-    """The frame with one signal frozen at the code of the first frame."""
-    kept: dict[str, int] = {}
-    return _recoded(signal, lambda raw: kept.setdefault(signal.name, raw))
-
-
-def shifted(signal: SignalSpec, by: int) -> Transform:
-    """The frame with one signal raised by this number of codes, at most to its last code."""
-    return _recoded(signal, lambda raw: max(signal.raw_lowest, min(signal.raw_highest, raw + by)))
-
-
-def negated(signal: SignalSpec) -> Transform:
-    """The frame with one signal negated, in two's complement."""
-    return _recoded(signal, lambda raw: -raw)
-
-
-def _recoded(signal: SignalSpec, code_of: Callable[[int], int]) -> Transform:
+def recoded(signal: SignalSpec, code_of: Callable[[int], int]) -> Transform:
     """The frame with one signal at another code, by the code that it has."""
-    mask = _placed(signal, -1)
+    positions = tuple(enumerate(signal.bit_positions()))
+    mask = sum(1 << bit for _, bit in positions)
 
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         number = _number(frame.data)
-        bits = _placed(signal, code_of(_raw(signal, number)))
+        raw = sum((number >> bit & 1) << i for i, bit in positions)
+        if raw > signal.raw_highest:
+            raw -= 1 << signal.length_bits
+        code = code_of(raw)
+        bits = sum((code >> i & 1) << bit for i, bit in positions)
         return (_with_number(frame, number & ~mask | bits),)
 
     return transform
@@ -109,20 +67,6 @@ def _with_number(frame: NodeFrame, number: int) -> NodeFrame:
     return frame._replace(data=data)
 
 
-def _placed(signal: SignalSpec, raw: int) -> int:
-    """The bits of a code where the signal has them in the frame; -1 is all of them."""
-    return sum((raw >> i & 1) << bit for i, bit in enumerate(signal.bit_positions()))
-
-
-def _raw(signal: SignalSpec, number: int) -> int:
-    """The code of a signal in a frame of these bits."""
-    raw = sum((number >> bit & 1) << i for i, bit in enumerate(signal.bit_positions()))
-    return raw - (1 << signal.length_bits) if raw > signal.raw_highest else raw
-
-
-# To which frames.
-
-
 def only(messages: Collection[str], transform: Transform) -> Transform:
     """Transform of these messages alone."""
     return lambda frame: transform(frame) if frame.message in messages else (frame,)
@@ -132,50 +76,8 @@ def sometimes(share_pct: float, seed: int, transform: Transform) -> Transform:
     """Transform of a share of the frames, always the same ones for the same seed."""
     if share_pct >= _ALL_PCT:
         return transform
-    chance = _random(seed)
+    chance = random.Random(seed)  # noqa: S311 - chance that can be repeated, no secret
     return lambda frame: transform(frame) if chance.random() * _ALL_PCT < share_pct else (frame,)
-
-
-def _random(seed: int) -> random.Random:
-    return random.Random(seed)  # noqa: S311 - chance that can be repeated, no secret
-
-
-# What may happen to the controllers.
-
-
-def untouched(_vehicle: Vehicle, _broken: bool) -> None:
-    """The vehicle unchanged."""
-
-
-def ignoring(controllers: Sequence[str], throttle_pct: float | None) -> Change:
-    """Controllers that keep their present command, or another throttle of it."""
-
-    def change(vehicle: Vehicle, broken: bool) -> None:
-        for name in controllers:
-            motor = vehicle.motors[name]
-            motor.ignores_commands = broken
-            if broken and throttle_pct is not None:
-                motor.order = motor.order._replace(throttle_pct=throttle_pct)
-
-    return change
-
-
-def turned_round(controllers: Sequence[str]) -> Change:
-    """Controllers that swap forwards and reverse."""
-
-    def change(vehicle: Vehicle, broken: bool) -> None:
-        for name in controllers:
-            vehicle.motors[name].turned_round = broken
-
-    return change
-
-
-def slippery(controllers: Sequence[str], friction: float) -> Change:
-    """Wheels on a road of this friction, and on a dry one afterwards."""
-    return lambda vehicle, broken: vehicle.slip_on(controllers, friction if broken else None)
-
-
-# Put together.
 
 
 class ForeignNode(NamedTuple):
@@ -187,12 +89,11 @@ class ForeignNode(NamedTuple):
     period_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """One fault by its parts; a part that is not given is healthy."""
 
-    transform: Transform = whole
-    change: Change = untouched
+    transform: Transform = lambda frame: (frame,)
+    change: Change = lambda _vehicle, _broken: None
     foreign_node: ForeignNode | None = None
 
 
@@ -218,7 +119,6 @@ class FaultInterval:
         return min(changes_ns, self._grid.next_deadline_ns)
 
     def due(self, vehicle: Vehicle, now_ns: int) -> Iterable[NodeFrame]:
-        """Break or repair the vehicle where that is due; the frames of a foreign node."""
         while self._changes and self._changes[0][0] <= now_ns:
             at_ns, broken = self._changes.pop(0)
             vehicle.advance(at_ns)
@@ -235,6 +135,5 @@ class FaultInterval:
         return (NodeFrame(node.can_id, node.data, node.message, tick.deadline_ns),)
 
     def transform(self, frame: NodeFrame) -> Iterable[NodeFrame]:
-        """Frames sent in place of a due frame while the fault lasts."""
         lasts = self._begin_ns <= frame.due_ns < self._end_ns
         return self._fault.transform(frame) if lasts else (frame,)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import PowerMode
 
-COMMAND_TIMEOUT_NS = 500_000_000
-"""Time without a command after which a controller goes to zero torque by itself."""
+# Without a command for longer a controller goes to zero torque by itself.
+_COMMAND_TIMEOUT_NS = 500_000_000
 
 _PEAK_TORQUE_NM = 30.0
 _TORQUE_SHARE = {
@@ -16,12 +16,7 @@ _TORQUE_SHARE = {
     PowerMode.TURBO: 1.0,
     PowerMode.SAFETY: 0.0,
 }
-_CURRENT_LEVEL = {
-    PowerMode.ECO: 0,
-    PowerMode.NORMAL: 1,
-    PowerMode.TURBO: 2,
-    PowerMode.SAFETY: 0,
-}
+_CURRENT_LEVEL = {PowerMode.ECO: 0, PowerMode.NORMAL: 1, PowerMode.TURBO: 2, PowerMode.SAFETY: 0}
 _RATED_POWER_W = 12_000.0
 _TOP_SPEED_RPM = 5_200.0
 _SPEED_BAND_RPM = 200.0  # the torque fades to zero over this much below a speed limit
@@ -134,7 +129,7 @@ class Motor:
         received = self._received
         if self.turned_round:
             received = received._replace(motor_reverse=not received.motor_reverse)
-        if self._received_ns is None or now_ns - self._received_ns > COMMAND_TIMEOUT_NS:
+        if self._received_ns is None or now_ns - self._received_ns > _COMMAND_TIMEOUT_NS:
             return Command(motor_reverse=received.motor_reverse)
         level = self.temperature_protect_level
         if level == 1 and received.power_mode is PowerMode.TURBO:

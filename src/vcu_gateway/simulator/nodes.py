@@ -1,7 +1,4 @@
-"""Nodes on the bus: the sender, period and schedule of each frame.
-
-Signal values of each message, from the state of the vehicle, in physical units.
-"""
+"""Nodes on the bus: when each message is sent, and its values from the state of the vehicle."""
 
 import heapq
 import itertools
@@ -97,37 +94,24 @@ def _bms_temperatures(vehicle: Vehicle, _: int) -> Values:
 
 
 def _acceleration(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
-    return _noisy(
-        noise,
-        _ACCELERATION_NOISE_M_S2,
-        AccelerationX=vehicle.acceleration_m_s2,
-        AccelerationY=vehicle.lateral_acceleration_m_s2,
-        AccelerationZ=_GRAVITY_M_S2,
-    )
+    m_s2 = vehicle.acceleration_m_s2, vehicle.lateral_acceleration_m_s2, _GRAVITY_M_S2
+    return _axes("Acceleration", m_s2, noise, _ACCELERATION_NOISE_M_S2)
 
 
 def _angular_rate(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
-    return _noisy(
-        noise,
-        _ANGULAR_RATE_NOISE_DEG_S,
-        AngularRateX=vehicle.roll_rate_deg_s,
-        AngularRateY=vehicle.pitch_rate_deg_s,
-        AngularRateZ=vehicle.yaw_rate_deg_s,
-    )
+    deg_s = vehicle.roll_rate_deg_s, vehicle.pitch_rate_deg_s, vehicle.yaw_rate_deg_s
+    return _axes("AngularRate", deg_s, noise, _ANGULAR_RATE_NOISE_DEG_S)
 
 
 def _attitude(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
-    return _noisy(
-        noise,
-        _ATTITUDE_NOISE_DEG,
-        AttitudeX=vehicle.roll_deg,
-        AttitudeY=vehicle.pitch_deg,
-        AttitudeZ=vehicle.heading_deg,
-    )
+    deg = vehicle.roll_deg, vehicle.pitch_deg, vehicle.heading_deg
+    return _axes("Attitude", deg, noise, _ATTITUDE_NOISE_DEG)
 
 
-def _noisy(noise: random.Random, deviation: float, **values: float) -> Values:
-    return {name: value + noise.gauss(0, deviation) for name, value in values.items()}
+def _axes(name: str, values: Sequence[float], noise: random.Random, deviation: float) -> Values:
+    """The signals of the axes X, Y and Z, each with noise of this standard deviation."""
+    axes = zip("XYZ", values, strict=True)
+    return {f"{name}{axis}": value + noise.gauss(0, deviation) for axis, value in axes}
 
 
 def _status1(vehicle: Vehicle, controller: str, _: int) -> Values:
@@ -234,14 +218,13 @@ class Nodes:
         codec: Codec,
         vehicle: Vehicle,
         noise: random.Random,
-        transforms: Sequence[Transform] = (),
         faults: Sequence[VehicleFault] = (),
     ) -> None:
-        """Start the grids at vehicle.start_ns; each frame passes transforms and faults in turn."""
+        """Start the grids at vehicle.start_ns; each frame passes the faults in turn."""
         self._codec = codec
         self.vehicle = vehicle
         self._faults = tuple(faults)
-        self._transforms = (*transforms, *(fault.transform for fault in faults))
+        self._transforms = tuple(fault.transform for fault in faults)
         self._senders = _senders(codec, sources(vehicle, noise))
         self._controllers = {message_name(name): name for name in vehicle.motors}
         answers = {_answer(controller) for controller in vehicle.motors}
@@ -278,13 +261,11 @@ class Nodes:
 
     def next_due_ns(self) -> int:
         """Time at which `due` has something again."""
-        next_ns = min(schedule.next_deadline_ns for schedule, _ in self._grids)
-        next_ns = min((next_ns, *(fault.next_due_ns() for fault in self._faults)))
-        if self._answers:
-            next_ns = min(next_ns, self._answers[0][0])
-        if self._outgoing:
-            next_ns = min(next_ns, self._outgoing[0][0])
-        return next_ns
+        times_ns = [schedule.next_deadline_ns for schedule, _ in self._grids]
+        times_ns += [fault.next_due_ns() for fault in self._faults]
+        times_ns += [due_ns for due_ns, _ in self._answers]
+        times_ns += [due_ns for due_ns, _, _ in self._outgoing]
+        return min(times_ns)
 
     def due(self, now_ns: int) -> list[NodeFrame]:
         """The frames to send now, the earliest due first."""

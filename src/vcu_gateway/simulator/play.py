@@ -86,7 +86,7 @@ def play(
     forgotten; `note` is called when that begins and when it is over. UnavailableError where
     the bus has gone away.
     """
-    player = _Player(bus, nodes, log, note)
+    player = _Player(bus, nodes, log, note, _descriptor(bus))
     begin_ns = time.monotonic_ns()
     end_ns = None if duration_s is None else begin_ns + int(duration_s * NS_PER_S)
     now_ns = begin_ns
@@ -99,23 +99,17 @@ def play(
     return player.played
 
 
+@dataclass(slots=True)
 class _Player:
     """One bus with the nodes on it."""
 
-    def __init__(
-        self,
-        bus: can.BusABC,
-        nodes: Nodes,
-        log: CommandListener | None,
-        note: Callable[[str], None],
-    ) -> None:
-        self.played = Played()
-        self._bus = bus
-        self._nodes = nodes
-        self._log = log
-        self._note = note
-        self._descriptor = _descriptor(bus)
-        self._trouble_at_ns: int | None = None
+    _bus: can.BusABC
+    _nodes: Nodes
+    _log: CommandListener | None
+    _note: Callable[[str], None]
+    _descriptor: int | None
+    _trouble_at_ns: int | None = None
+    played: Played = field(default_factory=Played)
 
     def send_due(self, now_ns: int) -> None:
         for frame in self._nodes.due(now_ns):

@@ -1,8 +1,6 @@
 """Vehicle model: two motors, tyres, battery, driving resistance and body movements.
 
 Axes as in ISO 8855: x forwards, y left, z up; a positive steering angle turns left.
-
-The traction battery: charge, voltage under load, temperature.
 """
 
 import math
@@ -168,7 +166,6 @@ class Vehicle:
     def __init__(
         self,
         start_ns: int,
-        *,
         soc_pct: float = 80.0,
         battery_speedup: float = 1.0,
         battery_resistance_ohm: float = RESISTANCE_OHM,

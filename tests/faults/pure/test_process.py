@@ -25,7 +25,7 @@ from tests.faults.judged_bus import Checked, check
 from tests.faults.line_client import LineClient
 from tests.faults.machine import Program, program
 from tests.faults.pure.bystander import PATIENCE_S, bystander, once_more
-from vcu_gateway.bus.reader import ThreadReader
+from vcu_gateway.bus.reader import PlainBus
 
 # A busy machine has what is measured taken once more.
 pytestmark = pytest.mark.timeout(300)
@@ -177,9 +177,9 @@ def test_f53_a_decoder_that_raises_costs_its_frame_and_a_reader_that_is_gone_the
         bugs = counters.receiver_bugs
         driver.until_driving()
         heard(whole)
-        reader = whole.loop.connection._opening.reader
-        assert isinstance(reader, ThreadReader)
-        reader._notifier.stop()
+        bus = whole.loop.connection._bus
+        assert isinstance(bus, PlainBus)
+        bus._notifier.stop()
         found = let_go(whole, time.time_ns())
         whole.until_mode("fault")
         sentence = whole.latest_why.sentence()
