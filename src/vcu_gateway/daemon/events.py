@@ -21,11 +21,9 @@ from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.stop import GAP_NS, Stop, StopStage
 from vcu_gateway.rate_limit import TokenBucket
+from vcu_gateway.units import NS_PER_S
 
 _ENTRIES = 200
-
-Sink = Callable[[Event], None]
-"""Takes each event as it happens, on the ticking thread; it must neither wait nor raise."""
 
 
 @dataclass(slots=True)
@@ -54,27 +52,22 @@ class EventLog:
 
     def __init__(self) -> None:
         self._entries: OrderedDict[tuple[str, int, str], LoggedEvent] = OrderedDict()
-        self._sinks: list[Sink] = []
+        self._subscribers: list[Callable[[Event], None]] = []
         self.forgotten = 0
 
-    def subscribe(self, sink: Sink) -> None:
-        self._sinks.append(sink)
+    def subscribe(self, take: Callable[[Event], None]) -> None:
+        """Hand it each event as it happens, on the ticking thread; it neither waits nor raises."""
+        self._subscribers.append(take)
 
     def emit(self, event: Event) -> None:
-        for sink in self._sinks:
-            sink(event)
+        for take in self._subscribers:
+            take(event)
         key = (event.name, event.severity, repr(sorted(event.fields.items())))
         now_ns, wall_s = time.monotonic_ns(), time.time()
-        entry = self._entries.get(key)
-        if entry is None:
-            self._entries[key] = LoggedEvent(event, 1, now_ns, now_ns, wall_s)
-            self._make_room()
-            return
+        entry = self._entries.setdefault(key, LoggedEvent(event, 0, now_ns, now_ns, wall_s))
         entry.count += 1
         entry.last_ns, entry.last_wall_s = now_ns, wall_s
         self._entries.move_to_end(key)
-
-    def _make_room(self) -> None:
         if len(self._entries) > _ENTRIES:
             self._entries.popitem(last=False)
             self.forgotten += 1
@@ -114,9 +107,9 @@ def _severity(stop: Stop, now_ns: int) -> Severity:
     return Severity.INFO
 
 
-_DROPS_EVERY_NS = 10_000_000_000
+_DROPS_EVERY_NS = 10 * NS_PER_S
 _CHANGES_AT_ONCE = 10
-_CHANGE_EVERY_NS = 2_000_000_000
+_CHANGE_EVERY_NS = 2 * NS_PER_S
 
 _SEVERITIES = {LinkState.UP: Severity.INFO, LinkState.WARNING: Severity.WARNING}
 
@@ -142,8 +135,7 @@ class LinkEvents:
         self._reported_state = LinkState.UP
         # So that a flickering link fills no log.
         self._changes = TokenBucket(_CHANGE_EVERY_NS, _CHANGES_AT_ONCE, now_ns=0)
-        self._dropped_before = 0
-        self._next_drops_ns = 0
+        self._reported_drops = self._next_drops_ns = 0
         self._warnings: dict[str, Event] = {}
 
     def begin(self, now_ns: int) -> None:
@@ -182,22 +174,16 @@ class LinkEvents:
 
     def after_tick(self, now_ns: int) -> None:
         """Emit a changed link state and newly dropped frames, both at a bounded rate."""
-        state = self._gateway.link.state
-        reported = (self._reported_state, LinkState.LOST)  # a loss is emitted with its reason
-        if state not in reported and self._changes.taken(now_ns):
-            self._emit_state(state)
+        before, state = self._reported_state, self._gateway.link.state
+        # A loss is emitted with its reason.
+        if state not in (before, LinkState.LOST) and self._changes.taken(now_ns):
+            self._reported_state = state
+            changed = {"state": state.value, "before": before.value}
+            severity = _SEVERITIES.get(state, Severity.ERROR)
+            self._event_log.emit(Event("link_state", severity, changed))
         dropped = self._connection.dropped or 0
-        if dropped != self._dropped_before and now_ns >= self._next_drops_ns:
+        if dropped != self._reported_drops and now_ns >= self._next_drops_ns:
             self._next_drops_ns = now_ns + _DROPS_EVERY_NS
-            self._emit_drops(dropped)
-
-    def _emit_state(self, state: LinkState) -> None:
-        before, self._reported_state = self._reported_state, state
-        fields = {"state": state.value, "before": before.value}
-        self._event_log.emit(Event("link_state", _SEVERITIES.get(state, Severity.ERROR), fields))
-
-    def _emit_drops(self, dropped: int) -> None:
-        before, self._dropped_before = self._dropped_before, dropped
-        self._event_log.emit(
-            Event("frames_dropped", Severity.WARNING, {"frames": dropped - before})
-        )
+            fields = {"frames": dropped - self._reported_drops}
+            self._reported_drops = dropped
+            self._event_log.emit(Event("frames_dropped", Severity.WARNING, fields))
