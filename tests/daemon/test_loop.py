@@ -59,7 +59,8 @@ class Rig:
         self.skipped = 0
         self._frames: list[can.Message] = []
         self._wanted: Callable[[], object] | None = None
-        self.loop = TickLoop(self.gateway, self.connection, 50, self._observe)
+        self.loop = TickLoop(self.gateway, self.connection, 50)
+        self.loop.add_observer(self._observe)
         self.other_node = can.Bus(interface="virtual", channel=self.channel)
 
     def _observe(self, tick, result) -> None:

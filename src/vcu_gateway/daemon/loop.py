@@ -3,7 +3,6 @@
 import signal
 import time
 from collections.abc import Callable
-from types import FrameType
 from typing import NamedTuple
 
 from vcu_gateway.bus.connection import BusConnection
@@ -81,17 +80,11 @@ class TickLoop:
         silent_ticks: ticks that sent nothing, listening before talking.
     """
 
-    def __init__(
-        self,
-        gateway: Gateway,
-        connection: BusConnection,
-        reopen_ms: int,
-        observer: Observer | None = None,
-    ) -> None:
+    def __init__(self, gateway: Gateway, connection: BusConnection, reopen_ms: int) -> None:
         self.gateway = gateway
         self.connection = connection
         self.schedule = Schedule(time.monotonic_ns(), gateway.settings.period_ns)
-        self._observers = [] if observer is None else [observer]
+        self._observers: list[Observer] = []
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
@@ -103,7 +96,6 @@ class TickLoop:
         self._stop_events = StopEvents(self.event_log)
         self.latest: LastTick | None = None
         self._restart_state: RestartState | None = None
-        self._on_hangup: Callable[[], None] | None = None
         self._last_why: tuple[object, ...] = ()
 
     def stop(self, why: str) -> None:
@@ -129,17 +121,9 @@ class TickLoop:
     def handle_signals(self, on_hangup: Callable[[], None] | None = None) -> None:
         """SIGTERM and SIGINT end the loop, SIGHUP calls `on_hangup`; only in the main thread."""
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._on_signal)
+            signal.signal(number, lambda number, _: self.stop(signal.Signals(number).name))
         if on_hangup is not None:
-            self._on_hangup = on_hangup
-            signal.signal(signal.SIGHUP, self._on_signal)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del frame
-        if number == signal.SIGHUP and self._on_hangup is not None:
-            self.work_queue.post(self._on_hangup)
-        else:
-            self.stop(signal.Signals(number).name)
+            signal.signal(signal.SIGHUP, lambda *_: self.work_queue.post(on_hangup))
 
     def run(self, duration_s: float | None = None) -> None:
         """Tick every period until stopped, or for `duration_s` seconds; then end safely.
