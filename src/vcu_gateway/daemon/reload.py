@@ -1,7 +1,7 @@
 """Reload: a new configuration for the running program, all of it or nothing."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,9 +24,6 @@ class ReloadOutcome(NamedTuple):
     taken: bool
     changed: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
-
-
-Done = Callable[[ReloadOutcome], None]
 
 
 @dataclass(slots=True)
@@ -55,26 +52,22 @@ class Reloader:
         self._settings = settings
         self._busy = threading.Lock()
 
-    def begin(self, done: Done) -> None:
-        """Start; `done` is called once, on the ticking thread, or here where one runs already."""
+    def begin(self, done: Callable[[ReloadOutcome], None] = lambda _: None) -> None:
+        """Start; `done` is called once, on the ticking thread, or here where one runs already.
+
+        Without it, as for SIGHUP, the event log alone tells the outcome.
+        """
         if not self._busy.acquire(blocking=False):
-            done(ReloadOutcome(False, problems=("a reload is under way already",)))
+            done(_refused("a reload is under way already"))
             return
         try:
             threading.Thread(target=self._read, args=(done,), name="reload", daemon=True).start()
         except RuntimeError as error:  # no memory or no more threads: no reason to stop a vehicle
             self._busy.release()
-            done(
-                self._reported(
-                    ReloadOutcome(False, problems=(f"a reload cannot be begun: {error}",))
-                )
-            )
+            outcome = _refused(f"a reload cannot be begun: {error}")
+            done(self._reported(outcome))
 
-    def on_hangup(self) -> None:
-        """SIGHUP: as `begin`, with the outcome in the event log alone."""
-        self.begin(lambda _: None)
-
-    def _read(self, done: Done) -> None:
+    def _read(self, done: Callable[[ReloadOutcome], None]) -> None:
         new, problems = self._loaded()
         self._busy.release()
         self._loop.work_queue.post(lambda: done(self._reported(self._take(new, problems))))
@@ -89,18 +82,16 @@ class Reloader:
     def _take(self, new: Config | None, problems: tuple[str, ...]) -> ReloadOutcome:
         """On the ticking thread: the checks that depend on what is in effect, and the change."""
         if new is None or problems:
-            return ReloadOutcome(False, problems=problems)
+            return _refused(*problems)
         names = changed(self._in_effect.config, new)
-        if restart := tuple(name for name in names if not is_live(name)):
-            return ReloadOutcome(
-                False, problems=tuple(f"{name} needs a restart" for name in restart)
-            )
+        if fixed := [name for name in names if not is_live(name)]:
+            return _refused(*(f"{name} needs a restart" for name in fixed))
         gateway, settings = self._loop.gateway, self._settings(new)
         answer = gateway.apply(ReloadSettings(settings))
         if not answer.granted:
             looser = loosened(gateway.settings, settings) if gateway.mode is Mode.ACTIVE else ()
-            problems = tuple(map(_in_a_drive, looser)) or (answer.sentence,)
-            return ReloadOutcome(False, problems=problems)
+            why = [_in_a_drive(name) for name in looser] or [answer.sentence]
+            return _refused(*why)
         self._in_effect.config = new
         return ReloadOutcome(True, changed=names)
 
@@ -108,13 +99,16 @@ class Reloader:
         if outcome.taken:
             report_effect(self._in_effect.config, self._loop.event_log)
             digest = configuration.digest(self._in_effect.config)
-            fields: Mapping[str, object] = {"changed": list(outcome.changed), "digest": digest}
-            event = Event("config_reloaded", Severity.INFO, fields)
+            new = {"changed": list(outcome.changed), "digest": digest}
+            self._loop.event_log.emit(Event("config_reloaded", Severity.INFO, new))
         else:
             fields = {"problems": list(outcome.problems)}
-            event = Event("config_refused", Severity.ERROR, fields)
-        self._loop.event_log.emit(event)
+            self._loop.event_log.emit(Event("config_refused", Severity.ERROR, fields))
         return outcome
+
+
+def _refused(*problems: str) -> ReloadOutcome:
+    return ReloadOutcome(False, problems=problems)
 
 
 def _in_a_drive(name: str) -> str:
