@@ -155,42 +155,42 @@ class RestartState:
 
     def begin(self) -> None:
         """Hand the gateway what the last process of this boot left; before the first tick."""
-        kept = NOTHING
+        own: list[tuple[Path, str | None]] = []
         if self.path is not None:
-            self._written = self._now = kept = read(self.path)
-        found = [(path, read(path).cut) for path in self._elsewhere]
-        if self.path is not None:
-            found.insert(0, (self.path, kept.cut))
+            self._written = self._now = read(self.path)
+            own = [(self.path, self._now.cut)]
+        found = own + [(path, read(path).cut) for path in self._elsewhere]
         cuts = [(path, cut) for path, cut in found if cut is not None]
-        self._gateway.apply(BeginFrom(f"{_BEFORE}{cuts[0][1]}" if cuts else None, kept.reverse))
+        cut_before = f"{_BEFORE}{cuts[0][1]}" if cuts else None
+        self._gateway.apply(BeginFrom(cut_before, self._now.reverse))
         self._elsewhere = [path for path, _ in cuts if path != self.path]
         for path, cut in cuts:
             fields = {"file": str(path), "reason": cut}
             self._event_log.emit(Event("cut_kept", Severity.CRITICAL, fields))
         if self.path is not None:
-            self._write(self.path, kept)
+            self._write(self.path, self._now)
         elif self._settings.interface != "virtual":
             self._fail(file_name(self._settings.channel), _NO_FOLDER)
         self._tell()
 
     def keep_emergency_stop(self, left_ns: int) -> None:
         """Keep a CUT that was granted, and is not answered yet; its tick is due in `left_ns`."""
-        if self.path is None or self._written.cut is not None:
-            return
-        if self._takes_less_than(max(left_ns, _QUICK_NS)):
-            self._write(self.path, self._now._replace(cut=str(EMERGENCY_STOP)))
+        if self._written.cut is None:
+            self._keep_cut(str(EMERGENCY_STOP), max(left_ns, _QUICK_NS))
 
     def before_sending(self) -> None:
         """After a tick's decisions: keep a CUT that it latched."""
         latched = self._latched()
-        if latched is None or latched == self._written.cut or self.path is None:
-            return
-        if self._takes_less_than(_QUICK_NS):
-            self._write(self.path, self._now._replace(cut=latched))
+        if latched is not None and latched != self._written.cut:
+            self._keep_cut(latched, _QUICK_NS)
 
-    def _takes_less_than(self, most_ns: int) -> bool:
-        """By the quickest of the last writes; one that failed may take any time."""
-        return self._failure is None and min(self._took_ns) < most_ns
+    def _keep_cut(self, cut: str, most_ns: int) -> None:
+        """Write a CUT where that takes less time, by the quickest of the last writes.
+
+        After a write that failed, the next one may take any time.
+        """
+        if self.path is not None and self._failure is None and min(self._took_ns) < most_ns:
+            self._write(self.path, self._now._replace(cut=cut))
 
     def observe(self, tick: Tick, result: TickResult) -> None:
         del tick
