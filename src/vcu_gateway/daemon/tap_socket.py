@@ -14,7 +14,7 @@ import socket
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from vcu_gateway import config as configuration
 from vcu_gateway.bus.settings import read_clocks
@@ -49,7 +49,11 @@ class TapHello:
         self._written: tuple[Config, str, str] | None = None
 
     def __call__(self) -> Mapping[str, Any]:
-        config, digest, text = self._config()
+        config = self._in_effect.config
+        if self._written is None or self._written[0] is not config:  # it takes a while to make
+            digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
+            self._written = config, digest, text
+        _, digest, text = self._written
         return Hello(
             run=self._run,
             boot=self._boot,
@@ -62,14 +66,6 @@ class TapHello:
             dbc_digest=self._dbc_digest,
         ).values()
 
-    def _config(self) -> tuple[Config, str, str]:
-        """Configuration in effect, its digest and its text, which takes a while to make."""
-        config = self._in_effect.config
-        if self._written is None or self._written[0] is not config:
-            digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
-            self._written = config, digest, text
-        return self._written
-
 
 _CONNECT_EVERY_NS = NS_PER_S
 _CHECKPOINT_EVERY_NS = 60 * NS_PER_S
@@ -80,20 +76,14 @@ _CHECKPOINT_AGAIN_NS = 250 * NS_PER_MS
 _SEND_BUFFER_BYTES = 1 << 20
 
 
-class TapCounts(NamedTuple):
-    """Counts of the tap since the start; lost ones are those that a connected recorder missed."""
-
-    connected: bool
-    datagrams: int
-    lost_datagrams: int
-    lost_frames: int
-    checkpoints: int
-
-
 class RecorderTap:
     """Hands what a tapped gateway was given and answered to the recorder; for the ticking thread.
 
     `hello` gives the begin of a connection, as `Hello.values` does.
+
+    Attributes:
+        datagrams: handed over since the start.
+        lost_datagrams, lost_frames: those that a connected recorder missed.
     """
 
     def __init__(
@@ -112,20 +102,13 @@ class RecorderTap:
         self._poll = select.poll()
         self._recording = self._failed = False
         self._connect_ns = self._checkpoint_ns = 0
-        self._datagrams = self._lost_datagrams = self._lost_frames = self._checkpoints = 0
+        self.datagrams = self.lost_datagrams = self.lost_frames = 0
         self._event_log = loop.event_log
         self._event_log.subscribe(self._note_event)
 
     @property
-    def counts(self) -> TapCounts:
-        """Counts so far; from any thread."""
-        return TapCounts(
-            connected=self._socket is not None,
-            datagrams=self._datagrams,
-            lost_datagrams=self._lost_datagrams,
-            lost_frames=self._lost_frames,
-            checkpoints=self._checkpoints,
-        )
+    def connected(self) -> bool:
+        return self._socket is not None
 
     def begin(self) -> None:
         """Look for the recorder before the first tick: a drive is to have its beginning. Once."""
@@ -151,8 +134,7 @@ class RecorderTap:
         except Exception as error:  # noqa: BLE001
             self._failed = True
             self._drop_socket()
-            fields = {"reason": repr(error)}
-            self._event_log.emit(Event("recording_failed", Severity.ERROR, fields))
+            self._event_log.emit(Event("recording_failed", Severity.ERROR, {"reason": repr(error)}))
 
     def _after_tick(self, now_ns: int) -> None:
         if self._socket is None:
@@ -164,7 +146,9 @@ class RecorderTap:
             if latest is not None:
                 self._stream.note_why(now_ns, latest.why_signature)
             self._hand_on()
-            self._begin_segment_when_due(now_ns)
+            many = self._stream.segment_frames >= _CHECKPOINT_FRAMES
+            if self._recording and (many or now_ns >= self._checkpoint_ns):
+                self._begin_segment(now_ns)
         else:
             self._count_lost(self._stream.skip())
             if now_ns >= self._checkpoint_ns and self._poll.poll(0):
@@ -172,13 +156,13 @@ class RecorderTap:
 
     def _hand_on(self) -> None:
         frames, lines = self._stream.batch()
-        counts = self._stream.frames, self._lost_datagrams, self._lost_frames
-        header = TickHeader(self._datagrams + self._lost_datagrams + 1, *counts)
+        counts = self._stream.frames, self.lost_datagrams, self.lost_frames
+        header = TickHeader(self.datagrams + self.lost_datagrams + 1, *counts)
         packed = datagram.packed_tick(header, packed_frames(frames), lines)
         try:
             if self._socket is not None:
                 self._socket.send(packed)
-            self._datagrams += 1
+            self.datagrams += 1
         except OSError as error:
             self._count_lost(len(frames))
             self._recording = False
@@ -188,8 +172,8 @@ class RecorderTap:
 
     def _count_lost(self, frames: int) -> None:
         """A datagram that is not sent; the next one that is tells of it."""
-        self._lost_datagrams += 1
-        self._lost_frames += frames
+        self.lost_datagrams += 1
+        self.lost_frames += frames
 
     def _report_lost(self, error: OSError) -> None:
         self._drop_socket()
@@ -218,21 +202,14 @@ class RecorderTap:
             return
         self._socket = connection
         self._poll.register(connection, select.POLLOUT)
-        fields = {"socket": self._path}
-        self._event_log.emit(Event("recorder_connected", Severity.INFO, fields))
+        self._event_log.emit(Event("recorder_connected", Severity.INFO, {"socket": self._path}))
         self._begin_segment(now_ns)
-
-    def _begin_segment_when_due(self, now_ns: int) -> None:
-        many = self._stream.segment_frames >= _CHECKPOINT_FRAMES
-        if self._recording and (many or now_ns >= self._checkpoint_ns):
-            self._begin_segment(now_ns)
 
     def _begin_segment(self, now_ns: int) -> None:
         """The next datagram begins with the state of now."""
         wall_ns = time.time_ns() - (time.monotonic_ns() - now_ns)
         self._stream.begin(now_ns, wall_ns)
         self._recording = True
-        self._checkpoints += 1
         self._checkpoint_ns = now_ns + _CHECKPOINT_EVERY_NS
 
     def _note_event(self, event: Event) -> None:

@@ -140,7 +140,7 @@ def health(
 
 
 def _recorder(tap: RecorderTap | None) -> results.RecorderCounts | None:
-    return None if tap is None else views.result_of(results.RecorderCounts, tap.counts)
+    return None if tap is None else views.result_of(results.RecorderCounts, tap)
 
 
 def _link(loop: TickLoop, bus: BusSettings, now_ns: int) -> results.Link:
