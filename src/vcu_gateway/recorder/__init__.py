@@ -6,8 +6,3 @@ drive is a `DriveRecorder`, which writes segments in the format of `recording`; 
 oldest of them, `incidents` keeps what surrounds a fault by hard links, and `program` says how it
 goes. Nothing of the gateway is imported, and the standard library alone.
 """
-
-from vcu_gateway.recorder.options import RecorderOptions
-from vcu_gateway.recorder.program import Recorder
-
-__all__ = ["Recorder", "RecorderOptions"]

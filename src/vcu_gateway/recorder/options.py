@@ -3,13 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from vcu_gateway.recording import layout
-
 DEFAULT_SOCKET = Path("/run/vcu-gateway-recorder/tap.sock")
-
-_KIB = 1 << 10
-_MIB = 1 << 20
-_GIB = 1 << 30
 
 
 class RecorderOptions(NamedTuple):
@@ -27,20 +21,20 @@ class RecorderOptions(NamedTuple):
         sign_key: private key of OpenSSH, without a passphrase, that signs; None: nothing is signed.
     """
 
-    folder: Path = layout.DEFAULT_FOLDER
-    socket_path: Path = DEFAULT_SOCKET
-    max_bytes: int = 4 * _GIB
-    keep_free_bytes: int = _GIB
-    incident_max_bytes: int = _GIB
-    memory_bytes: int = 32 * _MIB
-    before_s: float = 60.0
-    after_s: float = 30.0
-    status_path: Path | None = None
-    sign_key: Path | None = None
-    gateway_user: str | None = None
+    folder: Path
+    socket_path: Path
+    max_bytes: int
+    keep_free_bytes: int
+    incident_max_bytes: int
+    memory_bytes: int
+    before_s: float
+    after_s: float
+    status_path: Path | None
+    sign_key: Path | None
+    gateway_user: str | None
 
 
-_UNITS = {"": 1, "k": _KIB, "m": _MIB, "g": _GIB, "t": 1 << 40}
+_UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 
 
 def size_bytes(text: str) -> int:
