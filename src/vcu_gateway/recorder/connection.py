@@ -45,15 +45,12 @@ def checked_hello(hello: Mapping[str, Any]) -> Mapping[str, Any]:
         raise _hello("has no run id of up to 64 plain characters")
     if not isinstance(channel, str) or not _is_channel(channel):
         raise _hello(f"has no channel of up to {_LONGEST_CHANNEL} printable characters")
-    if not isinstance(clock, dict) or not all(
-        _is_count(clock.get(key)) for key in ("monotonic_ns", "wall_ns")
-    ):
+    if not isinstance(clock, dict) or not _are_counts(clock, "monotonic_ns", "wall_ns"):
         raise _hello("has no clock of two 64-bit numbers")
     for key in _TEXTS:
         if not _is_text(hello.get(key), _MOST_TEXT_BYTES):
             raise _hello(f"has no {key} of up to {_MOST_TEXT_BYTES >> 10} KiB of Unicode")
-    left = _left_of({key: value for key, value in hello.items() if key not in _TEXTS}, _MOST_REST)
-    if left < 0:
+    if _left_of({key: hello[key] for key in hello if key not in _TEXTS}, _MOST_REST) < 0:
         raise _hello("has a value that is too long, too deep or no finite number")
     return hello
 
@@ -69,16 +66,16 @@ def check_lines(lines: bytes) -> None:
     try:
         for number, line in enumerate(lines.decode().split("\n")[:-1]):
             _check(json.loads(line, parse_constant=_refuse, parse_float=_finite), number)
+    except DatagramError:
+        raise
     except (ValueError, RecursionError) as error:
-        if isinstance(error, DatagramError):
-            raise
         raise _lines(f"are no JSON: {str(error)[:100]}") from error
 
 
 def _check(values: Any, number: int) -> None:
     if not isinstance(values, dict) or "f" not in values:
         raise _lines("have one that is no object with f")
-    if not all(_is_count(values[key]) for key in _COUNTS if key in values):
+    if not _are_counts(values, *(key for key in _COUNTS if key in values)):
         raise _lines("have a count or a clock that is no 64-bit number")
     if not _are_events(values.get("events", [])):
         raise _lines("have events that are no list of name, severity and fields")
@@ -86,28 +83,21 @@ def _check(values: Any, number: int) -> None:
         raise _lines("have one that only the recorder writes")
     if "checkpoint" in values:
         state = values["checkpoint"]
-        counted = isinstance(state, dict) and all(_is_count(state.get(key)) for key in _STATE)
+        counted = isinstance(state, dict) and _are_counts(state, "ticks", "frames")
         if number > 0 or not counted:
             raise _lines("have a checkpoint that is not the first, or without its counts")
 
 
-_STATE = ("ticks", "frames")
-
-
 def _are_events(events: Any) -> bool:
     return isinstance(events, list) and all(
-        isinstance(one, list)
-        and len(one) == 3
-        and isinstance(one[0], str)
-        and isinstance(one[1], str)
-        and isinstance(one[2], dict)
-        for one in events
+        isinstance(one, list) and [type(part) for part in one] == [str, str, dict] for one in events
     )
 
 
-def _is_count(value: Any) -> bool:
-    """True for an integer, and no bool, of 0 to 2**63 - 1."""
-    return type(value) is int and 0 <= value <= _LARGEST
+def _are_counts(values: Mapping[str, Any], *keys: str) -> bool:
+    """True where each is an integer, and no bool, of 0 to 2**63 - 1."""
+    found = [values.get(key) for key in keys]
+    return all(type(value) is int and 0 <= value <= _LARGEST for value in found)
 
 
 def _is_channel(channel: str) -> bool:
