@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 from vcu_gateway.errors import Problem, UnavailableError
 
-GATEWAY_USER = "vcu-gateway"
 _CREDENTIALS = struct.Struct("iII")
 _SAY_EVERY_S = 10.0
 _MOST_RUNS = 256
@@ -87,7 +86,10 @@ class Sender(NamedTuple):
     gid: int
 
     def __str__(self) -> str:
-        return f"process {self.pid} of user {_user(self.uid)}"
+        user = str(self.uid)
+        with contextlib.suppress(KeyError):
+            user = pwd.getpwuid(self.uid).pw_name
+        return f"process {self.pid} of user {user}"
 
 
 def sender_of(sock: socket.socket) -> Sender:
@@ -103,20 +105,13 @@ def trusted_users(gateway_user: str | None) -> frozenset[int]:
     """
     trusted = {0, os.geteuid()}
     try:
-        trusted.add(pwd.getpwnam(gateway_user or GATEWAY_USER).pw_uid)
+        trusted.add(pwd.getpwnam(gateway_user or "vcu-gateway").pw_uid)
     except KeyError as error:
         if gateway_user is not None:
             remedy = "name the user that the gateway runs as; look at: getent passwd"
             what = f"there is no user {gateway_user} (--gateway-user)"
             raise UnavailableError(Problem(what, remedy=remedy)) from error
     return frozenset(trusted)
-
-
-def _user(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return str(uid)
 
 
 class RunOwners:
@@ -152,10 +147,8 @@ def _lives(pid: int) -> bool:
         return False
     try:
         os.kill(pid, 0)
-    except PermissionError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, PermissionError)
     return True
 
 
