@@ -181,7 +181,7 @@ class GatewayConnection:
     def __init__(self, sock: socket.socket, sender: Sender) -> None:
         self._sock = sock
         self.sender = sender
-        self._hello_text = HelloText()
+        self.hello_text = HelloText()
         self.hello: Mapping[str, Any] | None = None
         self.begin_again = self.ended_by_gateway = self.handed_on = False
         self.hello_bytes = 0
@@ -193,10 +193,6 @@ class GatewayConnection:
 
     def fileno(self) -> int:
         return self._sock.fileno()
-
-    @property
-    def unfinished_bytes(self) -> int:
-        return self._hello_text.size
 
     def receive(self, buffer: bytearray) -> TickParts | None:
         """The next tick; None for a part of the HELLO.
@@ -236,7 +232,7 @@ class GatewayConnection:
     def _take(self, part: HelloPart) -> None:
         if len(part.text) > datagram.PART_BYTES:
             raise DatagramError(f"a part of {len(part.text)} bytes is too long", "hello")
-        hello = self._hello_text.take(part)
+        hello = self.hello_text.take(part)
         if hello is not None:
             self.hello = checked_hello(hello)
             self.hello_bytes = sum(sys.getsizeof(hello[key]) for key in ("config", "dbc"))

@@ -164,7 +164,7 @@ class DatagramReceiver:
         """DatagramError where its run is another's, or the HELLOs take too much memory."""
         hello = connection.hello
         if hello is None:
-            if sum(one.unfinished_bytes for one in self.connections) > _MOST_UNFINISHED_BYTES:
+            if sum(one.hello_text.size for one in self.connections) > _MOST_UNFINISHED_BYTES:
                 raise DatagramError("the unfinished HELLOs are too long together", "hello")
             return
         other = self._owners.other(hello["run"], connection.sender)

@@ -72,8 +72,13 @@ class Signer:
             self._say(f"a recording is not signed: {error}; recording goes on")
 
     def _sign_segment(self, drive: Path, run: str, number: int, link: bytes) -> None:
-        text, made = signature.link_text(run, number, link), signature.link_paths(drive, number)
-        self._sign(*made, text)
+        path, beside = made = signature.link_paths(drive, number)
+        text = signature.link_text(run, number, link)
+        signed = signature.sign(text, self._key)
+        layout.write_new(path, text)  # without its signature it is never there for long
+        layout.write_new(beside, signed)
+        files.sync(drive)
+        self.signed += 1
         core = layout.core_name(number)
         for incident in layout.recorded_folders(self._incidents):
             if _is_same(incident / core, drive / core):
@@ -87,14 +92,6 @@ class Signer:
         for segment in layout.segments(incident):
             with contextlib.suppress(FileNotFoundError):  # none yet, or none at all
                 _link_signature(signature.link_paths(drive, segment.number), incident)
-
-    def _sign(self, path: Path, beside: Path, text: bytes) -> None:
-        """Both files; the text alone, without a signature, is never there for long."""
-        made = signature.sign(text, self._key)
-        layout.write_new(path, text)
-        layout.write_new(beside, made)
-        files.sync(path.parent)
-        self.signed += 1
 
 
 def _link_signature(signed: tuple[Path, Path], incident: Path) -> None:
