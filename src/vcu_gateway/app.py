@@ -12,14 +12,12 @@ from typing import Self
 
 from vcu_gateway import config as configuration
 from vcu_gateway.api.errors import Policy
-from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import Config, core_settings
 from vcu_gateway.config.checks import dbc_path
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon.log import log_event
 from vcu_gateway.daemon.loop import TickLoop
@@ -175,7 +173,7 @@ class ApiRunner:
             reloader=self.reloader,
             facts=facts,
             protocol=definition(protocol, facts.protocol_digest),
-            api_counts=self._api_counts,
+            api_counts=lambda: self._server.counts(),  # noqa: PLW0108 - it is made below
         )
         gaps = TickGaps(lambda: loop.schedule.next_deadline_ns, loop.schedule.period_ns)
         self._server = Server(server_settings(config), Dispatcher(context), gaps)
@@ -205,15 +203,12 @@ class ApiRunner:
         """Close every connection and remove the socket."""
         self._server.close()
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
+    def observe(self, result: TickResult) -> None:
         """After each tick: one event where the API has failed."""
-        del tick, result
+        del result
         if self._server.failed is not None and not self._failure_reported:
             self._failure_reported = True
             self._emit_error("api_failed", self._server.failed)
-
-    def _api_counts(self) -> ApiCounts:
-        return self._server.counts()
 
     def _emit_error(self, name: str, reason: str) -> None:
         self._loop.event_log.emit(Event(name, Severity.ERROR, {"reason": reason}))

@@ -29,7 +29,7 @@ _SHORTEST_SLEEP_NS = 200_000
 _FIRST_LOOK_WITHIN_S = 0.5
 _PROCESSOR_TIME_EVERY_TICKS = 20
 
-Observer = Callable[[Tick, TickResult], None]
+Observer = Callable[[TickResult], None]
 
 
 class LastTick(NamedTuple):
@@ -196,7 +196,7 @@ class TickLoop:
         self.silent_ticks += not result.frames
         self._report(tick, result)
         for observe in self._observers:
-            observe(tick, result)
+            observe(result)
         self._link_events.after_tick(now_ns)
         ticking_thread.collect_after(tick.index)
 

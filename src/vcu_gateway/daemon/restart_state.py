@@ -24,7 +24,6 @@ from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.rules import EMERGENCY_STOP
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
@@ -192,8 +191,7 @@ class RestartState:
         if self.path is not None and self._failure is None and min(self._took_ns) < most_ns:
             self._write(self.path, self._now._replace(cut=cut))
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
-        del tick
+    def observe(self, result: TickResult) -> None:
         latched = self._latched()
         if self._elsewhere and latched is None:
             self._forget_elsewhere()

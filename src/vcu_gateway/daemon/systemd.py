@@ -14,7 +14,6 @@ from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.core.calls import CountRestarts
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import TickResult
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restart_state import CountedStart, RestartCounter
 from vcu_gateway.units import NS_PER_S, NS_PER_US
@@ -41,8 +40,7 @@ class SafeFrames:
         self._basis: object = None
         self._failure_reported = False
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
-        del tick
+    def observe(self, result: TickResult) -> None:
         applied = tuple((one.motor_reverse, one.power_cut) for one in result.commands.values())
         basis = applied, self._loop.gateway.settings
         if result.frames and basis != self._basis and self._written():
@@ -148,7 +146,7 @@ class ServiceReporter:
             fields = {"in_this_drive": self.start.unexpected}
             self._loop.event_log.emit(Event("restarted_unexpectedly", Severity.WARNING, fields))
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
+    def observe(self, result: TickResult) -> None:
         """After each tick.
 
         Raises RuntimeError where the bus is not read any more: the process is to end, and to
@@ -156,7 +154,7 @@ class ServiceReporter:
         """
         now_ns = time.monotonic_ns()
         if self._safe_frames is not None:
-            self._safe_frames.observe(tick, result)
+            self._safe_frames.observe(result)
         self._reader.observe()
         if not self._ready:
             self._ready = True

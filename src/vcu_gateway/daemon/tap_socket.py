@@ -21,7 +21,6 @@ from vcu_gateway.bus.settings import read_clocks
 from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import EffectiveConfig
 from vcu_gateway.daemon.restart_state import boot_id
@@ -115,8 +114,7 @@ class RecorderTap:
         if self._connect_ns == 0:
             self._guarded(self._look, time.monotonic_ns())
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
-        del tick
+    def observe(self, result: TickResult) -> None:
         self._guarded(self._after_tick, result.snapshot.now_ns)
 
     def close(self) -> None:
