@@ -56,16 +56,19 @@ class Application:
         protocol: ProtocolSpec,
         log_lines_dropped: Callable[[], int] = lambda: 0,
     ) -> None:
+        dbc, in_effect = dbc_path(config), EffectiveConfig(config)
+        digest = hashlib.sha256(dbc.read_bytes()).hexdigest()[:_DIGEST_CHARACTERS]
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)
-        self.facts = queries.RunFacts(_protocol_digest(config), None, log_lines_dropped)
-        in_effect = EffectiveConfig(config)
+        self.facts = queries.RunFacts(digest, None, log_lines_dropped)
         self.api = ApiRunner(in_effect, protocol, self.loop, self.facts)
         self.loop.add_observer(self.api.observe)
         self._service: ServiceReporter | None = None
-        self._tap = _recorder_tap(in_effect, self.loop, self.facts)
-        if self._tap is not None:
-            self.facts.tap = self._tap
+        self._tap: RecorderTap | None = None
+        gateway, path = self.loop.gateway, config.recorder.socket_path
+        if path is not None and isinstance(gateway, TappedGateway):
+            hello = TapHello(in_effect, gateway, dbc, digest)
+            self._tap = self.facts.tap = RecorderTap(Path(path), gateway, self.loop, hello)
             self.loop.add_observer(self._tap.observe)
 
     def begin_service(self, manager: SystemdNotifier, runtime: Path | None) -> None:
@@ -74,7 +77,8 @@ class Application:
         The interface's lock is held: two gateways must not write the same files. `runtime` is the
         service's RuntimeDirectory; None: starts are not counted and no safe frames are kept.
         """
-        self._begin_recording()
+        if self._tap is not None:
+            self._tap.begin()
         bus = self.loop.connection.settings
         folder = folder_for(bus, runtime)
         others = other_folders(bus, folder)
@@ -92,7 +96,8 @@ class Application:
         Raises UnavailableError where the bus did not take the last safe frames: they stay in
         their file, and the service manager sends them.
         """
-        self._begin_recording()
+        if self._tap is not None:
+            self._tap.begin()
         try:
             self.loop.run(duration_s)
         finally:
@@ -103,11 +108,6 @@ class Application:
         if self.loop.gateway.gave_up:
             what = "ended, but its last safe frames did not leave"
             raise UnavailableError(Problem(what, remedy="look at the bus: vcu-gateway doctor"))
-
-    def _begin_recording(self) -> None:
-        """Look for the recorder before anything happens; once."""
-        if self._tap is not None:
-            self._tap.begin()
 
 
 def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
@@ -122,28 +122,9 @@ def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
     return TickLoop(gateway, connection, reopen_ms=config.bus.reopen_ms)
 
 
-def _recorder_tap(
-    in_effect: EffectiveConfig, loop: TickLoop, facts: queries.RunFacts
-) -> RecorderTap | None:
-    """The tap of this configuration; None where it has none."""
-    gateway, path = loop.gateway, in_effect.config.recorder.socket_path
-    if path is None or not isinstance(gateway, TappedGateway):
-        return None
-    dbc = dbc_path(in_effect.config)
-    hello = TapHello(in_effect, gateway, dbc, facts.protocol_digest)
-    return RecorderTap(Path(path), gateway, loop, hello)
-
-
 def bus_settings(config: Config) -> BusSettings:
-    """The bus connection's settings."""
-    bus = config.bus
-    return BusSettings(
-        interface=bus.interface,
-        channel=bus.channel,
-        kernel_filters=bus.kernel_filters,
-        receive_buffer_bytes=bus.receive_buffer_bytes,
-        bit_rate_bit_s=bus.bit_rate_bit_s,
-    )
+    """The bus connection's settings: the configuration's section but for the reconnector's key."""
+    return BusSettings(**config.bus.model_dump(exclude={"reopen_ms"}))
 
 
 class ApiRunner:
@@ -231,9 +212,3 @@ def server_settings(config: Config) -> ServerSettings:
         group=None if api.socket_group is None else groups(api.socket_group),
         mode=int(api.socket_mode, 8),
     )
-
-
-def _protocol_digest(config: Config) -> str:
-    """The beginning of the SHA-256 of the DBC in use."""
-    contents = dbc_path(config).read_bytes()
-    return hashlib.sha256(contents).hexdigest()[:_DIGEST_CHARACTERS]
