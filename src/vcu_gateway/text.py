@@ -1,4 +1,5 @@
 """Text for people: durations, sizes, times, counts, tables, progress; the streams at the end."""
+
 import contextlib
 import math
 import os
