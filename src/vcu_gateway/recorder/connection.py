@@ -1,6 +1,4 @@
-"""Connection of a gateway: what it said of itself, what it may hand over, and its datagrams.
-
-Bounds of what a gateway hands over: its HELLO and its core lines, before any of it is kept.
+"""Connection of a gateway: what it said of itself, and its datagrams, checked before they are kept.
 
 The limits are far above what a gateway sends: a checkpoint of it has 5 kB, both texts of its HELLO
 40 kB. A line is checked for its shape only; whether it makes sense is the reader's question.
@@ -43,7 +41,8 @@ def checked_hello(hello: Mapping[str, Any]) -> Mapping[str, Any]:
     run, channel, clock = hello.get("run"), hello.get("channel"), hello.get("clock")
     if not isinstance(run, str) or not _RUN.fullmatch(run):
         raise _hello("has no run id of up to 64 plain characters")
-    if not isinstance(channel, str) or not _is_channel(channel):
+    plain = isinstance(channel, str) and channel.isprintable() and " " not in channel
+    if not plain or not 0 < len(channel) <= _LONGEST_CHANNEL:
         raise _hello(f"has no channel of up to {_LONGEST_CHANNEL} printable characters")
     if not isinstance(clock, dict) or not _are_counts(clock, "monotonic_ns", "wall_ns"):
         raise _hello("has no clock of two 64-bit numbers")
@@ -98,10 +97,6 @@ def _are_counts(values: Mapping[str, Any], *keys: str) -> bool:
     """True where each is an integer, and no bool, of 0 to 2**63 - 1."""
     found = [values.get(key) for key in keys]
     return all(type(value) is int and 0 <= value <= _LARGEST for value in found)
-
-
-def _is_channel(channel: str) -> bool:
-    return 0 < len(channel) <= _LONGEST_CHANNEL and channel.isprintable() and " " not in channel
 
 
 def _is_text(value: Any, most_bytes: int) -> bool:
@@ -166,16 +161,14 @@ class GatewayConnection:
     """Connected gateway, as the receiver's thread has it.
 
     Attributes:
-        sender: process at the other end.
         hello: what it said of itself; None before that.
         begin_again: it is to be closed, so that its gateway connects again and begins a segment.
-        ended_by_gateway: its gateway has closed it.
         handed_on: a tick of it was put into the backlog.
         hello_bytes: that the long texts of its HELLO take in memory.
         fault: why it is to be closed for good: its data cannot be written; None without.
-        begun_s, latest_s: when it began, and when the latest datagram came, monotonic.
         frames: that it handed on so far, lost ones counted, since the gateway started.
-        since_wall_ns, last_wall_ns: when it began, and when the latest datagram came.
+        begun_s, latest_s: when it began, and when the latest datagram came, monotonic;
+            since_wall_ns, last_wall_ns: the same on the wall clock.
     """
 
     def __init__(self, sock: socket.socket, sender: Sender) -> None:

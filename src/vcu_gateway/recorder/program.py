@@ -48,7 +48,8 @@ class StatusFile:
         if disk.state == "ok":  # the last known room stays while the disk does not answer
             with contextlib.suppress(OSError):
                 self._room = room_bytes(options.folder)
-        total_bytes, free_bytes = self._room
+        self._written.append((time.monotonic(), writer.totals.bytes))
+        (then_s, before), (now_s, after) = self._written[0], self._written[-1]
         signer = writer.signer
         return RecorderStatus(
             pid=os.getpid(),
@@ -57,8 +58,8 @@ class StatusFile:
             written_wall_ns=time.time_ns(),
             written_monotonic_ns=time.monotonic_ns(),
             folder=os.path.abspath(options.folder),
-            total_bytes=total_bytes,
-            free_bytes=free_bytes,
+            total_bytes=self._room[0],
+            free_bytes=self._room[1],
             max_bytes=options.max_bytes,
             keep_free_bytes=options.keep_free_bytes,
             incident_max_bytes=options.incident_max_bytes,
@@ -78,15 +79,9 @@ class StatusFile:
                 removed_incidents=writer.incidents.removed,
             ),
             refused=dict(writer.refusals.counts),
-            bytes_a_second=self._rate(),
+            bytes_a_second=round((after - before) / max(1e-3, now_s - then_s), 1),
             connections=tuple(_connection(one, writer) for one in connections if one.hello),
         )
-
-    def _rate(self) -> float:
-        now_s, size = time.monotonic(), self._writer.totals.bytes
-        self._written.append((now_s, size))
-        then_s, before = self._written[0]
-        return round((size - before) / max(1e-3, now_s - then_s), 1)
 
 
 def _connection(connection: GatewayConnection, writer: Writer) -> RecordedConnection:

@@ -111,17 +111,16 @@ class DatagramReceiver:
         if sender.uid not in self._trusted:
             what = f"{sender} may not hand over a drive: turned away (--gateway-user)"
             self._refusals.note("sender", what)
-            sock.close()
-            return
-        if not self._made_room():
+        elif not self._made_room():
             what = f"more than {_MOST_CONNECTIONS} connections: {sender} is turned away"
             self._refusals.note("connections", what)
-            sock.close()
+        else:
+            sock.setblocking(False)
+            connection = GatewayConnection(sock, sender)
+            self.connections.append(connection)
+            self._selector.register(connection, selectors.EVENT_READ, connection)
             return
-        sock.setblocking(False)
-        connection = GatewayConnection(sock, sender)
-        self.connections.append(connection)
-        self._selector.register(connection, selectors.EVENT_READ, connection)
+        sock.close()
 
     def _made_room(self) -> bool:
         """True where one more connection has room; one that only takes room is ended for it."""
