@@ -21,7 +21,7 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon.log import log_event
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
+from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
 from vcu_gateway.daemon.tap_socket import RecorderTap, TapHello
@@ -56,18 +56,18 @@ class Application:
         protocol: ProtocolSpec,
         log_lines_dropped: Callable[[], int] = lambda: 0,
     ) -> None:
-        dbc, in_effect = dbc_path(config), EffectiveConfig(config)
+        dbc = dbc_path(config)
         digest = hashlib.sha256(dbc.read_bytes()).hexdigest()[:_DIGEST_CHARACTERS]
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)
         self.facts = queries.RunFacts(digest, None, log_lines_dropped)
-        self.api = ApiRunner(in_effect, protocol, self.loop, self.facts)
+        self.api = ApiRunner(config, protocol, self.loop, self.facts)
         self.loop.add_observer(self.api.observe)
         self._service: ServiceReporter | None = None
         self._tap: RecorderTap | None = None
         gateway, path = self.loop.gateway, config.recorder.socket_path
         if path is not None and isinstance(gateway, TappedGateway):
-            hello = TapHello(in_effect, gateway, dbc, digest)
+            hello = TapHello(self.api.reloader, gateway, dbc, digest)
             self._tap = self.facts.tap = RecorderTap(Path(path), gateway, self.loop, hello)
             self.loop.add_observer(self._tap.observe)
 
@@ -138,19 +138,14 @@ class ApiRunner:
     """
 
     def __init__(
-        self,
-        in_effect: EffectiveConfig,
-        protocol: ProtocolSpec,
-        loop: TickLoop,
-        facts: queries.RunFacts,
+        self, config: Config, protocol: ProtocolSpec, loop: TickLoop, facts: queries.RunFacts
     ) -> None:
         self._loop = loop
-        self._config = config = in_effect.config
-        self.reloader = Reloader(in_effect, protocol, loop, core_settings)
+        self._config = config
+        self.reloader = Reloader(config, protocol, loop)
         context = ServerContext(
             loop=loop,
             bus=bus_settings(config),
-            in_effect=in_effect,
             reloader=self.reloader,
             facts=facts,
             protocol=definition(protocol, facts.protocol_digest),

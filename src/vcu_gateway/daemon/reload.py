@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +9,7 @@ from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.calls import ReloadSettings
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.settings import KEYS, Reload, Settings, loosened
+from vcu_gateway.core.settings import KEYS, Reload, loosened
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.events import EventLog
@@ -26,30 +25,17 @@ class ReloadOutcome(NamedTuple):
     problems: tuple[str, ...] = ()
 
 
-@dataclass(slots=True)
-class EffectiveConfig:
-    """The configuration in effect; replaced whole, on the ticking thread."""
-
-    config: Config
-
-
 class Reloader:
     """Reads and checks the file on a thread of its own, and hands it to the ticking thread.
 
-    `settings` makes the core's settings of a configuration.
+    Attributes:
+        config: the configuration in effect; replaced whole, on the ticking thread.
     """
 
-    def __init__(
-        self,
-        in_effect: EffectiveConfig,
-        protocol: ProtocolSpec,
-        loop: TickLoop,
-        settings: Callable[[Config], Settings],
-    ) -> None:
-        self._in_effect = in_effect
+    def __init__(self, config: Config, protocol: ProtocolSpec, loop: TickLoop) -> None:
+        self.config = config
         self._protocol = protocol
         self._loop = loop
-        self._settings = settings
         self._busy = threading.Lock()
 
     def begin(self, done: Callable[[ReloadOutcome], None] = lambda _: None) -> None:
@@ -74,7 +60,7 @@ class Reloader:
 
     def _loaded(self) -> tuple[Config | None, tuple[str, ...]]:
         try:
-            new = configuration.load(Path(self._in_effect.config.source.file))
+            new = configuration.load(Path(self.config.source.file))
         except GatewayError as error:
             return None, tuple(map(str, error.problems))
         return new, tuple(map(str, configuration.check_against(new, self._protocol)))
@@ -83,22 +69,22 @@ class Reloader:
         """On the ticking thread: the checks that depend on what is in effect, and the change."""
         if new is None or problems:
             return _refused(*problems)
-        names = changed(self._in_effect.config, new)
+        names = changed(self.config, new)
         if fixed := [name for name in names if not is_live(name)]:
             return _refused(*(f"{name} needs a restart" for name in fixed))
-        gateway, settings = self._loop.gateway, self._settings(new)
+        gateway, settings = self._loop.gateway, configuration.core_settings(new)
         answer = gateway.apply(ReloadSettings(settings))
         if not answer.granted:
             looser = loosened(gateway.settings, settings) if gateway.mode is Mode.ACTIVE else ()
             why = [_in_a_drive(name) for name in looser] or [answer.sentence]
             return _refused(*why)
-        self._in_effect.config = new
+        self.config = new
         return ReloadOutcome(True, changed=names)
 
     def _reported(self, outcome: ReloadOutcome) -> ReloadOutcome:
         if outcome.taken:
-            report_effect(self._in_effect.config, self._loop.event_log)
-            digest = configuration.digest(self._in_effect.config)
+            report_effect(self.config, self._loop.event_log)
+            digest = configuration.digest(self.config)
             new = {"changed": list(outcome.changed), "digest": digest}
             self._loop.event_log.emit(Event("config_reloaded", Severity.INFO, new))
         else:

@@ -1,10 +1,8 @@
 """Tap's socket: a datagram a tick to the recorder, where one listens; never waited for.
 
-A recorder that is not there is looked for once a second. One that does not keep up loses
-datagrams, which are counted; as soon as the socket has room again a checkpoint tells where the
-recording goes on.
-
-HELLO of a running gateway: what the recorder has to know of it, made when it connects.
+A recorder that is not there is looked for once a second, and told by a HELLO what it has to know.
+One that does not keep up loses datagrams, which are counted; as soon as the socket has room again a
+checkpoint tells where the recording goes on.
 """
 
 import errno
@@ -22,7 +20,7 @@ from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.daemon.reload import EffectiveConfig
+from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import boot_id
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.core_lines import ShellEvent
@@ -37,10 +35,8 @@ _RUN_BYTES = 16
 class TapHello:
     """Makes the HELLO; run id and clocks are those of its making, once for a process."""
 
-    def __init__(
-        self, in_effect: EffectiveConfig, gateway: Gateway, dbc: Path, dbc_digest: str
-    ) -> None:
-        self._in_effect = in_effect
+    def __init__(self, reloader: Reloader, gateway: Gateway, dbc: Path, dbc_digest: str) -> None:
+        self._reloader = reloader
         self._gateway = gateway
         self._dbc, self._dbc_digest = dbc.read_bytes().decode(), dbc_digest
         self._run, self._boot = os.urandom(_RUN_BYTES).hex(), boot_id()
@@ -48,7 +44,7 @@ class TapHello:
         self._written: tuple[Config, str, str] | None = None
 
     def __call__(self) -> Mapping[str, Any]:
-        config = self._in_effect.config
+        config = self._reloader.config
         if self._written is None or self._written[0] is not config:  # it takes a while to make
             digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
             self._written = config, digest, text

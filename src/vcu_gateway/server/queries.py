@@ -20,7 +20,7 @@ from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, percentile_ns
 from vcu_gateway.daemon.loop import LastTick, TickLoop
-from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
+from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.server import views
@@ -208,7 +208,6 @@ class ServerContext(NamedTuple):
 
     loop: TickLoop
     bus: BusSettings
-    in_effect: EffectiveConfig
     reloader: Reloader
     facts: RunFacts
     protocol: results.Protocol
@@ -235,13 +234,13 @@ def state(context: ServerContext, messages: list[str] | None) -> results.State:
 
 
 def _health(context: ServerContext, _: methods.Nothing) -> results.Health:
-    config = context.in_effect.config
+    config = context.reloader.config
     api, now_ns = context.api_counts(), time.monotonic_ns()
     return health(context.loop, context.bus, config, context.facts, api, now_ns)
 
 
 def _config(context: ServerContext, _: methods.Nothing) -> results.ConfigInEffect:
-    config = context.in_effect.config
+    config = context.reloader.config
     return {
         "file": config.source.file,
         "digest": configuration.digest(config),
