@@ -1,9 +1,7 @@
 """Restart state: a latched CUT and the directions, kept for the next start in this boot.
 
 A gateway that is killed, crashes or ends must not come back as if the power had never been cut, nor
-with another direction than the wheels turn in.
-
-Restart counter: starts of this boot, and those that no orderly end came before.
+with another direction than the wheels turn in. Starts are counted beside it.
 """
 
 import contextlib

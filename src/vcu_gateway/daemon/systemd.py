@@ -1,7 +1,4 @@
-"""systemd: readiness, watchdog and status over sd_notify, and the runtime folder's files.
-
-Safe frames, kept in a file for `safe_stop` to send after a crash.
-"""
+"""systemd: readiness, watchdog and status over sd_notify; safe frames, kept for `safe_stop`."""
 
 import contextlib
 import socket
@@ -199,11 +196,7 @@ _TICKS_TO_DEATH = 20
 
 
 class ReceiverWatchdog:
-    """Watchdog of receiving: an open bus must have been read to the end within 20 ticks.
-
-    Attributes:
-        alive: False while it is in doubt.
-    """
+    """Watchdog of receiving: an open bus must have been read to the end within 20 ticks."""
 
     def __init__(self, connection: BusConnection) -> None:
         self._connection = connection
