@@ -8,7 +8,6 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Self
 
 from vcu_gateway import config as configuration
 from vcu_gateway.api.errors import Policy
@@ -155,9 +154,8 @@ class ApiRunner:
         self._server = Server(server_settings(config), Dispatcher(context), gaps)
         self._failure_reported = False
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> None:
         self.open()
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
@@ -169,7 +167,8 @@ class ApiRunner:
         try:
             self._server.open()
         except UnavailableError as error:
-            self._emit_error("api_unavailable", str(error))
+            fields = {"reason": str(error)}
+            self._loop.event_log.emit(Event("api_unavailable", Severity.ERROR, fields))
         else:
             self._server.start()
             fields = {"socket": self._config.api.socket_path}
@@ -184,10 +183,8 @@ class ApiRunner:
         del result
         if self._server.failed is not None and not self._failure_reported:
             self._failure_reported = True
-            self._emit_error("api_failed", self._server.failed)
-
-    def _emit_error(self, name: str, reason: str) -> None:
-        self._loop.event_log.emit(Event(name, Severity.ERROR, {"reason": reason}))
+            fields = {"reason": self._server.failed}
+            self._loop.event_log.emit(Event("api_failed", Severity.ERROR, fields))
 
 
 def server_settings(config: Config) -> ServerSettings:

@@ -22,12 +22,12 @@ class Signer:
 
     Attributes:
         fingerprint: of the key; None where it could not be read at the start.
-        signed, failures: how many signatures there are, and how many there should be as well.
+        failures: how many signatures could not be made.
     """
 
     def __init__(self, key: Path, incidents: Path, say: Callable[[str], None]) -> None:
         self.fingerprint: str | None = None
-        self.signed = self.failures = 0
+        self.failures = 0
         self._key = key
         self._incidents = incidents
         self._say = say
@@ -78,7 +78,6 @@ class Signer:
         layout.write_new(path, text)  # without its signature it is never there for long
         layout.write_new(beside, signed)
         files.sync(drive)
-        self.signed += 1
         core = layout.core_name(number)
         for incident in layout.recorded_folders(self._incidents):
             if _is_same(incident / core, drive / core):
@@ -88,7 +87,6 @@ class Signer:
         path = incident / layout.INCIDENT_FILE
         made = signature.sign(path.read_bytes(), self._key)
         layout.write_new(Path(f"{path}{signature.SUFFIX}"), made)
-        self.signed += 1
         for segment in layout.segments(incident):
             with contextlib.suppress(FileNotFoundError):  # none yet, or none at all
                 _link_signature(signature.link_paths(drive, segment.number), incident)
