@@ -34,8 +34,6 @@ from vcu_gateway.server.service import ServerSettings
 from vcu_gateway.server.tick_gaps import TickGaps
 from vcu_gateway.server.views import definition
 
-_DIGEST_CHARACTERS = 16
-
 
 class Application:
     """The whole program of one configuration; neither bus nor API is open yet.
@@ -56,7 +54,7 @@ class Application:
         log_lines_dropped: Callable[[], int] = lambda: 0,
     ) -> None:
         dbc = dbc_path(config)
-        digest = hashlib.sha256(dbc.read_bytes()).hexdigest()[:_DIGEST_CHARACTERS]
+        digest = hashlib.sha256(dbc.read_bytes()).hexdigest()[:16]
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)
         self.facts = queries.RunFacts(digest, None, log_lines_dropped)

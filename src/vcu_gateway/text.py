@@ -134,7 +134,6 @@ class Progress:
         self.show(f"{'' if share is None else f'{share:4.0%}, '}{frames} frames")
 
     def clear(self) -> None:
-        """Remove the line."""
         if self.shown:
             _put("\r\033[K")
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from vcu_gateway.recorder.options import DEFAULT_SOCKET, RecorderOptions, size_bytes
+from vcu_gateway.recorder import DEFAULT_SOCKET, RecorderOptions, size_bytes
 from vcu_gateway.recorder.program import Recorder
 from vcu_gateway.recording.layout import DEFAULT_FOLDER
 from vcu_gateway.text import say

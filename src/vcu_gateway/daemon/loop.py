@@ -72,8 +72,6 @@ class TickLoop:
     """Gateway and bus, ticked on the calling thread until `stop` or the end of `run`.
 
     Attributes:
-        work_queue: work of other threads for the ticking one.
-        event_log: events of the gateway and of the loop.
         reconnector: opens the bus, now and after every loss.
         latest: the last tick; None before the first.
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.

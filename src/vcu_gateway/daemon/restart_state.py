@@ -30,7 +30,6 @@ HIDDEN = "-"
 """Stands for a boot identifier that cannot be read."""
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-_NAME = "starts"
 _RUNNING, _ENDED = "running", "ended"
 
 
@@ -59,7 +58,7 @@ class RestartCounter:
     """Counter of one gateway's starts, in a file of its runtime folder."""
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / _NAME
+        self._path = folder / "starts"
         self._now: CountedStart | None = None
 
     def begin(self) -> CountedStart | None:
@@ -82,18 +81,16 @@ class RestartCounter:
 
     def _write(self, start: CountedStart, state: str) -> bool:
         text = f"{boot_id()} {start.number} {start.unexpected} {state}\n"
-        try:
+        with contextlib.suppress(OSError):
             files.replace(self._path, text)
-        except OSError:
-            return False
-        return True
+            return True
+        return False
 
 
 _BEFORE = "before this start: "
 _NAMESPACE = Path("/proc/self/ns/net")
 _RUN = Path("/run/vcu-gateway")
 _TEMPORARY = Path("/tmp")  # noqa: S108 - the folder in it is looked at before it is used
-_NOT_MINE = 0o077
 # Longer than this no stop waits: its frames go first.
 _QUICK_NS = 2 * NS_PER_MS
 # A thread that waited for its processor once makes no slow disk.
@@ -191,8 +188,11 @@ class RestartState:
 
     def observe(self, result: TickResult) -> None:
         latched = self._latched()
-        if self._elsewhere and latched is None:
-            self._forget_elsewhere()
+        if latched is None:  # after a service reset; a file that cannot be deleted latches again
+            for path in self._elsewhere:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+            self._elsewhere = []
         if self.path is None:
             return
         reverse = self._now.reverse
@@ -215,13 +215,6 @@ class RestartState:
         if self._failure != self._told:
             self._told = self._failure
             self._gateway.apply(NoteRestartState(self._failure))
-
-    def _forget_elsewhere(self) -> None:
-        """Delete the files elsewhere after a service reset; one that stays latches again."""
-        for path in self._elsewhere:
-            with contextlib.suppress(OSError):
-                path.unlink()
-        self._elsewhere = []
 
     def _latched(self) -> str | None:
         latch = self._gateway.latch
@@ -336,5 +329,5 @@ def _is_mine_alone(folder: Path) -> bool:
     return (
         stat.S_ISDIR(found.st_mode)
         and found.st_uid == os.geteuid()
-        and not stat.S_IMODE(found.st_mode) & _NOT_MINE
+        and not stat.S_IMODE(found.st_mode) & 0o077
     )

@@ -112,7 +112,6 @@ def _watchdog_ns(environment: Mapping[str, str], own_pid: int) -> int | None:
 
 
 _PINGS_IN_LIMIT = 4
-_STATUS_EVERY_NS = NS_PER_S
 
 
 class ServiceReporter:
@@ -174,7 +173,7 @@ class ServiceReporter:
             return
         signature = latest.why_signature, lost
         if signature != self._last_status:
-            self._last_status, self._status_ns = signature, now_ns + _STATUS_EVERY_NS
+            self._last_status, self._status_ns = signature, now_ns + NS_PER_S
             why = latest.why
             self._manager.status(why.headline() if lost is None else f"{why.mode.value}; {lost}")
 

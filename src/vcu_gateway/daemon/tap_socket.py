@@ -29,8 +29,6 @@ from vcu_gateway.recording.layout import DBC_FILE
 from vcu_gateway.recording.tap import Hello, TappedGateway, TapStream, packed_frames
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
-_RUN_BYTES = 16
-
 
 class TapHello:
     """Makes the HELLO; run id and clocks are those of its making, once for a process."""
@@ -39,7 +37,7 @@ class TapHello:
         self._reloader = reloader
         self._gateway = gateway
         self._dbc, self._dbc_digest = dbc.read_bytes().decode(), dbc_digest
-        self._run, self._boot = os.urandom(_RUN_BYTES).hex(), boot_id()
+        self._run, self._boot = os.urandom(16).hex(), boot_id()
         self._clock = read_clocks()
         self._written: tuple[Config, str, str] | None = None
 

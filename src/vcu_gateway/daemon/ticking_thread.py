@@ -63,7 +63,6 @@ def collect_after(tick_index: int) -> None:
 
 
 _SCHEDSTAT = "/proc/thread-self/schedstat"
-_BYTES = 128
 
 
 class ProcessorUsage(NamedTuple):
@@ -109,7 +108,7 @@ class ProcessorTime:
         if self._file is None:
             return None
         with contextlib.suppress(OSError, ValueError, IndexError):
-            return int(os.pread(self._file, _BYTES, 0).split()[1])
+            return int(os.pread(self._file, 128, 0).split()[1])
         return None
 
     def close(self) -> None:

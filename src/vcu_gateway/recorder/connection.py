@@ -32,8 +32,6 @@ _LARGEST = (1 << 63) - 1
 _RUN = re.compile(r"[0-9A-Za-z._-]{1,64}", re.ASCII)
 _LONGEST_CHANNEL = 64
 _TEXTS = ("config", "dbc")
-_OF_THE_RECORDER = ("begin", "gap", "end")
-_COUNTS = ("f", "tick", "restarted")
 
 
 def checked_hello(hello: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -74,11 +72,11 @@ def check_lines(lines: bytes) -> None:
 def _check(values: Any, number: int) -> None:
     if not isinstance(values, dict) or "f" not in values:
         raise _lines("have one that is no object with f")
-    if not _are_counts(values, *(key for key in _COUNTS if key in values)):
+    if not _are_counts(values, *(key for key in ("f", "tick", "restarted") if key in values)):
         raise _lines("have a count or a clock that is no 64-bit number")
     if not _are_events(values.get("events", [])):
         raise _lines("have events that are no list of name, severity and fields")
-    if any(key in values for key in _OF_THE_RECORDER):
+    if any(key in values for key in ("begin", "gap", "end")):
         raise _lines("have one that only the recorder writes")
     if "checkpoint" in values:
         state = values["checkpoint"]
@@ -152,7 +150,6 @@ def _lines(what: str) -> DatagramError:
 BUFFER_BYTES = 1 << 20
 """Room for the longest datagram."""
 _MOST_FRAMES = 50_000
-_MOST_COUNT = 1 << 63
 _CHECKPOINTS = NS_PER_S // 4, 20
 """At once, and a second: a gateway that loses datagrams sends one every 250 ms."""
 
@@ -214,7 +211,7 @@ class GatewayConnection:
         tick = datagram.tick_parts(received)
         if tick.frame_count > _MOST_FRAMES:
             raise DatagramError(f"{tick.frame_count} frames in one datagram are too many")
-        if max(tick.header) >= _MOST_COUNT or tick.header.frames < tick.frame_count:
+        if max(tick.header) > _LARGEST or tick.header.frames < tick.frame_count:
             raise DatagramError("its numbers of frames and datagrams cannot be")
         check_lines(tick.lines)
         if tick.begins_segment and not self._checkpoints.taken(time.monotonic_ns()):
@@ -228,7 +225,7 @@ class GatewayConnection:
         hello = self.hello_text.take(part)
         if hello is not None:
             self.hello = checked_hello(hello)
-            self.hello_bytes = sum(sys.getsizeof(hello[key]) for key in ("config", "dbc"))
+            self.hello_bytes = sum(sys.getsizeof(hello[key]) for key in _TEXTS)
 
     def forget_hello(self) -> None:
         """Keep of it what is shown: its drive has the rest, or there will be none."""

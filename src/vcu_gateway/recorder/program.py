@@ -9,12 +9,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from pathlib import Path
 from types import FrameType
 
 from vcu_gateway import __version__, files
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
+from vcu_gateway.recorder import RecorderOptions
 from vcu_gateway.recorder.connection import GatewayConnection
-from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.receiver import DatagramReceiver
 from vcu_gateway.recorder.ring import room_bytes
 from vcu_gateway.recorder.senders import TapListener, trusted_users
@@ -23,7 +24,6 @@ from vcu_gateway.recording import layout
 from vcu_gateway.recording.recorder_status import RecordedConnection, RecorderStatus
 
 _RATE_S = 60
-_MODE = 0o644
 
 
 class StatusFile:
@@ -41,7 +41,7 @@ class StatusFile:
         path = self._options.status_path
         if path is not None:
             with contextlib.suppress(OSError):
-                files.replace(path, self._status(connections).text(), _MODE)
+                files.replace(path, self._status(connections).text(), mode=0o644)
 
     def _status(self, connections: Iterable[GatewayConnection]) -> RecorderStatus:
         options, writer, disk = self._options, self._writer, self._writer.disk
@@ -119,11 +119,11 @@ class Recorder:
         self._say = say
         self._stop = False
         self._trusted = trusted_users(options.gateway_user)
-        self._lock = _locked(options)
+        self._lock = _locked(options.folder)
         try:
             self._writer = Writer(options, say)
         except OSError as error:
-            raise _cannot_use(options, error) from error
+            raise _cannot_use(options.folder, error) from error
         self._status = StatusFile(options, self._writer)
 
     def run(self) -> None:
@@ -186,16 +186,15 @@ def _woken_by_signals(handler: Callable[[int, FrameType | None], None]) -> socke
     return wake_up
 
 
-def _locked(options: RecorderOptions) -> int:
+def _locked(folder: Path) -> int:
     """Descriptor of the folder, which is ours alone; made where it is not there."""
-    folder = options.folder
     try:
         for path in (folder, folder / layout.DRIVES, folder / layout.INCIDENTS):
             path.mkdir(mode=0o750, parents=True, exist_ok=True)
             layout.remove_partial_folders(path)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
-        raise _cannot_use(options, error) from error
+        raise _cannot_use(folder, error) from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
@@ -205,7 +204,7 @@ def _locked(options: RecorderOptions) -> int:
     return descriptor
 
 
-def _cannot_use(options: RecorderOptions, error: OSError) -> UnavailableError:
-    what = f"cannot record into {options.folder}: {error.strerror or error}"
-    remedy = f"it must be a folder that this user can write; look at: ls -ld {options.folder}"
+def _cannot_use(folder: Path, error: OSError) -> UnavailableError:
+    what = f"cannot record into {folder}: {error.strerror or error}"
+    remedy = f"it must be a folder that this user can write; look at: ls -ld {folder}"
     return UnavailableError(Problem(what, remedy=remedy))

@@ -23,14 +23,12 @@ _RUNS = 2 * NS_PER_S, 16
 _MOST_SENDERS = 64
 _MOST_AT_ONCE = 200
 _MOST_OF_ONE = 20
-_WAKE_UP_BYTES = 4096
 
 
 class DatagramReceiver:
     """Connections and what they send.
 
     Attributes:
-        connections: those that are open.
         urgent_s: when the latest came that was not to wait, on the monotonic clock.
     """
 
@@ -76,7 +74,7 @@ class DatagramReceiver:
             if key.fileobj is self._listener.sock:
                 self._accept()
             elif key.fileobj is self._wake_up:
-                self._wake_up.recv(_WAKE_UP_BYTES)
+                self._wake_up.recv(4096)
             else:
                 self._read(key.data)
         late_s = time.monotonic() - _HELLO_S

@@ -21,8 +21,6 @@ _CREDENTIALS = struct.Struct("iII")
 _SAY_EVERY_S = 10.0
 _MOST_RUNS = 256
 _FIRST_PASSED = 3
-_BACKLOG = 16
-_MODE = 0o660
 
 
 class TapListener:
@@ -52,8 +50,8 @@ def _bound(path: Path) -> socket.socket:
     try:
         _remove_leftover(path)
         sock.bind(os.fspath(path))
-        path.chmod(_MODE)
-        sock.listen(_BACKLOG)
+        path.chmod(0o660)
+        sock.listen(16)
     except OSError as error:
         sock.close()
         what = f"cannot listen at {path}: {error.strerror or error}"
@@ -162,13 +160,12 @@ class Refusals:
     def __init__(self, say: Callable[[str], None]) -> None:
         self.counts: Counter[str] = Counter()
         self._say = say
-        self._said_s: dict[str, float] = {}
+        self._say_again_s: dict[str, float] = {}
 
     def note(self, reason: str, sentence: str) -> None:
         self.counts[reason] += 1
         now_s = time.monotonic()
-        said_s = self._said_s.get(reason)
-        if said_s is None or now_s - said_s >= _SAY_EVERY_S:
-            self._said_s[reason] = now_s
+        if now_s >= self._say_again_s.get(reason, now_s):
+            self._say_again_s[reason] = now_s + _SAY_EVERY_S
             count = self.counts[reason]
             self._say(f"{sentence} (number {count} of this kind)" if count > 1 else sentence)

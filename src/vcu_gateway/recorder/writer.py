@@ -8,12 +8,11 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from vcu_gateway.recorder import triggers
+from vcu_gateway.recorder import RecorderOptions, triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
-from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import (
     KEPT_WITHOUT_ROOM,
     Disk,
@@ -285,16 +284,15 @@ class Writer:
             if error.errno in _NO_LINKS:
                 self._say_no_links(error)
             elif is_of_a_name(error):
-                self._give_up_incident(trigger, error)
+                self._give_up_incident(trigger, error.strerror or repr(error)[:200])
             else:
                 raise
         except Exception as error:  # noqa: BLE001 - later ones are made
-            self._give_up_incident(trigger, error)
+            self._give_up_incident(trigger, repr(error)[:200])
 
-    def _give_up_incident(self, trigger: Trigger | None, error: Exception) -> None:
+    def _give_up_incident(self, trigger: Trigger | None, why: str) -> None:
         """It cannot be made, and not for want of a disk: those that follow are."""
         kind = "the open incident" if trigger is None else f"the incident {trigger.kind}"
-        why = (error.strerror if isinstance(error, OSError) else None) or repr(error)[:200]
         self.refusals.note("incident", f"{kind} cannot be kept and is given up: {why}")
 
     def _say_no_links(self, error: OSError) -> None:
