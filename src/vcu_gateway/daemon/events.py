@@ -6,15 +6,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from vcu_gateway.bus import reconnect
 from vcu_gateway.bus.connection import BusConnection
-from vcu_gateway.bus.reconnect import (
-    CarrierChanged,
-    LinkLost,
-    LinkOpened,
-    Reconnector,
-    Unavailable,
-    interface_warnings,
-)
 from vcu_gateway.core.calls import ChangeCarrier, LoseLink, OpenLink
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway
@@ -125,7 +118,7 @@ class LinkEvents:
         self,
         gateway: Gateway,
         connection: BusConnection,
-        reconnector: Reconnector,
+        reconnector: reconnect.Reconnector,
         event_log: EventLog,
     ) -> None:
         self._gateway = gateway
@@ -151,23 +144,23 @@ class LinkEvents:
         if not self._reconnector.changes:
             return
         match self._reconnector.changes.popleft():
-            case LinkOpened() as opened:
+            case reconnect.LinkOpened() as opened:
                 self._take_opening(opened, now_ns)
-            case LinkLost(at_ns, why):
+            case reconnect.LinkLost(at_ns, why):
                 self._gateway.apply(LoseLink(at_ns))
                 self._event_log.emit(Event("link_lost", Severity.ERROR, {"reason": why}))
-            case Unavailable(why):
+            case reconnect.Unavailable(why):
                 self._event_log.emit(Event("link_unavailable", Severity.ERROR, {"reason": why}))
-            case CarrierChanged(at_ns, present):
+            case reconnect.CarrierChanged(at_ns, present):
                 self._gateway.apply(ChangeCarrier(Carrier(present, at_ns)))
 
-    def _take_opening(self, opened: LinkOpened, now_ns: int) -> None:
+    def _take_opening(self, opened: reconnect.LinkOpened, now_ns: int) -> None:
         link = LinkStatus(opened.state, opened.at_ns)
         carrier = Carrier(opened.carrier, opened.at_ns)
         self._gateway.apply(OpenLink(link, carrier, now_ns))
         self._connection.start_sending()
         self._event_log.emit(Event("link_open", Severity.INFO))
-        for warning in interface_warnings(opened, self._connection.settings):
+        for warning in reconnect.interface_warnings(opened, self._connection.settings):
             if self._warnings.get(warning.name) != warning:
                 self._warnings[warning.name] = warning
                 self._event_log.emit(warning)

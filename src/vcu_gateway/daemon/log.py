@@ -147,7 +147,7 @@ def configure(
     Without a stream the log is the program's own: it goes to stderr, and crashes go into it.
     """
     own, stream = stream is None, stream or sys.stderr
-    on_terminal = _is_terminal(stream)
+    on_terminal = stream is not None and not stream.closed and stream.isatty()
     writer = QueuedWriter(stream, lambda lines: log.warning("log_lines_dropped", lines=lines))
     render: structlog.typing.Processor = structlog.processors.JSONRenderer()
     if form == "console" or (form == "auto" and on_terminal):
@@ -163,13 +163,6 @@ def configure(
     if own:
         _log_crashes(writer)
     return writer
-
-
-def _is_terminal(stream: TextIO | None) -> bool:
-    try:
-        return stream is not None and stream.isatty()
-    except ValueError:  # closed
-        return False
 
 
 def _is_journal(stream: TextIO | None, journal_stream: str) -> bool:

@@ -158,20 +158,18 @@ class RecorderTap:
         except OSError as error:
             self._count_lost(len(frames))
             self._recording = False
-            self._checkpoint_ns = time.monotonic_ns() + _CHECKPOINT_AGAIN_NS
+            now_ns = time.monotonic_ns()
+            self._checkpoint_ns = now_ns + _CHECKPOINT_AGAIN_NS
             if not isinstance(error, BlockingIOError) and error.errno != errno.EMSGSIZE:
-                self._report_lost(error)
+                self._drop_socket()
+                self._connect_ns = now_ns + _CONNECT_EVERY_NS
+                fields = {"reason": error.strerror or str(error)}
+                self._event_log.emit(Event("recorder_lost", Severity.INFO, fields))
 
     def _count_lost(self, frames: int) -> None:
         """A datagram that is not sent; the next one that is tells of it."""
         self.lost_datagrams += 1
         self.lost_frames += frames
-
-    def _report_lost(self, error: OSError) -> None:
-        self._drop_socket()
-        self._connect_ns = time.monotonic_ns() + _CONNECT_EVERY_NS
-        fields = {"reason": error.strerror or str(error)}
-        self._event_log.emit(Event("recorder_lost", Severity.INFO, fields))
 
     def _drop_socket(self) -> None:
         gone, self._socket, self._recording = self._socket, None, False
