@@ -23,7 +23,7 @@ from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
-from vcu_gateway.daemon.tap_socket import RecorderTap, TapHello
+from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.recording.tap import Tap, TappedGateway
 from vcu_gateway.server import queries
@@ -64,8 +64,9 @@ class Application:
         self._tap: RecorderTap | None = None
         gateway, path = self.loop.gateway, config.recorder.socket_path
         if path is not None and isinstance(gateway, TappedGateway):
-            hello = TapHello(self.api.reloader, gateway, dbc, digest)
-            self._tap = self.facts.tap = RecorderTap(Path(path), gateway, self.loop, hello)
+            self._tap = self.facts.tap = RecorderTap(
+                Path(path), gateway, self.loop, self.api.reloader, dbc, digest
+            )
             self.loop.add_observer(self._tap.observe)
 
     def begin_service(self, manager: SystemdNotifier, runtime: Path | None) -> None:

@@ -1,7 +1,7 @@
 """Reload: a new configuration for the running program, all of it or nothing."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.errors import GatewayError
+from vcu_gateway.errors import GatewayError, Problem
 
 
 class ReloadOutcome(NamedTuple):
@@ -54,18 +54,18 @@ class Reloader:
             done(self._reported(outcome))
 
     def _read(self, done: Callable[[ReloadOutcome], None]) -> None:
-        new, problems = self._loaded()
-        self._busy.release()
-        self._loop.work_queue.post(lambda: done(self._reported(self._take(new, problems))))
-
-    def _loaded(self) -> tuple[Config | None, tuple[str, ...]]:
+        new: Config | None = None
+        problems: list[Problem] = []
         try:
             new = configuration.load(Path(self.config.source.file))
+            problems += configuration.check_against(new, self._protocol)
         except GatewayError as error:
-            return None, tuple(map(str, error.problems))
-        return new, tuple(map(str, configuration.check_against(new, self._protocol)))
+            problems += error.problems
+        self._busy.release()
+        found = [str(problem) for problem in problems]
+        self._loop.work_queue.post(lambda: done(self._reported(self._take(new, found))))
 
-    def _take(self, new: Config | None, problems: tuple[str, ...]) -> ReloadOutcome:
+    def _take(self, new: Config | None, problems: Sequence[str]) -> ReloadOutcome:
         """On the ticking thread: the checks that depend on what is in effect, and the change."""
         if new is None or problems:
             return _refused(*problems)

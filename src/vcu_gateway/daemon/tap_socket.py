@@ -10,55 +10,22 @@ import os
 import select
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from vcu_gateway import config as configuration
 from vcu_gateway.bus.settings import read_clocks
 from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.gateway import Gateway, TickResult
+from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import boot_id
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.core_lines import ShellEvent
-from vcu_gateway.recording.datagram import TickHeader
 from vcu_gateway.recording.layout import DBC_FILE
 from vcu_gateway.recording.tap import Hello, TappedGateway, TapStream, packed_frames
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
-
-
-class TapHello:
-    """Makes the HELLO; run id and clocks are those of its making, once for a process."""
-
-    def __init__(self, reloader: Reloader, gateway: Gateway, dbc: Path, dbc_digest: str) -> None:
-        self._reloader = reloader
-        self._gateway = gateway
-        self._dbc, self._dbc_digest = dbc.read_bytes().decode(), dbc_digest
-        self._run, self._boot = os.urandom(16).hex(), boot_id()
-        self._clock = read_clocks()
-        self._written: tuple[Config, str, str] | None = None
-
-    def __call__(self) -> Mapping[str, Any]:
-        config = self._reloader.config
-        if self._written is None or self._written[0] is not config:  # it takes a while to make
-            digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
-            self._written = config, digest, text
-        _, digest, text = self._written
-        return Hello(
-            run=self._run,
-            boot=self._boot,
-            channel=config.bus.channel,
-            clock=self._clock,
-            settings=self._gateway.settings,
-            config=text,
-            config_digest=digest,
-            dbc=self._dbc,
-            dbc_digest=self._dbc_digest,
-        ).values()
-
 
 _CONNECT_EVERY_NS = NS_PER_S
 _CHECKPOINT_EVERY_NS = 60 * NS_PER_S
@@ -72,7 +39,7 @@ _SEND_BUFFER_BYTES = 1 << 20
 class RecorderTap:
     """Hands what a tapped gateway was given and answered to the recorder; for the ticking thread.
 
-    `hello` gives the begin of a connection, as `Hello.values` does.
+    Run id and clocks of its HELLO are those of its making, once for a process.
 
     Attributes:
         datagrams: handed over since the start.
@@ -84,12 +51,17 @@ class RecorderTap:
         path: Path,
         gateway: TappedGateway,
         loop: TickLoop,
-        hello: Callable[[], Mapping[str, Any]],
+        reloader: Reloader,
+        dbc: Path,
+        dbc_digest: str,
     ) -> None:
         self._path = str(path)
         self._gateway = gateway
         self._loop = loop
-        self._hello = hello
+        self._reloader = reloader
+        self._dbc, self._dbc_digest = dbc.read_bytes().decode(), dbc_digest
+        self._run, self._boot, self._clock = os.urandom(16).hex(), boot_id(), read_clocks()
+        self._written: tuple[Config, str, str] | None = None
         self._stream = TapStream(gateway)
         self._socket: socket.socket | None = None
         self._poll = select.poll()
@@ -149,7 +121,7 @@ class RecorderTap:
     def _hand_on(self) -> None:
         frames, lines = self._stream.batch()
         counts = self._stream.frames, self.lost_datagrams, self.lost_frames
-        header = TickHeader(self.datagrams + self.lost_datagrams + 1, *counts)
+        header = datagram.TickHeader(self.datagrams + self.lost_datagrams + 1, *counts)
         packed = datagram.packed_tick(header, packed_frames(frames), lines)
         try:
             if self._socket is not None:
@@ -185,7 +157,7 @@ class RecorderTap:
             connection.setblocking(False)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
             connection.connect(self._path)
-            for part in datagram.packed_hello(self._hello()):
+            for part in datagram.packed_hello(self._hello().values()):
                 connection.send(part)
         except OSError:
             connection.close()
@@ -194,6 +166,24 @@ class RecorderTap:
         self._poll.register(connection, select.POLLOUT)
         self._event_log.emit(Event("recorder_connected", Severity.INFO, {"socket": self._path}))
         self._begin_segment(now_ns)
+
+    def _hello(self) -> Hello:
+        config = self._reloader.config
+        if self._written is None or self._written[0] is not config:  # it takes a while to make
+            digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
+            self._written = config, digest, text
+        _, digest, text = self._written
+        return Hello(
+            run=self._run,
+            boot=self._boot,
+            channel=config.bus.channel,
+            clock=self._clock,
+            settings=self._gateway.settings,
+            config=text,
+            config_digest=digest,
+            dbc=self._dbc,
+            dbc_digest=self._dbc_digest,
+        )
 
     def _begin_segment(self, now_ns: int) -> None:
         """The next datagram begins with the state of now."""
