@@ -28,7 +28,6 @@ from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.recording.tap import Tap, TappedGateway
 from vcu_gateway.server import queries
 from vcu_gateway.server.dispatch import Dispatcher
-from vcu_gateway.server.queries import ServerContext
 from vcu_gateway.server.server import Server
 from vcu_gateway.server.service import ServerSettings
 from vcu_gateway.server.tick_gaps import TickGaps
@@ -53,8 +52,8 @@ class Application:
         protocol: ProtocolSpec,
         log_lines_dropped: Callable[[], int] = lambda: 0,
     ) -> None:
-        dbc = dbc_path(config)
-        digest = hashlib.sha256(dbc.read_bytes()).hexdigest()[:16]
+        dbc = dbc_path(config).read_bytes()
+        digest = hashlib.sha256(dbc).hexdigest()[:16]
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)
         self.facts = queries.RunFacts(digest, None, log_lines_dropped)
@@ -65,7 +64,7 @@ class Application:
         gateway, path = self.loop.gateway, config.recorder.socket_path
         if path is not None and isinstance(gateway, TappedGateway):
             self._tap = self.facts.tap = RecorderTap(
-                Path(path), gateway, self.loop, self.api.reloader, dbc, digest
+                Path(path), gateway, self.loop, self.api.reloader, digest
             )
             self.loop.add_observer(self._tap.observe)
 
@@ -141,9 +140,8 @@ class ApiRunner:
         self._loop = loop
         self._config = config
         self.reloader = Reloader(config, protocol, loop)
-        context = ServerContext(
+        context = queries.ServerContext(
             loop=loop,
-            bus=bus_settings(config),
             reloader=self.reloader,
             facts=facts,
             protocol=definition(protocol, facts.protocol_digest),

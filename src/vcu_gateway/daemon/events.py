@@ -100,10 +100,6 @@ def _severity(stop: Stop, now_ns: int) -> Severity:
     return Severity.INFO
 
 
-_DROPS_EVERY_NS = 10 * NS_PER_S
-_CHANGES_AT_ONCE = 10
-_CHANGE_EVERY_NS = 2 * NS_PER_S
-
 _SEVERITIES = {LinkState.UP: Severity.INFO, LinkState.WARNING: Severity.WARNING}
 
 
@@ -126,8 +122,8 @@ class LinkEvents:
         self._reconnector = reconnector
         self._event_log = event_log
         self._reported_state = LinkState.UP
-        # So that a flickering link fills no log.
-        self._changes = TokenBucket(_CHANGE_EVERY_NS, _CHANGES_AT_ONCE, now_ns=0)
+        # One in 2 s, and ten at once: a flickering link fills no log.
+        self._changes = TokenBucket(2 * NS_PER_S, burst=10, now_ns=0)
         self._reported_drops = self._next_drops_ns = 0
         self._warnings: dict[str, Event] = {}
 
@@ -176,7 +172,7 @@ class LinkEvents:
             self._event_log.emit(Event("link_state", severity, changed))
         dropped = self._connection.dropped or 0
         if dropped != self._reported_drops and now_ns >= self._next_drops_ns:
-            self._next_drops_ns = now_ns + _DROPS_EVERY_NS
+            self._next_drops_ns = now_ns + 10 * NS_PER_S
             fields = {"frames": dropped - self._reported_drops}
             self._reported_drops = dropped
             self._event_log.emit(Event("frames_dropped", Severity.WARNING, fields))

@@ -69,7 +69,6 @@ class TickLoop:
     """Gateway and bus, ticked on the calling thread until `stop` or the end of `run`.
 
     Attributes:
-        reconnector: opens the bus, now and after every loss.
         latest: the last tick; None before the first.
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.
         silent_ticks: ticks that sent nothing, listening before talking.

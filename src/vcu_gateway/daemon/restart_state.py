@@ -35,10 +35,9 @@ _RUNNING, _ENDED = "running", "ended"
 
 def boot_id() -> str:
     """Boot identifier of the kernel; `HIDDEN` where it cannot be read: /run ends with the boot."""
-    try:
+    with contextlib.suppress(OSError):
         return _BOOT_ID.read_text(encoding="ascii").strip() or HIDDEN
-    except OSError:
-        return HIDDEN
+    return HIDDEN
 
 
 class CountedStart(NamedTuple):
@@ -179,10 +178,7 @@ class RestartState:
             self._keep_cut(latched, _QUICK_NS)
 
     def _keep_cut(self, cut: str, most_ns: int) -> None:
-        """Write a CUT where that takes less time, by the quickest of the last writes.
-
-        After a write that failed, the next one may take any time.
-        """
+        """Write a CUT where the last write worked, and the quickest of the last ones took less."""
         if self.path is not None and self._failure is None and min(self._took_ns) < most_ns:
             self._write(self.path, self._now._replace(cut=cut))
 

@@ -64,9 +64,6 @@ class SafeFrames:
         forget(self._folder)
 
 
-_STATUS_CHARACTERS = 500
-
-
 class SystemdNotifier:
     """sd_notify messages to the service manager; nothing is sent where there is none.
 
@@ -82,7 +79,7 @@ class SystemdNotifier:
         self.watchdog_ns = _watchdog_ns(environment, own_pid)
 
     def status(self, sentence: str) -> None:
-        self.notify("STATUS=" + " ".join(sentence.split())[:_STATUS_CHARACTERS])
+        self.notify("STATUS=" + " ".join(sentence.split())[:500])
 
     def notify(self, line: str) -> None:
         """Send one assignment, such as `READY=1`."""
@@ -109,9 +106,6 @@ def _watchdog_ns(environment: Mapping[str, str], own_pid: int) -> int | None:
         return None
     text = environment.get("WATCHDOG_USEC", "")
     return int(text) * NS_PER_US if text.isascii() and text.isdecimal() and int(text) else None
-
-
-_PINGS_IN_LIMIT = 4
 
 
 class ServiceReporter:
@@ -164,7 +158,7 @@ class ServiceReporter:
     def _ping(self, now_ns: int) -> None:
         limit_ns = self._manager.watchdog_ns
         if limit_ns is not None and now_ns >= self._ping_ns and self._reader.alive:
-            self._ping_ns = now_ns + limit_ns // _PINGS_IN_LIMIT
+            self._ping_ns = now_ns + limit_ns // 4  # more often than systemd asks for
             self._manager.notify("WATCHDOG=1")
 
     def _send_status(self, now_ns: int) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 from vcu_gateway import config as configuration
 from vcu_gateway.bus.settings import read_clocks
 from vcu_gateway.config import Config
+from vcu_gateway.config.checks import dbc_path
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.daemon.loop import TickLoop
@@ -39,7 +40,7 @@ _SEND_BUFFER_BYTES = 1 << 20
 class RecorderTap:
     """Hands what a tapped gateway was given and answered to the recorder; for the ticking thread.
 
-    Run id and clocks of its HELLO are those of its making, once for a process.
+    Run id and clocks of its HELLO are those of its making; `digest` is that of the DBC.
 
     Attributes:
         datagrams: handed over since the start.
@@ -47,19 +48,14 @@ class RecorderTap:
     """
 
     def __init__(
-        self,
-        path: Path,
-        gateway: TappedGateway,
-        loop: TickLoop,
-        reloader: Reloader,
-        dbc: Path,
-        dbc_digest: str,
+        self, path: Path, gateway: TappedGateway, loop: TickLoop, reloader: Reloader, digest: str
     ) -> None:
         self._path = str(path)
         self._gateway = gateway
         self._loop = loop
         self._reloader = reloader
-        self._dbc, self._dbc_digest = dbc.read_bytes().decode(), dbc_digest
+        self._dbc = dbc_path(reloader.config).read_bytes().decode()
+        self._dbc_digest = digest
         self._run, self._boot, self._clock = os.urandom(16).hex(), boot_id(), read_clocks()
         self._written: tuple[Config, str, str] | None = None
         self._stream = TapStream(gateway)

@@ -101,11 +101,10 @@ def _is_text(value: Any, most_bytes: int) -> bool:
     """True for Unicode of at most that many bytes in memory; a lone surrogate is none."""
     if not isinstance(value, str) or sys.getsizeof(value) > most_bytes:
         return False
-    try:
+    with contextlib.suppress(UnicodeEncodeError):
         value.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _left_of(value: Any, room: int, depth: int = 0) -> int:

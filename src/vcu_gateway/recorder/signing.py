@@ -99,7 +99,6 @@ def _link_signature(signed: tuple[Path, Path], incident: Path) -> None:
 
 
 def _is_same(path: Path, other: Path) -> bool:
-    try:
+    with contextlib.suppress(OSError):
         return path.samefile(other)
-    except OSError:
-        return False
+    return False

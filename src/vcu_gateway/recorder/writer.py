@@ -179,13 +179,12 @@ class Writer:
 
     def _drive_of(self, connection: GatewayConnection) -> DriveRecorder:
         """The connection's drive; that of an earlier one of the same run goes on."""
-        drive = self.drives.get(connection)
-        if drive is None:
+        if connection not in self.drives:
             drive = self._begun(connection.hello or {})
             connection.forget_hello()
-            self.drives = {one: its for one, its in self.drives.items() if its is not drive}
-            self.drives[connection] = drive
-        return drive
+            others = {one: its for one, its in self.drives.items() if its is not drive}
+            self.drives = others | {connection: drive}
+        return self.drives[connection]
 
     def _begun(self, hello: Mapping[str, Any]) -> DriveRecorder:
         run = hello["run"]
