@@ -176,7 +176,7 @@ class Recorder:
 
 
 def _woken_by_signals(handler: Callable[[int, FrameType | None], None]) -> socket.socket:
-    """Socket that can be read from a signal on, to end a wait; the process handles them so."""
+    """Socket that can be read from the first SIGTERM, SIGINT or SIGUSR1 on: it ends a wait."""
     awake, wake_up = socket.socketpair()
     for sock in (awake, wake_up):
         sock.setblocking(False)
