@@ -25,7 +25,7 @@ def test_it_remembers_at_most_100_kinds():
     limit = LogRateLimit()
     for kind in range(1000):
         assert limit.admit(kind, kind) == 0
-    assert len(limit._admitted_ns) == 100
+    assert len(limit._kinds) == 100
     assert limit.admit(999, 1000) is None, "the latest are remembered"
 
 

@@ -8,36 +8,30 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Self
 
 from vcu_gateway import config as configuration
 from vcu_gateway.api.errors import Policy
-from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import Config, core_settings
 from vcu_gateway.config.checks import dbc_path
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.daemon.log import log_event
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
+from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
-from vcu_gateway.daemon.tap_socket import RecorderTap, TapHello
+from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.recording.tap import Tap, TappedGateway
 from vcu_gateway.server import queries
 from vcu_gateway.server.dispatch import Dispatcher
-from vcu_gateway.server.queries import ServerContext
 from vcu_gateway.server.server import Server
 from vcu_gateway.server.service import ServerSettings
 from vcu_gateway.server.tick_gaps import TickGaps
 from vcu_gateway.server.views import definition
-
-_DIGEST_CHARACTERS = 16
 
 
 class Application:
@@ -58,16 +52,20 @@ class Application:
         protocol: ProtocolSpec,
         log_lines_dropped: Callable[[], int] = lambda: 0,
     ) -> None:
+        dbc = dbc_path(config).read_bytes()
+        digest = hashlib.sha256(dbc).hexdigest()[:16]
         self.loop = _tick_loop(config, protocol)
         self.loop.event_log.subscribe(log_event)
-        self.facts = queries.RunFacts(_protocol_digest(config), None, log_lines_dropped)
-        in_effect = EffectiveConfig(config)
-        self.api = ApiRunner(in_effect, protocol, self.loop, self.facts)
+        self.facts = queries.RunFacts(digest, None, log_lines_dropped)
+        self.api = ApiRunner(config, protocol, self.loop, self.facts)
         self.loop.add_observer(self.api.observe)
         self._service: ServiceReporter | None = None
-        self._tap = _recorder_tap(in_effect, self.loop, self.facts)
-        if self._tap is not None:
-            self.facts.tap = self._tap
+        self._tap: RecorderTap | None = None
+        gateway, path = self.loop.gateway, config.recorder.socket_path
+        if path is not None and isinstance(gateway, TappedGateway):
+            self._tap = self.facts.tap = RecorderTap(
+                Path(path), gateway, self.loop, self.api.reloader, digest
+            )
             self.loop.add_observer(self._tap.observe)
 
     def begin_service(self, manager: SystemdNotifier, runtime: Path | None) -> None:
@@ -76,7 +74,8 @@ class Application:
         The interface's lock is held: two gateways must not write the same files. `runtime` is the
         service's RuntimeDirectory; None: starts are not counted and no safe frames are kept.
         """
-        self._begin_recording()
+        if self._tap is not None:
+            self._tap.begin()
         bus = self.loop.connection.settings
         folder = folder_for(bus, runtime)
         others = other_folders(bus, folder)
@@ -94,7 +93,8 @@ class Application:
         Raises UnavailableError where the bus did not take the last safe frames: they stay in
         their file, and the service manager sends them.
         """
-        self._begin_recording()
+        if self._tap is not None:
+            self._tap.begin()
         try:
             self.loop.run(duration_s)
         finally:
@@ -105,11 +105,6 @@ class Application:
         if self.loop.gateway.gave_up:
             what = "ended, but its last safe frames did not leave"
             raise UnavailableError(Problem(what, remedy="look at the bus: vcu-gateway doctor"))
-
-    def _begin_recording(self) -> None:
-        """Look for the recorder before anything happens; once."""
-        if self._tap is not None:
-            self._tap.begin()
 
 
 def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
@@ -124,28 +119,9 @@ def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
     return TickLoop(gateway, connection, reopen_ms=config.bus.reopen_ms)
 
 
-def _recorder_tap(
-    in_effect: EffectiveConfig, loop: TickLoop, facts: queries.RunFacts
-) -> RecorderTap | None:
-    """The tap of this configuration; None where it has none."""
-    gateway, path = loop.gateway, in_effect.config.recorder.socket_path
-    if path is None or not isinstance(gateway, TappedGateway):
-        return None
-    dbc = dbc_path(in_effect.config)
-    hello = TapHello(in_effect, gateway, dbc, facts.protocol_digest)
-    return RecorderTap(Path(path), gateway, loop, hello)
-
-
 def bus_settings(config: Config) -> BusSettings:
-    """The bus connection's settings."""
-    bus = config.bus
-    return BusSettings(
-        interface=bus.interface,
-        channel=bus.channel,
-        kernel_filters=bus.kernel_filters,
-        receive_buffer_bytes=bus.receive_buffer_bytes,
-        bit_rate_bit_s=bus.bit_rate_bit_s,
-    )
+    """The bus connection's settings: the configuration's section but for the reconnector's key."""
+    return BusSettings(**config.bus.model_dump(exclude={"reopen_ms"}))
 
 
 class ApiRunner:
@@ -159,31 +135,24 @@ class ApiRunner:
     """
 
     def __init__(
-        self,
-        in_effect: EffectiveConfig,
-        protocol: ProtocolSpec,
-        loop: TickLoop,
-        facts: queries.RunFacts,
+        self, config: Config, protocol: ProtocolSpec, loop: TickLoop, facts: queries.RunFacts
     ) -> None:
         self._loop = loop
-        self._config = config = in_effect.config
-        self.reloader = Reloader(in_effect, protocol, loop, core_settings)
-        context = ServerContext(
+        self._config = config
+        self.reloader = Reloader(config, protocol, loop)
+        context = queries.ServerContext(
             loop=loop,
-            bus=bus_settings(config),
-            in_effect=in_effect,
             reloader=self.reloader,
             facts=facts,
             protocol=definition(protocol, facts.protocol_digest),
-            api_counts=self._api_counts,
+            api_counts=lambda: self._server.counts(),  # noqa: PLW0108 - it is made below
         )
         gaps = TickGaps(lambda: loop.schedule.next_deadline_ns, loop.schedule.period_ns)
         self._server = Server(server_settings(config), Dispatcher(context), gaps)
         self._failure_reported = False
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> None:
         self.open()
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
@@ -195,7 +164,8 @@ class ApiRunner:
         try:
             self._server.open()
         except UnavailableError as error:
-            self._emit_error("api_unavailable", str(error))
+            fields = {"reason": str(error)}
+            self._loop.event_log.emit(Event("api_unavailable", Severity.ERROR, fields))
         else:
             self._server.start()
             fields = {"socket": self._config.api.socket_path}
@@ -205,18 +175,13 @@ class ApiRunner:
         """Close every connection and remove the socket."""
         self._server.close()
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
+    def observe(self, result: TickResult) -> None:
         """After each tick: one event where the API has failed."""
-        del tick, result
+        del result
         if self._server.failed is not None and not self._failure_reported:
             self._failure_reported = True
-            self._emit_error("api_failed", self._server.failed)
-
-    def _api_counts(self) -> ApiCounts:
-        return self._server.counts()
-
-    def _emit_error(self, name: str, reason: str) -> None:
-        self._loop.event_log.emit(Event(name, Severity.ERROR, {"reason": reason}))
+            fields = {"reason": self._server.failed}
+            self._loop.event_log.emit(Event("api_failed", Severity.ERROR, fields))
 
 
 def server_settings(config: Config) -> ServerSettings:
@@ -236,9 +201,3 @@ def server_settings(config: Config) -> ServerSettings:
         group=None if api.socket_group is None else groups(api.socket_group),
         mode=int(api.socket_mode, 8),
     )
-
-
-def _protocol_digest(config: Config) -> str:
-    """The beginning of the SHA-256 of the DBC in use."""
-    contents = dbc_path(config).read_bytes()
-    return hashlib.sha256(contents).hexdigest()[:_DIGEST_CHARACTERS]

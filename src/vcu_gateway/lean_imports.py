@@ -10,8 +10,6 @@ import os
 import sys
 from collections.abc import Iterator
 
-__all__ = ["hidden"]
-
 
 @contextlib.contextmanager
 def hidden(*names: str) -> Iterator[None]:

@@ -20,11 +20,9 @@ class TokenBucket:
 
     @property
     def ready_ns(self) -> int:
-        """Earliest time of the next `take`."""
         return self._taken_until_ns + self._interval_ns
 
     def take(self, now_ns: int) -> None:
-        """Only from `ready_ns` on."""
         self._taken_until_ns = max(self.ready_ns, now_ns - self._burst_ns + self._interval_ns)
 
     def taken(self, now_ns: int) -> bool:
@@ -39,17 +37,16 @@ class LogRateLimit:
     """Log rate limit: admits one of a kind per second and counts the others; at most 100 kinds."""
 
     def __init__(self) -> None:
-        self._admitted_ns: dict[Hashable, int] = {}
-        self._suppressed: dict[Hashable, int] = {}
+        self._kinds: dict[Hashable, tuple[int, int]] = {}
+        """When one was admitted last, and how many were suppressed since."""
 
     def admit(self, kind: Hashable, now_ns: int) -> int | None:
         """Number suppressed since the last one admitted; None where this one is suppressed."""
-        if now_ns - self._admitted_ns.get(kind, now_ns - NS_PER_S) < NS_PER_S:
-            self._suppressed[kind] = self._suppressed.get(kind, 0) + 1
+        admitted_ns, suppressed = self._kinds.pop(kind, (now_ns - NS_PER_S, 0))
+        if now_ns - admitted_ns < NS_PER_S:
+            self._kinds[kind] = admitted_ns, suppressed + 1
             return None
-        if kind not in self._admitted_ns and len(self._admitted_ns) >= _MAX_KINDS:
-            oldest = min(self._admitted_ns, key=self._admitted_ns.__getitem__)
-            del self._admitted_ns[oldest]
-            self._suppressed.pop(oldest, None)
-        self._admitted_ns[kind] = now_ns
-        return self._suppressed.pop(kind, 0)
+        if len(self._kinds) >= _MAX_KINDS:
+            del self._kinds[min(self._kinds, key=self._kinds.__getitem__)]
+        self._kinds[kind] = now_ns, 0
+        return suppressed

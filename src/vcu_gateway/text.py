@@ -1,7 +1,4 @@
-"""Text for people: durations, sizes, times in UTC, counts, tables, and a line of progress.
-
-The standard streams at the end of the program.
-"""
+"""Text for people: durations, sizes, times, counts, tables, progress; the streams at the end."""
 
 import contextlib
 import math
@@ -33,8 +30,7 @@ def flush() -> None:
 
 _Item = TypeVar("_Item")
 
-_MS_PER_S = 1000
-_MINUTE_S, _HOUR_S = 60, 3600
+_MINUTE_MS = 60_000
 _SIZES = ("kB", "MB", "GB", "TB")
 _LOOK_EVERY = 8192
 _PROGRESS_EVERY_S = 0.5
@@ -47,30 +43,27 @@ TIME_OF_DAY_MS = "%H:%M:%S.%f"
 
 def duration(duration_ms: float | None) -> str:
     """`340 ms`, `3.2 s`, `12 min 04 s`, `26 h 05 min`; `never` for None."""
-    if (short := _below_a_minute(duration_ms)) or duration_ms is None:
-        return short or "never"
-    whole_s = round(duration_ms / _MS_PER_S)
-    if whole_s < _HOUR_S:
-        return f"{whole_s // _MINUTE_S} min {whole_s % _MINUTE_S:02} s"
-    return f"{whole_s // _HOUR_S} h {whole_s % _HOUR_S // _MINUTE_S:02} min"
+    if duration_ms is None or duration_ms < _MINUTE_MS:
+        return _below_a_minute(duration_ms)
+    minutes, seconds = divmod(round(duration_ms / 1000), 60)
+    if minutes < 60:
+        return f"{minutes} min {seconds:02} s"
+    return f"{minutes // 60} h {minutes % 60:02} min"
 
 
 def narrow_duration(duration_ms: float | None) -> str:
     """`340 ms`, `3.2 s`, `12:04`, `26:05:12` as it goes on, for columns; `never` for None."""
-    if (short := _below_a_minute(duration_ms)) or duration_ms is None:
-        return short or "never"
-    minutes, seconds = divmod(int(duration_ms / _MS_PER_S), _MINUTE_S)
+    if duration_ms is None or duration_ms < _MINUTE_MS:
+        return _below_a_minute(duration_ms)
+    minutes, seconds = divmod(int(duration_ms / 1000), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
 
 
 def _below_a_minute(duration_ms: float | None) -> str:
-    """The duration; empty where it is None or not below a minute."""
-    if duration_ms is None or duration_ms >= _MINUTE_S * _MS_PER_S:
-        return ""
-    if duration_ms < _MS_PER_S:
-        return f"{duration_ms:.0f} ms"
-    return f"{duration_ms / _MS_PER_S:.1f} s"
+    if duration_ms is None:
+        return "never"
+    return f"{duration_ms:.0f} ms" if duration_ms < 1000 else f"{duration_ms / 1000:.1f} s"
 
 
 def size(size_bytes: float) -> str:
@@ -141,7 +134,6 @@ class Progress:
         self.show(f"{'' if share is None else f'{share:4.0%}, '}{frames} frames")
 
     def clear(self) -> None:
-        """Remove the line."""
         if self.shown:
             _put("\r\033[K")
 

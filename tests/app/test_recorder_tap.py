@@ -15,7 +15,6 @@ from vcu_gateway.client import RefusedError
 from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import TickResult
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.loop import TickLoop
@@ -213,7 +212,7 @@ def breaks_after(loop: TickLoop, ticks: int) -> None:
 
     done = itertools.count(1)
 
-    def observe(tick: Tick, result: TickResult) -> None:
+    def observe(result: TickResult) -> None:
         if next(done) == ticks:
             loop.gateway.supervisor.mode = None
 

@@ -48,7 +48,7 @@ def test_a_stricter_power_maximum_is_a_ramp_for_a_demand_that_names_no_power(fre
     with fresh.client() as client, client.demand("driver"):
         client.arm()
         fresh.loop.add_observer(
-            lambda tick, result: powers_w.append(result.commands["PCU1"].power_limit_w)
+            lambda result: powers_w.append(result.commands["PCU1"].power_limit_w)
         )
         fresh.until(lambda: 60_000 in powers_w, "full power")
         fresh.configure("limits: {power_limit_max_w: 45000}\n")

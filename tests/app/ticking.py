@@ -10,16 +10,17 @@ from pathlib import Path
 
 from tests.driven import driven
 from vcu_gateway.core.gateway import TickResult
-from vcu_gateway.core.schedule import Tick
 
 
 def main(folder: Path) -> None:
     end = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: end.set())
 
-    def note(tick: Tick, result: TickResult) -> None:
+    def note(result: TickResult) -> None:
         del result
-        ticks.write(f"{tick.deadline_ns} {tick.lateness_ns}\n")
+        schedule = gateway.loop.schedule
+        deadline_ns = schedule.next_deadline_ns - schedule.period_ns
+        ticks.write(f"{deadline_ns} {schedule.recent_lateness_ns[-1]}\n")
 
     with open(folder / "lateness", "w", buffering=1) as ticks, driven(folder) as gateway:
         gateway.loop.add_observer(note)

@@ -56,15 +56,17 @@ class Rig:
             BusSettings("virtual", self.channel), codec.identifiers(), self.gateway.receive
         )
         self.modes: list[Mode] = []
-        self.skipped = 0
+        self.skipped = self._all_skipped = 0
         self._frames: list[can.Message] = []
         self._wanted: Callable[[], object] | None = None
-        self.loop = TickLoop(self.gateway, self.connection, 50, self._observe)
+        self.loop = TickLoop(self.gateway, self.connection, 50)
+        self.loop.add_observer(self._observe)
         self.other_node = can.Bus(interface="virtual", channel=self.channel)
 
-    def _observe(self, tick, result) -> None:
+    def _observe(self, result) -> None:
         self.modes.append(result.mode)
-        self.skipped = max(self.skipped, tick.skipped)
+        skipped, self._all_skipped = self._all_skipped, self.loop.schedule.skipped
+        self.skipped = max(self.skipped, self._all_skipped - skipped)
         if self._wanted is not None and self._wanted():
             self._wanted = None
             self.loop.stop("it is so")

@@ -15,7 +15,6 @@ from vcu_gateway.core.demand import ControllerDemand, Demand
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState, LinkStatus
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.daemon import restart_state
@@ -34,7 +33,6 @@ from vcu_gateway.protocol import dbc, packaged
 CODEC = Codec(dbc.load(packaged("vcu.dbc")))
 BUS = BusSettings("socketcan", "vcan0")
 MS = 1_000_000
-TICK = Tick(0, 0, 0, 0)
 ZERO_TORQUE, POWER_CUT = "0c000000e02e0000", "8c000000e02e0000"
 REVERSE = "1c000000e02e0000"
 CUT = "emergency stop"
@@ -71,7 +69,7 @@ class Process:
             self.gateway.sent(frame, True, self.now_ns)
             echo = Frame(frame.can_id, frame.data, self.now_ns, own_echo=True)
             self.gateway.receive(echo)
-        self.state.observe(TICK, result)
+        self.state.observe(result)
         return [frame.data.hex() for frame in result.frames]
 
     def hear(self, name: str, raws: dict[str, int] | None = None) -> None:

@@ -14,13 +14,11 @@ import pytest
 from tests.core.simulated_drive import CODEC, Drive, active, standby
 from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.core.demand import ControllerDemand
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.daemon import systemd
 from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.daemon.systemd import ReceiverWatchdog, ServiceReporter, SystemdNotifier
 
-TICK = Tick(0, 0, 0, 0)
 S = 1_000_000_000
 ZERO_TORQUE = "0008A7D0#0C000000E02E0000\n0008A8D0#0C000000E02E0000\n"
 
@@ -48,7 +46,7 @@ class ServiceRig:
         for _ in range(times):
             result = self.drive.tick()
             self.loop.latest = LastTick.explained(self.drive.gateway, result, self.drive.now_ns)
-            self.service.observe(TICK, result)
+            self.service.observe(result)
             self._listen()
 
     def _listen(self) -> None:

@@ -110,9 +110,8 @@ class Program:
     def reading(self) -> GatewayAnswers:
         """What the API answers now, through JSON."""
         now_ns, latest, config = self.drive.now_ns, self.loop.latest, Config()
-        settings = self.connection.settings
         answers: dict[str, Any] = {}
-        answers["health"] = health(self.loop, settings, config, self.facts, self.api, now_ns)
+        answers["health"] = health(self.loop, config, self.facts, self.api, now_ns)
         answers["config"] = {"digest": "", "values": configuration.effective(config)}
         if latest is not None:
             answers["state"] = views.state(self.drive.gateway, latest, now_ns)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vcu_gateway.recorder.options import size_bytes
+from vcu_gateway.recorder import size_bytes
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ import can
 from tests.driven import Driven
 from vcu_gateway.client import Client, RefusedError
 from vcu_gateway.core import calls
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.simulator.nodes import NodeFrame
 
@@ -119,8 +118,8 @@ class Program:
                 client.reset("service")
         return self.driven.mode == "standby" and not self.driven.latest_why.blocks
 
-    def _note_lateness(self, tick: Tick, result: object) -> None:
-        self._lateness_us.append(tick.lateness_ns / 1000)
+    def _note_lateness(self, result: object) -> None:
+        self._lateness_us.append(self.driven.loop.schedule.recent_lateness_ns[-1] / 1000)
 
     def lateness_us(self) -> list[float]:
         """Of each tick since the last time that this was asked."""

@@ -6,12 +6,10 @@ from typing import Any
 
 import click
 
-from vcu_gateway.recorder import Recorder, RecorderOptions
-from vcu_gateway.recorder.options import DEFAULT_SOCKET, size_bytes
+from vcu_gateway.recorder import DEFAULT_SOCKET, RecorderOptions, size_bytes
+from vcu_gateway.recorder.program import Recorder
 from vcu_gateway.recording.layout import DEFAULT_FOLDER
 from vcu_gateway.text import say
-
-_DEFAULTS = RecorderOptions()
 
 
 def _size(context: click.Context, parameter: click.Parameter, text: str) -> int:
@@ -93,4 +91,4 @@ def recorder(**options: Any) -> None:
     A program beside them, which none of them waits for. SIGUSR1 keeps what surrounds this moment
     as an incident; Ctrl-C or SIGTERM ends it in order.
     """
-    Recorder(_DEFAULTS._replace(**options), say).run()
+    Recorder(RecorderOptions(**options), say).run()

@@ -134,7 +134,7 @@ def run(
     next start in this boot; without it in /run/vcu-gateway, $XDG_RUNTIME_DIR/vcu-gateway or
     /tmp/vcu-gateway-UID, the first that can be written; a CUT is looked for in all of them.
     """
-    manager = SystemdNotifier.of_this_process()
+    manager = SystemdNotifier(os.environ, os.getpid())
     try:
         _run(manager, config_path, duration_s, state_path, lock_memory)
     except GatewayError as error:
@@ -161,7 +161,7 @@ def _run(
     if lock_memory:
         _lock_memory(loop.event_log)
     application.begin_service(manager, runtime)
-    loop.handle_signals(on_hangup=application.api.reloader.on_hangup)
+    loop.handle_signals(on_hangup=application.api.reloader.begin)
     try:
         with application.api:
             application.run(duration_s)

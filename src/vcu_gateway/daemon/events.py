@@ -6,26 +6,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from vcu_gateway.bus import reconnect
 from vcu_gateway.bus.connection import BusConnection
-from vcu_gateway.bus.reconnect import (
-    CarrierChanged,
-    LinkLost,
-    LinkOpened,
-    Reconnector,
-    Unavailable,
-    interface_warnings,
-)
 from vcu_gateway.core.calls import ChangeCarrier, LoseLink, OpenLink
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.stop import GAP_NS, Stop, StopStage
 from vcu_gateway.rate_limit import TokenBucket
+from vcu_gateway.units import NS_PER_S
 
 _ENTRIES = 200
-
-Sink = Callable[[Event], None]
-"""Takes each event as it happens, on the ticking thread; it must neither wait nor raise."""
 
 
 @dataclass(slots=True)
@@ -54,27 +45,22 @@ class EventLog:
 
     def __init__(self) -> None:
         self._entries: OrderedDict[tuple[str, int, str], LoggedEvent] = OrderedDict()
-        self._sinks: list[Sink] = []
+        self._subscribers: list[Callable[[Event], None]] = []
         self.forgotten = 0
 
-    def subscribe(self, sink: Sink) -> None:
-        self._sinks.append(sink)
+    def subscribe(self, take: Callable[[Event], None]) -> None:
+        """Hand it each event as it happens, on the ticking thread; it neither waits nor raises."""
+        self._subscribers.append(take)
 
     def emit(self, event: Event) -> None:
-        for sink in self._sinks:
-            sink(event)
+        for take in self._subscribers:
+            take(event)
         key = (event.name, event.severity, repr(sorted(event.fields.items())))
         now_ns, wall_s = time.monotonic_ns(), time.time()
-        entry = self._entries.get(key)
-        if entry is None:
-            self._entries[key] = LoggedEvent(event, 1, now_ns, now_ns, wall_s)
-            self._make_room()
-            return
+        entry = self._entries.setdefault(key, LoggedEvent(event, 0, now_ns, now_ns, wall_s))
         entry.count += 1
         entry.last_ns, entry.last_wall_s = now_ns, wall_s
         self._entries.move_to_end(key)
-
-    def _make_room(self) -> None:
         if len(self._entries) > _ENTRIES:
             self._entries.popitem(last=False)
             self.forgotten += 1
@@ -114,10 +100,6 @@ def _severity(stop: Stop, now_ns: int) -> Severity:
     return Severity.INFO
 
 
-_DROPS_EVERY_NS = 10_000_000_000
-_CHANGES_AT_ONCE = 10
-_CHANGE_EVERY_NS = 2_000_000_000
-
 _SEVERITIES = {LinkState.UP: Severity.INFO, LinkState.WARNING: Severity.WARNING}
 
 
@@ -132,7 +114,7 @@ class LinkEvents:
         self,
         gateway: Gateway,
         connection: BusConnection,
-        reconnector: Reconnector,
+        reconnector: reconnect.Reconnector,
         event_log: EventLog,
     ) -> None:
         self._gateway = gateway
@@ -140,10 +122,9 @@ class LinkEvents:
         self._reconnector = reconnector
         self._event_log = event_log
         self._reported_state = LinkState.UP
-        # So that a flickering link fills no log.
-        self._changes = TokenBucket(_CHANGE_EVERY_NS, _CHANGES_AT_ONCE, now_ns=0)
-        self._dropped_before = 0
-        self._next_drops_ns = 0
+        # One in 2 s, and ten at once: a flickering link fills no log.
+        self._changes = TokenBucket(2 * NS_PER_S, burst=10, now_ns=0)
+        self._reported_drops = self._next_drops_ns = 0
         self._warnings: dict[str, Event] = {}
 
     def begin(self, now_ns: int) -> None:
@@ -159,45 +140,39 @@ class LinkEvents:
         if not self._reconnector.changes:
             return
         match self._reconnector.changes.popleft():
-            case LinkOpened() as opened:
+            case reconnect.LinkOpened() as opened:
                 self._take_opening(opened, now_ns)
-            case LinkLost(at_ns, why):
+            case reconnect.LinkLost(at_ns, why):
                 self._gateway.apply(LoseLink(at_ns))
                 self._event_log.emit(Event("link_lost", Severity.ERROR, {"reason": why}))
-            case Unavailable(why):
+            case reconnect.Unavailable(why):
                 self._event_log.emit(Event("link_unavailable", Severity.ERROR, {"reason": why}))
-            case CarrierChanged(at_ns, present):
+            case reconnect.CarrierChanged(at_ns, present):
                 self._gateway.apply(ChangeCarrier(Carrier(present, at_ns)))
 
-    def _take_opening(self, opened: LinkOpened, now_ns: int) -> None:
+    def _take_opening(self, opened: reconnect.LinkOpened, now_ns: int) -> None:
         link = LinkStatus(opened.state, opened.at_ns)
         carrier = Carrier(opened.carrier, opened.at_ns)
         self._gateway.apply(OpenLink(link, carrier, now_ns))
         self._connection.start_sending()
         self._event_log.emit(Event("link_open", Severity.INFO))
-        for warning in interface_warnings(opened, self._connection.settings):
+        for warning in reconnect.interface_warnings(opened, self._connection.settings):
             if self._warnings.get(warning.name) != warning:
                 self._warnings[warning.name] = warning
                 self._event_log.emit(warning)
 
     def after_tick(self, now_ns: int) -> None:
         """Emit a changed link state and newly dropped frames, both at a bounded rate."""
-        state = self._gateway.link.state
-        reported = (self._reported_state, LinkState.LOST)  # a loss is emitted with its reason
-        if state not in reported and self._changes.taken(now_ns):
-            self._emit_state(state)
+        before, state = self._reported_state, self._gateway.link.state
+        # A loss is emitted with its reason.
+        if state not in (before, LinkState.LOST) and self._changes.taken(now_ns):
+            self._reported_state = state
+            changed = {"state": state.value, "before": before.value}
+            severity = _SEVERITIES.get(state, Severity.ERROR)
+            self._event_log.emit(Event("link_state", severity, changed))
         dropped = self._connection.dropped or 0
-        if dropped != self._dropped_before and now_ns >= self._next_drops_ns:
-            self._next_drops_ns = now_ns + _DROPS_EVERY_NS
-            self._emit_drops(dropped)
-
-    def _emit_state(self, state: LinkState) -> None:
-        before, self._reported_state = self._reported_state, state
-        fields = {"state": state.value, "before": before.value}
-        self._event_log.emit(Event("link_state", _SEVERITIES.get(state, Severity.ERROR), fields))
-
-    def _emit_drops(self, dropped: int) -> None:
-        before, self._dropped_before = self._dropped_before, dropped
-        self._event_log.emit(
-            Event("frames_dropped", Severity.WARNING, {"frames": dropped - before})
-        )
+        if dropped != self._reported_drops and now_ns >= self._next_drops_ns:
+            self._next_drops_ns = now_ns + 10 * NS_PER_S
+            fields = {"frames": dropped - self._reported_drops}
+            self._reported_drops = dropped
+            self._event_log.emit(Event("frames_dropped", Severity.WARNING, fields))

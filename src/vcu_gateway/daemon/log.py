@@ -7,10 +7,9 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Literal, TextIO
 
-from vcu_gateway.core.causes import Event, Severity
+from vcu_gateway.core.causes import Event
 from vcu_gateway.lean_imports import hidden
 
 # structlog imports these where they are installed, for tracebacks and threads that are not here.
@@ -35,7 +34,7 @@ class QueuedWriter:
     It writes to a descriptor of its own: nothing else closes that one, and no lock of the stream's
     is held while a reader keeps it waiting, which would stop the interpreter's end.
 
-    `tell_lost` is called, on the writing thread, with the number of lines that were lost, once
+    `report_lost` is called, on the writing thread, with the number of lines that were lost, once
     the reader takes lines again.
     """
 
@@ -75,17 +74,15 @@ class QueuedWriter:
 
     def _work(self) -> None:
         while True:
-            self._do(self._queue.get())
-
-    def _do(self, work: str | threading.Event) -> None:
-        if isinstance(work, str):
-            self._write_out(work)
-            if self._queue.empty():
-                self._report_lost_lines()
-        elif self._report_lost_lines():
-            self._queue.put(work)  # the line about the loss comes before
-        else:
-            work.set()
+            work = self._queue.get()
+            if isinstance(work, str):
+                self._write_out(work)
+                if self._queue.empty():
+                    self._report_lost_lines()
+            elif self._report_lost_lines():
+                self._queue.put(work)  # the line about the loss comes before
+            else:
+                work.set()
 
     def _write_out(self, text: str) -> None:
         try:
@@ -106,22 +103,14 @@ class QueuedWriter:
         return True
 
 
-def _sink(stream: TextIO | None) -> Callable[[str], None]:
+def _sink(stream: TextIO | None) -> Callable[[str], object]:
     """Function that writes a text, however long it takes; it raises OSError or ValueError."""
-    if stream is None:  # closed before the program began
-        return _nowhere
+    if stream is None:  # closed before the program began: each line fails and is counted
+        return _Descriptor(-1).write
     try:
-        return _Descriptor(os.dup(stream.fileno()))
+        return _Descriptor(os.dup(stream.fileno())).write
     except (OSError, ValueError):  # closed, or in memory
-
-        def write(text: str) -> None:
-            stream.write(text)
-
-        return write
-
-
-def _nowhere(text: str) -> None:
-    raise OSError(f"nowhere to write {len(text)} characters")
+        return stream.write
 
 
 class _Descriptor:
@@ -131,7 +120,7 @@ class _Descriptor:
         self._number = number
         self._torn = False
 
-    def __call__(self, text: str) -> None:
+    def write(self, text: str) -> None:
         left = text.encode("utf-8", "backslashreplace")
         if self._torn:
             left = b"\n" + left
@@ -158,34 +147,22 @@ def configure(
     Without a stream the log is the program's own: it goes to stderr, and crashes go into it.
     """
     own, stream = stream is None, stream or sys.stderr
-    person = form == "console" or (form == "auto" and _is_terminal(stream))
-    writer = QueuedWriter(stream, _log_lost)
-    render: structlog.typing.Processor = (
-        structlog.dev.ConsoleRenderer(colors=_is_terminal(stream))
-        if person
-        else structlog.processors.JSONRenderer()
-    )
+    on_terminal = stream is not None and not stream.closed and stream.isatty()
+    writer = QueuedWriter(stream, lambda lines: log.warning("log_lines_dropped", lines=lines))
+    render: structlog.typing.Processor = structlog.processors.JSONRenderer()
+    if form == "console" or (form == "auto" and on_terminal):
+        render = structlog.dev.ConsoleRenderer(colors=on_terminal)
     if _is_journal(stream, os.environ.get("JOURNAL_STREAM", "")):
         render = _for_the_journal(render)
+    add_time = structlog.processors.TimeStamper(fmt="iso", utc=True)
     structlog.configure(
-        processors=[
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            render,
-        ],
+        processors=[structlog.processors.add_log_level, add_time, render],
         wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.WriteLoggerFactory(writer),  # type: ignore[arg-type]
     )
     if own:
         _log_crashes(writer)
     return writer
-
-
-def _is_terminal(stream: TextIO | None) -> bool:
-    try:
-        return stream is not None and stream.isatty()
-    except ValueError:  # closed
-        return False
 
 
 def _is_journal(stream: TextIO | None, journal_stream: str) -> bool:
@@ -207,10 +184,6 @@ def _for_the_journal(render: structlog.typing.Processor) -> structlog.typing.Pro
     return rendered
 
 
-def _log_lost(lines: int) -> None:
-    log.warning("log_lines_dropped", lines=lines)
-
-
 def _log_crashes(writer: QueuedWriter) -> None:
     """Log uncaught exceptions of every thread.
 
@@ -218,34 +191,20 @@ def _log_crashes(writer: QueuedWriter) -> None:
     """
 
     def of_thread(crash: threading.ExceptHookArgs) -> None:
-        name = crash.thread.name if crash.thread else "unknown"
-        _log_crash(name, crash.exc_type, crash.exc_value, crash.exc_traceback)
+        _log_crash(crash.thread.name if crash.thread else "unknown", *crash[:3])
 
-    def of_main(
-        kind: type[BaseException], error: BaseException, trace: TracebackType | None
-    ) -> None:
-        _log_crash("main", kind, error, trace)
+    def of_main(*crash: Any) -> None:
+        _log_crash("main", *crash)
         writer.drain()
 
     threading.excepthook = of_thread
     sys.excepthook = of_main
 
 
-def _log_crash(
-    thread: str,
-    kind: type[BaseException],
-    error: BaseException | None,
-    trace: TracebackType | None,
-) -> None:
+def _log_crash(thread: str, kind: Any, error: Any, trace: Any) -> None:
     lines = traceback.format_exception(kind, error, trace)
     log.critical("crashed", thread=thread, error=repr(error), exception="".join(lines))
 
 
 def log_event(event: Event) -> None:
-    name = {
-        Severity.INFO: "info",
-        Severity.WARNING: "warning",
-        Severity.ERROR: "error",
-        Severity.CRITICAL: "critical",
-    }[event.severity]
-    getattr(log, name)(event.name, **event.fields)
+    log.log(event.severity, event.name, **event.fields)

@@ -3,7 +3,6 @@
 import signal
 import time
 from collections.abc import Callable
-from types import FrameType
 from typing import NamedTuple
 
 from vcu_gateway.bus.connection import BusConnection
@@ -14,14 +13,13 @@ from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.schedule import Schedule, Tick, lateness_at
 from vcu_gateway.core.stop import Stop
-from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.core.why import Explanation, Reasons, explained
 from vcu_gateway.daemon import ticking_thread
 from vcu_gateway.daemon.events import EventLog, LinkEvents, StopEvents
 from vcu_gateway.daemon.log import log
 from vcu_gateway.daemon.restart_state import RestartState
 from vcu_gateway.daemon.ticking_thread import DrainPlan, ProcessorTime, WorkQueue
-from vcu_gateway.units import NS_PER_MS, NS_PER_S
+from vcu_gateway.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 # No work for others is begun so shortly before the bus is read for a tick.
 _PUNCTUAL_NS = 3_000_000
@@ -29,8 +27,6 @@ _PUNCTUAL_NS = 3_000_000
 _SHORTEST_SLEEP_NS = 200_000
 _FIRST_LOOK_WITHIN_S = 0.5
 _PROCESSOR_TIME_EVERY_TICKS = 20
-
-Observer = Callable[[Tick, TickResult], None]
 
 
 class LastTick(NamedTuple):
@@ -73,25 +69,16 @@ class TickLoop:
     """Gateway and bus, ticked on the calling thread until `stop` or the end of `run`.
 
     Attributes:
-        work_queue: work of other threads for the ticking one.
-        event_log: events of the gateway and of the loop.
-        reconnector: opens the bus, now and after every loss.
         latest: the last tick; None before the first.
         schedule: every tick accounted for: ticks done, ticks skipped, lateness.
         silent_ticks: ticks that sent nothing, listening before talking.
     """
 
-    def __init__(
-        self,
-        gateway: Gateway,
-        connection: BusConnection,
-        reopen_ms: int,
-        observer: Observer | None = None,
-    ) -> None:
+    def __init__(self, gateway: Gateway, connection: BusConnection, reopen_ms: int) -> None:
         self.gateway = gateway
         self.connection = connection
         self.schedule = Schedule(time.monotonic_ns(), gateway.settings.period_ns)
-        self._observers = [] if observer is None else [observer]
+        self._observers: list[Callable[[TickResult], None]] = []
         self._stopping: str | None = None
         self._finished = False
         self.silent_ticks = 0
@@ -103,14 +90,13 @@ class TickLoop:
         self._stop_events = StopEvents(self.event_log)
         self.latest: LastTick | None = None
         self._restart_state: RestartState | None = None
-        self._on_hangup: Callable[[], None] | None = None
         self._last_why: tuple[object, ...] = ()
 
     def stop(self, why: str) -> None:
         """Send safe frames, then end the loop."""
         self._stopping = self._stopping or why
 
-    def add_observer(self, observer: Observer) -> None:
+    def add_observer(self, observer: Callable[[TickResult], None]) -> None:
         """Call this after each tick, on the ticking thread; what it raises ends the loop."""
         self._observers.append(observer)
 
@@ -129,17 +115,9 @@ class TickLoop:
     def handle_signals(self, on_hangup: Callable[[], None] | None = None) -> None:
         """SIGTERM and SIGINT end the loop, SIGHUP calls `on_hangup`; only in the main thread."""
         for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._on_signal)
+            signal.signal(number, lambda number, _: self.stop(signal.Signals(number).name))
         if on_hangup is not None:
-            self._on_hangup = on_hangup
-            signal.signal(signal.SIGHUP, self._on_signal)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del frame
-        if number == signal.SIGHUP and self._on_hangup is not None:
-            self.work_queue.post(self._on_hangup)
-        else:
-            self.stop(signal.Signals(number).name)
+            signal.signal(signal.SIGHUP, lambda *_: self.work_queue.post(on_hangup))
 
     def run(self, duration_s: float | None = None) -> None:
         """Tick every period until stopped, or for `duration_s` seconds; then end safely.
@@ -205,22 +183,19 @@ class TickLoop:
         if self._restart_state is not None:
             self._restart_state.before_sending()
         for frame in result.frames:
-            gateway.apply(NoteSent(frame, self._send_in_time(frame, tick), now_ns))
+            # Not where the process was held up since the tick: what it decided is old by now.
+            late = self.schedule.too_late(tick, time.monotonic_ns())
+            sent = self.connection.count_unsent("late") if late else self.connection.send(frame)
+            gateway.apply(NoteSent(frame, sent, now_ns))
         self.schedule.left(time.monotonic_ns())
         # What follows has the rest of the period.
         self._finished = gateway.finished
         self.silent_ticks += not result.frames
         self._report(tick, result)
         for observe in self._observers:
-            observe(tick, result)
+            observe(result)
         self._link_events.after_tick(now_ns)
         ticking_thread.collect_after(tick.index)
-
-    def _send_in_time(self, frame: OutFrame, tick: Tick) -> bool:
-        """Send, unless the process was held up since the tick: what it decided is old by now."""
-        if self.schedule.too_late(tick, time.monotonic_ns()):
-            return self.connection.count_unsent("late")
-        return self.connection.send(frame)
 
     def _report(self, tick: Tick, result: TickResult) -> None:
         """Emit what happened in this tick; most ticks have no events."""
@@ -252,7 +227,8 @@ class TickLoop:
             self.latest = LastTick.explained(self.gateway, before.result, now_ns, before)
 
     def _log_end(self) -> None:
-        schedule = self.schedule
+        schedule, counters = self.schedule, self.connection.counters
+        p50_ns, p99_ns = (lateness_at(schedule.lateness_counts, share) for share in (0.5, 0.99))
         log.info(
             "stopped",
             reason=self._stopping,
@@ -261,13 +237,9 @@ class TickLoop:
             ticks=schedule.ticks,
             skipped=schedule.skipped,
             silent_ticks=self.silent_ticks,
-            sent_frames=self.connection.counters.sent,
-            unsent_frames=self.connection.counters.refused,
-            lateness_p50_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.5)),
-            lateness_p99_below_us=_microseconds(lateness_at(schedule.lateness_counts, 0.99)),
-            receiver_bugs=self.connection.counters.receiver_bugs,
+            sent_frames=counters.sent,
+            unsent_frames=counters.refused,
+            lateness_p50_below_us=None if p50_ns is None else p50_ns // NS_PER_US,
+            lateness_p99_below_us=None if p99_ns is None else p99_ns // NS_PER_US,
+            receiver_bugs=counters.receiver_bugs,
         )
-
-
-def _microseconds(duration_ns: int | None) -> int | None:
-    return None if duration_ns is None else duration_ns // 1000

@@ -1,8 +1,7 @@
 """Reload: a new configuration for the running program, all of it or nothing."""
 
 import threading
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,12 +9,12 @@ from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
 from vcu_gateway.core.calls import ReloadSettings
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.settings import KEYS, Reload, Settings, loosened
+from vcu_gateway.core.settings import KEYS, Reload, loosened
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.errors import GatewayError
+from vcu_gateway.errors import GatewayError, Problem
 
 
 class ReloadOutcome(NamedTuple):
@@ -26,95 +25,76 @@ class ReloadOutcome(NamedTuple):
     problems: tuple[str, ...] = ()
 
 
-Done = Callable[[ReloadOutcome], None]
-
-
-@dataclass(slots=True)
-class EffectiveConfig:
-    """The configuration in effect; replaced whole, on the ticking thread."""
-
-    config: Config
-
-
 class Reloader:
     """Reads and checks the file on a thread of its own, and hands it to the ticking thread.
 
-    `settings` makes the core's settings of a configuration.
+    Attributes:
+        config: the configuration in effect; replaced whole, on the ticking thread.
     """
 
-    def __init__(
-        self,
-        in_effect: EffectiveConfig,
-        protocol: ProtocolSpec,
-        loop: TickLoop,
-        settings: Callable[[Config], Settings],
-    ) -> None:
-        self._in_effect = in_effect
+    def __init__(self, config: Config, protocol: ProtocolSpec, loop: TickLoop) -> None:
+        self.config = config
         self._protocol = protocol
         self._loop = loop
-        self._settings = settings
         self._busy = threading.Lock()
 
-    def begin(self, done: Done) -> None:
-        """Start; `done` is called once, on the ticking thread, or here where one runs already."""
+    def begin(self, done: Callable[[ReloadOutcome], None] = lambda _: None) -> None:
+        """Start; `done` is called once, on the ticking thread, or here where one runs already.
+
+        Without it, as for SIGHUP, the event log alone tells the outcome.
+        """
         if not self._busy.acquire(blocking=False):
-            done(ReloadOutcome(False, problems=("a reload is under way already",)))
+            done(_refused("a reload is under way already"))
             return
         try:
             threading.Thread(target=self._read, args=(done,), name="reload", daemon=True).start()
         except RuntimeError as error:  # no memory or no more threads: no reason to stop a vehicle
             self._busy.release()
-            done(
-                self._reported(
-                    ReloadOutcome(False, problems=(f"a reload cannot be begun: {error}",))
-                )
-            )
+            outcome = _refused(f"a reload cannot be begun: {error}")
+            done(self._reported(outcome))
 
-    def on_hangup(self) -> None:
-        """SIGHUP: as `begin`, with the outcome in the event log alone."""
-        self.begin(lambda _: None)
-
-    def _read(self, done: Done) -> None:
-        new, problems = self._loaded()
-        self._busy.release()
-        self._loop.work_queue.post(lambda: done(self._reported(self._take(new, problems))))
-
-    def _loaded(self) -> tuple[Config | None, tuple[str, ...]]:
+    def _read(self, done: Callable[[ReloadOutcome], None]) -> None:
+        new: Config | None = None
+        problems: list[Problem] = []
         try:
-            new = configuration.load(Path(self._in_effect.config.source.file))
+            new = configuration.load(Path(self.config.source.file))
+            problems += configuration.check_against(new, self._protocol)
         except GatewayError as error:
-            return None, tuple(map(str, error.problems))
-        return new, tuple(map(str, configuration.check_against(new, self._protocol)))
+            problems += error.problems
+        self._busy.release()
+        found = [str(problem) for problem in problems]
+        self._loop.work_queue.post(lambda: done(self._reported(self._take(new, found))))
 
-    def _take(self, new: Config | None, problems: tuple[str, ...]) -> ReloadOutcome:
+    def _take(self, new: Config | None, problems: Sequence[str]) -> ReloadOutcome:
         """On the ticking thread: the checks that depend on what is in effect, and the change."""
         if new is None or problems:
-            return ReloadOutcome(False, problems=problems)
-        names = changed(self._in_effect.config, new)
-        if restart := tuple(name for name in names if not is_live(name)):
-            return ReloadOutcome(
-                False, problems=tuple(f"{name} needs a restart" for name in restart)
-            )
-        gateway, settings = self._loop.gateway, self._settings(new)
+            return _refused(*problems)
+        names = changed(self.config, new)
+        if fixed := [name for name in names if not is_live(name)]:
+            return _refused(*(f"{name} needs a restart" for name in fixed))
+        gateway, settings = self._loop.gateway, configuration.core_settings(new)
         answer = gateway.apply(ReloadSettings(settings))
         if not answer.granted:
             looser = loosened(gateway.settings, settings) if gateway.mode is Mode.ACTIVE else ()
-            problems = tuple(map(_in_a_drive, looser)) or (answer.sentence,)
-            return ReloadOutcome(False, problems=problems)
-        self._in_effect.config = new
+            why = [_in_a_drive(name) for name in looser] or [answer.sentence]
+            return _refused(*why)
+        self.config = new
         return ReloadOutcome(True, changed=names)
 
     def _reported(self, outcome: ReloadOutcome) -> ReloadOutcome:
         if outcome.taken:
-            report_effect(self._in_effect.config, self._loop.event_log)
-            digest = configuration.digest(self._in_effect.config)
-            fields: Mapping[str, object] = {"changed": list(outcome.changed), "digest": digest}
-            event = Event("config_reloaded", Severity.INFO, fields)
+            report_effect(self.config, self._loop.event_log)
+            digest = configuration.digest(self.config)
+            new = {"changed": list(outcome.changed), "digest": digest}
+            self._loop.event_log.emit(Event("config_reloaded", Severity.INFO, new))
         else:
             fields = {"problems": list(outcome.problems)}
-            event = Event("config_refused", Severity.ERROR, fields)
-        self._loop.event_log.emit(event)
+            self._loop.event_log.emit(Event("config_refused", Severity.ERROR, fields))
         return outcome
+
+
+def _refused(*problems: str) -> ReloadOutcome:
+    return ReloadOutcome(False, problems=problems)
 
 
 def _in_a_drive(name: str) -> str:

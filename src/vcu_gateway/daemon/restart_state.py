@@ -1,9 +1,7 @@
 """Restart state: a latched CUT and the directions, kept for the next start in this boot.
 
 A gateway that is killed, crashes or ends must not come back as if the power had never been cut, nor
-with another direction than the wheels turn in.
-
-Restart counter: starts of this boot, and those that no orderly end came before.
+with another direction than the wheels turn in. Starts are counted beside it.
 """
 
 import contextlib
@@ -24,7 +22,6 @@ from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.rules import EMERGENCY_STOP
-from vcu_gateway.core.schedule import Tick
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.daemon.events import EventLog
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
@@ -33,16 +30,14 @@ HIDDEN = "-"
 """Stands for a boot identifier that cannot be read."""
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-_NAME = "starts"
 _RUNNING, _ENDED = "running", "ended"
 
 
 def boot_id() -> str:
     """Boot identifier of the kernel; `HIDDEN` where it cannot be read: /run ends with the boot."""
-    try:
+    with contextlib.suppress(OSError):
         return _BOOT_ID.read_text(encoding="ascii").strip() or HIDDEN
-    except OSError:
-        return HIDDEN
+    return HIDDEN
 
 
 class CountedStart(NamedTuple):
@@ -62,7 +57,7 @@ class RestartCounter:
     """Counter of one gateway's starts, in a file of its runtime folder."""
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / _NAME
+        self._path = folder / "starts"
         self._now: CountedStart | None = None
 
     def begin(self) -> CountedStart | None:
@@ -85,18 +80,16 @@ class RestartCounter:
 
     def _write(self, start: CountedStart, state: str) -> bool:
         text = f"{boot_id()} {start.number} {start.unexpected} {state}\n"
-        try:
+        with contextlib.suppress(OSError):
             files.replace(self._path, text)
-        except OSError:
-            return False
-        return True
+            return True
+        return False
 
 
 _BEFORE = "before this start: "
 _NAMESPACE = Path("/proc/self/ns/net")
 _RUN = Path("/run/vcu-gateway")
 _TEMPORARY = Path("/tmp")  # noqa: S108 - the folder in it is looked at before it is used
-_NOT_MINE = 0o077
 # Longer than this no stop waits: its frames go first.
 _QUICK_NS = 2 * NS_PER_MS
 # A thread that waited for its processor once makes no slow disk.
@@ -155,48 +148,47 @@ class RestartState:
 
     def begin(self) -> None:
         """Hand the gateway what the last process of this boot left; before the first tick."""
-        kept = NOTHING
+        own: list[tuple[Path, str | None]] = []
         if self.path is not None:
-            self._written = self._now = kept = read(self.path)
-        found = [(path, read(path).cut) for path in self._elsewhere]
-        if self.path is not None:
-            found.insert(0, (self.path, kept.cut))
+            self._written = self._now = read(self.path)
+            own = [(self.path, self._now.cut)]
+        found = own + [(path, read(path).cut) for path in self._elsewhere]
         cuts = [(path, cut) for path, cut in found if cut is not None]
-        self._gateway.apply(BeginFrom(f"{_BEFORE}{cuts[0][1]}" if cuts else None, kept.reverse))
+        cut_before = f"{_BEFORE}{cuts[0][1]}" if cuts else None
+        self._gateway.apply(BeginFrom(cut_before, self._now.reverse))
         self._elsewhere = [path for path, _ in cuts if path != self.path]
         for path, cut in cuts:
             fields = {"file": str(path), "reason": cut}
             self._event_log.emit(Event("cut_kept", Severity.CRITICAL, fields))
         if self.path is not None:
-            self._write(self.path, kept)
+            self._write(self.path, self._now)
         elif self._settings.interface != "virtual":
             self._fail(file_name(self._settings.channel), _NO_FOLDER)
         self._tell()
 
     def keep_emergency_stop(self, left_ns: int) -> None:
         """Keep a CUT that was granted, and is not answered yet; its tick is due in `left_ns`."""
-        if self.path is None or self._written.cut is not None:
-            return
-        if self._takes_less_than(max(left_ns, _QUICK_NS)):
-            self._write(self.path, self._now._replace(cut=str(EMERGENCY_STOP)))
+        if self._written.cut is None:
+            self._keep_cut(str(EMERGENCY_STOP), max(left_ns, _QUICK_NS))
 
     def before_sending(self) -> None:
         """After a tick's decisions: keep a CUT that it latched."""
         latched = self._latched()
-        if latched is None or latched == self._written.cut or self.path is None:
-            return
-        if self._takes_less_than(_QUICK_NS):
-            self._write(self.path, self._now._replace(cut=latched))
+        if latched is not None and latched != self._written.cut:
+            self._keep_cut(latched, _QUICK_NS)
 
-    def _takes_less_than(self, most_ns: int) -> bool:
-        """By the quickest of the last writes; one that failed may take any time."""
-        return self._failure is None and min(self._took_ns) < most_ns
+    def _keep_cut(self, cut: str, most_ns: int) -> None:
+        """Write a CUT where the last write worked, and the quickest of the last ones took less."""
+        if self.path is not None and self._failure is None and min(self._took_ns) < most_ns:
+            self._write(self.path, self._now._replace(cut=cut))
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
-        del tick
+    def observe(self, result: TickResult) -> None:
         latched = self._latched()
-        if self._elsewhere and latched is None:
-            self._forget_elsewhere()
+        if latched is None:  # after a service reset; a file that cannot be deleted latches again
+            for path in self._elsewhere:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+            self._elsewhere = []
         if self.path is None:
             return
         reverse = self._now.reverse
@@ -219,13 +211,6 @@ class RestartState:
         if self._failure != self._told:
             self._told = self._failure
             self._gateway.apply(NoteRestartState(self._failure))
-
-    def _forget_elsewhere(self) -> None:
-        """Delete the files elsewhere after a service reset; one that stays latches again."""
-        for path in self._elsewhere:
-            with contextlib.suppress(OSError):
-                path.unlink()
-        self._elsewhere = []
 
     def _latched(self) -> str | None:
         latch = self._gateway.latch
@@ -340,5 +325,5 @@ def _is_mine_alone(folder: Path) -> bool:
     return (
         stat.S_ISDIR(found.st_mode)
         and found.st_uid == os.geteuid()
-        and not stat.S_IMODE(found.st_mode) & _NOT_MINE
+        and not stat.S_IMODE(found.st_mode) & 0o077
     )

@@ -1,10 +1,6 @@
-"""systemd: readiness, watchdog and status over sd_notify, and the runtime folder's files.
-
-Safe frames, kept in a file for `safe_stop` to send after a crash.
-"""
+"""systemd: readiness, watchdog and status over sd_notify; safe frames, kept for `safe_stop`."""
 
 import contextlib
-import os
 import socket
 import time
 from collections.abc import Mapping
@@ -14,13 +10,10 @@ from vcu_gateway import files
 from vcu_gateway.bus.connection import BusConnection
 from vcu_gateway.core.calls import CountRestarts
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.schedule import Tick
-from vcu_gateway.core.why import Explanation
-from vcu_gateway.daemon.events import EventLog
+from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.restart_state import CountedStart, RestartCounter
-from vcu_gateway.units import NS_PER_US
+from vcu_gateway.units import NS_PER_S, NS_PER_US
 
 NAME = "safe-frames"
 
@@ -38,43 +31,37 @@ class SafeFrames:
     there from the first frames that were sent to the orderly end.
     """
 
-    def __init__(self, folder: Path, channel: str, gateway: Gateway, event_log: EventLog) -> None:
+    def __init__(self, folder: Path, loop: TickLoop) -> None:
         self._folder = folder
-        self._path = folder / NAME
-        self._channel = channel
-        self._gateway = gateway
-        self._event_log = event_log
+        self._loop = loop
         self._basis: object = None
         self._failure_reported = False
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
-        del tick
+    def observe(self, result: TickResult) -> None:
         applied = tuple((one.motor_reverse, one.power_cut) for one in result.commands.values())
-        basis = applied, self._gateway.settings
+        basis = applied, self._loop.gateway.settings
         if result.frames and basis != self._basis and self._written():
             self._basis = basis
 
     def _written(self) -> bool:
         """Write the file; False, and one event, where that fails: the next tick tries again."""
-        frames = self._gateway.safe_frames()
-        lines = [self._channel, *(f"{one.can_id:08X}#{one.data.hex().upper()}" for one in frames)]
+        path, channel = self._folder / NAME, self._loop.connection.settings.channel
+        frames = self._loop.gateway.safe_frames()
+        lines = [channel, *(f"{one.can_id:08X}#{one.data.hex().upper()}" for one in frames)]
         try:
-            files.replace(self._path, "\n".join(lines) + "\n")
+            files.replace(path, "\n".join(lines) + "\n")
         except OSError as error:
             if not self._failure_reported:
-                fields = {"file": str(self._path), "reason": error.strerror}
-                self._event_log.emit(Event("safe_frames_unwritten", Severity.WARNING, fields))
+                fields = {"file": str(path), "reason": error.strerror}
+                self._loop.event_log.emit(Event("safe_frames_unwritten", Severity.WARNING, fields))
             self._failure_reported = True
-            return False
-        self._failure_reported = False
-        return True
+        else:
+            self._failure_reported = False
+        return not self._failure_reported
 
     def end(self) -> None:
         """Remove the file after an orderly end, which has sent its own safe frames."""
         forget(self._folder)
-
-
-_STATUS_CHARACTERS = 500
 
 
 class SystemdNotifier:
@@ -91,24 +78,11 @@ class SystemdNotifier:
         self._socket = _connected("\0" + address[1:] if address[:1] == "@" else address)
         self.watchdog_ns = _watchdog_ns(environment, own_pid)
 
-    @classmethod
-    def of_this_process(cls) -> "SystemdNotifier":
-        """Notifier of NOTIFY_SOCKET and WATCHDOG_USEC of this process."""
-        return cls(os.environ, os.getpid())
-
-    def ready(self) -> None:
-        self._send("READY=1")
-
-    def alive(self) -> None:
-        self._send("WATCHDOG=1")
-
-    def stopping(self) -> None:
-        self._send("STOPPING=1")
-
     def status(self, sentence: str) -> None:
-        self._send("STATUS=" + " ".join(sentence.split())[:_STATUS_CHARACTERS])
+        self.notify("STATUS=" + " ".join(sentence.split())[:500])
 
-    def _send(self, line: str) -> None:
+    def notify(self, line: str) -> None:
+        """Send one assignment, such as `READY=1`."""
         if self._socket is not None:
             with contextlib.suppress(OSError):  # gone or too busy: the next message may arrive
                 self._socket.send(line.encode(), socket.MSG_DONTWAIT)
@@ -134,10 +108,6 @@ def _watchdog_ns(environment: Mapping[str, str], own_pid: int) -> int | None:
     return int(text) * NS_PER_US if text.isascii() and text.isdecimal() and int(text) else None
 
 
-_PINGS_IN_LIMIT = 4
-_STATUS_EVERY_NS = 1_000_000_000
-
-
 class ServiceReporter:
     """Reports to the service manager from the ticking thread, after each tick; it never waits.
 
@@ -152,10 +122,7 @@ class ServiceReporter:
         self._loop = loop
         self._reader = ReceiverWatchdog(loop.connection)
         self._starts = None if folder is None else RestartCounter(folder)
-        self._safe_frames = None
-        if folder is not None:
-            channel, gateway = loop.connection.settings.channel, loop.gateway
-            self._safe_frames = SafeFrames(folder, channel, gateway, loop.event_log)
+        self._safe_frames = None if folder is None else SafeFrames(folder, loop)
         self._ready = self._stopping = False
         self._ping_ns = self._status_ns = 0
         self._last_status: object = None
@@ -169,7 +136,7 @@ class ServiceReporter:
             fields = {"in_this_drive": self.start.unexpected}
             self._loop.event_log.emit(Event("restarted_unexpectedly", Severity.WARNING, fields))
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
+    def observe(self, result: TickResult) -> None:
         """After each tick.
 
         Raises RuntimeError where the bus is not read any more: the process is to end, and to
@@ -177,20 +144,22 @@ class ServiceReporter:
         """
         now_ns = time.monotonic_ns()
         if self._safe_frames is not None:
-            self._safe_frames.observe(tick, result)
+            self._safe_frames.observe(result)
         self._reader.observe()
         if not self._ready:
             self._ready = True
-            self._manager.ready()
+            self._manager.notify("READY=1")
         self._ping(now_ns)
         self._send_status(now_ns)
-        self._send_stopping()
+        if not self._stopping and self._loop.gateway.requests.terminating:
+            self._stopping = True
+            self._manager.notify("STOPPING=1")
 
     def _ping(self, now_ns: int) -> None:
         limit_ns = self._manager.watchdog_ns
         if limit_ns is not None and now_ns >= self._ping_ns and self._reader.alive:
-            self._ping_ns = now_ns + limit_ns // _PINGS_IN_LIMIT
-            self._manager.alive()
+            self._ping_ns = now_ns + limit_ns // 4  # more often than systemd asks for
+            self._manager.notify("WATCHDOG=1")
 
     def _send_status(self, now_ns: int) -> None:
         latest, lost = self._loop.latest, self._loop.connection.lost
@@ -198,13 +167,9 @@ class ServiceReporter:
             return
         signature = latest.why_signature, lost
         if signature != self._last_status:
-            self._last_status, self._status_ns = signature, now_ns + _STATUS_EVERY_NS
-            self._manager.status(_status(latest.why, lost))
-
-    def _send_stopping(self) -> None:
-        if not self._stopping and self._loop.gateway.requests.terminating:
-            self._stopping = True
-            self._manager.stopping()
+            self._last_status, self._status_ns = signature, now_ns + NS_PER_S
+            why = latest.why
+            self._manager.status(why.headline() if lost is None else f"{why.mode.value}; {lost}")
 
     def end(self) -> None:
         """Record an orderly end: the next start begins a new drive.
@@ -217,10 +182,6 @@ class ServiceReporter:
             self._starts.end()
 
 
-def _status(why: Explanation, lost: str | None) -> str:
-    return why.headline() if lost is None else f"{why.mode.value}; {lost}"
-
-
 # The bus is read before every tick. Ticks are counted and not time: a process that stood still did
 # not read either.
 _TICKS_IN_DOUBT = 10
@@ -228,11 +189,7 @@ _TICKS_TO_DEATH = 20
 
 
 class ReceiverWatchdog:
-    """Watchdog of receiving: an open bus must have been read to the end within 20 ticks.
-
-    Attributes:
-        alive: False while it is in doubt.
-    """
+    """Watchdog of receiving: an open bus must have been read to the end within 20 ticks."""
 
     def __init__(self, connection: BusConnection) -> None:
         self._connection = connection

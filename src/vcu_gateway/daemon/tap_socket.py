@@ -1,10 +1,8 @@
 """Tap's socket: a datagram a tick to the recorder, where one listens; never waited for.
 
-A recorder that is not there is looked for once a second. One that does not keep up loses
-datagrams, which are counted; as soon as the socket has room again a checkpoint tells where the
-recording goes on.
-
-HELLO of a running gateway: what the recorder has to know of it, made when it connects.
+A recorder that is not there is looked for once a second, and told by a HELLO what it has to know.
+One that does not keep up loses datagrams, which are counted; as soon as the socket has room again a
+checkpoint tells where the recording goes on.
 """
 
 import errno
@@ -12,64 +10,23 @@ import os
 import select
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.bus.settings import read_clocks
 from vcu_gateway.config import Config
+from vcu_gateway.config.checks import dbc_path
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.gateway import Gateway, TickResult
-from vcu_gateway.core.schedule import Tick
+from vcu_gateway.core.gateway import TickResult
 from vcu_gateway.daemon.loop import TickLoop
-from vcu_gateway.daemon.reload import EffectiveConfig
+from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import boot_id
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.core_lines import ShellEvent
-from vcu_gateway.recording.datagram import TickHeader
 from vcu_gateway.recording.layout import DBC_FILE
 from vcu_gateway.recording.tap import Hello, TappedGateway, TapStream, packed_frames
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
-
-_RUN_BYTES = 16
-
-
-class TapHello:
-    """Makes the HELLO; run id and clocks are those of its making, once for a process."""
-
-    def __init__(
-        self, in_effect: EffectiveConfig, gateway: Gateway, dbc: Path, dbc_digest: str
-    ) -> None:
-        self._in_effect = in_effect
-        self._gateway = gateway
-        self._dbc, self._dbc_digest = dbc.read_bytes().decode(), dbc_digest
-        self._run, self._boot = os.urandom(_RUN_BYTES).hex(), boot_id()
-        self._clock = read_clocks()
-        self._written: tuple[Config, str, str] | None = None
-
-    def __call__(self) -> Mapping[str, Any]:
-        config, digest, text = self._config()
-        return Hello(
-            run=self._run,
-            boot=self._boot,
-            channel=config.bus.channel,
-            clock=self._clock,
-            settings=self._gateway.settings,
-            config=text,
-            config_digest=digest,
-            dbc=self._dbc,
-            dbc_digest=self._dbc_digest,
-        ).values()
-
-    def _config(self) -> tuple[Config, str, str]:
-        """Configuration in effect, its digest and its text, which takes a while to make."""
-        config = self._in_effect.config
-        if self._written is None or self._written[0] is not config:
-            digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
-            self._written = config, digest, text
-        return self._written
-
 
 _CONNECT_EVERY_NS = NS_PER_S
 _CHECKPOINT_EVERY_NS = 60 * NS_PER_S
@@ -80,60 +37,46 @@ _CHECKPOINT_AGAIN_NS = 250 * NS_PER_MS
 _SEND_BUFFER_BYTES = 1 << 20
 
 
-class TapCounts(NamedTuple):
-    """Counts of the tap since the start; lost ones are those that a connected recorder missed."""
-
-    connected: bool
-    datagrams: int
-    lost_datagrams: int
-    lost_frames: int
-    checkpoints: int
-
-
 class RecorderTap:
     """Hands what a tapped gateway was given and answered to the recorder; for the ticking thread.
 
-    `hello` gives the begin of a connection, as `Hello.values` does.
+    Run id and clocks of its HELLO are those of its making; `digest` is that of the DBC.
+
+    Attributes:
+        datagrams: handed over since the start.
+        lost_datagrams, lost_frames: those that a connected recorder missed.
     """
 
     def __init__(
-        self,
-        path: Path,
-        gateway: TappedGateway,
-        loop: TickLoop,
-        hello: Callable[[], Mapping[str, Any]],
+        self, path: Path, gateway: TappedGateway, loop: TickLoop, reloader: Reloader, digest: str
     ) -> None:
         self._path = str(path)
         self._gateway = gateway
         self._loop = loop
-        self._hello = hello
+        self._reloader = reloader
+        self._dbc = dbc_path(reloader.config).read_bytes().decode()
+        self._dbc_digest = digest
+        self._run, self._boot, self._clock = os.urandom(16).hex(), boot_id(), read_clocks()
+        self._written: tuple[Config, str, str] | None = None
         self._stream = TapStream(gateway)
         self._socket: socket.socket | None = None
         self._poll = select.poll()
         self._recording = self._failed = False
         self._connect_ns = self._checkpoint_ns = 0
-        self._datagrams = self._lost_datagrams = self._lost_frames = self._checkpoints = 0
+        self.datagrams = self.lost_datagrams = self.lost_frames = 0
         self._event_log = loop.event_log
         self._event_log.subscribe(self._note_event)
 
     @property
-    def counts(self) -> TapCounts:
-        """Counts so far; from any thread."""
-        return TapCounts(
-            connected=self._socket is not None,
-            datagrams=self._datagrams,
-            lost_datagrams=self._lost_datagrams,
-            lost_frames=self._lost_frames,
-            checkpoints=self._checkpoints,
-        )
+    def connected(self) -> bool:
+        return self._socket is not None
 
     def begin(self) -> None:
         """Look for the recorder before the first tick: a drive is to have its beginning. Once."""
         if self._connect_ns == 0:
             self._guarded(self._look, time.monotonic_ns())
 
-    def observe(self, tick: Tick, result: TickResult) -> None:
-        del tick
+    def observe(self, result: TickResult) -> None:
         self._guarded(self._after_tick, result.snapshot.now_ns)
 
     def close(self) -> None:
@@ -151,8 +94,7 @@ class RecorderTap:
         except Exception as error:  # noqa: BLE001
             self._failed = True
             self._drop_socket()
-            fields = {"reason": repr(error)}
-            self._event_log.emit(Event("recording_failed", Severity.ERROR, fields))
+            self._event_log.emit(Event("recording_failed", Severity.ERROR, {"reason": repr(error)}))
 
     def _after_tick(self, now_ns: int) -> None:
         if self._socket is None:
@@ -164,7 +106,9 @@ class RecorderTap:
             if latest is not None:
                 self._stream.note_why(now_ns, latest.why_signature)
             self._hand_on()
-            self._begin_segment_when_due(now_ns)
+            many = self._stream.segment_frames >= _CHECKPOINT_FRAMES
+            if self._recording and (many or now_ns >= self._checkpoint_ns):
+                self._begin_segment(now_ns)
         else:
             self._count_lost(self._stream.skip())
             if now_ns >= self._checkpoint_ns and self._poll.poll(0):
@@ -172,30 +116,28 @@ class RecorderTap:
 
     def _hand_on(self) -> None:
         frames, lines = self._stream.batch()
-        counts = self._stream.frames, self._lost_datagrams, self._lost_frames
-        header = TickHeader(self._datagrams + self._lost_datagrams + 1, *counts)
+        counts = self._stream.frames, self.lost_datagrams, self.lost_frames
+        header = datagram.TickHeader(self.datagrams + self.lost_datagrams + 1, *counts)
         packed = datagram.packed_tick(header, packed_frames(frames), lines)
         try:
             if self._socket is not None:
                 self._socket.send(packed)
-            self._datagrams += 1
+            self.datagrams += 1
         except OSError as error:
             self._count_lost(len(frames))
             self._recording = False
-            self._checkpoint_ns = time.monotonic_ns() + _CHECKPOINT_AGAIN_NS
+            now_ns = time.monotonic_ns()
+            self._checkpoint_ns = now_ns + _CHECKPOINT_AGAIN_NS
             if not isinstance(error, BlockingIOError) and error.errno != errno.EMSGSIZE:
-                self._report_lost(error)
+                self._drop_socket()
+                self._connect_ns = now_ns + _CONNECT_EVERY_NS
+                fields = {"reason": error.strerror or str(error)}
+                self._event_log.emit(Event("recorder_lost", Severity.INFO, fields))
 
     def _count_lost(self, frames: int) -> None:
         """A datagram that is not sent; the next one that is tells of it."""
-        self._lost_datagrams += 1
-        self._lost_frames += frames
-
-    def _report_lost(self, error: OSError) -> None:
-        self._drop_socket()
-        self._connect_ns = time.monotonic_ns() + _CONNECT_EVERY_NS
-        fields = {"reason": error.strerror or str(error)}
-        self._event_log.emit(Event("recorder_lost", Severity.INFO, fields))
+        self.lost_datagrams += 1
+        self.lost_frames += frames
 
     def _drop_socket(self) -> None:
         gone, self._socket, self._recording = self._socket, None, False
@@ -211,28 +153,39 @@ class RecorderTap:
             connection.setblocking(False)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
             connection.connect(self._path)
-            for part in datagram.packed_hello(self._hello()):
+            for part in datagram.packed_hello(self._hello().values()):
                 connection.send(part)
         except OSError:
             connection.close()
             return
         self._socket = connection
         self._poll.register(connection, select.POLLOUT)
-        fields = {"socket": self._path}
-        self._event_log.emit(Event("recorder_connected", Severity.INFO, fields))
+        self._event_log.emit(Event("recorder_connected", Severity.INFO, {"socket": self._path}))
         self._begin_segment(now_ns)
 
-    def _begin_segment_when_due(self, now_ns: int) -> None:
-        many = self._stream.segment_frames >= _CHECKPOINT_FRAMES
-        if self._recording and (many or now_ns >= self._checkpoint_ns):
-            self._begin_segment(now_ns)
+    def _hello(self) -> Hello:
+        config = self._reloader.config
+        if self._written is None or self._written[0] is not config:  # it takes a while to make
+            digest, text = configuration.digest(config), configuration.yaml_text(config, DBC_FILE)
+            self._written = config, digest, text
+        _, digest, text = self._written
+        return Hello(
+            run=self._run,
+            boot=self._boot,
+            channel=config.bus.channel,
+            clock=self._clock,
+            settings=self._gateway.settings,
+            config=text,
+            config_digest=digest,
+            dbc=self._dbc,
+            dbc_digest=self._dbc_digest,
+        )
 
     def _begin_segment(self, now_ns: int) -> None:
         """The next datagram begins with the state of now."""
         wall_ns = time.time_ns() - (time.monotonic_ns() - now_ns)
         self._stream.begin(now_ns, wall_ns)
         self._recording = True
-        self._checkpoints += 1
         self._checkpoint_ns = now_ns + _CHECKPOINT_EVERY_NS
 
     def _note_event(self, event: Event) -> None:

@@ -63,7 +63,6 @@ def collect_after(tick_index: int) -> None:
 
 
 _SCHEDSTAT = "/proc/thread-self/schedstat"
-_BYTES = 128
 
 
 class ProcessorUsage(NamedTuple):
@@ -103,14 +102,11 @@ class ProcessorTime:
 
     def _read(self) -> ProcessorUsage:
         """The counters, and the time since the machine started."""
-        return ProcessorUsage(time.monotonic_ns(), time.process_time_ns(), self._waited())
-
-    def _waited(self) -> int | None:
-        if self._file is None:
-            return None
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            return int(os.pread(self._file, _BYTES, 0).split()[1])
-        return None
+        waited_ns = None
+        if self._file is not None:
+            with contextlib.suppress(OSError, ValueError, IndexError):
+                waited_ns = int(os.pread(self._file, 128, 0).split()[1])
+        return ProcessorUsage(time.monotonic_ns(), time.process_time_ns(), waited_ns)
 
     def close(self) -> None:
         if self._file is not None:
@@ -150,8 +146,6 @@ class DrainPlan:
         self.lead_ns += min(longer_ns, _LONGER_MAX_NS) // 8
 
 
-Work = Callable[[], None]
-
 _MUCH = 256
 _AT_ONCE = 32
 
@@ -160,7 +154,7 @@ class WorkQueue:
     """A queue of work, safe to fill from any thread and from signal handlers."""
 
     def __init__(self) -> None:
-        self._waiting: deque[Work] = deque()
+        self._waiting: deque[Callable[[], None]] = deque()
         # Not SimpleQueue.get(timeout=...): up to Python 3.12 it waits for ever where a signal
         # comes so late that its handler ends after the deadline. A lock looks at the time again.
         self._wakeup = threading.Lock()
@@ -171,7 +165,7 @@ class WorkQueue:
         """True from 256 waiting items on: a caller that can be refused is to be refused."""
         return len(self._waiting) >= _MUCH
 
-    def post(self, work: Work) -> None:
+    def post(self, work: Callable[[], None]) -> None:
         """Queue work, run in the order of posting."""
         self._waiting.append(work)
         with contextlib.suppress(RuntimeError):  # it is set already

@@ -42,7 +42,6 @@ class Backlog:
 
     Attributes:
         size: bytes in it, roughly.
-        dropped: ticks that went for want of room.
     """
 
     def __init__(self, max_bytes: int) -> None:
@@ -50,7 +49,7 @@ class Backlog:
         self._items: deque[Received] = deque()
         self._lock = threading.Lock()
         self._sizes: dict[GatewayConnection, int] = {}
-        self.size = self.dropped = 0
+        self.size = 0
 
     def put(self, item: Received) -> None:
         with self._lock:
@@ -103,5 +102,4 @@ class Backlog:
             if id(item) in dropped:
                 self._grow(item, -item.size)
         self._items = deque(item for item in self._items if id(item) not in dropped)
-        self.dropped += len(dropped)
         return True

@@ -1,6 +1,4 @@
-"""Connection of a gateway: what it said of itself, what it may hand over, and its datagrams.
-
-Bounds of what a gateway hands over: its HELLO and its core lines, before any of it is kept.
+"""Connection of a gateway: what it said of itself, and its datagrams, checked before they are kept.
 
 The limits are far above what a gateway sends: a checkpoint of it has 5 kB, both texts of its HELLO
 40 kB. A line is checked for its shape only; whether it makes sense is the reader's question.
@@ -34,8 +32,6 @@ _LARGEST = (1 << 63) - 1
 _RUN = re.compile(r"[0-9A-Za-z._-]{1,64}", re.ASCII)
 _LONGEST_CHANNEL = 64
 _TEXTS = ("config", "dbc")
-_OF_THE_RECORDER = ("begin", "gap", "end")
-_COUNTS = ("f", "tick", "restarted")
 
 
 def checked_hello(hello: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -43,17 +39,15 @@ def checked_hello(hello: Mapping[str, Any]) -> Mapping[str, Any]:
     run, channel, clock = hello.get("run"), hello.get("channel"), hello.get("clock")
     if not isinstance(run, str) or not _RUN.fullmatch(run):
         raise _hello("has no run id of up to 64 plain characters")
-    if not isinstance(channel, str) or not _is_channel(channel):
+    plain = isinstance(channel, str) and channel.isprintable() and " " not in channel
+    if not plain or not 0 < len(channel) <= _LONGEST_CHANNEL:
         raise _hello(f"has no channel of up to {_LONGEST_CHANNEL} printable characters")
-    if not isinstance(clock, dict) or not all(
-        _is_count(clock.get(key)) for key in ("monotonic_ns", "wall_ns")
-    ):
+    if not isinstance(clock, dict) or not _are_counts(clock, "monotonic_ns", "wall_ns"):
         raise _hello("has no clock of two 64-bit numbers")
     for key in _TEXTS:
         if not _is_text(hello.get(key), _MOST_TEXT_BYTES):
             raise _hello(f"has no {key} of up to {_MOST_TEXT_BYTES >> 10} KiB of Unicode")
-    left = _left_of({key: value for key, value in hello.items() if key not in _TEXTS}, _MOST_REST)
-    if left < 0:
+    if _left_of({key: hello[key] for key in hello if key not in _TEXTS}, _MOST_REST) < 0:
         raise _hello("has a value that is too long, too deep or no finite number")
     return hello
 
@@ -69,60 +63,48 @@ def check_lines(lines: bytes) -> None:
     try:
         for number, line in enumerate(lines.decode().split("\n")[:-1]):
             _check(json.loads(line, parse_constant=_refuse, parse_float=_finite), number)
+    except DatagramError:
+        raise
     except (ValueError, RecursionError) as error:
-        if isinstance(error, DatagramError):
-            raise
         raise _lines(f"are no JSON: {str(error)[:100]}") from error
 
 
 def _check(values: Any, number: int) -> None:
     if not isinstance(values, dict) or "f" not in values:
         raise _lines("have one that is no object with f")
-    if not all(_is_count(values[key]) for key in _COUNTS if key in values):
+    if not _are_counts(values, *(key for key in ("f", "tick", "restarted") if key in values)):
         raise _lines("have a count or a clock that is no 64-bit number")
     if not _are_events(values.get("events", [])):
         raise _lines("have events that are no list of name, severity and fields")
-    if any(key in values for key in _OF_THE_RECORDER):
+    if any(key in values for key in ("begin", "gap", "end")):
         raise _lines("have one that only the recorder writes")
     if "checkpoint" in values:
         state = values["checkpoint"]
-        counted = isinstance(state, dict) and all(_is_count(state.get(key)) for key in _STATE)
+        counted = isinstance(state, dict) and _are_counts(state, "ticks", "frames")
         if number > 0 or not counted:
             raise _lines("have a checkpoint that is not the first, or without its counts")
 
 
-_STATE = ("ticks", "frames")
-
-
 def _are_events(events: Any) -> bool:
     return isinstance(events, list) and all(
-        isinstance(one, list)
-        and len(one) == 3
-        and isinstance(one[0], str)
-        and isinstance(one[1], str)
-        and isinstance(one[2], dict)
-        for one in events
+        isinstance(one, list) and [type(part) for part in one] == [str, str, dict] for one in events
     )
 
 
-def _is_count(value: Any) -> bool:
-    """True for an integer, and no bool, of 0 to 2**63 - 1."""
-    return type(value) is int and 0 <= value <= _LARGEST
-
-
-def _is_channel(channel: str) -> bool:
-    return 0 < len(channel) <= _LONGEST_CHANNEL and channel.isprintable() and " " not in channel
+def _are_counts(values: Mapping[str, Any], *keys: str) -> bool:
+    """True where each is an integer, and no bool, of 0 to 2**63 - 1."""
+    found = [values.get(key) for key in keys]
+    return all(type(value) is int and 0 <= value <= _LARGEST for value in found)
 
 
 def _is_text(value: Any, most_bytes: int) -> bool:
     """True for Unicode of at most that many bytes in memory; a lone surrogate is none."""
     if not isinstance(value, str) or sys.getsizeof(value) > most_bytes:
         return False
-    try:
+    with contextlib.suppress(UnicodeEncodeError):
         value.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _left_of(value: Any, room: int, depth: int = 0) -> int:
@@ -167,7 +149,6 @@ def _lines(what: str) -> DatagramError:
 BUFFER_BYTES = 1 << 20
 """Room for the longest datagram."""
 _MOST_FRAMES = 50_000
-_MOST_COUNT = 1 << 63
 _CHECKPOINTS = NS_PER_S // 4, 20
 """At once, and a second: a gateway that loses datagrams sends one every 250 ms."""
 
@@ -176,22 +157,20 @@ class GatewayConnection:
     """Connected gateway, as the receiver's thread has it.
 
     Attributes:
-        sender: process at the other end.
         hello: what it said of itself; None before that.
         begin_again: it is to be closed, so that its gateway connects again and begins a segment.
-        ended_by_gateway: its gateway has closed it.
         handed_on: a tick of it was put into the backlog.
         hello_bytes: that the long texts of its HELLO take in memory.
         fault: why it is to be closed for good: its data cannot be written; None without.
-        begun_s, latest_s: when it began, and when the latest datagram came, monotonic.
         frames: that it handed on so far, lost ones counted, since the gateway started.
-        since_wall_ns, last_wall_ns: when it began, and when the latest datagram came.
+        begun_s, latest_s: when it began, and when the latest datagram came, monotonic;
+            since_wall_ns, last_wall_ns: the same on the wall clock.
     """
 
     def __init__(self, sock: socket.socket, sender: Sender) -> None:
         self._sock = sock
         self.sender = sender
-        self._hello_text = HelloText()
+        self.hello_text = HelloText()
         self.hello: Mapping[str, Any] | None = None
         self.begin_again = self.ended_by_gateway = self.handed_on = False
         self.hello_bytes = 0
@@ -203,10 +182,6 @@ class GatewayConnection:
 
     def fileno(self) -> int:
         return self._sock.fileno()
-
-    @property
-    def unfinished_bytes(self) -> int:
-        return self._hello_text.size
 
     def receive(self, buffer: bytearray) -> TickParts | None:
         """The next tick; None for a part of the HELLO.
@@ -235,7 +210,7 @@ class GatewayConnection:
         tick = datagram.tick_parts(received)
         if tick.frame_count > _MOST_FRAMES:
             raise DatagramError(f"{tick.frame_count} frames in one datagram are too many")
-        if max(tick.header) >= _MOST_COUNT or tick.header.frames < tick.frame_count:
+        if max(tick.header) > _LARGEST or tick.header.frames < tick.frame_count:
             raise DatagramError("its numbers of frames and datagrams cannot be")
         check_lines(tick.lines)
         if tick.begins_segment and not self._checkpoints.taken(time.monotonic_ns()):
@@ -246,10 +221,10 @@ class GatewayConnection:
     def _take(self, part: HelloPart) -> None:
         if len(part.text) > datagram.PART_BYTES:
             raise DatagramError(f"a part of {len(part.text)} bytes is too long", "hello")
-        hello = self._hello_text.take(part)
+        hello = self.hello_text.take(part)
         if hello is not None:
             self.hello = checked_hello(hello)
-            self.hello_bytes = sum(sys.getsizeof(hello[key]) for key in ("config", "dbc"))
+            self.hello_bytes = sum(sys.getsizeof(hello[key]) for key in _TEXTS)
 
     def forget_hello(self) -> None:
         """Keep of it what is shown: its drive has the rest, or there will be none."""

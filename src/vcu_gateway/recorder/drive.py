@@ -1,7 +1,4 @@
-"""Recorded drive of one run of a gateway: its folder, its segments, and what is missing in it.
-
-How far a drive is recorded: read from its last segments, after a recorder ended.
-"""
+"""Recorded drive of one run of a gateway: its folder, its segments, and what is missing in it."""
 
 import contextlib
 import errno
@@ -9,7 +6,7 @@ import json
 import os
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,34 +40,20 @@ class Position(NamedTuple):
     ticks: int = 0
 
 
-class Recorded(NamedTuple):
-    """A drive's end on the disk; `link`: what its next member names."""
-
-    position: Position
-    lost: Losses
-    next_segment: int
-    link: bytes
-
-
 def ticks_of(core_lines: bytes) -> int:
     return sum(1 for _ in _TICK.finditer(core_lines))
 
 
-def recorded(folder: Path) -> Recorded:
-    """How far this drive is recorded; OSError where it cannot be read."""
-    segments = layout.segments(folder)
-    next_segment = segments[-1].number + 1 if segments else 1
-    end = chain.end(folder)
-    link = (end and end.member.digest) or NO_LINK
+def _recorded(segments: Sequence[layout.SegmentFiles]) -> tuple[Position, Losses]:
+    """How far these segments of a drive go, and what is lost up to there."""
     frames = ticks = 0
     for segment in reversed(segments):
         frames += sum(member.lines for member in whole_members(segment.frames))
         ticks += sum(ticks_of(member.data) for member in whole_members(segment.core))
         begin = read_begin(segment.core)
         if begin is not None:
-            position = Position(begin.frames + frames, begin.ticks + ticks)
-            return Recorded(position, begin.lost, next_segment, link)
-    return Recorded(Position(frames, ticks), Losses(), next_segment, link)
+            return Position(begin.frames + frames, begin.ticks + ticks), begin.lost
+    return Position(frames, ticks), Losses()
 
 
 _MEMORY_FULL = "the recorder's memory was full"
@@ -95,8 +78,7 @@ class DriveRecorder:
         segment_ended: Callable[[Path, int], None],
         signer: Signer | None = None,
     ) -> None:
-        name = layout.drive_name(hello["clock"]["wall_ns"], hello["run"])
-        self.folder = drives / name
+        self.folder = drives / layout.drive_name(hello["clock"]["wall_ns"], hello["run"])
         self.segment: SegmentWriter | None = None
         self.hello = hello
         self._number = number
@@ -129,15 +111,12 @@ class DriveRecorder:
             return False
         else:
             lines = tick.lines
-        self._add(tick, lines)
-        return True
-
-    def _add(self, tick: TickParts, lines: bytes) -> None:
         frame_text = self._candump.text(tick, self._clock_ns)
         if self.segment is not None:
             self.segment.add(lines.decode(errors="replace"), frame_text, tick.frame_count)
         self._waiting_ticks += ticks_of(lines)
         self._next_sequence = tick.header.sequence + 1
+        return True
 
     def _begin(self, tick: TickParts) -> bytes:
         """Begin a segment with this datagram's checkpoint; the lines behind that."""
@@ -153,8 +132,7 @@ class DriveRecorder:
         self._begin_position = self._position = begins
         self._segment_ticks = self._waiting_ticks = 0
         with contextlib.suppress(OSError):  # it waits, then, and the next flush says why
-            segment.flush(int(time.time()))
-        self._totals.bytes += segment.size
+            self.flush()
         return rest
 
     def _begin_lines(self, number: int, begins: Position, not_handed_on: int) -> str:
@@ -203,11 +181,15 @@ class DriveRecorder:
         return False
 
     def _resume(self) -> None:
-        found = recorded(self.folder)
+        """Go on where the files of this drive end; OSError where they cannot be read."""
+        segments = layout.segments(self.folder)
         if self._next_segment == 1:
-            self._position, self._lost, self._link = found.position, found.lost, found.link
+            self._position, self._lost = _recorded(segments)
+            end = chain.end(self.folder)
+            self._link = (end and end.member.digest) or NO_LINK
             self._missing_because = "the recorder had ended"
-        self._next_segment = max(self._next_segment, found.next_segment)
+        if segments:
+            self._next_segment = max(self._next_segment, segments[-1].number + 1)
 
     def flush(self) -> None:
         """Write what waits; OSError leaves it waiting."""

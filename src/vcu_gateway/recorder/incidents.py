@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vcu_gateway.files import sync
+from vcu_gateway.recorder import RecorderOptions
 from vcu_gateway.recorder.drive import DriveRecorder
-from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import Ring
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recorder.triggers import RESTARTED_UNEXPECTEDLY, Trigger

@@ -7,61 +7,49 @@ import signal
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from pathlib import Path
 from types import FrameType
 
 from vcu_gateway import __version__, files
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
-from vcu_gateway.recorder.backlog import Backlog
+from vcu_gateway.recorder import RecorderOptions
 from vcu_gateway.recorder.connection import GatewayConnection
-from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.receiver import DatagramReceiver
-from vcu_gateway.recorder.ring import Disk, room_bytes
-from vcu_gateway.recorder.senders import Refusals, TapListener, trusted_users
+from vcu_gateway.recorder.ring import room_bytes
+from vcu_gateway.recorder.senders import TapListener, trusted_users
 from vcu_gateway.recorder.writer import Writer
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.recorder_status import RecordedConnection, RecorderStatus
 
 _RATE_S = 60
-_MODE = 0o644
 
 
 class StatusFile:
-    """Writes the status; its folder is on a tmpfs, so that this never waits for a disk.
+    """Writes the status; its folder is on a tmpfs, so that this never waits for a disk."""
 
-    Attributes:
-        path: where it is; None: it is not written.
-    """
-
-    def __init__(
-        self,
-        options: RecorderOptions,
-        writer: Writer,
-        backlog: Backlog,
-        disk: Disk,
-        refusals: Refusals,
-    ) -> None:
-        self.path = options.status_path
+    def __init__(self, options: RecorderOptions, writer: Writer) -> None:
         self._options = options
         self._writer = writer
-        self._backlog = backlog
-        self._disk = disk
-        self._refusals = refusals
         self._started_wall_ns = time.time_ns()
         self._written: deque[tuple[float, int]] = deque([(time.monotonic(), 0)], _RATE_S + 1)
-        self._space: tuple[int | None, int | None] = None, None
+        self._room: tuple[int | None, int | None] = None, None
 
     def write(self, connections: Iterable[GatewayConnection]) -> None:
         """Write it anew; where that cannot be, the old one stays and tells its age."""
-        if self.path is None:
-            return
-        with contextlib.suppress(OSError):
-            files.replace(self.path, self._status(connections).text(), _MODE)
+        path = self._options.status_path
+        if path is not None:
+            with contextlib.suppress(OSError):
+                files.replace(path, self._status(connections).text(), mode=0o644)
 
     def _status(self, connections: Iterable[GatewayConnection]) -> RecorderStatus:
-        options, writer, disk = self._options, self._writer, self._disk
-        self._measure_space()
+        options, writer, disk = self._options, self._writer, self._writer.disk
+        if disk.state == "ok":  # the last known room stays while the disk does not answer
+            with contextlib.suppress(OSError):
+                self._room = room_bytes(options.folder)
+        self._written.append((time.monotonic(), writer.totals.bytes))
+        (then_s, before), (now_s, after) = self._written[0], self._written[-1]
         signer = writer.signer
         return RecorderStatus(
             pid=os.getpid(),
@@ -70,8 +58,8 @@ class StatusFile:
             written_wall_ns=time.time_ns(),
             written_monotonic_ns=time.monotonic_ns(),
             folder=os.path.abspath(options.folder),
-            total_bytes=self._space[0],
-            free_bytes=self._space[1],
+            total_bytes=self._room[0],
+            free_bytes=self._room[1],
             max_bytes=options.max_bytes,
             keep_free_bytes=options.keep_free_bytes,
             incident_max_bytes=options.incident_max_bytes,
@@ -82,7 +70,7 @@ class StatusFile:
             last_error=disk.last_error,
             last_sync_s=disk.last_sync_s,
             longest_sync_s=disk.longest_sync_s,
-            waiting_bytes=self._backlog.size,
+            waiting_bytes=writer.backlog.size,
             memory_bytes=options.memory_bytes,
             totals=replace(
                 writer.totals,
@@ -90,22 +78,10 @@ class StatusFile:
                 removed_segments=writer.ring.removed,
                 removed_incidents=writer.incidents.removed,
             ),
-            refused=dict(self._refusals.counts),
-            bytes_a_second=self._rate(),
+            refused=dict(writer.refusals.counts),
+            bytes_a_second=round((after - before) / max(1e-3, now_s - then_s), 1),
             connections=tuple(_connection(one, writer) for one in connections if one.hello),
         )
-
-    def _measure_space(self) -> None:
-        """Room of the file system; the last known one stays while the disk does not answer."""
-        if self._disk.state == "ok":
-            with contextlib.suppress(OSError):
-                self._space = room_bytes(self._options.folder)
-
-    def _rate(self) -> float:
-        now_s, size = time.monotonic(), self._writer.totals.bytes
-        self._written.append((now_s, size))
-        then_s, before = self._written[0]
-        return round((size - before) / max(1e-3, now_s - then_s), 1)
 
 
 def _connection(connection: GatewayConnection, writer: Writer) -> RecordedConnection:
@@ -143,38 +119,31 @@ class Recorder:
         self._say = say
         self._stop = False
         self._trusted = trusted_users(options.gateway_user)
-        self._lock = _locked(options)
-        self._backlog = Backlog(options.memory_bytes)
-        self._disk = Disk(say)
-        self._refusals = Refusals(say)
+        self._lock = _locked(options.folder)
         try:
-            self._writer = Writer(options, self._backlog, self._disk, say, self._refusals)
+            self._writer = Writer(options, say)
         except OSError as error:
-            raise _cannot_use(options, error) from error
-        self._status = StatusFile(options, self._writer, self._backlog, self._disk, self._refusals)
+            raise _cannot_use(options.folder, error) from error
+        self._status = StatusFile(options, self._writer)
 
     def run(self) -> None:
         """Record until a signal; UnavailableError, and GatewayError after a bug of the writer."""
-        with _woken_by_signals(self._on_signal) as wake_up:
-            # After the signals: whoever finds the socket may stop the recorder, in order.
-            listener = TapListener(self._options.socket_path, os.environ, os.getpid())
-            receiver = DatagramReceiver(
-                listener,
-                wake_up,
-                self._backlog,
-                self._writer.wake,
-                self._trusted,
-                self._refusals,
-            )
-            self._writer.start()
-            self._say(f"recording into {self._options.folder}, from {listener.name}")
-            try:
-                self._receive(receiver)
-                receiver.receive_rest(_LAST_DATAGRAMS_S)
-            finally:
-                listener.close()
-                receiver.close()
-                in_order = self._writer.stop(_LAST_WRITES_S)
+        self._wake_up = _woken_by_signals(self._on_signal)
+        # After the signals: whoever finds the socket may stop the recorder, in order.
+        listener = TapListener(self._options.socket_path, os.environ, os.getpid())
+        writer = self._writer
+        receiver = DatagramReceiver(
+            listener, self._wake_up, writer.backlog, writer.wake.set, self._trusted, writer.refusals
+        )
+        writer.thread.start()
+        self._say(f"recording into {self._options.folder}, from {listener.name}")
+        try:
+            self._receive(receiver)
+            receiver.receive_rest(_LAST_DATAGRAMS_S)
+        finally:
+            listener.close()
+            receiver.close()
+            in_order = writer.stop(_LAST_WRITES_S)
         self._status.write(())
         if not in_order:
             self._say("the disk does not take the last seconds: they are lost")
@@ -185,9 +154,9 @@ class Recorder:
             now_s = time.monotonic()
             if now_s >= status_s:
                 status_s = now_s + _STATUS_S
-                self._disk.watch()
+                self._writer.disk.watch()
                 self._status.write(receiver.connections)
-                if not self._writer.is_alive:
+                if not self._writer.thread.is_alive():
                     raise GatewayError(Problem("the writer's thread has ended by a bug"))
             is_calm = now_s - receiver.urgent_s > _CALM_S
             # A gateway that wakes nobody hands its datagrams over sooner.
@@ -206,36 +175,26 @@ class Recorder:
             self._stop = True
 
 
-@contextlib.contextmanager
-def _woken_by_signals(
-    handler: Callable[[int, FrameType | None], None],
-) -> Iterator[socket.socket]:
+def _woken_by_signals(handler: Callable[[int, FrameType | None], None]) -> socket.socket:
+    """Socket that can be read from the first SIGTERM, SIGINT or SIGUSR1 on: it ends a wait."""
     awake, wake_up = socket.socketpair()
     for sock in (awake, wake_up):
         sock.setblocking(False)
-    numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
-    before = {number: signal.signal(number, handler) for number in numbers}
-    signal.set_wakeup_fd(awake.fileno(), warn_on_full_buffer=False)
-    try:
-        yield wake_up
-    finally:
-        signal.set_wakeup_fd(-1)
-        for number, old in before.items():
-            signal.signal(number, old)
-        awake.close()
-        wake_up.close()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1):
+        signal.signal(number, handler)
+    signal.set_wakeup_fd(awake.detach(), warn_on_full_buffer=False)
+    return wake_up
 
 
-def _locked(options: RecorderOptions) -> int:
+def _locked(folder: Path) -> int:
     """Descriptor of the folder, which is ours alone; made where it is not there."""
-    folder = options.folder
     try:
         for path in (folder, folder / layout.DRIVES, folder / layout.INCIDENTS):
             path.mkdir(mode=0o750, parents=True, exist_ok=True)
             layout.remove_partial_folders(path)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
-        raise _cannot_use(options, error) from error
+        raise _cannot_use(folder, error) from error
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
@@ -245,7 +204,7 @@ def _locked(options: RecorderOptions) -> int:
     return descriptor
 
 
-def _cannot_use(options: RecorderOptions, error: OSError) -> UnavailableError:
-    what = f"cannot record into {options.folder}: {error.strerror or error}"
-    remedy = f"it must be a folder that this user can write; look at: ls -ld {options.folder}"
+def _cannot_use(folder: Path, error: OSError) -> UnavailableError:
+    what = f"cannot record into {folder}: {error.strerror or error}"
+    remedy = f"it must be a folder that this user can write; look at: ls -ld {folder}"
     return UnavailableError(Problem(what, remedy=remedy))

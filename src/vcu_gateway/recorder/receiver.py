@@ -23,14 +23,12 @@ _RUNS = 2 * NS_PER_S, 16
 _MOST_SENDERS = 64
 _MOST_AT_ONCE = 200
 _MOST_OF_ONE = 20
-_WAKE_UP_BYTES = 4096
 
 
 class DatagramReceiver:
     """Connections and what they send.
 
     Attributes:
-        connections: those that are open.
         urgent_s: when the latest came that was not to wait, on the monotonic clock.
     """
 
@@ -76,7 +74,7 @@ class DatagramReceiver:
             if key.fileobj is self._listener.sock:
                 self._accept()
             elif key.fileobj is self._wake_up:
-                self._wake_up.recv(_WAKE_UP_BYTES)
+                self._wake_up.recv(4096)
             else:
                 self._read(key.data)
         late_s = time.monotonic() - _HELLO_S
@@ -111,17 +109,16 @@ class DatagramReceiver:
         if sender.uid not in self._trusted:
             what = f"{sender} may not hand over a drive: turned away (--gateway-user)"
             self._refusals.note("sender", what)
-            sock.close()
-            return
-        if not self._made_room():
+        elif not self._made_room():
             what = f"more than {_MOST_CONNECTIONS} connections: {sender} is turned away"
             self._refusals.note("connections", what)
-            sock.close()
+        else:
+            sock.setblocking(False)
+            connection = GatewayConnection(sock, sender)
+            self.connections.append(connection)
+            self._selector.register(connection, selectors.EVENT_READ, connection)
             return
-        sock.setblocking(False)
-        connection = GatewayConnection(sock, sender)
-        self.connections.append(connection)
-        self._selector.register(connection, selectors.EVENT_READ, connection)
+        sock.close()
 
     def _made_room(self) -> bool:
         """True where one more connection has room; one that only takes room is ended for it."""
@@ -164,7 +161,7 @@ class DatagramReceiver:
         """DatagramError where its run is another's, or the HELLOs take too much memory."""
         hello = connection.hello
         if hello is None:
-            if sum(one.unfinished_bytes for one in self.connections) > _MOST_UNFINISHED_BYTES:
+            if sum(one.hello_text.size for one in self.connections) > _MOST_UNFINISHED_BYTES:
                 raise DatagramError("the unfinished HELLOs are too long together", "hello")
             return
         other = self._owners.other(hello["run"], connection.sender)

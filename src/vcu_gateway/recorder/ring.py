@@ -198,10 +198,7 @@ class Ring:
     def last_drive(self, channel: str, besides: Path) -> Path | None:
         """Folder of the last drive of this channel that ended segments are left of."""
         folders = dict.fromkeys(one.folder for one in reversed(self._segments))
-        return next(
-            (one for one in folders if one != besides and _channel(one) == channel),
-            None,
-        )
+        return next((one for one in folders if one != besides and _channel(one) == channel), None)
 
     def make_room(self, wanted_bytes: int, keep: int = 0) -> bool:
         """Remove the oldest until that many bytes went; False where fewer could.

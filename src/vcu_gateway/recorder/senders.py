@@ -17,13 +17,10 @@ from typing import NamedTuple
 
 from vcu_gateway.errors import Problem, UnavailableError
 
-GATEWAY_USER = "vcu-gateway"
 _CREDENTIALS = struct.Struct("iII")
 _SAY_EVERY_S = 10.0
 _MOST_RUNS = 256
 _FIRST_PASSED = 3
-_BACKLOG = 16
-_MODE = 0o660
 
 
 class TapListener:
@@ -53,8 +50,8 @@ def _bound(path: Path) -> socket.socket:
     try:
         _remove_leftover(path)
         sock.bind(os.fspath(path))
-        path.chmod(_MODE)
-        sock.listen(_BACKLOG)
+        path.chmod(0o660)
+        sock.listen(16)
     except OSError as error:
         sock.close()
         what = f"cannot listen at {path}: {error.strerror or error}"
@@ -87,7 +84,10 @@ class Sender(NamedTuple):
     gid: int
 
     def __str__(self) -> str:
-        return f"process {self.pid} of user {_user(self.uid)}"
+        user = str(self.uid)
+        with contextlib.suppress(KeyError):
+            user = pwd.getpwuid(self.uid).pw_name
+        return f"process {self.pid} of user {user}"
 
 
 def sender_of(sock: socket.socket) -> Sender:
@@ -103,20 +103,13 @@ def trusted_users(gateway_user: str | None) -> frozenset[int]:
     """
     trusted = {0, os.geteuid()}
     try:
-        trusted.add(pwd.getpwnam(gateway_user or GATEWAY_USER).pw_uid)
+        trusted.add(pwd.getpwnam(gateway_user or "vcu-gateway").pw_uid)
     except KeyError as error:
         if gateway_user is not None:
             remedy = "name the user that the gateway runs as; look at: getent passwd"
             what = f"there is no user {gateway_user} (--gateway-user)"
             raise UnavailableError(Problem(what, remedy=remedy)) from error
     return frozenset(trusted)
-
-
-def _user(uid: int) -> str:
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return str(uid)
 
 
 class RunOwners:
@@ -152,10 +145,8 @@ def _lives(pid: int) -> bool:
         return False
     try:
         os.kill(pid, 0)
-    except PermissionError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return isinstance(error, PermissionError)
     return True
 
 
@@ -169,13 +160,12 @@ class Refusals:
     def __init__(self, say: Callable[[str], None]) -> None:
         self.counts: Counter[str] = Counter()
         self._say = say
-        self._said_s: dict[str, float] = {}
+        self._say_again_s: dict[str, float] = {}
 
     def note(self, reason: str, sentence: str) -> None:
         self.counts[reason] += 1
         now_s = time.monotonic()
-        said_s = self._said_s.get(reason)
-        if said_s is None or now_s - said_s >= _SAY_EVERY_S:
-            self._said_s[reason] = now_s
+        if now_s >= self._say_again_s.get(reason, now_s):
+            self._say_again_s[reason] = now_s + _SAY_EVERY_S
             count = self.counts[reason]
             self._say(f"{sentence} (number {count} of this kind)" if count > 1 else sentence)

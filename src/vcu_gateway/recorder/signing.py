@@ -22,12 +22,12 @@ class Signer:
 
     Attributes:
         fingerprint: of the key; None where it could not be read at the start.
-        signed, failures: how many signatures there are, and how many there should be as well.
+        failures: how many signatures could not be made.
     """
 
     def __init__(self, key: Path, incidents: Path, say: Callable[[str], None]) -> None:
         self.fingerprint: str | None = None
-        self.signed = self.failures = 0
+        self.failures = 0
         self._key = key
         self._incidents = incidents
         self._say = say
@@ -72,8 +72,12 @@ class Signer:
             self._say(f"a recording is not signed: {error}; recording goes on")
 
     def _sign_segment(self, drive: Path, run: str, number: int, link: bytes) -> None:
-        text, made = signature.link_text(run, number, link), signature.link_paths(drive, number)
-        self._sign(*made, text)
+        path, beside = made = signature.link_paths(drive, number)
+        text = signature.link_text(run, number, link)
+        signed = signature.sign(text, self._key)
+        layout.write_new(path, text)  # without its signature it is never there for long
+        layout.write_new(beside, signed)
+        files.sync(drive)
         core = layout.core_name(number)
         for incident in layout.recorded_folders(self._incidents):
             if _is_same(incident / core, drive / core):
@@ -83,18 +87,9 @@ class Signer:
         path = incident / layout.INCIDENT_FILE
         made = signature.sign(path.read_bytes(), self._key)
         layout.write_new(Path(f"{path}{signature.SUFFIX}"), made)
-        self.signed += 1
         for segment in layout.segments(incident):
             with contextlib.suppress(FileNotFoundError):  # none yet, or none at all
                 _link_signature(signature.link_paths(drive, segment.number), incident)
-
-    def _sign(self, path: Path, beside: Path, text: bytes) -> None:
-        """Both files; the text alone, without a signature, is never there for long."""
-        made = signature.sign(text, self._key)
-        layout.write_new(path, text)
-        layout.write_new(beside, made)
-        files.sync(path.parent)
-        self.signed += 1
 
 
 def _link_signature(signed: tuple[Path, Path], incident: Path) -> None:
@@ -104,7 +99,6 @@ def _link_signature(signed: tuple[Path, Path], incident: Path) -> None:
 
 
 def _is_same(path: Path, other: Path) -> bool:
-    try:
+    with contextlib.suppress(OSError):
         return path.samefile(other)
-    except OSError:
-        return False
+    return False

@@ -11,8 +11,6 @@ RESTARTED_UNEXPECTEDLY = "restarted_unexpectedly"
 REQUESTED = "requested"
 
 _URGENT = (b'"events":', b'"mode":', b'"estop":', b'"restarted":')
-_STOPPING_EFFECTS = ("stop", "cut")
-_CODE = "code"
 _BEFORE_THIS_START = "before this start: "
 """Begin of the reason of a fault that the gateway before had latched (daemon.restart_state)."""
 _LONGEST_KIND = 40
@@ -75,38 +73,32 @@ def _noticed(values: Mapping[str, Any]) -> Noticed:
 
 def _latched(events: Any) -> Iterator[Trigger]:
     """A trigger for each fault that was latched; named by the cause that stopped the vehicle."""
-    listed = events if isinstance(events, list) else []
+    events = events if isinstance(events, list) else []
     described = [
         one
-        for one in listed
+        for one in events
         if isinstance(one, list) and len(one) == 3 and isinstance(one[2], dict)
     ]
     for name, _, fields in described:
         if name == FAULT_LATCHED:
-            reason = _printable(str(fields.get("reason", "")))
+            reason = str(fields.get("reason", ""))[:_LONGEST_REASON]
+            reason = "".join(one if one.isprintable() else "?" for one in reason)
             yield Trigger(FAULT_LATCHED, _cause(described, reason), f"fault latched: {reason}")
-
-
-def _printable(text: str) -> str:
-    return "".join(one if one.isprintable() else "?" for one in text[:_LONGEST_REASON])
-
-
-def _word(text: str) -> str:
-    """A kind that can be in the name of a folder."""
-    return re.sub(r"[^0-9A-Za-z_-]", "_", text)[:_LONGEST_KIND] or FAULT_LATCHED
-
-
-def _kind(cause: str, subject: str) -> str:
-    """Name of a cause; a code that a signal has is told by the signal."""
-    return subject.rpartition(".")[2] if cause == _CODE and subject else cause
 
 
 def _cause(events: list[list[Any]], reason: str) -> str:
     is_kept = reason.startswith(_BEFORE_THIS_START)
     for name, _, fields in events:
-        stops = name == "cause_began" and str(fields.get("effect")) in _STOPPING_EFFECTS
+        stops = name == "cause_began" and str(fields.get("effect")) in ("stop", "cut")
         if stops and not is_kept:  # what began now is not why the gateway before had latched
-            return _word(_kind(str(fields.get("cause")), str(fields.get("subject") or "")))
+            cause, subject = str(fields.get("cause")), str(fields.get("subject") or "")
+            # A code that a signal has is told by the signal.
+            return _word(subject.rpartition(".")[2] if cause == "code" and subject else cause)
     first = reason.removeprefix(_BEFORE_THIS_START).partition(":")[0]
     words = "_".join(re.findall(r"[a-z]+", first.lower())[:5])
     return EMERGENCY_STOP if words.startswith(EMERGENCY_STOP) else _word(words)
+
+
+def _word(text: str) -> str:
+    """A kind that can be in the name of a folder."""
+    return re.sub(r"[^0-9A-Za-z_-]", "_", text)[:_LONGEST_KIND] or FAULT_LATCHED

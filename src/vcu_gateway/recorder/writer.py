@@ -6,14 +6,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-from vcu_gateway.recorder import triggers
+from vcu_gateway.recorder import RecorderOptions, triggers
 from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
-from vcu_gateway.recorder.options import RecorderOptions
 from vcu_gateway.recorder.ring import (
     KEPT_WITHOUT_ROOM,
     Disk,
@@ -43,28 +42,21 @@ _NO_LINKS = (errno.EXDEV, errno.EPERM, errno.EOPNOTSUPP, errno.EMLINK)
 """What a file system answers that has no hard links, or is another one."""
 _MOST_RUNS = 8
 _ROOM_BYTES = 1 << 20
-_REQUESTED = Trigger(triggers.REQUESTED, triggers.REQUESTED, "somebody asked to keep this")
-
-
-class _Pending(NamedTuple):
-    """What is to be done for incidents; None: link the segment that a drive began."""
-
-    drive: DriveRecorder
-    trigger: Trigger | None
 
 
 class Writer:
-    """Writes every drive; all but `wake`, `request_incident` and `stop` belongs to its thread."""
+    """Writes every drive; `wake`, `request_incident` and `stop` are for other threads.
 
-    def __init__(
-        self,
-        options: RecorderOptions,
-        backlog: Backlog,
-        disk: Disk,
-        say: Callable[[str], None],
-        refusals: Refusals,
-    ) -> None:
+    Attributes:
+        wake: set where something is urgent.
+        thread: started by whoever made this; ended before `stop` by a bug alone.
+    """
+
+    def __init__(self, options: RecorderOptions, say: Callable[[str], None]) -> None:
         """Find what is recorded already; OSError where the folder cannot be read."""
+        self.backlog = Backlog(options.memory_bytes)
+        self.disk = Disk(say)
+        self.refusals = Refusals(say)
         self.totals = RecorderTotals()
         self.ring = Ring(options.folder / layout.DRIVES)
         key, incidents = options.sign_key, options.folder / layout.INCIDENTS
@@ -72,94 +64,69 @@ class Writer:
         self.incidents = Incidents(options, self.ring, self.signer)
         self.drives: dict[GatewayConnection, DriveRecorder] = {}
         self._options = options
-        self._backlog = backlog
-        self._disk = disk
         self._say = say
-        self._refusals = refusals
         self._runs: dict[str, DriveRecorder] = {}
         self._held: Received | None = None
-        self._pending: deque[_Pending] = deque()
-        self._wake = threading.Event()
+        # What is to be done for incidents; None: link the segment that a drive began.
+        self._pending: deque[tuple[DriveRecorder, Trigger | None]] = deque()
+        self.wake = threading.Event()
         self._stopping = self._requested = self._urgent = self._links_missing = False
         self._member_s = self._sync_s = self._latched_until_s = 0.0
-        self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def wake(self) -> None:
-        self._wake.set()
+        self.thread = threading.Thread(target=self._run, name="writer", daemon=True)
 
     def request_incident(self) -> None:
         self._requested = True
-        self._wake.set()
+        self.wake.set()
 
     def stop(self, timeout_s: float) -> bool:
         """Write what is there and end; False where the disk does not let it in that time."""
         self._stopping = True
-        self._wake.set()
-        self._thread.join(timeout_s)
+        self.wake.set()
+        self.thread.join(timeout_s)
         if self.signer is not None:
             self.signer.stop(_SIGN_WITHIN_S)
-        return not self._thread.is_alive()
-
-    @property
-    def is_alive(self) -> bool:
-        """False after a bug of it."""
-        return self._thread.is_alive()
+        return not self.thread.is_alive()
 
     def _run(self) -> None:
         while True:
             stopping = self._stopping
-            self._disk.busy(True)
+            self.disk.busy(True)
             self._turn(stopping)
-            self._disk.busy(False)
+            self.disk.busy(False)
             if stopping:
                 return
-            self._wake.wait(self._pause_s())
-            self._wake.clear()
-
-    def _pause_s(self) -> float:
-        due_s = min(self._member_s, self._sync_s) - time.monotonic()
-        return max(self._disk.pause_s, due_s, 0.01)
+            due_s = min(self._member_s, self._sync_s) - time.monotonic()
+            self.wake.wait(max(self.disk.pause_s, due_s, 0.01))
+            self.wake.clear()
 
     def _turn(self, stopping: bool) -> None:
-        if self._disk.pause_s and not stopping:
+        if self.disk.pause_s and not stopping:
             return
         before = self.totals.bytes
         try:
             self._take_all()
             self._write(time.monotonic())
             if stopping:
-                self._end_all()
+                for drive in self.drives.values():
+                    drive.close("the recorder stopped")
+            if self.disk.is_in_trouble and self.totals.bytes == before:  # nothing waited
+                probe(self._options.folder)
         except OSError as error:
             self._failed(error)
         else:
-            if self.totals.bytes > before or self._probed():
-                self._disk.worked()
-
-    def _probed(self) -> bool:
-        """True where the disk was in trouble, nothing waits to be written, and it works again."""
-        if not self._disk.is_in_trouble:
-            return False
-        try:
-            probe(self._options.folder)
-        except OSError as error:
-            self._failed(error)
-            return False
-        return True
+            self.disk.worked()
 
     def _failed(self, error: OSError) -> None:
         if is_full(error) and self.ring.make_room(_ROOM_BYTES):
             self._say("the disk is full; the oldest recordings make room")
-            self._wake.set()
+            self.wake.set()
             return
-        self._disk.failed(error)
+        self.disk.failed(error)
 
     def _take_all(self) -> None:
         """Take everything that was received; what cannot be taken now stays the next one."""
         while True:
-            self._held = self._held or self._backlog.take()
+            self._held = self._held or self.backlog.take()
             if self._held is None:
                 return
             try:
@@ -196,7 +163,7 @@ class Writer:
             return
         if drive.segment is not before:
             self._keep_cap()
-            self._pending.append(_Pending(drive, None))
+            self._pending.append((drive, None))
         elif before is not None and before.size > _MOST_SEGMENT_BYTES:
             connection.begin_again = True
         if item.is_urgent:
@@ -208,17 +175,16 @@ class Writer:
         for trigger in found.triggers:
             self._latched_until_s = time.monotonic() + _AFTER_LATCH_S
             if len(self._pending) < _MOST_PENDING:
-                self._pending.append(_Pending(drive, trigger))
+                self._pending.append((drive, trigger))
 
     def _drive_of(self, connection: GatewayConnection) -> DriveRecorder:
         """The connection's drive; that of an earlier one of the same run goes on."""
-        drive = self.drives.get(connection)
-        if drive is None:
+        if connection not in self.drives:
             drive = self._begun(connection.hello or {})
             connection.forget_hello()
-            self.drives = {one: its for one, its in self.drives.items() if its is not drive}
-            self.drives[connection] = drive
-        return drive
+            others = {one: its for one, its in self.drives.items() if its is not drive}
+            self.drives = others | {connection: drive}
+        return self.drives[connection]
 
     def _begun(self, hello: Mapping[str, Any]) -> DriveRecorder:
         run = hello["run"]
@@ -226,7 +192,7 @@ class Writer:
             number, self.ring.next_drive = self.ring.next_drive, self.ring.next_drive + 1
             drives = self._options.folder / layout.DRIVES
             self._runs[run] = DriveRecorder(
-                drives, number, hello, self.totals, self._disk, self.ring.ended, self.signer
+                drives, number, hello, self.totals, self.disk, self.ring.ended, self.signer
             )
             written = self.drives.values()
             for old in [one for one in self._runs if self._runs[one] not in written][:-_MOST_RUNS]:
@@ -265,7 +231,9 @@ class Writer:
                 with self._abandoning(drive):
                     drive.sync()
             self._sync_s = now_s + _SYNC_S
-            self._free_room()
+            if self.drives:  # leave others their room on the disk
+                missing = self._options.keep_free_bytes - room_bytes(self._options.folder)[1]
+                self.ring.make_room(missing, keep=KEPT_WITHOUT_ROOM)
         if now_s < self._latched_until_s:
             self._member_s = self._sync_s = now_s + _SYNC_AFTER_LATCH_S
         self._urgent = False
@@ -290,19 +258,13 @@ class Writer:
         """Remove the oldest above the cap, so that only what is being written is beyond it."""
         self.ring.make_room(self.drives_bytes - self._options.max_bytes)
 
-    def _free_room(self) -> None:
-        """Leave others their room on the disk."""
-        if self.drives:
-            options = self._options
-            missing = options.keep_free_bytes - room_bytes(options.folder)[1]
-            self.ring.make_room(missing, keep=KEPT_WITHOUT_ROOM)
-
     def _keep_incidents(self) -> None:
         """Make the incidents that were noticed; OSError leaves them to be made."""
         if self._requested:
             self._requested = False
-            wanted = _REQUESTED._replace(what=self._given_reason() or _REQUESTED.what)
-            self._pending += [_Pending(drive, wanted) for drive in self.drives.values()]
+            what = self._given_reason() or "somebody asked to keep this"
+            wanted = Trigger(triggers.REQUESTED, triggers.REQUESTED, what)
+            self._pending += [(drive, wanted) for drive in self.drives.values()]
         while self._pending:
             self._keep_incident(*self._pending[0])
             self._pending.popleft()
@@ -321,17 +283,16 @@ class Writer:
             if error.errno in _NO_LINKS:
                 self._say_no_links(error)
             elif is_of_a_name(error):
-                self._give_up_incident(trigger, error)
+                self._give_up_incident(trigger, error.strerror or repr(error)[:200])
             else:
                 raise
         except Exception as error:  # noqa: BLE001 - later ones are made
-            self._give_up_incident(trigger, error)
+            self._give_up_incident(trigger, repr(error)[:200])
 
-    def _give_up_incident(self, trigger: Trigger | None, error: Exception) -> None:
+    def _give_up_incident(self, trigger: Trigger | None, why: str) -> None:
         """It cannot be made, and not for want of a disk: those that follow are."""
         kind = "the open incident" if trigger is None else f"the incident {trigger.kind}"
-        why = (error.strerror if isinstance(error, OSError) else None) or repr(error)[:200]
-        self._refusals.note("incident", f"{kind} cannot be kept and is given up: {why}")
+        self.refusals.note("incident", f"{kind} cannot be kept and is given up: {why}")
 
     def _say_no_links(self, error: OSError) -> None:
         """Once: what is recorded goes on."""
@@ -351,7 +312,3 @@ class Writer:
         except OSError:
             return ""
         return layout.plain_reason(text)
-
-    def _end_all(self) -> None:
-        for drive in self.drives.values():
-            drive.close("the recorder stopped")

@@ -302,7 +302,7 @@ class Dispatcher:
         if not outcome.taken:
             sentence = f"the configuration stays as it was: {outcome.problems[0]}"
             return RequestError(ErrorCode.CONFIG_REFUSED, sentence, problems=outcome.problems)
-        digest = configuration.digest(self._context.in_effect.config)
+        digest = configuration.digest(self._context.reloader.config)
         return {"changed": list(outcome.changed), "digest": digest}
 
     def state(self, messages: list[str] | None) -> results.State:

@@ -15,12 +15,11 @@ from vcu_gateway import __version__
 from vcu_gateway import config as configuration
 from vcu_gateway.api import methods, results
 from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.bus.connection import BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.schedule import LATENESS_BOUNDS_NS, Schedule, percentile_ns
 from vcu_gateway.daemon.loop import LastTick, TickLoop
-from vcu_gateway.daemon.reload import EffectiveConfig, Reloader
+from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.server import views
@@ -112,7 +111,6 @@ def started(config: Config) -> Event:
 
 def health(
     loop: TickLoop,
-    bus: BusSettings,
     config: Config,
     facts: RunFacts,
     api: results.ApiCounts,
@@ -128,7 +126,7 @@ def health(
         "config_file": config.source.file,
         "config_digest": configuration.digest(config),
         "protocol_digest": facts.protocol_digest,
-        "link": _link(loop, bus, now_ns),
+        "link": _link(loop, now_ns),
         "ticks": _ticks(loop.schedule, loop.silent_ticks),
         "frames": _frames(loop),
         "api": api,
@@ -140,11 +138,11 @@ def health(
 
 
 def _recorder(tap: RecorderTap | None) -> results.RecorderCounts | None:
-    return None if tap is None else views.result_of(results.RecorderCounts, tap.counts)
+    return None if tap is None else views.result_of(results.RecorderCounts, tap)
 
 
-def _link(loop: TickLoop, bus: BusSettings, now_ns: int) -> results.Link:
-    link = loop.gateway.link
+def _link(loop: TickLoop, now_ns: int) -> results.Link:
+    link, bus = loop.gateway.link, loop.connection.settings
     return {
         "interface": bus.interface,
         "channel": bus.channel,
@@ -207,8 +205,6 @@ class ServerContext(NamedTuple):
     """
 
     loop: TickLoop
-    bus: BusSettings
-    in_effect: EffectiveConfig
     reloader: Reloader
     facts: RunFacts
     protocol: results.Protocol
@@ -235,13 +231,13 @@ def state(context: ServerContext, messages: list[str] | None) -> results.State:
 
 
 def _health(context: ServerContext, _: methods.Nothing) -> results.Health:
-    config = context.in_effect.config
+    config = context.reloader.config
     api, now_ns = context.api_counts(), time.monotonic_ns()
-    return health(context.loop, context.bus, config, context.facts, api, now_ns)
+    return health(context.loop, config, context.facts, api, now_ns)
 
 
 def _config(context: ServerContext, _: methods.Nothing) -> results.ConfigInEffect:
-    config = context.in_effect.config
+    config = context.reloader.config
     return {
         "file": config.source.file,
         "digest": configuration.digest(config),

@@ -35,7 +35,7 @@ def test_a_reload_that_cannot_be_started_does_not_end_the_gateway(tmp_path, monk
 
     with driven(tmp_path) as whole, moving(whole):
         monkeypatch.setattr(threading.Thread, "start", refuse)
-        whole.loop.work_queue.post(whole.api.reloader.on_hangup)
+        whole.loop.work_queue.post(whole.api.reloader.begin)
         whole.until(refused.is_set, "the reload that cannot be started")
         ticks = whole.loop.schedule.ticks
         whole.until(lambda: whole.loop.schedule.ticks > ticks + 3, "further ticks")
