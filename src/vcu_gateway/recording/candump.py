@@ -4,18 +4,14 @@
 `recorded_frame` read what our recorder wrote (candump_lines), where a damaged line is an
 error. `quick_lines` matches many lines at once.
 
-Recorded frame, the common result of every reader.
-
-Problems of a recording, reported a bounded number of times.
-
-Reader of text lines that counts them and bounds their length.
+Here too is what every reader of a log gives and uses: recorded frames, problems that are reported
+a bounded number of times, and lines that are counted and bounded in length.
 """
 
 import gzip
 import re
 from binascii import unhexlify
 from collections.abc import Callable, Iterator
-from enum import Enum
 from functools import partial
 from typing import NamedTuple, TextIO
 
@@ -43,18 +39,10 @@ class RecordedFrame(NamedTuple):
 
 REPORTED_LIMIT = 10
 
-_ERROR_FLAG = 1 << 29
 _FLAGS = {30: "remote frames", 31: "29-bit identifiers"}
 # The classes that the kernel puts into an error frame's identifier; other bits in a "class"
 # are those of an identifier that was printed with 30 bits.
 _ERROR_CLASSES = 0x3FF
-
-
-class Verdict(Enum):
-    """Kind of frame that an identifier above 29 bits stands for."""
-
-    ERROR = "error frame"
-    UNREADABLE = "unreadable"
 
 
 class LineProblems:
@@ -77,32 +65,29 @@ class LineProblems:
         if self.unreadable == REPORTED_LIMIT:
             self._report(Problem("further damage is only counted", self._where(position)))
 
-    def flagged(self, position: int, can_id: int) -> Verdict:
-        """Explain, once an identifier, a number that does not fit 29 bits."""
-        flags = [bit for bit in _FLAGS if can_id >> bit & 1]
-        if can_id < 0 or can_id >> 32:
-            self._explain(position, can_id, "is no identifier of 29 bits")
-        elif flags:
-            bits = " and ".join(
-                f"bit {bit} set, SocketCAN's flag of {_FLAGS[bit]}" for bit in flags
-            )
-            self._explain(position, can_id, f"has {bits}")
-        else:
-            # What the kernel's own error frames carry needs no explanation.
-            if can_id & j1939.ID_MASK & ~_ERROR_CLASSES:
-                what = "has bit 29 set, SocketCAN's error-frame flag; the source prints such 30-bit"
-                what += " identifiers for the IMU (docs/protocol.md E2)"
-                self._explain(position, can_id, what)
-            return Verdict.ERROR
-        self.unreadable += 1
-        return Verdict.UNREADABLE
-
-    def _explain(self, position: int, can_id: int, what: str) -> None:
-        if can_id in self._explained or len(self._explained) >= REPORTED_LIMIT:
-            return
-        self._explained.add(can_id)
-        remedy = f"on the wire it is {can_id & j1939.ID_MASK:08X}"
-        self._report(Problem(f"identifier {can_id:08X} {what}", self._where(position), remedy))
+    def is_error_frame(self, position: int, can_id: int) -> bool:
+        """What a number stands for that does not fit 29 bits, explained once: else unreadable."""
+        bits = [
+            f"bit {bit} set, SocketCAN's flag of {what}"
+            for bit, what in _FLAGS.items()
+            if can_id >> bit & 1
+        ]
+        is_error = can_id >> 29 == 1
+        self.unreadable += not is_error
+        if not 0 <= can_id < 1 << 32:
+            what = "is no identifier of 29 bits"
+        elif bits:
+            what = f"has {' and '.join(bits)}"
+        elif can_id & j1939.ID_MASK & ~_ERROR_CLASSES:
+            what = "has bit 29 set, SocketCAN's error-frame flag; the source prints such 30-bit"
+            what += " identifiers for the IMU (docs/protocol.md E2)"
+        else:  # the kernel's own error frames need no explanation
+            return is_error
+        if can_id not in self._explained and len(self._explained) < REPORTED_LIMIT:
+            self._explained.add(can_id)
+            remedy = f"on the wire it is {can_id & j1939.ID_MASK:08X}"
+            self._report(Problem(f"identifier {can_id:08X} {what}", self._where(position), remedy))
+        return is_error
 
     def failure(self, position: int, error: Exception) -> GatewayError:
         """Error that ended the reading: an unreadable file, or wrong contents."""
@@ -172,8 +157,6 @@ _QUICK = [
 _NS_BY_DIGITS = tuple(10 ** (9 - digits) for digits in range(10))
 _STANDARD_MASK = 0x7FF
 _STANDARD_DIGITS = 3
-_STAMP_DIGITS = 9
-_REMEDY = "record with `candump -L` or `candump -l`"
 
 
 def frames(lines: LineReader, problems: LineProblems) -> Iterator[RecordedFrame]:
@@ -187,13 +170,18 @@ def frames(lines: LineReader, problems: LineProblems) -> Iterator[RecordedFrame]
         if found is None:
             if not line.isspace():
                 what = "is no line of a candump log, `(time) channel identifier#data`"
-                problems.damaged(lines.number, what, _REMEDY)
+                remedy = "record with `candump -L` or `candump -l`"
+                problems.damaged(lines.number, what, remedy)
         elif recorded := _recorded(found, lines.number, problems):
             yield recorded
 
 
 def _recorded(found: re.Match[str], number: int, problems: LineProblems) -> RecordedFrame | None:
-    if _is_refused(found[4], number, problems):
+    can_id = int(found[4], 16)
+    if len(found[4]) == _STANDARD_DIGITS and can_id > _STANDARD_MASK:
+        problems.damaged(number, f"identifier {can_id:X} of three digits does not fit 11 bits")
+        return None
+    if can_id > j1939.ID_MASK and not problems.is_error_frame(number, can_id):
         return None
     try:
         frame, fd = _frame(found)
@@ -201,17 +189,6 @@ def _recorded(found: re.Match[str], number: int, problems: LineProblems) -> Reco
         problems.damaged(number, str(error))
         return None
     return RecordedFrame(frame, found[3], number, fd)
-
-
-def _is_refused(digits: str, number: int, problems: LineProblems) -> bool:
-    """True where an identifier is none of a frame; one that is too large is reported."""
-    can_id = int(digits, 16)
-    if len(digits) > _STANDARD_DIGITS:
-        flagged = can_id > j1939.ID_MASK
-        return flagged and problems.flagged(number, can_id) is Verdict.UNREADABLE
-    if can_id > _STANDARD_MASK:
-        problems.damaged(number, f"identifier {can_id:X} of three digits does not fit 11 bits")
-    return can_id > _STANDARD_MASK
 
 
 def _frame(found: re.Match[str], ahead_ns: int = 0, own_echo: bool = False) -> tuple[Frame, bool]:
@@ -248,7 +225,7 @@ def recorded_frame(line: str, ahead_ns: int = 0) -> Frame:
     ValueError where it is no such line: it has nine digits of a second, and a direction.
     """
     found = _LINE.fullmatch(line)
-    if found is None or len(found[2] or "") != _STAMP_DIGITS or not found[6]:
+    if found is None or len(found[2] or "") != 9 or not found[6]:
         raise ValueError("is no frame line of a recorder")
     return _frame(found, ahead_ns, found[6] == "T")[0]
 

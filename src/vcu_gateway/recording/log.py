@@ -19,8 +19,6 @@ STANDARD_INPUT = "-"
 """The name that stands for candump text on standard input."""
 
 _CANDUMP = ".log"
-_GZIP = ".gz"
-_MF4 = ".mf4"
 
 
 class Recording:
@@ -49,23 +47,13 @@ class Recording:
         self._stored = stored
         self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
         self._suffix = suffix
-        self._lines = self._counted() if self._is_text() else None
-        self.problems = LineProblems(self._where, report)
-
-    def _is_text(self) -> bool:
-        if self._suffix == _CANDUMP:
-            return True
-        from vcu_gateway.recording import formats
-
-        return formats.is_text(self._suffix)
-
-    def _counted(self) -> LineReader:
-        # Bytes that are no text make their line a damaged one, not the file unreadable.
-        return LineReader(io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace"))
-
-    def _where(self, position: int) -> str:
+        self._lines: LineReader | None = None
+        if _is_text(suffix):
+            # Bytes that are no text make their line a damaged one, not the file unreadable.
+            text = io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace")
+            self._lines = LineReader(text)
         between = ":" if self._lines else ", frame "
-        return f"{self.name}{between}{position}"
+        self.problems = LineProblems(lambda position: f"{name}{between}{position}", report)
 
     def __enter__(self) -> "Recording":
         return self
@@ -75,22 +63,17 @@ class Recording:
             self._stored.close()
 
     def __iter__(self) -> Iterator[RecordedFrame]:
-        if self._lines is not None and self._suffix == _CANDUMP:
-            return self._candump(self._lines)
+        lines = self._lines
+        if lines is not None and self._suffix == _CANDUMP:
+            try:
+                yield from candump.frames(lines, self.problems)
+            except (OSError, EOFError, zlib.error) as error:
+                raise self.problems.failure(lines.number, error) from error
+            return
         from vcu_gateway.recording import formats
 
-        content: formats.Content = self._plain
-        if self._lines is not None:
-            content = self._lines
-        elif not formats.is_binary(self._suffix):
-            content = self.name
-        return formats.frames(self._suffix, content, self.problems)
-
-    def _candump(self, lines: LineReader) -> Iterator[RecordedFrame]:
-        try:
-            yield from candump.frames(lines, self.problems)
-        except (OSError, EOFError, zlib.error) as error:
-            raise self.problems.failure(lines.number, error) from error
+        content: formats.Content = self._plain if formats.is_binary(self._suffix) else self.name
+        yield from formats.frames(self._suffix, lines or content, self.problems)
 
     def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]] | None:
         """Whole lines of candump text, and how many stand before them; None for other formats.
@@ -133,9 +116,11 @@ def open_recording(name: str, report: Callable[[Problem], None]) -> Recording:
     raises DataError where the contents are damaged beyond reading on.
     """
     if name == STANDARD_INPUT:
-        return _standard_input(report)
+        if sys.stdin is None:  # closed by who started this program
+            raise MissingInputError(Problem("is closed", "standard input"))
+        return Recording("standard input", sys.stdin.buffer, _CANDUMP, False, report, live=True)
     path = PurePath(name)
-    packed = path.suffix.lower() == _GZIP
+    packed = path.suffix.lower() == ".gz"
     suffix = PurePath(path.stem if packed else path).suffix.lower()
     try:
         stored = open(name, "rb")  # noqa: PTH123, SIM115 - as it was named; the recording closes it
@@ -150,11 +135,12 @@ def open_recording(name: str, report: Callable[[Problem], None]) -> Recording:
         raise
 
 
-def _standard_input(report: Callable[[Problem], None]) -> Recording:
-    # Python has none where the caller closed it.
-    if sys.stdin is None:
-        raise MissingInputError(Problem("is closed", "standard input"))
-    return Recording("standard input", sys.stdin.buffer, _CANDUMP, False, report, live=True)
+def _is_text(suffix: str) -> bool:
+    if suffix == _CANDUMP:
+        return True
+    from vcu_gateway.recording import formats
+
+    return formats.is_text(suffix)
 
 
 def _check_format(name: str, suffix: str, packed: bool) -> None:
@@ -169,6 +155,6 @@ def _check_format(name: str, suffix: str, packed: bool) -> None:
         raise MissingInputError(Problem(what, name, remedy))
     if packed and not formats.is_text(suffix) and not formats.is_binary(suffix):
         raise MissingInputError(Problem(f"{suffix} cannot be read packed", name, "gunzip it first"))
-    if suffix == _MF4 and importlib.util.find_spec("asammdf") is None:
+    if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         remedy = "pip install 'vcu-gateway[mf4]'"
         raise UnavailableError(Problem("reading .mf4 needs the package asammdf", name, remedy))
