@@ -89,9 +89,6 @@ def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
     return own, sorted(set(found) - known)
 
 
-_REASON = "requested"
-
-
 def keep_whole(recording: RecordingPath) -> bool:
     """Have the recorder never remove it; False where that is so already."""
     path = recording.path / layout.KEEP_FILE
@@ -128,7 +125,7 @@ def keep_part(
         raise DataError(Problem(what, drive.name, "vcu-gateway recordings list, all times in UTC"))
     # Without a bound it is the drive's own: the incident says what it holds.
     begin_ns, end_ns = max(begin_ns, chosen[0][1]), min(end_ns, chosen[-1][2])
-    name = layout.incident_name(begin_ns, _REASON)
+    name = layout.incident_name(begin_ns, layout.REQUESTED)
     path = layout.free_path(folder.path / layout.INCIDENTS / name)
     try:
         files = _incident_files(drive, begin_ns, end_ns, reason, links)
@@ -162,8 +159,8 @@ def _incident_files(
     """Description, copies of the drive's own, and the mark that it stays."""
     described = layout.read_description(drive.path / layout.DRIVE_FILE)
     incident = {
-        "reason": _REASON,
-        "kind": _REASON,
+        "reason": layout.REQUESTED,
+        "kind": layout.REQUESTED,
         "what": reason,
         "at": utc(begin_ns, "%Y-%m-%dT%H:%M:%S+00:00"),
         "at_ns": begin_ns,

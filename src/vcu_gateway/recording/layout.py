@@ -43,6 +43,8 @@ DBC_FILE = "vcu.dbc"
 FILES_BESIDE = (DRIVE_FILE, CONFIG_FILE, DBC_FILE)
 INCIDENT_FILE = "incident.json"
 KEEP_FILE = "keep"
+REQUESTED = "requested"
+"""Reason of an incident that somebody asked for."""
 REASON_FILE = ".reason"
 """In the folder of incidents: why somebody asks the recorder for one of this moment."""
 REASON_MAX_LENGTH = 200

@@ -18,10 +18,15 @@ import binascii
 import hashlib
 import os
 import re
+import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.chain import FaultKind, FileFault
 
 NAMESPACE = "vcu-gateway-recording"
 SUFFIX = ".sig"
@@ -94,6 +99,83 @@ def verify(data: bytes, signature: Path, allowed_signers: Path | None = None) ->
     by_name: list[str | Path] = ["-Y", "verify", "-f", allowed_signers, "-I", names[0]]
     found = _run([*by_name, *of_it], data, _VERIFY_WITHIN_S)
     return Verified(_fingerprint_in(found.stdout), names[0])
+
+
+class Signatures(NamedTuple):
+    """Who has signed a recording.
+
+    Attributes:
+        signers: fingerprints of the keys, with their names where allowed signers were given.
+        segments: how many segments are signed; descriptions: and how many of an incident's.
+        expected: fingerprint of the key that its recorder says to sign with; None without one.
+    """
+
+    signers: tuple[str, ...] = ()
+    segments: int = 0
+    descriptions: int = 0
+    expected: str | None = None
+
+
+def check_signatures(
+    folder: Path,
+    ends: Mapping[int, bytes],
+    expected: str | None,
+    allowed_signers: Path | None,
+    faults: list[FileFault],
+) -> Signatures:
+    """Verify every signature of a drive or an incident; OSError as the disk has it.
+
+    `ends`: digest of the last member of each segment. Signatures of something else are added to
+    `faults`, and with allowed signers what none of them signed.
+    """
+    run = str(layout.description_if_any(folder / layout.DRIVE_FILE).get("run"))
+
+    def signers(signed: Iterable[tuple[str, bytes, str]]) -> list[str]:
+        found = [_signer(folder, *one, allowed_signers, faults) for one in signed]
+        return [one for one in found if one is not None]
+
+    segments = signers(
+        (link_name(number), link_text(run, number, digest), f"segment {number}")
+        for number, digest in ends.items()
+    )
+    paths = layout.incident_files(folder)
+    descriptions = signers((path.name, _data(path), path.name) for path in paths)
+    all_signers = tuple(sorted({*segments, *descriptions}))
+    return Signatures(all_signers, len(segments), len(descriptions), expected)
+
+
+def _signer(
+    folder: Path,
+    name: str,
+    data: bytes,
+    what: str,
+    allowed_signers: Path | None,
+    faults: list[FileFault],
+) -> str | None:
+    """Who has signed the file of this name, or these bytes; None where nobody did."""
+    path = folder / f"{name}{SUFFIX}"
+    if not path.exists():
+        if allowed_signers is not None:
+            faults.append(FileFault(name, f"{what} is not signed", FaultKind.CHANGED))
+        return None
+    if shutil.which(_PROGRAM) is None:
+        what = f"{path.name} cannot be verified without {_PROGRAM}"
+        raise UnavailableError(Problem(what, str(folder), "apt install openssh-client"))
+    try:
+        layout.read_small(path)
+        found = verify(data, path, allowed_signers)
+    except (OSError, SignatureError) as error:
+        reason = f"the signature is none of {what} as it is here: {error}"
+        faults.append(FileFault(path.name, reason, FaultKind.CHANGED))
+        return None
+    return f"{found.fingerprint} ({found.identity})" if found.identity else found.fingerprint
+
+
+def _data(path: Path) -> bytes:
+    try:
+        return layout.read_small(path)
+    except OSError:
+        return b""
 
 
 def _fingerprint_in(output: bytes) -> str:
