@@ -108,26 +108,24 @@ def test_the_settings_of_a_later_segment_are_those_in_effect_then(recorded):
     assert derated == [10_000, 10_000, 5_000, 5_000]
 
 
+def frames_of(drive: Drive) -> list[Frame]:
+    inputs = [one.input for one in drive.records() if isinstance(one, InputRecord)]
+    return [one.frame for one in inputs if isinstance(one, Receive)]
+
+
 def test_the_frames_are_candump_lines_with_nanoseconds(recorded, tmp_path):
     drive = open_drive(recorded.writer.folder)
-    frames = [one.frame for one in drive.frames()]
+    frames, distance_ns = frames_of(drive), drive.info.clock.distance_ns
     path = recorded.writer.folder / "0001.frames.log.gz"
     with open_recording(str(path), lambda problem: pytest.fail(str(problem))) as recording:
         read = [one.frame for one in recording]
     assert [(one.can_id, one.data, one.arrival_ns) for one in read] == [
-        (one.can_id, one.data, one.arrival_ns) for one in frames[: len(read)]
+        (one.can_id, one.data, one.arrival_ns + distance_ns) for one in frames[: len(read)]
     ]
-    inputs = [
-        one.input.frame
-        for one in drive.records()
-        if isinstance(one, InputRecord) and isinstance(one.input, Receive)
-    ]
-    distance_ns = drive.info.clock.distance_ns
-    assert [one.arrival_ns + distance_ns for one in inputs] == [one.arrival_ns for one in frames]
 
 
 def test_odd_frames_are_read_as_they_were(recorded):
-    frames = {one.frame.can_id: one.frame for one in open_drive(recorded.writer.folder).frames()}
+    frames = {one.can_id: one for one in frames_of(open_drive(recorded.writer.folder))}
     assert not frames[0x123].extended
     assert frames[0x20].error
     assert frames[0x18FF00AA].own_echo

@@ -5,11 +5,10 @@
         ...
 
 Memory does not grow with the drive. What is missing is a `Gap`; after it a checkpoint follows.
-
-Reader of one segment: frames and core lines of its two files, put into one order.
 """
 
 import contextlib
+import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +18,9 @@ from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.errors import DataError, MissingInputError, Problem
-from vcu_gateway.recording import candump, chain, layout
+from vcu_gateway.recording import chain, layout
 from vcu_gateway.recording.call_text import settings_of
-from vcu_gateway.recording.candump import RecordedFrame, recorded_frame, recorded_frames
+from vcu_gateway.recording.candump import recorded_frame, recorded_frames
 from vcu_gateway.recording.core_lines import (
     Checkpoint,
     CoreRecord,
@@ -36,13 +35,6 @@ from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.members import Member, MemberDamage, whole_members
 from vcu_gateway.recording.segment import SegmentBegin, read_begin
 
-_NO_CHECKPOINT = "does not begin with a checkpoint"
-
-
-class _Line(NamedTuple):
-    text: str
-    number: int
-
 
 class _SegmentMembers:
     """Members of one file up to the first damage.
@@ -52,33 +44,32 @@ class _SegmentMembers:
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._path = path
+        self.path = path
         self.damage = ""
 
     def __iter__(self) -> Iterator[Member]:
-        if self._path is None:
+        if self.path is None:
             self.damage = "a file of the segment is not there"
-        for member in whole_members(self._path, self._end):
+        for member in whole_members(self.path, self._end):
             if self.damage:
                 return
             yield member
 
     def _end(self, damage: MemberDamage) -> None:
-        if self._path is not None and not self.damage:
-            self.damage = f"{self._path.name}: {damage.what}"
+        if self.path is not None and not self.damage:
+            self.damage = f"{self.path.name}: {damage.what}"
 
-
-def _lines(member: Member) -> Iterator[_Line]:
-    for number, line in member.numbered_lines():
-        yield _Line(line.decode(errors="replace"), number)
+    def problem(self, error: ValueError, line: int) -> DataError:
+        remedy = "vcu-gateway recordings check says what else is damaged"
+        return DataError(Problem(str(error), f"{self.path}:{line}", remedy))
 
 
 class _FrameSource:
     """Frames of a segment, taken in runs of any length."""
 
-    def __init__(self, members: _SegmentMembers, path: Path | None, distance_ns: int) -> None:
-        self._members = iter(members)
-        self._path = path
+    def __init__(self, file: _SegmentMembers, distance_ns: int) -> None:
+        self._file = file
+        self._members = iter(file)
         self._distance_ns = distance_ns
         self._waiting: list[Frame] = []
 
@@ -99,13 +90,13 @@ class _FrameSource:
         frames = recorded_frames(member.data, self._distance_ns)
         if frames is not None:
             return frames
-        return [self._frame(line) for line in _lines(member)]
+        return [self._frame(number, line) for number, line in member.numbered_lines()]
 
-    def _frame(self, line: _Line) -> Frame:
+    def _frame(self, number: int, line: bytes) -> Frame:
         try:
-            return recorded_frame(line.text, self._distance_ns)
+            return recorded_frame(line.decode(errors="replace"), self._distance_ns)
         except ValueError as error:
-            raise _problem(error, self._path, line) from error
+            raise self._file.problem(error, number) from error
 
 
 class SegmentReader:
@@ -128,18 +119,18 @@ class SegmentReader:
         self.ticks: int = before.ticks if before else 0
         self.damage = ""
         self.line = 0
-        self._files = files
         self._distance_ns = distance_ns
         self._before = before
-        self._core_members = _SegmentMembers(files.core)
-        self._frame_members = _SegmentMembers(files.frames)
+        self._core = _SegmentMembers(files.core)
+        self._frames = _SegmentMembers(files.frames)
 
     def runs(self) -> Iterator[FrameRun | CoreRecord]:
         """Gap, checkpoint, and then every run of frames, call and result in order."""
         placed = self._placed()
         first, second = next(placed, None), next(placed, None)
         if first is None or not isinstance(first.record, Checkpoint):
-            self.damage = self._core_members.damage or f"{self._files.core}: {_NO_CHECKPOINT}"
+            what = f"{self._core.path}: does not begin with a checkpoint"
+            self.damage = self._core.damage or what
             yield Gap(None, None, None, self.damage)
             return
         told = second.record if second and isinstance(second.record, Gap) else None
@@ -147,7 +138,7 @@ class SegmentReader:
         yield first.record
         self.begun = True
         self.frames, self.ticks = first.record.frames, first.record.ticks
-        yield from self._in_order(second, placed)
+        yield from self._in_order(itertools.chain([second] if second else [], placed))
 
     def _missing(self, begin: Checkpoint, told: Gap | None) -> Iterator[Gap]:
         before = self._before
@@ -163,26 +154,23 @@ class SegmentReader:
             why = f"segments {before.number + 1} to {self.number - 1} are not there"
         yield Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
 
-    def _in_order(
-        self, second: Placed | None, placed: Iterator[Placed]
-    ) -> Iterator[FrameRun | CoreRecord]:
-        source, taken = _FrameSource(self._frame_members, self._files.frames, self._distance_ns), 0
-        while second is not None:
-            if taken < second.frames_before:
-                frames = source.take(second.frames_before - taken)
+    def _in_order(self, placed: Iterator[Placed]) -> Iterator[FrameRun | CoreRecord]:
+        source, taken = _FrameSource(self._frames, self._distance_ns), 0
+        for frames_before, record in placed:
+            if taken < frames_before:
+                frames = source.take(frames_before - taken)
                 yield self._run(frames)
                 taken += len(frames)
-                if taken < second.frames_before:
-                    self.damage = self._frame_members.damage or "frames are missing"
+                if taken < frames_before:
+                    self.damage = self._frames.damage or "frames are missing"
                     yield Gap(None, None, None, self.damage)
                     return
-            if not isinstance(second.record, Gap):
-                self.ticks += isinstance(second.record, TickRecord)
-                yield second.record
-            second = next(placed, None)
+            if not isinstance(record, Gap):
+                self.ticks += isinstance(record, TickRecord)
+                yield record
         for frames in source.rest():
             yield self._run(frames)
-        if damage := self._core_members.damage or self._frame_members.damage:
+        if damage := self._core.damage or self._frames.damage:
             self.damage = damage
             yield Gap(None, None, None, damage)
 
@@ -192,18 +180,12 @@ class SegmentReader:
 
     def _placed(self) -> Iterator[Placed]:
         parser = LineParser()
-        for member in self._core_members:
-            for line in _lines(member):
-                self.line = line.number
+        for member in self._core:
+            for self.line, line in member.numbered_lines():
                 try:
-                    yield from parser.records(line.text)
+                    yield from parser.records(line.decode(errors="replace"))
                 except ValueError as error:
-                    raise _problem(error, self._files.core, line) from error
-
-
-def _problem(error: ValueError, path: Path | None, line: _Line) -> DataError:
-    remedy = "vcu-gateway recordings check says what else is damaged"
-    return DataError(Problem(str(error), f"{path}:{line.number}", remedy))
+                    raise self._core.problem(error, self.line) from error
 
 
 class DriveInfo(NamedTuple):
@@ -215,7 +197,6 @@ class DriveInfo(NamedTuple):
         clock: wall time of a frame is arrival_ns + clock.distance_ns.
         settings: in effect when the drive began; those of a checkpoint are later ones.
         config, dbc: the texts.
-        described: all of drive.json.
     """
 
     run: str
@@ -224,9 +205,7 @@ class DriveInfo(NamedTuple):
     clock: ClockPair
     settings: Settings
     config: str
-    config_digest: str
     dbc: str
-    described: dict[str, Any]
 
 
 def open_drive(path: Path) -> "Drive":
@@ -280,9 +259,7 @@ def _info(folder: Path) -> DriveInfo:
             clock=clock_of(described),
             settings=settings_of(described["settings"]),
             config=_text(folder / layout.CONFIG_FILE),
-            config_digest=str(described.get("config_digest", "")),
             dbc=_text(folder / layout.DBC_FILE),
-            described=described,
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         version = described.get("versions", {})
@@ -350,13 +327,3 @@ class Drive:
         if self._read is None:
             return str(self.folder)
         return f"{self.folder / layout.core_name(self._read.number)}:{self._read.line}"
-
-    def frames(self) -> Iterator[RecordedFrame]:
-        """Every frame with its wall time, without what belongs to it; damage is passed by."""
-        number = 0
-        for files in self.segments:
-            for member in whole_members(files.frames):
-                for _, line in member.numbered_lines():
-                    number += 1
-                    frame = candump.recorded_frame(line.decode(errors="replace"))
-                    yield RecordedFrame(frame, self.info.channel, number, len(frame.data) > 8)
