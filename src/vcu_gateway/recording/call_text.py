@@ -1,8 +1,7 @@
 """Settings, demands and calls of the core as JSON, and back.
 
-Calls of the core in a core line: each field is written and read as its type says.
-
-A call's first field stands under its word, every other one under its own name without the unit:
+Each field of a call is written and read as its type says. The first one stands under the call's
+word, every other one under its own name without the unit:
 
     Arm(5)                  "arm":5
     Reset(SERVICE, 5)       "reset":"service","now":5
@@ -12,9 +11,9 @@ A call's first field stands under its word, every other one under its own name w
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Event, Severity
@@ -26,9 +25,9 @@ from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.units import NS_PER_US
 
+_T = TypeVar("_T")
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-_SETTINGS = {item.name: item for item in fields(Settings)}
-_DEMAND = tuple(item.name for item in fields(ControllerDemand))
+_SETTINGS = tuple(item.name for item in fields(Settings))
 _DEFAULTS = Settings()
 _NOTHING_DEMANDED = ControllerDemand()
 
@@ -46,7 +45,7 @@ def settings_of(values: Any) -> Settings:
     """
     if not isinstance(values, dict):
         raise ValueError("the settings are no object")
-    if unknown := sorted(values.keys() - _SETTINGS.keys()):
+    if unknown := sorted(set(values) - set(_SETTINGS)):
         raise ValueError(f"settings that this version does not know: {', '.join(unknown)}")
     return Settings(**{name: _setting(name, value) for name, value in values.items()})
 
@@ -68,8 +67,7 @@ def _setting(name: str, value: Any) -> Any:
 
 def controller_json(demand: ControllerDemand) -> dict[str, Any]:
     """Demand of one controller; the power mode by its name."""
-    values = {name: getattr(demand, name) for name in _DEMAND}
-    return values | {"power_mode": demand.power_mode.name.lower()}
+    return asdict(demand) | {"power_mode": demand.power_mode.name.lower()}
 
 
 def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
@@ -127,11 +125,11 @@ def _controller_text(one: ControllerDemand) -> str:
 def number_text(value: float | None) -> str:
     """JSON text of a number, truth value or None; what JSON does not have becomes a word."""
     if value is None or isinstance(value, bool):
-        return _WORDS[value]
+        return WORDS[value]
     return repr(value) if isinstance(value, int) or isfinite(value) else f'"{value!r}"'
 
 
-_WORDS = {None: "null", True: "true", False: "false"}
+WORDS = {None: "null", True: "true", False: "false"}
 _quoted = json.encoder.encode_basestring_ascii
 
 
@@ -161,24 +159,21 @@ def number_of(value: Any) -> Any:
     raise ValueError(f"{value!r:.40} is no number")
 
 
-def whole_of(value: Any) -> int:
-    if type(value) is not int:
-        raise ValueError(f"{value!r:.40} is no whole number")
-    return value
+def _only(kind: type[_T], what: str) -> Callable[[Any], _T]:
+    """Takes values of this type alone; ValueError for others."""
+
+    def read(value: Any) -> _T:
+        if isinstance(value, kind) and type(value) is kind:
+            return value
+        raise ValueError(f"{value!r:.40} is {what}")
+
+    return read
 
 
-def text_of(value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{value!r:.40} is no text")
-    return value
-
-
-TRUTH = {True: "true", False: "false"}
-_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=str)
-
-
-def encoded(values: Any) -> str:
-    return _ENCODER.encode(values)
+whole_of = _only(int, "no whole number")
+text_of = _only(str, "no text")
+truth_of = _only(bool, "neither true nor false")
+encoded = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=str).encode
 
 
 def call_text(call: CoreCall[object]) -> str:
@@ -205,14 +200,8 @@ def call_of(values: Mapping[str, Any]) -> CoreCall[object] | None:
     return call
 
 
-def truth_of(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{value!r:.40} is neither true nor false")
-    return value
-
-
-def _text_or_none(value: Any) -> str | None:
-    return None if value is None else text_of(value)
+def _or_none(read: Callable[[Any], object]) -> Callable[[Any], object]:
+    return lambda value: None if value is None else read(value)
 
 
 def out_frame_text(frame: OutFrame) -> str:
@@ -246,16 +235,16 @@ def _carrier_of(values: Any) -> Carrier:
 _Codec = tuple[Callable[[Any], str], Callable[[Any], Any]]
 _TYPES: Mapping[Any, _Codec] = {
     int: (str, whole_of),
-    bool: (TRUTH.__getitem__, truth_of),
+    bool: (WORDS.__getitem__, truth_of),
     str: (encoded, text_of),
-    str | None: (encoded, _text_or_none),
+    str | None: (encoded, _or_none(text_of)),
     Mapping[str, bool]: (
         lambda one: encoded(dict(one)),
         lambda values: {name: truth_of(one) for name, one in values.items()},
     ),
     FaultClass: (lambda one: f'"{one.value}"', FaultClass),
     Carrier: (encoded, _carrier_of),
-    Carrier | None: (encoded, lambda values: None if values is None else _carrier_of(values)),
+    Carrier | None: (encoded, _or_none(_carrier_of)),
     LinkStatus: (lambda one: encoded([one.state.value, one.since_ns]), _link_of),
     Settings: (lambda one: encoded(settings_json(one)), settings_of),
     OutFrame: (out_frame_text, out_frame_of),
@@ -269,12 +258,10 @@ class _Field(NamedTuple):
     read: Callable[[Any], Any]
 
 
-def _fields(kind: type, word: str) -> tuple[_Field, ...]:
+def _fields(kind: type, word: str) -> list[_Field]:
     types = kind.__annotations__
     keys = [word, *(name.removesuffix("_ns") for name in list(types)[1:])]
-    return tuple(
-        [_Field(key, *_TYPES[one]) for key, one in zip(keys, types.values(), strict=False)]
-    )
+    return [_Field(key, *_TYPES[one]) for key, one in zip(keys, types.values(), strict=False)]
 
 
 _KINDS: Mapping[str, Any] = {word: kind for kind, word in calls.WORDS.items()}

@@ -10,6 +10,7 @@ Memory does not grow with the drive. What is missing is a `Gap`; after it a chec
 import contextlib
 import itertools
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +34,7 @@ from vcu_gateway.recording.core_lines import (
 )
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.members import Member, MemberDamage, whole_members
-from vcu_gateway.recording.segment import SegmentBegin, read_begin
+from vcu_gateway.recording.segment import SegmentBegin, is_number, read_begin
 
 
 class _SegmentMembers:
@@ -269,14 +270,10 @@ def _info(folder: Path) -> DriveInfo:
 
 def clock_of(described: Mapping[str, Any]) -> ClockPair:
     """Both clocks of a drive.json; KeyError, TypeError or ValueError where they are none."""
-    clock = described["clock"]
-    return ClockPair(_stamp(clock["monotonic_ns"]), _stamp(clock["wall_ns"]))
-
-
-def _stamp(value: object) -> int:
-    if type(value) is not int or not 0 <= value < 1 << 63:
+    stamps = [described["clock"][key] for key in ("monotonic_ns", "wall_ns")]
+    if not all(map(is_number, stamps)):
         raise ValueError("a clock is no number of nanoseconds")
-    return value
+    return ClockPair(*stamps)
 
 
 def _text(path: Path) -> str:
@@ -286,6 +283,7 @@ def _text(path: Path) -> str:
         raise MissingInputError(Problem(f"cannot be read: {error}", str(path))) from error
 
 
+@dataclass
 class Drive:
     """A recorded drive, or the part of one that is in a folder.
 
@@ -293,11 +291,10 @@ class Drive:
         segments: files by number; records begin with the checkpoint of each.
     """
 
-    def __init__(self, folder: Path, info: DriveInfo, segments: tuple[SegmentFiles, ...]) -> None:
-        self.folder = folder
-        self.info = info
-        self.segments = segments
-        self._read: SegmentReader | None = None
+    folder: Path
+    info: DriveInfo
+    segments: tuple[SegmentFiles, ...]
+    _read: SegmentReader | None = None
 
     def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
         """As `runs`, each frame as a `Receive`."""

@@ -111,12 +111,12 @@ def parsed_line(line: bytes) -> dict[str, Any]:
         found = json.loads(line)
     except (ValueError, RecursionError) as error:
         raise CoreLineError(f"is no JSON: {error}") from error
-    if not isinstance(found, dict) or not _is_number(found.get("f")):
+    if not isinstance(found, dict) or not is_number(found.get("f")):
         raise CoreLineError("has no number of frames before it")
     return found
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
     return type(value) is int and value in _NUMBERS
 
 
@@ -157,7 +157,7 @@ def _gap(values: Mapping[str, Any]) -> Losses:
 def _numbers(values: Mapping[str, Any], keys: tuple[str, ...]) -> list[int]:
     """These counts, 0 where one is null; ValueError where one is no such number."""
     found = [values[key] or 0 for key in keys]
-    if not all(map(_is_number, found)):
+    if not all(map(is_number, found)):
         raise ValueError(f"{', '.join(keys)} are no numbers")
     return found
 
@@ -168,7 +168,7 @@ def end_of(line: Mapping[str, Any]) -> SegmentEnd:
     An older recorder did not say whether it closes the drive: any why but the next segment does.
     """
     end = line["end"]
-    if not isinstance(end, dict) or not _is_number(end.get("ticks", 0)):
+    if not isinstance(end, dict) or not is_number(end.get("ticks", 0)):
         raise CoreLineError("has no usable end")
     why = str(end.get("why", ""))
     closes = end.get("closes", why != NEXT_BEGINS) is True
