@@ -22,7 +22,7 @@ from vcu_gateway.errors import DataError, GatewayError
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.chain import FaultKind, FileFault, chain_of
 from vcu_gateway.recording.checked_segment import CheckedSegment, EchoCheck, check_segment
-from vcu_gateway.recording.folder import RecordingPath, read_error
+from vcu_gateway.recording.folder import RecordingPath, reading
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.segment import Losses, last_second
 from vcu_gateway.recording.signature import Signatures, check_signatures
@@ -194,10 +194,8 @@ def check_recording(
     a fault of the result; NotPermittedError or MissingInputError where the folder cannot be read,
     UnavailableError where there are signatures and no ssh-keygen.
     """
-    try:
+    with reading(recording.path):
         return _checked(recording, progress, allowed_signers)
-    except OSError as error:
-        raise read_error(error, recording.path) from error
 
 
 def _checked(

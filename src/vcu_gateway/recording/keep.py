@@ -16,7 +16,7 @@ from vcu_gateway.errors import (
     UnavailableError,
 )
 from vcu_gateway.recording import layout, signature
-from vcu_gateway.recording.folder import RecordingFolder, RecordingPath, read_error, write_error
+from vcu_gateway.recording.folder import RecordingFolder, RecordingPath, reading, writing
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.recorder_status import STALE_S, STATUS_PATH, RecorderStatus, read_status
 from vcu_gateway.recording.segment import last_second, read_begin
@@ -34,10 +34,8 @@ def act_as_owner(folder: Path) -> None:
     """
     if os.geteuid() != 0:
         return
-    try:
+    with reading(folder):
         owner = folder.stat()
-    except OSError as error:
-        raise read_error(error, folder) from error
     if owner.st_uid == 0:
         return
     os.umask(_UMASK)
@@ -52,7 +50,7 @@ def remove_recording(recording: RecordingPath) -> list[str]:
     RequestRefusedError where a recorder is writing it. A link is removed and what it points to is
     not: every name is looked up in the opened folder itself.
     """
-    try:
+    with writing(recording.path):
         descriptor = os.open(recording.path, layout.FOLDER_FLAGS)
         try:
             _refuse_written(descriptor, recording)
@@ -63,8 +61,6 @@ def remove_recording(recording: RecordingPath) -> list[str]:
             os.close(descriptor)
         if not others:
             recording.path.rmdir()
-    except OSError as error:
-        raise write_error(error, recording.path) from error
     return others
 
 
@@ -92,12 +88,11 @@ def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
 def keep_whole(recording: RecordingPath) -> bool:
     """Have the recorder never remove it; False where that is so already."""
     path = recording.path / layout.KEEP_FILE
-    try:
-        layout.write_new(path, b"")
-    except FileExistsError:
-        return False
-    except OSError as error:
-        raise write_error(error, path) from error
+    with writing(path):
+        try:
+            layout.write_new(path, b"")
+        except FileExistsError:
+            return False
     return True
 
 
@@ -127,11 +122,16 @@ def keep_part(
     begin_ns, end_ns = max(begin_ns, chosen[0][1]), min(end_ns, chosen[-1][2])
     name = layout.incident_name(begin_ns, layout.REQUESTED)
     path = layout.free_path(folder.path / layout.INCIDENTS / name)
-    try:
-        files = _incident_files(drive, begin_ns, end_ns, reason, links)
+    with writing(path):
+        beside = [drive.path / name for name in layout.FILES_BESIDE]
+        copies = {one.name: one.read_bytes() for one in beside if one.exists()}
+        described = layout.read_description(drive.path / layout.DRIVE_FILE)
+        cause = {"reason": layout.REQUESTED, "kind": layout.REQUESTED, "what": reason}
+        when = {"at": utc(begin_ns, "%Y-%m-%dT%H:%M:%S+00:00"), "at_ns": begin_ns}
+        kept = {"before_s": 0, "after_s": (end_ns - begin_ns) / NS_PER_S, "drive": drive.name}
+        text = layout.incident_bytes(cause | when | kept, described, links, copies)
+        files = {layout.INCIDENT_FILE: text, layout.KEEP_FILE: b"", **copies}
         layout.create_folder(path, files, links)
-    except OSError as error:
-        raise write_error(error, path) from error
     return RecordingPath("incident", path)
 
 
@@ -151,30 +151,6 @@ def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
         last_s = last_second(last.core) if last.core is not None else None
         ends.append(max(wall_ns, (last_s or 0) * NS_PER_S))
     return [(segment, begin, end) for (segment, begin), end in zip(begun, ends, strict=True)]
-
-
-def _incident_files(
-    drive: RecordingPath, begin_ns: int, end_ns: int, reason: str, links: list[Path]
-) -> dict[str, bytes]:
-    """Description, copies of the drive's own, and the mark that it stays."""
-    described = layout.read_description(drive.path / layout.DRIVE_FILE)
-    incident = {
-        "reason": layout.REQUESTED,
-        "kind": layout.REQUESTED,
-        "what": reason,
-        "at": utc(begin_ns, "%Y-%m-%dT%H:%M:%S+00:00"),
-        "at_ns": begin_ns,
-        "before_s": 0,
-        "after_s": (end_ns - begin_ns) / NS_PER_S,
-        "drive": drive.name,
-    }
-    beside = [drive.path / name for name in layout.FILES_BESIDE]
-    copies = {path.name: path.read_bytes() for path in beside if path.exists()}
-    return {
-        layout.INCIDENT_FILE: layout.incident_bytes(incident, described, links, copies),
-        layout.KEEP_FILE: b"",
-        **copies,
-    }
 
 
 _PATIENCE_S = 5.0
@@ -219,7 +195,8 @@ def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:
     file = folder.path / layout.INCIDENTS / layout.REASON_FILE
     try:
         if reason:
-            _write(file, reason)
+            with writing(file):
+                file.write_text(reason)
         _signal(pid)
     except GatewayError:
         with contextlib.suppress(OSError):
@@ -231,13 +208,6 @@ def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:
             return max(path.parent.name for path in new)
         time.sleep(_LOOK_EVERY_S)
     return None
-
-
-def _write(file: Path, reason: str) -> None:
-    try:
-        file.write_text(reason)
-    except OSError as error:
-        raise write_error(error, file) from error
 
 
 def _signal(pid: int) -> None:
