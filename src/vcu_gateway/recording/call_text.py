@@ -29,7 +29,12 @@ _T = TypeVar("_T")
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 _SETTINGS = tuple(item.name for item in fields(Settings))
 _DEFAULTS = Settings()
-_NOTHING_DEMANDED = ControllerDemand()
+_LEFT_OUT = {
+    item.name: item.default
+    for item in fields(ControllerDemand)
+    if item.name not in ("throttle_pct", "power_mode")
+}
+"""Fields of a controller's demand that are written where they are not their default."""
 
 
 def settings_json(settings: Settings) -> dict[str, Any]:
@@ -103,22 +108,11 @@ def demand_text(demand: Demand, now_ns: int) -> str:
 
 
 def _controller_text(one: ControllerDemand) -> str:
-    number, default = number_text, _NOTHING_DEMANDED
-    text = (
-        f'{{"throttle_pct":{number(one.throttle_pct)},"power_mode":"{one.power_mode.name.lower()}"'
-    )
-    if one.brake_pct != default.brake_pct:
-        text += f',"brake_pct":{number(one.brake_pct)}'
-    if one.motor_reverse:
-        text += ',"motor_reverse":true'
-    if one.regen_brake:
-        text += ',"regen_brake":true'
-    if one.speed_limit_rpm != default.speed_limit_rpm:
-        text += f',"speed_limit_rpm":{number(one.speed_limit_rpm)}'
-    if one.power_limit_w != default.power_limit_w:
-        text += f',"power_limit_w":{number(one.power_limit_w)}'
-    if one.throttle_track2_pct is not None:
-        text += f',"throttle_track2_pct":{number(one.throttle_track2_pct)}'
+    throttle, mode = number_text(one.throttle_pct), one.power_mode.name.lower()
+    text = f'{{"throttle_pct":{throttle},"power_mode":"{mode}"'
+    for name, default in _LEFT_OUT.items():
+        if (value := getattr(one, name)) != default:
+            text += f',"{name}":{number_text(value)}'
     return text + "}"
 
 

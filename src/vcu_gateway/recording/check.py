@@ -82,7 +82,7 @@ def _incident_faults(
     """What an incident's descriptions say of themselves, their files and their segments."""
     there = {segment.number for segment in segments}
     core = segments[-1].core if segments else None
-    ended_s = (last_second(core) if core else None) or 0
+    ended_s = last_second(core) or 0
     for path in layout.incident_files(folder):
         described = layout.description_if_any(path)
         if not described or not ("digest" in described or is_chained):

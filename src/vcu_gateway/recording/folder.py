@@ -188,7 +188,7 @@ def summarise(recording: RecordingPath) -> RecordingSummary:
         cores = [segment.core for segment in segments if segment.core]
         both_ends = (cores[0], cores[-1]) if cores else (None, None)
         first, last = map(read_begin, both_ends)
-        end_s = last_second(cores[-1]) if cores else None
+        end_s = last_second(both_ends[1])
         begun_s = None if first is None else first.wall_ns / NS_PER_S
         channel = drive.get("channel")
         reasons = [str(one.get("what") or one.get("reason")) for one in incidents if one]

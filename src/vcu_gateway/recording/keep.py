@@ -148,8 +148,7 @@ def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
     ends = [wall_ns for _, wall_ns in begun[1:]]
     if begun:
         last, wall_ns = begun[-1]
-        last_s = last_second(last.core) if last.core is not None else None
-        ends.append(max(wall_ns, (last_s or 0) * NS_PER_S))
+        ends.append(max(wall_ns, (last_second(last.core) or 0) * NS_PER_S))
     return [(segment, begin, end) for (segment, begin), end in zip(begun, ends, strict=True)]
 
 

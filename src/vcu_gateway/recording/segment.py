@@ -1,6 +1,6 @@
 """Segment of a drive: its writer, a gzip member a second in each file, and the recorder's lines.
 
-The recorder's own lines of a segment: how it begins, what is missing before it, how it ends.
+These say how a segment begins, what is missing before it, and how it ends:
 
     {"f":0,"begin":{"frames":71600,"ticks":4000,"wall_ns":...,"recorder":"0.1.0",...}}
     {"f":0,"gap":{"frames":358,"ticks":20,"why":"the recorder's memory was full"}}
@@ -135,11 +135,11 @@ def read_begin(core: Path | None) -> SegmentBegin | None:
 def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
     """The begin that stands in the first lines of a segment; CoreLineError where it is wrong."""
     begin = next((line["begin"] for line in lines if "begin" in line), None)
-    gaps = [line["gap"] for line in lines if "gap" in line]
     if begin is None:
         return None
     try:
-        gap = sum((_gap(one) for one in gaps), Losses())
+        gaps = [_numbers(line["gap"], ("frames", "ticks")) for line in lines if "gap" in line]
+        gap = sum((Losses(frames, ticks, 1) for frames, ticks in gaps), Losses())
         lost = Losses(*_numbers(begin["lost"], Losses._fields))
         frames, ticks, wall_ns = _numbers(begin, ("frames", "ticks", "wall_ns"))
         files = dict(begin.get("files") or {})
@@ -147,11 +147,6 @@ def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
         raise CoreLineError(f"has no usable begin or gap: {error}") from error
     told = [begin.get(key) for key in ("recorder", "segment", "signer")]
     return SegmentBegin(frames, ticks, wall_ns, str(told[0]), lost, told[1], files, told[2], gap)
-
-
-def _gap(values: Mapping[str, Any]) -> Losses:
-    frames, ticks = _numbers(values, ("frames", "ticks"))
-    return Losses(frames, ticks, 1)
 
 
 def _numbers(values: Mapping[str, Any], keys: tuple[str, ...]) -> list[int]:
@@ -175,8 +170,8 @@ def end_of(line: Mapping[str, Any]) -> SegmentEnd:
     return SegmentEnd(end.get("frames"), end.get("ticks"), closes, why)
 
 
-def last_second(path: Path) -> int | None:
-    """When the last readable lines of a file were gathered, seconds since 1970."""
+def last_second(path: Path | None) -> int | None:
+    """When the last readable lines of a file were gathered, seconds since 1970; None without."""
     return max((part.wall_s for part in whole_members(path) if part.wall_s), default=None)
 
 
@@ -187,6 +182,7 @@ class MemberFile:
         path: where it is.
         lines: how many whole members of it hold.
         size: bytes of whole members.
+        waiting: lines that no member has yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -195,6 +191,7 @@ class MemberFile:
         self._descriptor = os.open(path, flags, 0o640)
         self.path = path
         self.lines = self.size = 0
+        self.waiting: list[str] = []
 
     def append(self, data: bytes, wall_s: int, link: bytes | None = None) -> bytes:
         """Write whole lines as one member, and give its digest; OSError leaves none of it."""
@@ -247,8 +244,6 @@ class SegmentWriter:
         self.number = number
         self.link = link
         self.frames = self.waiting = 0
-        self._frame_text: list[str] = []
-        self._core_text: list[str] = []
         self._frames_file = MemberFile(folder / layout.frames_name(number))
         try:
             self._core_file = MemberFile(folder / layout.core_name(number))
@@ -257,10 +252,11 @@ class SegmentWriter:
             self._frames_file.close()
             self._frames_file.path.unlink(missing_ok=True)
             raise
+        self._files = (self._frames_file, self._core_file)
 
     @property
     def size(self) -> int:
-        return self._frames_file.size + self._core_file.size
+        return sum(file.size for file in self._files)
 
     @property
     def recorded_frames(self) -> int:
@@ -268,33 +264,30 @@ class SegmentWriter:
 
     @property
     def is_in_place(self) -> bool:
-        return self._frames_file.is_in_place and self._core_file.is_in_place
+        return all(file.is_in_place for file in self._files)
 
     def add(self, core_text: str, frame_text: str = "", frames: int = 0) -> None:
         """Core lines, and that many frame lines before them; each with its line end."""
         self.frames += frames
         self.waiting += len(frame_text) + len(core_text)
-        self._frame_text.append(frame_text)
-        self._core_text.append(core_text)
+        self._frames_file.waiting.append(frame_text)
+        self._core_file.waiting.append(core_text)
 
     def flush(self, wall_s: int) -> None:
         """Write what waits, a member for each file; OSError leaves what is unwritten waiting."""
-        for file, waiting in self._files():
-            text = "".join(waiting).encode()
+        for file in self._files:
+            text = "".join(file.waiting).encode()
             if text:
                 digest = file.append(text, wall_s, self.link)
                 self.link = digest if self.link is not None else None
-            waiting.clear()
+            file.waiting.clear()
         self.waiting = 0
 
-    def _files(self) -> tuple[tuple[MemberFile, list[str]], ...]:
-        return (self._frames_file, self._frame_text), (self._core_file, self._core_text)
-
     def sync(self) -> None:
-        for file, _ in self._files():
+        for file in self._files:
             file.sync()
 
     def close(self) -> None:
         """Close both files; what waits is lost."""
-        for file, _ in self._files():
+        for file in self._files:
             file.close()
