@@ -121,9 +121,9 @@ def walk(folder: Path, segments: list[SegmentFiles] | None = None) -> Iterator[L
     of the folder. Members without links come file by file. OSError where a file cannot be read;
     FileNotFoundError also where the recorder removed it meanwhile.
     """
-    last = _Latest()
+    walker = _Walker()
     for files in layout.segments(folder) if segments is None else segments:
-        yield from _SegmentWalk(files, last).walk()
+        yield from walker.segment(files)
 
 
 def end(folder: Path) -> Linked | None:
@@ -143,35 +143,6 @@ def file_digests(folder: Path) -> dict[str, str]:
             with (folder / name).open("rb") as file:
                 digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
     return digests
-
-
-class _Latest:
-    """How far the walk has come.
-
-    Attributes:
-        member: the latest; None before the first.
-        ends: digests that the next one may name: that of `member`; behind members without links
-            that of each file's last one.
-    """
-
-    def __init__(self) -> None:
-        self.member: Linked | None = None
-        self.ends: dict[Path, bytes | None] = {}
-
-    def precedes(self, member: Member) -> bool:
-        """True where this member's link names the latest one."""
-        if self.member is None:
-            return member.link in (None, NO_LINK)
-        if member.link is None:
-            return self.member.member.link is None
-        return member.link in self.ends.values()
-
-    def take(self, linked: Linked) -> None:
-        before = self.member
-        if linked.member.link is not None or before is None or before.segment != linked.segment:
-            self.ends.clear()
-        self.member = linked
-        self.ends[linked.path] = linked.member.digest
 
 
 class _MemberFile:
@@ -205,29 +176,48 @@ class _MemberFile:
         return 0 if self.next is None else self.next.first_line - self.lines
 
 
-class _SegmentWalk:
-    """Walk of one segment."""
+class _Walker:
+    """Walks one segment after the other: the latest member, and what the next one may name.
 
-    def __init__(self, files: SegmentFiles, last: _Latest) -> None:
-        self._number = files.number
-        self._last = last
-        sizes = zip(files.paths, _sizes(files.paths), strict=True)
+    That is the latest one's digest; behind members without links that of each file's last one.
+    """
+
+    def __init__(self) -> None:
+        self._last: Linked | None = None
+        self._ends: dict[Path, bytes | None] = {}
+        self._number = 0
+        self._files: list[_MemberFile] = []
+
+    def segment(self, segment: SegmentFiles) -> Iterator[Linked | Break]:
+        self._number = segment.number
+        sizes = zip(segment.paths, _sizes(segment.paths), strict=True)
         self._files = [_MemberFile(path, size) for path, size in sizes]
-
-    def walk(self) -> Iterator[Linked | Break]:
         while (found := self._next()) is not None:
             file, member = found
-            if not self._last.precedes(member):
+            if not self._precedes(member):
                 yield self._broken(file, member)
             elif file.damage is not None:
                 yield self._damage(file, file.damage, FaultKind.CHANGED)
-            linked = Linked(self._number, file.path, member)
-            self._last.take(linked)
-            file.step()
-            yield linked
+            yield self._take(file, member)
         for file in self._files:
             if file.damage is not None:
                 yield self._damage(file, file.damage, FaultKind.TORN)
+
+    def _precedes(self, member: Member) -> bool:
+        """True where this member's link names the latest one."""
+        if self._last is None:
+            return member.link in (None, NO_LINK)
+        if member.link is None:
+            return self._last.member.link is None
+        return member.link in self._ends.values()
+
+    def _take(self, file: _MemberFile, member: Member) -> Linked:
+        if member.link is not None or self._last is None or self._last.segment != self._number:
+            self._ends.clear()
+        self._ends[file.path] = member.digest
+        self._last = Linked(self._number, file.path, member)
+        file.step()
+        return self._last
 
     def _next(self) -> tuple[_MemberFile, Member] | None:
         """The member that names the last one; without one, what is likeliest to come next."""
@@ -236,14 +226,14 @@ class _SegmentWalk:
 
         def unlikely(one: tuple[_MemberFile, Member]) -> tuple[bool, bool, bool, int]:
             file, member = one
-            fits, names_other = self._last.precedes(member), member.link in digests
+            fits, names_other = self._precedes(member), member.link in digests
             return not fits, names_other, file.missing_lines != 0, member.wall_s
 
         return min(nexts, key=unlikely, default=None)
 
     def _broken(self, file: _MemberFile, member: Member) -> Break:
         """Why this member does not name the last one."""
-        last, number, kind, is_beginning = self._last.member, self._number, FaultKind.MISSING, False
+        last, number, kind, is_beginning = self._last, self._number, FaultKind.MISSING, False
         for one in self._files:
             if one.damage is not None:
                 return self._damage(one, one.damage, FaultKind.CHANGED)

@@ -232,7 +232,10 @@ def open_drive(path: Path) -> "Drive":
 
 def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
     """DataError where the first segment's begin names other digests; older ones name none."""
-    begin = next(filter(None, (_begin(files.core) for files in segments)), None)
+    begin: SegmentBegin | None = None
+    for files in segments:
+        with contextlib.suppress(OSError):
+            begin = begin or read_begin(files.core)
     if begin is None or not begin.files:
         return
     found = chain.file_digests(folder)
@@ -241,12 +244,6 @@ def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
             what = "is not the file that the recorder wrote: the recording names another SHA-256"
             remedy = "vcu-gateway recordings check says what else was changed"
             raise DataError(Problem(what, str(folder / name), remedy))
-
-
-def _begin(core: Path | None) -> SegmentBegin | None:
-    with contextlib.suppress(OSError):
-        return read_begin(core)
-    return None
 
 
 def _info(folder: Path) -> DriveInfo:

@@ -12,13 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.errors import (
-    DataError,
-    GatewayError,
-    NotPermittedError,
-    Problem,
-    UnavailableError,
-)
+from vcu_gateway.errors import DataError, NotPermittedError, Problem, UnavailableError
 from vcu_gateway.units import NS_PER_S
 
 FORMAT = 1
@@ -153,8 +147,14 @@ def read_status(path: Path = STATUS_PATH) -> RecorderStatus:
     """
     try:
         found = json.loads(path.read_bytes())
+    except PermissionError as error:
+        remedy = "sudo usermod -aG vcu-gateway $USER and log in again, or use sudo"
+        problem = Problem("may not be read by this user", str(path), remedy)
+        raise NotPermittedError(problem) from error
     except OSError as error:
-        raise _unreadable(path, error) from error
+        remedy = "sudo systemctl start vcu-gateway-recorder.socket, and a gateway"
+        problem = Problem("no recorder has written its state", str(path), remedy)
+        raise UnavailableError(problem) from error
     except ValueError as error:
         raise DataError(Problem(f"is no JSON: {error}", str(path))) from error
     try:
@@ -163,14 +163,6 @@ def read_status(path: Path = STATUS_PATH) -> RecorderStatus:
         what = f"is of another version of the recorder: {error}"
         remedy = "sudo systemctl restart vcu-gateway-recorder"
         raise DataError(Problem(what, str(path), remedy)) from error
-
-
-def _unreadable(path: Path, error: OSError) -> GatewayError:
-    if isinstance(error, PermissionError):
-        remedy = "sudo usermod -aG vcu-gateway $USER and log in again, or use sudo"
-        return NotPermittedError(Problem("may not be read by this user", str(path), remedy))
-    remedy = "sudo systemctl start vcu-gateway-recorder.socket, and a gateway"
-    return UnavailableError(Problem("no recorder has written its state", str(path), remedy))
 
 
 def _status(found: dict[str, Any]) -> RecorderStatus:
