@@ -98,9 +98,6 @@ class LineProblems:
         return DataError(Problem(what, where, "nothing after this place was read"))
 
 
-_LONGEST_CHARACTERS = 8192
-
-
 class LineReader:
     """Iterator over the lines of a text file, with the number of the current one.
 
@@ -127,7 +124,7 @@ class LineReader:
 
     def _walk(self) -> Iterator[str]:
         at_start = True
-        for piece in iter(partial(self._file.readline, _LONGEST_CHARACTERS), ""):
+        for piece in iter(partial(self._file.readline, 8192), ""):
             if at_start:
                 self.number += 1
                 yield piece

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from vcu_gateway.core.causes import Finding, HeldCause
+from vcu_gateway.core.causes import HeldCause
 
 
 class CauseKey(NamedTuple):
@@ -50,7 +50,8 @@ class CauseSpans:
 
     def stand(self, held: Iterable[HeldCause], now_ns: int) -> None:
         """At a checkpoint these causes count: those that did go on, all others have ended."""
-        details = {_key(one.finding): one.finding.detail for one in held}
+        findings = [one.finding for one in held]
+        details = {CauseKey(f.cause, f.subject, f.effect.value): f.detail for f in findings}
         for key in self._open.keys() - details.keys():
             self._end(key, now_ns)
         for key, detail in details.items():
@@ -82,7 +83,3 @@ class CauseSpans:
         span = self._open.pop(key, None)
         if span is not None:
             span.ended_ns = now_ns
-
-
-def _key(finding: Finding) -> CauseKey:
-    return CauseKey(finding.cause, finding.subject, finding.effect.value)

@@ -27,8 +27,6 @@ from vcu_gateway.recording import layout
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.members import NO_LINK, Member, MemberDamage, read_members
 
-_MOST_LOOKS = 10
-
 
 class FaultKind(Enum):
     """What is wrong with a recording.
@@ -292,7 +290,7 @@ def _between(before: int, number: int) -> str:
 def _sizes(paths: tuple[Path, ...]) -> list[int]:
     """Sizes of both files at one moment, although the recorder may be writing to them."""
     sizes: list[int] = []
-    for _ in range(_MOST_LOOKS):
+    for _ in range(10):
         before, sizes = sizes, [path.stat().st_size for path in paths]
         if before == sizes:
             break

@@ -20,9 +20,7 @@ from vcu_gateway.units import NS_PER_S
 CAN_FD = "fd"
 """Beside the reasons of the codec: a classic bus has no CAN FD frames."""
 
-_SHOWN_IDENTIFIERS = 10
 _KEPT_IDENTIFIERS = 4096
-_BY_IDENTIFIER = (Reason.UNKNOWN, Reason.FOREIGN_SOURCE, Reason.STANDARD)
 
 
 class Tally:
@@ -45,7 +43,7 @@ class Tally:
 
     def lines(self, digits: int) -> Iterator[str]:
         """The most frequent identifiers, and the frames of all others in one line."""
-        shown = self._counts.most_common(_SHOWN_IDENTIFIERS)
+        shown = self._counts.most_common(10)
         at_least = "at least " if self.forgotten else ""
         for can_id, count in shown:
             yield f"{can_id:0{digits}X} {at_least}{count}"
@@ -66,7 +64,8 @@ class Summary:
         self.decoded: Counter[str] = Counter()
         self.passed_over = 0
         self._rejected: Counter[str] = Counter()
-        self._identifiers = {reason.value: Tally() for reason in _BY_IDENTIFIER}
+        by_identifier = (Reason.UNKNOWN, Reason.FOREIGN_SOURCE, Reason.STANDARD)
+        self._identifiers = {reason.value: Tally() for reason in by_identifier}
 
     @property
     def frames(self) -> int:
@@ -74,8 +73,8 @@ class Summary:
 
     def reject(self, reason: Reason, can_id: int) -> None:
         self._rejected[reason.value] += 1
-        if reason in _BY_IDENTIFIER:
-            self._identifiers[reason.value].add(can_id)
+        if tally := self._identifiers.get(reason.value):
+            tally.add(can_id)
 
     def reject_fd(self) -> None:
         self._rejected[CAN_FD] += 1
@@ -96,10 +95,6 @@ class Summary:
             if tally := self._identifiers.get(reason):
                 digits = 3 if reason == Reason.STANDARD.value else 8
                 yield from (f"    {line}" for line in tally.lines(digits))
-
-
-# Codes of one signal whose texts are kept; 16-bit noise must not fill the memory.
-_KEPT_CODES = 8192
 
 
 class FrameWriter(ABC):
@@ -129,7 +124,7 @@ class FrameWriter(ABC):
             signal = self._message.signals[index]
             # Adding 0 turns a rounded -0.0 into 0.0.
             value = round(decoded.values[index], self._decimals[index]) + 0
-            if len(kept) >= _KEPT_CODES:
+            if len(kept) >= 8192:  # 16-bit noise must not fill the memory
                 kept.clear()
             kept[raw] = self._signal_text(signal, value, raw, mark(decoded, index, signal))
         return kept[raw]

@@ -23,8 +23,6 @@ from vcu_gateway.recording.segment import last_second, read_begin
 from vcu_gateway.text import utc
 from vcu_gateway.units import NS_PER_S
 
-_UMASK = 0o027
-
 
 def act_as_owner(folder: Path) -> None:
     """Give up root's rights for those of the folder's owner, for good; nothing for other users.
@@ -38,7 +36,7 @@ def act_as_owner(folder: Path) -> None:
         owner = folder.stat()
     if owner.st_uid == 0:
         return
-    os.umask(_UMASK)
+    os.umask(0o027)
     os.setgroups([])
     os.setresgid(owner.st_gid, owner.st_gid, owner.st_gid)
     os.setresuid(owner.st_uid, owner.st_uid, owner.st_uid)
@@ -152,10 +150,6 @@ def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
     return [(segment, begin, end) for (segment, begin), end in zip(begun, ends, strict=True)]
 
 
-_PATIENCE_S = 5.0
-_LOOK_EVERY_S = 0.1
-
-
 def running(folder: RecordingFolder, status_path: Path | None = None) -> RecorderStatus:
     """Status of the recorder that writes into this folder now, with a gateway connected to it.
 
@@ -186,7 +180,7 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:
-    """Ask the recorder, by its process number; the incident's name, None where it takes longer.
+    """Ask the recorder, by its process number; the incident's name, None where it takes over 5 s.
 
     One that is open already takes this reason in.
     """
@@ -201,11 +195,11 @@ def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:
         with contextlib.suppress(OSError):
             file.unlink()
         raise
-    until_s = time.monotonic() + _PATIENCE_S
+    until_s = time.monotonic() + 5.0
     while time.monotonic() < until_s:
         if new := _descriptions(folder) - before:
             return max(path.parent.name for path in new)
-        time.sleep(_LOOK_EVERY_S)
+        time.sleep(0.1)
     return None
 
 

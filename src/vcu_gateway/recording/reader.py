@@ -65,12 +65,12 @@ class _SegmentMembers:
         return DataError(Problem(str(error), f"{self.path}:{line}", remedy))
 
 
-class _FrameSource:
+class _FrameSource(_SegmentMembers):
     """Frames of a segment, taken in runs of any length."""
 
-    def __init__(self, file: _SegmentMembers, distance_ns: int) -> None:
-        self._file = file
-        self._members = iter(file)
+    def __init__(self, path: Path | None, distance_ns: int) -> None:
+        super().__init__(path)
+        self._members = iter(self)
         self._distance_ns = distance_ns
         self._waiting: list[Frame] = []
 
@@ -97,7 +97,7 @@ class _FrameSource:
         try:
             return recorded_frame(line.decode(errors="replace"), self._distance_ns)
         except ValueError as error:
-            raise self._file.problem(error, number) from error
+            raise self.problem(error, number) from error
 
 
 class SegmentReader:
@@ -120,10 +120,9 @@ class SegmentReader:
         self.ticks: int = before.ticks if before else 0
         self.damage = ""
         self.line = 0
-        self._distance_ns = distance_ns
         self._before = before
         self._core = _SegmentMembers(files.core)
-        self._frames = _SegmentMembers(files.frames)
+        self._frames = _FrameSource(files.frames, distance_ns)
 
     def runs(self) -> Iterator[FrameRun | CoreRecord]:
         """Gap, checkpoint, and then every run of frames, call and result in order."""
@@ -156,10 +155,10 @@ class SegmentReader:
         yield Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
 
     def _in_order(self, placed: Iterator[Placed]) -> Iterator[FrameRun | CoreRecord]:
-        source, taken = _FrameSource(self._frames, self._distance_ns), 0
+        taken = 0
         for frames_before, record in placed:
             if taken < frames_before:
-                frames = source.take(frames_before - taken)
+                frames = self._frames.take(frames_before - taken)
                 yield self._run(frames)
                 taken += len(frames)
                 if taken < frames_before:
@@ -169,7 +168,7 @@ class SegmentReader:
             if not isinstance(record, Gap):
                 self.ticks += isinstance(record, TickRecord)
                 yield record
-        for frames in source.rest():
+        for frames in self._frames.rest():
             yield self._run(frames)
         if damage := self._core.damage or self._frames.damage:
             self.damage = damage
