@@ -46,11 +46,7 @@ _ERROR_CLASSES = 0x3FF
 
 
 class LineProblems:
-    """Counter of what cannot be read; the first of each kind are reported.
-
-    Attributes:
-        unreadable: lines or frames that were passed over.
-    """
+    """Counter of lines or frames that cannot be read; the first of each kind are reported."""
 
     def __init__(self, where: Callable[[int], str], report: Callable[[Problem], None]) -> None:
         self._where = where
@@ -99,13 +95,10 @@ class LineProblems:
 
 
 class LineReader:
-    """Iterator over the lines of a text file, with the number of the current one.
+    """Iterator over the lines of a text file; `number` is the latest one's, from 1.
 
     Of a line beyond 8192 characters only the beginning is given, so that a file without
     line ends cannot fill the memory.
-
-    Attributes:
-        number: of the latest line, from 1; 0 before the first.
     """
 
     def __init__(self, file: TextIO) -> None:

@@ -20,11 +20,7 @@ class CauseKey(NamedTuple):
 
 @dataclass
 class CauseSpan:
-    """Time for which a cause counted.
-
-    Attributes:
-        detail: its value when it began; ended_ns: None where it still counts at the end.
-    """
+    """Time for which a cause counted; `ended_ns` is None where it still does at the end."""
 
     key: CauseKey
     detail: str
@@ -33,11 +29,7 @@ class CauseSpan:
 
 
 class CauseSpans:
-    """Builds the spans of one recording, or of one side of a comparison.
-
-    Attributes:
-        spans: in the order of their beginning, the first `most` of them.
-    """
+    """Builds the spans of one recording, or of one side of a comparison; at most the first `most`."""
 
     def __init__(self, most: int | None = None) -> None:
         self.spans: list[CauseSpan] = []

@@ -17,7 +17,7 @@ one, the chain is broken; it goes on from the one that is likeliest to be next.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from enum import Enum
 from pathlib import Path
@@ -62,8 +62,7 @@ class Linked(NamedTuple):
 class Break(NamedTuple):
     """A place where the chain does not go on: segment, file, byte, and what is there in words.
 
-    Attributes:
-        is_beginning: the first segments are not there: removed for room, or by somebody.
+    Where it is the beginning, the first segments are not there: removed for room, or by somebody.
     """
 
     segment: int
@@ -81,24 +80,13 @@ class Break(NamedTuple):
         return FileFault(self.path.name, what, self.kind)
 
 
-class Chain(NamedTuple):
-    """What following the links found.
+def follow(
+    folder: Path, segments: list[SegmentFiles], is_part: bool
+) -> tuple[bool, dict[int, bytes], list[FileFault]]:
+    """Whether every member has a link, the digest of each segment's last one, and the breaks.
 
-    Attributes:
-        is_chained: every segment's members have links; False without a member.
-        ends: digest of the last member of each segment, by its number.
-        faults: where it breaks.
-    """
-
-    is_chained: bool
-    ends: Mapping[int, bytes]
-    faults: tuple[FileFault, ...]
-
-
-def chain_of(folder: Path, segments: list[SegmentFiles], is_part: bool) -> Chain:
-    """Follow the links; `is_part`: of an incident, which may begin anywhere in its drive.
-
-    Files that cannot be read, of which `check_segment` says why, are passed by.
+    `is_part`: of an incident, which may begin anywhere in its drive. Files that cannot be read, of
+    which `check_segment` says why, are passed by.
     """
     linked, ends, faults = list[bool](), dict[int, bytes](), list[FileFault]()
     with suppress(OSError):
@@ -109,7 +97,7 @@ def chain_of(folder: Path, segments: list[SegmentFiles], is_part: bool) -> Chain
                     ends[part.segment] = part.member.digest
             elif not (is_part and part.is_beginning):
                 faults.append(part.fault)
-    return Chain(all(linked) and bool(linked), ends, tuple(faults))
+    return all(linked) and bool(linked), ends, faults
 
 
 def walk(folder: Path, segments: list[SegmentFiles] | None = None) -> Iterator[Linked | Break]:
@@ -144,11 +132,7 @@ def file_digests(folder: Path) -> dict[str, str]:
 
 
 class _MemberFile:
-    """One file of a segment: its next member, and the damage before that.
-
-    Attributes:
-        lines: of the members so far, lost ones counted.
-    """
+    """One file of a segment: its next member, and the damage and the lines before that."""
 
     def __init__(self, path: Path, size: int) -> None:
         self.path = path

@@ -20,7 +20,7 @@ from typing import Any
 
 from vcu_gateway.errors import DataError, GatewayError
 from vcu_gateway.recording import layout
-from vcu_gateway.recording.chain import FaultKind, FileFault, chain_of
+from vcu_gateway.recording.chain import FaultKind, FileFault, follow
 from vcu_gateway.recording.checked_segment import CheckedSegment, EchoCheck, check_segment
 from vcu_gateway.recording.folder import RecordingPath, reading
 from vcu_gateway.recording.layout import SegmentFiles
@@ -122,9 +122,6 @@ def _early_end(described: Mapping[str, Any], ended_s: int) -> str | None:
     return f"it ends {wanted_s - ended_s:.0f} s before the time that was to be kept"
 
 
-EX_INCOMPLETE, EX_CHANGED = 3, 65
-
-
 class RecordingState(Enum):
     """What a recording is, as far as its files show; the worst that was found."""
 
@@ -145,8 +142,6 @@ class CheckedRecording:
         is_cut_off: it ends without a closing record.
         is_written: a recorder is writing it; then its end is not judged.
         is_chained: False for one of an older recorder: nothing shows whether it was changed.
-        signatures: who signed it, and how far.
-        faults: what is torn, missing or changed.
     """
 
     name: str
@@ -179,8 +174,7 @@ class CheckedRecording:
     @property
     def exit_code(self) -> int:
         """0 whole, 3 incomplete, 65 changed or damaged."""
-        codes = {RecordingState.INCOMPLETE: EX_INCOMPLETE, RecordingState.CHANGED: EX_CHANGED}
-        return codes.get(self.state, 0)
+        return {RecordingState.INCOMPLETE: 3, RecordingState.CHANGED: 65}.get(self.state, 0)
 
 
 def check_recording(
@@ -207,8 +201,7 @@ def _checked(
     found = CheckedRecording(recording.name, len(segments), is_written=is_written)
     found.faults += _description_faults(recording)
     # Before the members are read: of a drive that is being written, more come meanwhile.
-    chain = chain_of(folder, segments, is_part=is_incident)
-    found.is_chained = chain.is_chained
+    found.is_chained, ends, breaks = follow(folder, segments, is_part=is_incident)
     check = _SegmentCheck(found)
     for segment in segments:
         checked = check_segment(segment)
@@ -218,19 +211,19 @@ def _checked(
         found.faults += _digest_faults(folder, checked)
         progress(sum(path.lstat().st_size for path in segment.paths))
     last = check.last
-    _add_breaks(found, chain.faults, last)
+    _add_breaks(found, breaks, last)
     if not is_written:
         check.end(is_drive=not is_incident)
     if is_incident:
         is_closed = last is not None and last.is_closed
-        found.faults += _incident_faults(folder, segments, is_closed, chain.is_chained)
-    signed = (folder, chain.ends, check.signer, allowed_signers)
-    found.signatures = check_signatures(*signed, found.faults)
+        found.faults += _incident_faults(folder, segments, is_closed, found.is_chained)
+    signer, faults = check.signer, found.faults
+    found.signatures = check_signatures(folder, ends, signer, allowed_signers, faults)
     return found
 
 
 def _add_breaks(
-    found: CheckedRecording, breaks: tuple[FileFault, ...], last: CheckedSegment | None
+    found: CheckedRecording, breaks: list[FileFault], last: CheckedSegment | None
 ) -> None:
     """Add faults of the chain in files of which nothing worse is known.
 
@@ -252,11 +245,9 @@ def _add_breaks(
 
 
 class _SegmentCheck:
-    """Adds up the segments of a recording, each compared with the one before.
+    """Adds up the segments of a recording, each compared with the last one.
 
-    Attributes:
-        last: the latest; None before the first.
-        signer: fingerprint of the key that its recorder says to sign with; None without one.
+    `signer` is the fingerprint of the key that its recorder says to sign with; None without one.
     """
 
     def __init__(self, found: CheckedRecording) -> None:
@@ -339,7 +330,6 @@ def headline(found: CheckedRecording) -> str:
 
 
 def fault_lines(found: CheckedRecording, most: int) -> Iterator[str]:
-    """The first faults, a line each, and how many there are more."""
     for fault in found.faults[:most]:
         yield f"  {fault.file}: {fault.what}" if fault.file else f"  {fault.what}"
     if len(found.faults) > most:
@@ -347,7 +337,6 @@ def fault_lines(found: CheckedRecording, most: int) -> Iterator[str]:
 
 
 def values(found: CheckedRecording) -> dict[str, Any]:
-    """What the check found, for JSON."""
     return {
         **vars(found),
         "state": found.state.name.lower(),

@@ -41,7 +41,6 @@ class Checkpoint(NamedTuple):
 
     Attributes:
         state: for `checkpoint.restore`.
-        settings: those in effect.
         mode, why: operating mode and its explanation then.
         now_ns, wall_ns: both clocks, read together.
         ticks, frames: since the start of the gateway.
@@ -96,9 +95,7 @@ class ShellEvent(NamedTuple):
 class Gap(NamedTuple):
     """What is missing at this place: a checkpoint follows, with a state from behind it.
 
-    Attributes:
-        frames, ticks, datagrams: how many are missing; None where that is not known.
-        why: in words.
+    A count is None where it is not known.
     """
 
     frames: int | None
@@ -114,10 +111,7 @@ CoreRecord = Checkpoint | InputRecord | TickRecord | WhyRecord | ShellEvent | Ga
 class NotedCall(NamedTuple):
     """One call of the core in the order of the calls, or what was noted beside them.
 
-    Attributes:
-        frames_before: frames since the last take of the tap.
-        what: the call; frames are not among them.
-        answer: the call's result, such as a `RequestResult`; None where it has none.
+    `frames_before` are those since the last take of the tap; `answer` is None where it has none.
     """
 
     frames_before: int
@@ -126,11 +120,7 @@ class NotedCall(NamedTuple):
 
 
 class LineWriter:
-    """Writes the lines of one segment after the other.
-
-    Attributes:
-        frames: frames of this segment so far.
-    """
+    """Writes the lines of one segment after the other; `frames` are those of this one so far."""
 
     def __init__(self) -> None:
         self.frames = 0

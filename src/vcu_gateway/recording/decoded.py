@@ -24,11 +24,7 @@ _KEPT_IDENTIFIERS = 4096
 
 
 class Tally:
-    """Counts identifiers; with very many of them, the rare ones are forgotten by name.
-
-    Attributes:
-        forgotten: frames whose identifier is no longer kept.
-    """
+    """Counts identifiers; with very many of them, the rare ones are forgotten by name."""
 
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
@@ -53,12 +49,7 @@ class Tally:
 
 
 class Summary:
-    """Frames of one recording by what became of them.
-
-    Attributes:
-        decoded: frames written, by message.
-        passed_over: frames that `--message` did not ask for.
-    """
+    """Frames of one recording by what became of them; `--message` passed some over."""
 
     def __init__(self) -> None:
         self.decoded: Counter[str] = Counter()
@@ -98,11 +89,7 @@ class Summary:
 
 
 class FrameWriter(ABC):
-    """Writes out the frames of one message; a format is a class of them.
-
-    Attributes:
-        head: the first line of the format, or nothing.
-    """
+    """Writes out the frames of one message; a format is a class, and `head` its first line."""
 
     head = ""
 

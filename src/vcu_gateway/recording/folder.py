@@ -40,11 +40,7 @@ class RecordingPath(NamedTuple):
 
 
 class RecordingFolder:
-    """Folder with `drives` and `incidents` in it, as the recorder writes it.
-
-    Attributes:
-        path: where it is.
-    """
+    """Folder with `drives` and `incidents` in it, as the recorder writes it."""
 
     def __init__(self, path: Path) -> None:
         """MissingInputError where it is none, NotPermittedError where it may not be read."""
@@ -160,8 +156,6 @@ class RecordingSummary(NamedTuple):
         lost: what gaps tell; None where it cannot be read.
         reasons: why an incident is kept.
         kept: the recorder never removes it.
-        is_written: a recorder is writing it.
-        problems: what cannot be read of it.
     """
 
     kind: RecordingKind

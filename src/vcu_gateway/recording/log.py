@@ -25,10 +25,8 @@ class Recording:
     """One recording, read once from beginning to end, and closed by `with`.
 
     Attributes:
-        name: the file's, for people.
         size_bytes: as stored; 0 where it is not known.
         live: frames may still come while it is read.
-        problems: counter of what could not be read so far.
     """
 
     def __init__(

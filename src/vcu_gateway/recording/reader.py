@@ -38,11 +38,7 @@ from vcu_gateway.recording.segment import SegmentBegin, is_number, read_begin
 
 
 class _SegmentMembers:
-    """Members of one file up to the first damage.
-
-    Attributes:
-        damage: why they ended before the end of the file; empty where they did not.
-    """
+    """Members of one file up to the first damage; that is empty where they came to its end."""
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
@@ -104,7 +100,6 @@ class SegmentReader:
     """Records of one segment; `before` is the reader of the one before, which has come to its end.
 
     Attributes:
-        number: of the segment.
         begun: it, or one before it, has begun with a checkpoint.
         frames, ticks: since the start of the gateway, up to where its records end.
         line: of the core lines' file, the latest that was read.
@@ -192,11 +187,9 @@ class DriveInfo(NamedTuple):
     """What a gateway said of itself when it began to be recorded.
 
     Attributes:
-        run: id of its process.
         versions: of the program, Python, the kernel and the machine.
         clock: wall time of a frame is arrival_ns + clock.distance_ns.
         settings: in effect when the drive began; those of a checkpoint are later ones.
-        config, dbc: the texts.
     """
 
     run: str
@@ -281,11 +274,7 @@ def _text(path: Path) -> str:
 
 @dataclass
 class Drive:
-    """A recorded drive, or the part of one that is in a folder.
-
-    Attributes:
-        segments: files by number; records begin with the checkpoint of each.
-    """
+    """A recorded drive, or the part of one that is in a folder; its segments by number."""
 
     folder: Path
     info: DriveInfo

@@ -55,10 +55,8 @@ class RecorderTotals:
 
     Attributes:
         bytes: of members written, both files.
-        frames, ticks: recorded.
         gaps, frames_lost, ticks_lost: told in the recordings.
         syncs, sync_failures: calls of fdatasync for one segment.
-        signing_failures: signatures that could not be made.
         removed_segments, removed_incidents: gone for want of room.
     """
 
@@ -79,14 +77,9 @@ class RecorderStatus(NamedTuple):
     """State of the recorder, in the order of the file.
 
     Attributes:
-        version: of the recorder.
-        started_wall_ns: when it started.
-        written_wall_ns, written_monotonic_ns: when this was written.
-        folder: of the recordings.
         total_bytes, free_bytes: of its file system, for its user; None before they are known.
         max_bytes, keep_free_bytes, incident_max_bytes: as it was told.
         drives_bytes, incidents_bytes: on the disk now; what both have counts as the drives'.
-        incidents: how many there are.
         disk: "ok", "full", "failing" or "stalled".
         last_error: of the disk; None where there was none.
         last_sync_s, longest_sync_s: how long fdatasync took, the longest in a minute; None before

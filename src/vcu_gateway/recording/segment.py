@@ -46,8 +46,6 @@ class SegmentBegin(NamedTuple):
 
     Attributes:
         frames, ticks: that the gateway had handed on before it, since its start.
-        wall_ns: when it began.
-        recorder: version of its recorder.
         lost: of the whole drive up to here.
         segment: its number; None where its recorder wrote no chain.
         files: SHA-256 of the files beside the members, by name.
@@ -86,7 +84,6 @@ class SegmentEnd(NamedTuple):
     why: str
 
     def line(self) -> str:
-        """As the recorder writes it."""
         return _line(self.frames or 0, end=self._asdict())
 
 
@@ -178,11 +175,7 @@ def last_second(path: Path | None) -> int | None:
 class MemberFile:
     """File of members that only grows; made by this process, never opened again.
 
-    Attributes:
-        path: where it is.
-        lines: how many whole members of it hold.
-        size: bytes of whole members.
-        waiting: lines that no member has yet.
+    It has that many lines and bytes in whole members; what is waiting has no member yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -233,7 +226,6 @@ class SegmentWriter:
     Frames are written before the core lines that count them.
 
     Attributes:
-        number: of the segment.
         link: digest of the last member written to the drive; None: members are not chained.
         frames: how many it was given; the `f` of the next core line.
         waiting: characters that no member has yet.

@@ -30,7 +30,6 @@ class Hello(NamedTuple):
     """Everything that reading and replaying a drive needs besides its inputs.
 
     Attributes:
-        run: id of the gateway's process, another one for each.
         boot: id of the machine's boot; empty where it is not known.
         clock: both clocks, read together once for the whole run.
         config: effective configuration as YAML; config_digest: that of `check-config`.
@@ -67,10 +66,7 @@ _Answer = TypeVar("_Answer")
 class Tap:
     """Gathers frames and calls in the order in which the core was given them.
 
-    Attributes:
-        frames, calls: since the last take.
-        ticks: so far.
-        events: of the last tick's result.
+    Frames and calls are those since the last take; events are of the last tick's result.
     """
 
     def __init__(self) -> None:
