@@ -29,7 +29,7 @@ class CauseSpan:
 
 
 class CauseSpans:
-    """Builds the spans of one recording, or of one side of a comparison; at most the first `most`."""
+    """Builds the spans of a recording, or of one side of a comparison; only the first `most`."""
 
     def __init__(self, most: int | None = None) -> None:
         self.spans: list[CauseSpan] = []
