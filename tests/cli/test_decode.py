@@ -719,7 +719,7 @@ def test_candump_text_is_read_from_standard_input():
 def test_a_closed_standard_input_cannot_be_read(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(GatewayError, match="standard input: is closed"):
-        open_recording("-", print)
+        open_recording("-", print).__enter__()
 
 
 # Many identifiers

@@ -1,6 +1,7 @@
 """Recording of any format, opened by its name."""
 
 import codecs
+import contextlib
 import gzip
 import importlib.util
 import io
@@ -22,7 +23,7 @@ _CANDUMP = ".log"
 
 
 class Recording:
-    """One recording, read once from beginning to end, and closed by `with`.
+    """One recording, read once from beginning to end.
 
     Attributes:
         size_bytes: as stored; 0 where it is not known.
@@ -52,13 +53,6 @@ class Recording:
             self._lines = LineReader(text)
         between = ":" if self._lines else ", frame "
         self.problems = LineProblems(lambda position: f"{name}{between}{position}", report)
-
-    def __enter__(self) -> "Recording":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if not self.live:
-            self._stored.close()
 
     def __iter__(self) -> Iterator[RecordedFrame]:
         lines = self._lines
@@ -106,8 +100,9 @@ class Recording:
         return min(1.0, self._stored.tell() / self.size_bytes)
 
 
-def open_recording(name: str, report: Callable[[Problem], None]) -> Recording:
-    """Open a recording; `report` is given every complaint that is worth telling.
+@contextlib.contextmanager
+def open_recording(name: str, report: Callable[[Problem], None]) -> Iterator[Recording]:
+    """Open a recording, for `with`; `report` is given every complaint that is worth telling.
 
     Raises MissingInputError where it cannot be read or nobody knows its format,
     UnavailableError where that format needs a package that is not installed. Iterating
@@ -116,21 +111,19 @@ def open_recording(name: str, report: Callable[[Problem], None]) -> Recording:
     if name == STANDARD_INPUT:
         if sys.stdin is None:  # closed by who started this program
             raise MissingInputError(Problem("is closed", "standard input"))
-        return Recording("standard input", sys.stdin.buffer, _CANDUMP, False, report, live=True)
+        yield Recording("standard input", sys.stdin.buffer, _CANDUMP, False, report, live=True)
+        return
     path = PurePath(name)
     packed = path.suffix.lower() == ".gz"
     suffix = PurePath(path.stem if packed else path).suffix.lower()
     try:
-        stored = open(name, "rb")  # noqa: PTH123, SIM115 - as it was named; the recording closes it
+        stored = open(name, "rb")  # noqa: PTH123, SIM115 - as it was named; closed below
     except OSError as error:
         problem = Problem(f"cannot be read: {error.strerror or error}", name)
         raise MissingInputError(problem) from error
-    try:
+    with stored:
         _check_format(name, suffix, packed)
-        return Recording(name, stored, suffix, packed, report)
-    except BaseException:
-        stored.close()
-        raise
+        yield Recording(name, stored, suffix, packed, report)
 
 
 def _is_text(suffix: str) -> bool:
