@@ -217,7 +217,9 @@ class LineParser:
         try:
             return self._records(json.loads(line))
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as e:
-            raise LineError(_reason(e, line)) from e
+            what = f"{type(e).__name__}: {e}".removesuffix(": ")
+            text = line.decode(errors="replace") if isinstance(line, bytes) else line
+            raise LineError(f"is no core line ({what}): {text.strip():.60}") from e
 
     def _records(self, values: Any) -> list[Placed]:
         before = whole_of(values["f"])
@@ -225,8 +227,7 @@ class LineParser:
             tick = self._tick(values)
             sent = _sent(tick, values.get("ok", ()))
             return [Placed(before, tick), *[Placed(before, one) for one in sent]]
-        call = call_of(values)
-        if call is not None:
+        if (call := call_of(values)) is not None:
             return [Placed(before, InputRecord(call, _read_answer(values)))]
         kind = next((key for key in values if key in _RECORDS), None)
         if kind is None:
@@ -242,12 +243,6 @@ class LineParser:
         frames = tuple([out_frame_of(one) for one in values["frames"]])
         events = tuple([event_of(one) for one in values.get("events", ())])
         return TickRecord(whole_of(values["tick"]), frames, self._mode, events)
-
-
-def _reason(error: Exception, line: bytes | str) -> str:
-    text = line.decode(errors="replace") if isinstance(line, bytes) else line
-    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return f"is no core line ({what}): {text.strip():.60}"
 
 
 def _sent(tick: TickRecord, taken: Any) -> Iterator[InputRecord]:

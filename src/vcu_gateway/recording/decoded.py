@@ -17,9 +17,6 @@ from vcu_gateway.core.spec import MessageSpec, SignalSpec
 from vcu_gateway.core.state import Quality, mark
 from vcu_gateway.units import NS_PER_S
 
-CAN_FD = "fd"
-"""Beside the reasons of the codec: a classic bus has no CAN FD frames."""
-
 _KEPT_IDENTIFIERS = 4096
 
 
@@ -68,7 +65,7 @@ class Summary:
             tally.add(can_id)
 
     def reject_fd(self) -> None:
-        self._rejected[CAN_FD] += 1
+        self._rejected["fd"] += 1  # beside the reasons of the codec, which knows a classic bus
 
     def lines(self, unreadable: int) -> Iterator[str]:
         """The summary, for people; what is unreadable is no frame."""

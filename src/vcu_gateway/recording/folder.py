@@ -4,7 +4,7 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -22,10 +22,7 @@ from vcu_gateway.units import NS_PER_S
 
 RecordingKind = Literal["drive", "incident"]
 
-_PARENTS: tuple[tuple[RecordingKind, str], ...] = (
-    ("drive", layout.DRIVES),
-    ("incident", layout.INCIDENTS),
-)
+_PARENTS: Mapping[RecordingKind, str] = {"drive": layout.DRIVES, "incident": layout.INCIDENTS}
 
 
 class RecordingPath(NamedTuple):
@@ -57,7 +54,7 @@ class RecordingFolder:
         with reading(self.path):
             return [
                 RecordingPath(kind, found)
-                for kind, parent in _PARENTS
+                for kind, parent in _PARENTS.items()
                 for found in layout.recorded_folders(self.path / parent)
                 if not found.is_symlink()
             ]
@@ -112,8 +109,8 @@ def recording_path(name: str) -> Path:
     path = Path(name)
     if "/" in name or "." in name or _is_there(path):  # the recorder's names have neither
         return path
-    for part in (layout.DRIVES, layout.INCIDENTS):
-        kept = DEFAULT_FOLDER / part / name
+    for parent in _PARENTS.values():
+        kept = DEFAULT_FOLDER / parent / name
         if _is_there(kept):
             return kept
     return path

@@ -163,20 +163,16 @@ def running(folder: RecordingFolder, status_path: Path | None = None) -> Recorde
     if not 0 <= (age_s := status.age_s()) < STALE_S:
         since = f"{age_s:.0f} s old" if age_s > 0 else "from before this computer's start"
         raise no_recorder(f"{status_path} is {since}")
-    if not _is_same(Path(status.folder), folder.path):
+    is_here = False
+    with contextlib.suppress(OSError):  # another user's, or gone
+        is_here = folder.path.samefile(status.folder)
+    if not is_here:
         what = f"the recorder that runs writes into {status.folder}, not here"
         remedy = "name that folder with --folder; a demo records with --record, while it runs"
         raise UnavailableError(Problem(what, str(folder.path), remedy))
     if not status.connections:
         raise no_recorder("no gateway is connected to it, so that there is nothing to keep")
     return status
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    try:
-        return one.samefile(other)
-    except OSError:  # another user's, or gone
-        return False
 
 
 def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:

@@ -160,11 +160,10 @@ def read_status(path: Path = STATUS_PATH) -> RecorderStatus:
 
 def _status(found: dict[str, Any]) -> RecorderStatus:
     """What this version does not know is left out; KeyError for what is missing."""
-    places = {name: _PLACES.get(name, (None, name)) for name in RecorderStatus._fields}
-    values = {
-        name: found[key] if group is None else found[group].get(key)
-        for name, (group, key) in places.items()
-    }
+    values = {}
+    for name in RecorderStatus._fields:
+        group, key = _PLACES.get(name, (None, name))
+        values[name] = found[key] if group is None else found[group].get(key)
     counts = {one.name: values["totals"][one.name] for one in fields(RecorderTotals)}
     connections = tuple(
         RecordedConnection(**{key: one[key] for key in RecordedConnection._fields})
