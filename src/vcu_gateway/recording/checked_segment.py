@@ -160,7 +160,11 @@ def check_segment(segment: SegmentFiles) -> CheckedSegment:
             _take_core(checked, part)
     except CoreLineError as error:
         core_faults.append(FileFault(file, str(error), FaultKind.CHANGED))
-    echoes = _read_frames(checked, segment)
+    echoes: list[BusCommand] = []
+    for part in _readable(segment.frames, layout.frames_name(segment.number), checked.faults):
+        checked.frames += part.lines
+        room = _MOST_COMMANDS - len(echoes)
+        echoes += itertools.islice(echoes_in(part.data, part.first_line), room)
     if not core_faults:
         checked.echoes = [one for one in echoes if one.place < checked.counted_frames]
     checked.faults += core_faults
@@ -175,16 +179,6 @@ def check_segment(segment: SegmentFiles) -> CheckedSegment:
             one._replace(kind=changed) if one.kind is torn else one for one in checked.faults
         ]
     return checked
-
-
-def _read_frames(checked: CheckedSegment, segment: SegmentFiles) -> list[BusCommand]:
-    echoes: list[BusCommand] = []
-    file = layout.frames_name(segment.number)
-    for part in _readable(segment.frames, file, checked.faults):
-        checked.frames += part.lines
-        room = _MOST_COMMANDS - len(echoes)
-        echoes += itertools.islice(echoes_in(part.data, part.first_line), room)
-    return echoes
 
 
 def _readable(path: Path | None, file: str, faults: list[FileFault]) -> Iterator[Member]:

@@ -16,10 +16,7 @@ from vcu_gateway.units import NS_PER_S
 
 Content = LineReader | IO[bytes] | str
 """The lines of a text format, the open file of a binary one, or the name of a database."""
-
-
-def suffixes() -> tuple[str, ...]:
-    return tuple(sorted(can.io.MESSAGE_READERS))
+SUFFIXES = sorted(can.io.MESSAGE_READERS)
 
 
 def is_text(suffix: str) -> bool:

@@ -77,7 +77,7 @@ def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
     known = {*layout.FILES_BESIDE, layout.KEEP_FILE}
     known |= {path.name for segment in layout.segments(folder) for path in segment.paths}
     known |= {path.name for path in layout.incident_files(folder)}
-    known |= {name for name in found if signature.is_link(name)}
+    known |= {name for name in found if signature.LINK.fullmatch(name)}
     known |= {f"{name}{signature.SUFFIX}" for name in known}
     own = sorted(known & set(found), key=lambda name: (name.endswith(".json"), name))
     return own, sorted(set(found) - known)

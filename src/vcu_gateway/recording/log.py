@@ -139,10 +139,10 @@ def _check_format(name: str, suffix: str, packed: bool) -> None:
         return
     from vcu_gateway.recording import formats
 
-    known = formats.suffixes()
-    if suffix not in known:
+    if suffix not in formats.SUFFIXES:
         what = f"{suffix} is no known format" if suffix else "has no suffix to tell its format"
-        remedy = f"known are {', '.join(known)}, and most of them with .gz; candump text is .log"
+        known = ", ".join(formats.SUFFIXES)
+        remedy = f"known are {known}, and most of them with .gz; candump text is .log"
         raise MissingInputError(Problem(what, name, remedy))
     if packed and not formats.is_text(suffix) and not formats.is_binary(suffix):
         raise MissingInputError(Problem(f"{suffix} cannot be read packed", name, "gunzip it first"))

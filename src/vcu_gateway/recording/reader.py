@@ -1,7 +1,7 @@
 """Reader of recorded drives: what a gateway was given and what it answered, in order.
 
     drive = open_drive(Path("drives/20261123T180412Z-1f3a9c2e"))
-    for record in drive.records():
+    for record in drive.runs():
         ...
 
 Memory does not grow with the drive. What is missing is a `Gap`; after it a checkpoint follows.
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.core.calls import Receive
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
@@ -27,7 +26,6 @@ from vcu_gateway.recording.core_lines import (
     CoreRecord,
     FrameRun,
     Gap,
-    InputRecord,
     LineParser,
     Placed,
     TickRecord,
@@ -280,15 +278,6 @@ class Drive:
     info: DriveInfo
     segments: tuple[SegmentFiles, ...]
     _read: SegmentReader | None = None
-
-    def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
-        """As `runs`, each frame as a `Receive`."""
-        for record in self.runs(first_segment):
-            if type(record) is FrameRun:
-                for frame in record.frames:
-                    yield InputRecord(Receive(frame), None)
-            else:
-                yield record  # type: ignore[misc]
 
     def runs(self, first_segment: int | None = None) -> Iterator[FrameRun | CoreRecord]:
         """Every run of frames, call and result in order, from this segment on.

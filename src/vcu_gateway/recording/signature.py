@@ -32,7 +32,7 @@ NAMESPACE = "vcu-gateway-recording"
 SUFFIX = ".sig"
 _PROGRAM = "ssh-keygen"
 _SIGN_WITHIN_S, _VERIFY_WITHIN_S = 2.0, 10.0
-_LINK = re.compile(r"\d{4,9}\.link", re.ASCII)
+LINK = re.compile(r"\d{4,9}\.link", re.ASCII)
 _FINGERPRINT = re.compile(r"SHA256:\S+")
 
 
@@ -56,10 +56,6 @@ def link_paths(folder: Path, segment: int) -> tuple[Path, Path]:
     """What is signed of a segment, and its signature, whether they are there or not."""
     name = link_name(segment)
     return folder / name, folder / f"{name}{SUFFIX}"
-
-
-def is_link(name: str) -> bool:
-    return _LINK.fullmatch(name) is not None
 
 
 def link_text(run: str, segment: int, link: bytes) -> bytes:
