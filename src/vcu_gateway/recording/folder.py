@@ -69,33 +69,25 @@ class RecordingFolder:
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
+def _disk(path: Path, done: str, if_refused: str, remedy: str = "") -> Iterator[None]:
     """An OSError within becomes a NotPermittedError or a MissingInputError of this path."""
     try:
         yield
     except PermissionError as error:
-        remedy = "sudo usermod -aG vcu-gateway-recorder $USER and log in again, or use sudo"
-        problem = Problem("may not be read by this user", str(path), remedy)
+        problem = Problem(f"may not be {done} by this user", str(path), if_refused)
         raise NotPermittedError(problem) from error
     except OSError as error:
-        what, remedy = (
-            f"cannot be read: {error.strerror or error}",
-            "recordings lie elsewhere? --folder",
-        )
+        what = f"cannot be {done}: {error.strerror or error}"
         raise MissingInputError(Problem(what, str(path), remedy)) from error
 
 
-@contextlib.contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """As `reading`, of what is to be changed."""
-    try:
-        yield
-    except PermissionError as error:
-        problem = Problem("may not be changed by this user", str(path), "use sudo")
-        raise NotPermittedError(problem) from error
-    except OSError as error:
-        what = f"cannot be changed: {error.strerror or error}"
-        raise MissingInputError(Problem(what, str(path))) from error
+def reading(path: Path) -> contextlib.AbstractContextManager[None]:
+    join = "sudo usermod -aG vcu-gateway-recorder $USER and log in again, or use sudo"
+    return _disk(path, "read", join, "recordings lie elsewhere? --folder")
+
+
+def writing(path: Path) -> contextlib.AbstractContextManager[None]:
+    return _disk(path, "changed", "use sudo")
 
 
 _NOT_THERE = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL)

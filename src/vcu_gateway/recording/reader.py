@@ -127,25 +127,24 @@ class SegmentReader:
             yield Gap(None, None, None, self.damage)
             return
         told = second.record if second and isinstance(second.record, Gap) else None
-        yield from self._missing(first.record, told)
+        if gap := self._missing(first.record, told):
+            yield gap
         yield first.record
         self.begun = True
         self.frames, self.ticks = first.record.frames, first.record.ticks
         yield from self._in_order(itertools.chain([second] if second else [], placed))
 
-    def _missing(self, begin: Checkpoint, told: Gap | None) -> Iterator[Gap]:
+    def _missing(self, begin: Checkpoint, told: Gap | None) -> Gap | None:
         before = self._before
         if before is None:
-            if told is not None:
-                yield told
-            return
+            return told
         frames, ticks = begin.frames - before.frames, begin.ticks - before.ticks
         if frames <= 0 and ticks <= 0:
-            return
+            return None
         why = before.damage or ("" if told is None else told.why)
         if self.number != before.number + 1:
             why = f"segments {before.number + 1} to {self.number - 1} are not there"
-        yield Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
+        return Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
 
     def _in_order(self, placed: Iterator[Placed]) -> Iterator[FrameRun | CoreRecord]:
         taken = 0

@@ -20,7 +20,7 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,7 +65,7 @@ def link_text(run: str, segment: int, link: bytes) -> bytes:
 
 def fingerprint(key: Path) -> str:
     """Fingerprint of a private key without a passphrase; SignatureError where it is none."""
-    public = _run(["-y", "-P", "", "-f", key], b"", _SIGN_WITHIN_S).stdout.split()
+    public = _run(b"", _SIGN_WITHIN_S, "-y", "-P", "", "-f", key).split()
     try:
         blob = base64.b64decode(public[1], validate=True)
     except (IndexError, binascii.Error) as error:
@@ -76,7 +76,7 @@ def fingerprint(key: Path) -> str:
 
 def sign(data: bytes, key: Path) -> bytes:
     """Signature of these bytes; SignatureError where there is none, after 2 s at most."""
-    return _run(["-Y", "sign", "-n", NAMESPACE, "-f", key], data, _SIGN_WITHIN_S).stdout
+    return _run(data, _SIGN_WITHIN_S, "-Y", "sign", "-n", NAMESPACE, "-f", key)
 
 
 def verify(data: bytes, signature: Path, allowed_signers: Path | None = None) -> Verified:
@@ -84,17 +84,17 @@ def verify(data: bytes, signature: Path, allowed_signers: Path | None = None) ->
 
     Without allowed signers any key will do.
     """
-    of_it: list[str | Path] = ["-n", NAMESPACE, "-s", signature]
-    if allowed_signers is None:
-        found = _run(["-Y", "check-novalidate", *of_it], data, _VERIFY_WITHIN_S)
-        return Verified(_fingerprint_in(found.stdout), None)
-    find: list[str | Path] = ["-Y", "find-principals", "-f", allowed_signers, "-s", signature]
-    names = _run(find, b"", _VERIFY_WITHIN_S).stdout.decode(errors="replace").splitlines()
-    if not names:
-        raise SignatureError("its key is none of the allowed signers'")
-    by_name: list[str | Path] = ["-Y", "verify", "-f", allowed_signers, "-I", names[0]]
-    found = _run([*by_name, *of_it], data, _VERIFY_WITHIN_S)
-    return Verified(_fingerprint_in(found.stdout), names[0])
+    name: str | None = None
+    by = ["check-novalidate"]
+    if allowed_signers is not None:
+        find = ("-Y", "find-principals", "-f", allowed_signers, "-s", signature)
+        names = _run(b"", _VERIFY_WITHIN_S, *find).decode(errors="replace").splitlines()
+        if not names:
+            raise SignatureError("its key is none of the allowed signers'")
+        name, by = names[0], ["verify", "-f", str(allowed_signers), "-I", names[0]]
+    said = _run(data, _VERIFY_WITHIN_S, "-Y", *by, "-n", NAMESPACE, "-s", signature)
+    found = _FINGERPRINT.search(said.decode(errors="replace"))
+    return Verified(found[0] if found else "unknown", name)
 
 
 class Signatures(NamedTuple):
@@ -174,15 +174,8 @@ def _data(path: Path) -> bytes:
         return b""
 
 
-def _fingerprint_in(output: bytes) -> str:
-    found = _FINGERPRINT.search(output.decode(errors="replace"))
-    return found[0] if found else "unknown"
-
-
-def _run(
-    arguments: Sequence[str | Path], data: bytes, within_s: float
-) -> "subprocess.CompletedProcess[bytes]":
-    """Run ssh-keygen, which asks nobody for a passphrase and is ended after that time."""
+def _run(data: bytes, within_s: float, *arguments: str | Path) -> bytes:
+    """Output of ssh-keygen, which asks nobody for a passphrase and is ended after that time."""
     try:
         done = subprocess.run(  # noqa: S603 - OpenSSH's own program
             [_PROGRAM, *map(str, arguments)],
@@ -202,4 +195,4 @@ def _run(
     if done.returncode:
         said = done.stderr.decode(errors="replace").split("\n")
         raise SignatureError(next((line for line in said if line.strip()), "it failed"))
-    return done
+    return done.stdout
