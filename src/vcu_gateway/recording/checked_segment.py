@@ -38,12 +38,7 @@ _NOT_JUDGED = 2
 
 
 class BusCommand(NamedTuple):
-    """A frame of the gateway's own.
-
-    Attributes:
-        place: frames of the segment before it.
-        identifier, data: hexadecimal digits, capital.
-    """
+    """A frame of the gateway's own, in capital digits; `place` frames of its segment before it."""
 
     place: int
     identifier: str
@@ -74,8 +69,7 @@ class EchoCheck:
 
     def __init__(self) -> None:
         self._sent: dict[str, deque[BusCommand]] = defaultdict(deque)
-        self._not_judged: dict[str, int] = {}
-        self._begun = False
+        self._not_judged: dict[str, int] = defaultdict(lambda: _NOT_JUDGED)
 
     def segment(
         self, commands: Iterable[BusCommand], echoes: Iterable[BusCommand], follows: bool
@@ -84,14 +78,12 @@ class EchoCheck:
 
         `follows`: nothing is missing between it and the one before.
         """
-        if not (follows and self._begun):
+        if not follows:
             self._sent.clear()
-            self._not_judged = defaultdict(lambda: _NOT_JUDGED)
-        self._begun = True
-        for waiting in self._sent.values():  # they were sent before this segment
-            late = [command._replace(place=-1) for command in waiting][-_KEPT_FROM_BEFORE:]
-            waiting.clear()
-            waiting.extend(late)
+            self._not_judged.clear()
+        for identifier, waiting in self._sent.items():  # they were sent before this segment
+            late = list(waiting)[-_KEPT_FROM_BEFORE:]
+            self._sent[identifier] = deque(one._replace(place=-1) for one in late)
         for command in commands:
             self._sent[command.identifier].append(command)
         return (echo for echo in echoes if not self._explained(echo))
