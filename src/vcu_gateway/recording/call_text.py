@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from math import isfinite
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Event, Severity
@@ -174,8 +174,8 @@ def call_text(call: CoreCall[object]) -> str:
     """Members of a call's JSON object."""
     if type(call) is calls.Offer:  # a demand's age is told, not its time
         return f'"offer":{demand_text(call.demand, call.now_ns)},"now":{call.now_ns}'
-    fields = _FIELDS[type(call)]
-    members = [f'"{one.key}":{one.write(value)}' for one, value in zip(fields, call, strict=True)]  # type: ignore[call-overload]
+    written = zip(_FIELDS[type(call)], call, strict=True)  # type: ignore[call-overload]
+    members = [f'"{key}":{write(value)}' for (key, write, _), value in written]
     return ",".join(members) or f'"{calls.WORDS[type(call)]}":true'
 
 
@@ -190,7 +190,7 @@ def call_of(values: Mapping[str, Any]) -> CoreCall[object] | None:
     if word == "offer":
         return calls.Offer(demand_of(values[word], whole_of(values["now"])), values["now"])
     kind = _KINDS[word]
-    call: CoreCall[object] = kind(*[one.read(values[one.key]) for one in _FIELDS[kind]])
+    call: CoreCall[object] = kind(*[read(values[key]) for key, _, read in _FIELDS[kind]])
     return call
 
 
@@ -227,6 +227,7 @@ def _carrier_of(values: Any) -> Carrier:
 
 
 _Codec = tuple[Callable[[Any], str], Callable[[Any], Any]]
+_Field = tuple[str, Callable[[Any], str], Callable[[Any], Any]]
 _TYPES: Mapping[Any, _Codec] = {
     int: (str, whole_of),
     bool: (WORDS.__getitem__, truth_of),
@@ -246,16 +247,10 @@ _TYPES: Mapping[Any, _Codec] = {
 """How a field of each type is written and read; a demand needs the time of its offer, too."""
 
 
-class _Field(NamedTuple):
-    key: str
-    write: Callable[[Any], str]
-    read: Callable[[Any], Any]
-
-
 def _fields(kind: type, word: str) -> list[_Field]:
     types = kind.__annotations__
     keys = [word, *(name.removesuffix("_ns") for name in list(types)[1:])]
-    return [_Field(key, *_TYPES[one]) for key, one in zip(keys, types.values(), strict=False)]
+    return [(key, *_TYPES[one]) for key, one in zip(keys, types.values(), strict=False)]
 
 
 _KINDS: Mapping[str, Any] = {word: kind for kind, word in calls.WORDS.items()}

@@ -18,7 +18,6 @@ from typing import NamedTuple, TextIO
 from vcu_gateway.core import j1939
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
-from vcu_gateway.units import NS_PER_S
 
 
 class RecordedFrame(NamedTuple):
@@ -133,18 +132,8 @@ _REMOTE = re.compile(r"R(?:[0-8](?:_[9A-F])?)?", re.IGNORECASE)
 _FD = re.compile(r"#[0-9A-F]((?:[0-9A-F]{2}){0,64})", re.IGNORECASE)
 _DATA = re.compile(r"((?:[0-9A-F]{2}\.?){0,64})(?:_[9A-F])?", re.IGNORECASE)
 
-_QUICK = [
-    (
-        re.compile(
-            rb"^\((\d{1,10})\.(\d{%d})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: ([RT]))?\n"
-            % digits,
-            re.MULTILINE,
-        ),
-        10 ** (9 - digits),
-    )
-    for digits in (9, 6)
-]
-_NS_BY_DIGITS = tuple(10 ** (9 - digits) for digits in range(10))
+_QUICK_LINE = rb"^\((\d{1,10})\.(\d{%d})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: ([RT]))?\n"
+_QUICK = [(re.compile(_QUICK_LINE % one, re.MULTILINE), 10 ** (9 - one)) for one in (9, 6)]
 _STANDARD_MASK = 0x7FF
 _STANDARD_DIGITS = 3
 
@@ -189,7 +178,7 @@ def _frame(found: re.Match[str], ahead_ns: int = 0, own_echo: bool = False) -> t
         data, remote, fd = bytes.fromhex(payload), False, False
     except ValueError:
         data, remote, fd = _unusual(payload)
-    arrival_ns = int(seconds) * NS_PER_S + int(fraction) * _NS_BY_DIGITS[len(fraction)] - ahead_ns
+    arrival_ns = int(seconds + fraction.ljust(9, "0")) - ahead_ns
     extended, error = len(digits) > _STANDARD_DIGITS, can_id > j1939.ID_MASK
     return Frame(can_id & j1939.ID_MASK, data, arrival_ns, extended, remote, error, own_echo), fd
 

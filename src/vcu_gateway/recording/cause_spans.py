@@ -51,12 +51,10 @@ class CauseSpans:
 
     def event(self, name: str, fields: Mapping[str, object], now_ns: int) -> None:
         """Take in an event; those of other names than a cause's change nothing."""
-        if name not in ("cause_began", "cause_ended"):
-            return
         key = CauseKey(*(str(fields.get(part, "")) for part in CauseKey._fields))
         if name == "cause_began":
             self._begin(key, str(fields.get("detail", "")), now_ns)
-        else:
+        elif name == "cause_ended":
             self._end(key, now_ns)
 
     def end(self, now_ns: int) -> None:

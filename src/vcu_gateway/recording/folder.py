@@ -114,12 +114,9 @@ def recorded_path(name: str) -> Path | None:
     NotPermittedError where this user may not look.
     """
     path = recording_path(name)
-    if _is_there(path, folder=True):
-        return path
     beside = path.parent / layout.DRIVE_FILE
-    if layout.segment_number(path.name) is not None and _is_there(beside):
-        return path
-    return None
+    is_segment = layout.segment_number(path.name) is not None and _is_there(beside)
+    return path if is_segment or _is_there(path, folder=True) else None
 
 
 def _is_there(path: Path, folder: bool = False) -> bool:

@@ -24,8 +24,6 @@ LINES_OF_BEGIN = 4
 MAX_LINE_BYTES = 1 << 22
 """Of a core line; a longer one is damage, or an attack on the reader's memory."""
 NEXT_BEGINS = "the next segment begins"
-_NUMBERS = range(1 << 63)
-"""What counters and stamps can be."""
 
 
 class Losses(NamedTuple):
@@ -114,7 +112,8 @@ def parsed_line(line: bytes) -> dict[str, Any]:
 
 
 def is_number(value: object) -> bool:
-    return type(value) is int and value in _NUMBERS
+    """True for what a counter or a stamp can be."""
+    return type(value) is int and 0 <= value < 1 << 63
 
 
 def read_begin(core: Path | None) -> SegmentBegin | None:
