@@ -145,8 +145,7 @@ def frames(lines: LineReader, problems: LineProblems) -> Iterator[RecordedFrame]
     """
     match = _LINE.fullmatch
     for line in lines:
-        found = match(line)
-        if found is None:
+        if (found := match(line)) is None:
             if not line.isspace():
                 what = "is no line of a candump log, `(time) channel identifier#data`"
                 remedy = "record with `candump -L` or `candump -l`"

@@ -8,7 +8,7 @@ docs/recordings-format.md; both ways are here.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from vcu_gateway.core.calls import NoteSent
@@ -224,9 +224,12 @@ class LineParser:
     def _records(self, values: Any) -> list[Placed]:
         before = whole_of(values["f"])
         if "tick" in values and "frames" in values:
-            tick = self._tick(values)
-            sent = _sent(tick, values.get("ok", ()))
-            return [Placed(before, tick), *[Placed(before, one) for one in sent]]
+            tick, taken = self._tick(values), values.get("ok", ())
+            if taken and len(taken) != len(tick.frames):
+                raise ValueError(f"{len(taken)} results of {len(tick.frames)} frames")
+            pairs = zip(tick.frames, taken, strict=False)
+            sent = [NoteSent(frame, truth_of(ok), tick.now_ns) for frame, ok in pairs]
+            return [Placed(before, tick), *[Placed(before, InputRecord(one, None)) for one in sent]]
         if (call := call_of(values)) is not None:
             return [Placed(before, InputRecord(call, _read_answer(values)))]
         kind = next((key for key in values if key in _RECORDS), None)
@@ -243,13 +246,6 @@ class LineParser:
         frames = tuple([out_frame_of(one) for one in values["frames"]])
         events = tuple([event_of(one) for one in values.get("events", ())])
         return TickRecord(whole_of(values["tick"]), frames, self._mode, events)
-
-
-def _sent(tick: TickRecord, taken: Any) -> Iterator[InputRecord]:
-    if taken and len(taken) != len(tick.frames):
-        raise ValueError(f"{len(taken)} results of {len(tick.frames)} frames")
-    for frame, ok in zip(tick.frames, taken, strict=False):
-        yield InputRecord(NoteSent(frame, truth_of(ok), tick.now_ns), None)
 
 
 def _read_answer(values: Mapping[str, Any]) -> RequestResult | None:

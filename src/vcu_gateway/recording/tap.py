@@ -4,6 +4,7 @@ It behaves as the core does, and costs an append a frame. Belongs to the ticking
 """
 
 import platform
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any, NamedTuple, TypeVar
 
@@ -102,29 +103,26 @@ class TappedGateway(Gateway):
         """Make a call, and note it with its answer; one that fails is noted without."""
         if isinstance(call, (Receive, RunTick)):  # the gateway's own methods note these
             return call.apply(self)
-        try:
-            answer = call.apply(self)
-        except Exception:
-            self.tap.note(call)
-            raise
-        self.tap.note(call, answer)
-        return answer
+        return self._noted(call, lambda: call.apply(self))
 
     def receive(self, frame: Frame) -> None:
         self._note_frame(frame)
         self.receiver.receive(frame)
 
     def tick(self, now_ns: int) -> TickResult:
-        tap = self.tap
-        try:
-            result = super().tick(now_ns)
-        except Exception:
-            tap.note(RunTick(now_ns))
-            raise
-        tap.note(RunTick(now_ns), result)
-        tap.ticks += 1
-        tap.events = result.events
+        result = self._noted(RunTick(now_ns), lambda: super(TappedGateway, self).tick(now_ns))
+        self.tap.ticks += 1
+        self.tap.events = result.events
         return result
+
+    def _noted(self, call: CoreCall[object], make: Callable[[], _Answer]) -> _Answer:
+        try:
+            answer = make()
+        except Exception:
+            self.tap.note(call)
+            raise
+        self.tap.note(call, answer)
+        return answer
 
 
 def packed_frames(frames: list[Frame]) -> list[bytes]:
@@ -139,13 +137,8 @@ def packed_frames(frames: list[Frame]) -> list[bytes]:
 
 def recorded_frame(frame: Frame) -> datagram.FrameRecord:
     """The frame with Linux's flags in its identifier."""
-    can_id = frame.can_id & datagram.ID_MASK
-    if frame.extended:
-        can_id |= datagram.EXTENDED
-    if frame.remote:
-        can_id |= datagram.REMOTE
-    if frame.error:
-        can_id |= datagram.ERROR
+    flags = frame.extended * datagram.EXTENDED | frame.remote * datagram.REMOTE
+    can_id = frame.can_id & datagram.ID_MASK | flags | frame.error * datagram.ERROR
     return datagram.FrameRecord(frame.arrival_ns, can_id, frame.own_echo, bytes(frame.data))
 
 
