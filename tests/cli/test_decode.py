@@ -28,7 +28,7 @@ from vcu_gateway.core.codec import Codec, compile_message
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.recording.decoded import FORMATS, FrameWriter, Tally
+from vcu_gateway.recording.decoded import FORMATS, Tally
 from vcu_gateway.recording.log import open_recording
 
 PROTOCOL = dbc.load(packaged("vcu.dbc"))
@@ -136,7 +136,7 @@ def test_a_saturated_wheel_speed_says_so(tmp_path):
 
 def test_values_have_no_more_decimals_than_their_code_carries():
     for codec in CODEC.by_name.values():
-        writer = FrameWriter(codec.spec, FORMATS["jsonl"])
+        writer = FORMATS["jsonl"](codec.spec)
         rng = random.Random(codec.spec.name)
         for _ in range(200):
             data = rng.randbytes(8)
@@ -152,12 +152,12 @@ def test_a_zero_has_no_sign():
     codec = compile_message(MessageSpec("M", 0, "A", ("B",), None, signals))
     decoded = codec.decode(bytes([100, *bytes(7)]))
     assert decoded.values[0] < 0
-    assert '"value": 0.0,' in FrameWriter(codec.spec, FORMATS["jsonl"]).text(0, None, decoded)
+    assert '"value": 0.0,' in FORMATS["jsonl"](codec.spec).text(0, None, decoded)
 
 
 def test_a_signal_with_very_many_codes_keeps_a_bounded_number_of_texts():
     codec = CODEC.by_name["IMU_Attitude"]
-    writer = FrameWriter(codec.spec, FORMATS["jsonl"])
+    writer = FORMATS["jsonl"](codec.spec)
     for raw in range(0, 65536, 3):
         decoded = codec.decode(raw.to_bytes(2, "little") * 3 + bytes(2))
         written = json.loads(writer.text(0, "can0", decoded))
@@ -719,7 +719,7 @@ def test_candump_text_is_read_from_standard_input():
 def test_a_closed_standard_input_cannot_be_read(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(GatewayError, match="standard input: is closed"):
-        open_recording("-", print)
+        open_recording("-", print).__enter__()
 
 
 # Many identifiers

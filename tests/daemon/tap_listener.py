@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.core.test_invariants import CODEC
+from tests.recording.tapped import frames_of
 from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.recording import datagram
@@ -19,8 +20,7 @@ from vcu_gateway.recording.core_lines import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.recording.datagram import HelloPart, HelloText, TickDatagram
-from vcu_gateway.recording.tap import frame_of
+from vcu_gateway.recording.datagram import HelloPart, HelloText, TickParts
 
 _LONGEST_BYTES = 1 << 20
 
@@ -84,7 +84,7 @@ class Replayed(NamedTuple):
     sentences: list[str]
     events: list[str]
     frames: int
-    last: TickDatagram | None
+    last: TickParts | None
 
 
 def replayed(datagrams: list[bytes]) -> Replayed:
@@ -98,7 +98,7 @@ def replayed(datagrams: list[bytes]) -> Replayed:
             hello = text.take(one)
             continue
         last = one
-        waiting = [frame_of(frame) for frame in one.frames]
+        waiting = frames_of(one.frames)
         frames += len(waiting)
         for line in one.lines.splitlines():
             for before, record in parser.records(line):

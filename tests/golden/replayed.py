@@ -54,7 +54,7 @@ def replay(golden: GoldenDrive, to_the_end: bool = True) -> Replayed:
         drive = open_drive(FOLDER / golden.name)
         gateway = Gateway(CODEC, drive.info.settings, golden.start_ns)
         check = EqualityCheck(CODEC, gateway)
-        for record in drive.records():
+        for record in drive.runs():
             check.note(record)
             if check.is_different and not to_the_end:
                 break

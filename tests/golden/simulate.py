@@ -48,5 +48,5 @@ def core_text(golden: GoldenDrive) -> str:
     gateway = TappedGateway(CODEC, settings_of(golden), golden.start_ns, Tap())
     drive = begun(golden, gateway)
     golden.script(drive)
-    noted = gateway.tap.take()
-    return LineWriter().lines(noted.calls, len(noted.frames))
+    frames, calls = gateway.tap.take()
+    return LineWriter().lines(calls, len(frames))

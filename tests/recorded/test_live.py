@@ -128,7 +128,7 @@ def span(folder: Path) -> tuple[float, float]:
     """Wall times of the first and the last tick."""
     drive = open_drive(folder)
     distance_ns = drive.info.clock.distance_ns
-    stamps = [one.now_ns for one in drive.records() if isinstance(one, TickRecord)]
+    stamps = [one.now_ns for one in drive.runs() if isinstance(one, TickRecord)]
     return (stamps[0] + distance_ns) / NS_PER_S, (stamps[-1] + distance_ns) / NS_PER_S
 
 
@@ -141,7 +141,7 @@ def test_a_killed_gateway_loses_at_most_one_tick(tmp_path: Path, figures: list[s
         on_the_bus = [frame.data for frame in one.recording.commands()]
         assert recorder.stop() == 0
         (drive,) = stand_of(one).drives()
-        sent = [one.input for one in open_drive(drive).records() if isinstance(one, InputRecord)]
+        sent = [one.input for one in open_drive(drive).runs() if isinstance(one, InputRecord)]
         recorded = [one.frame.data for one in sent if isinstance(one, NoteSent) and one.ok]
         figures.append(
             f"kill -9 of the gateway: {len(on_the_bus)} command frames on the bus,"

@@ -14,7 +14,7 @@ import uuid
 from pathlib import Path
 
 from vcu_gateway.recording import chain, datagram, layout
-from vcu_gateway.recording.chain import Break, BreakKind
+from vcu_gateway.recording.chain import Break, FaultKind
 from vcu_gateway.recording.datagram import TickHeader
 from vcu_gateway.recording.members import Member, MemberDamage, read_members
 
@@ -259,7 +259,7 @@ def account(folder):
 
     All members are one chain, whatever ended the recorder meanwhile: a torn end is outside of it.
     """
-    assert not [one for one in breaks(folder) if one.kind is not BreakKind.TORN]
+    assert not [one for one in breaks(folder) if one.kind is not FaultKind.TORN]
     recorded = lost = expected = 0
     for segment in layout.segments(folder):
         lines = core_lines(segment)

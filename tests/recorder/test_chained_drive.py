@@ -27,7 +27,7 @@ from vcu_gateway.recorder.ring import Disk, Ring
 from vcu_gateway.recorder.senders import Refusals, TapListener
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, datagram, layout, signature
-from vcu_gateway.recording.chain import BreakKind, Linked
+from vcu_gateway.recording.chain import FaultKind, Linked
 from vcu_gateway.recording.datagram import TickHeader
 from vcu_gateway.recording.members import NO_LINK, packed
 from vcu_gateway.recording.recorder_status import RecorderTotals
@@ -157,7 +157,7 @@ def test_the_next_recorder_goes_on_with_the_chain_of_one_that_was_killed(drive, 
     drive.start_recorder()
     drive.second(begins=True)
     drive.recorder.close("the connection ended", closes=True)
-    assert {one.kind for one in breaks(drive.folder)} <= {BreakKind.TORN}
+    assert {one.kind for one in breaks(drive.folder)} <= {FaultKind.TORN}
     assert len(breaks(drive.folder)) == len(torn[tears])
 
 
@@ -215,7 +215,7 @@ def test_files_that_somebody_removed_while_they_were_written_are_missing_in_the_
     drive.recorder.abandon("somebody removed it")
     drive.second(begins=True)
     (found,) = breaks(drive.folder)
-    assert (found.kind, found.segment) == (BreakKind.BEGINNING, 2)
+    assert (found.is_beginning, found.segment) == (True, 2)
 
 
 def test_a_recorder_goes_on_with_what_one_without_links_began(drive):

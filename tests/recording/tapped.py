@@ -3,7 +3,9 @@
 from typing import Any
 
 from tests.core.simulated_drive import CODEC, Drive
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.recording import datagram
 from vcu_gateway.recording.core_lines import LineParser, LineWriter, Placed
 from vcu_gateway.recording.tap import Tap, TappedGateway
 
@@ -21,11 +23,20 @@ class TappedDrive(Drive):
 
 def lines_of(tap: Tap, writer: LineWriter | None = None) -> str:
     """The core lines of what the tap has."""
-    noted = tap.take()
-    return (writer or LineWriter()).lines(noted.calls, len(noted.frames))
+    frames, calls = tap.take()
+    return (writer or LineWriter()).lines(calls, len(frames))
 
 
 def parsed(text: str, parser: LineParser | None = None) -> list[Placed]:
     """The records of these lines."""
     parser = parser or LineParser()
     return [record for line in text.splitlines() for record in parser.records(line)]
+
+
+def frames_of(packed: bytes) -> list[Frame]:
+    """Frames of the core from those of a datagram."""
+    flags = (datagram.EXTENDED, datagram.REMOTE, datagram.ERROR)
+    return [
+        Frame(can_id & datagram.ID_MASK, data, at_ns, *(can_id & flag != 0 for flag in flags), own)
+        for at_ns, can_id, own, data in datagram.frame_records(packed)
+    ]

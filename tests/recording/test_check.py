@@ -37,7 +37,7 @@ def test_a_whole_drive_is_whole(drive):
     found = checked(drive)
     assert found.is_whole
     assert (found.segments, found.frames, found.gaps.gaps) == (3, 3 * FRAMES, 0)
-    assert (found.missing_frames, found.is_cut_off, found.faults) == (0, False, ())
+    assert (found.missing_frames, found.is_cut_off, found.faults) == (0, False, [])
 
 
 def test_frames_in_a_gap_are_not_missing(drive):
@@ -264,7 +264,7 @@ def test_the_end_of_a_drive_that_is_being_written_is_not_judged(drive):
     assert descriptor
     assert found.is_written
     assert found.is_whole
-    assert (found.is_cut_off, found.faults) == (False, ())
+    assert (found.is_cut_off, found.faults) == (False, [])
 
 
 def test_a_description_that_is_damaged_is_a_fault(drive):

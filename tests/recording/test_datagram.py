@@ -6,16 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.recording.tapped import frames_of
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.datagram import (
     DatagramError,
     HelloPart,
     HelloText,
-    TickDatagram,
     TickHeader,
+    TickParts,
 )
-from vcu_gateway.recording.tap import frame_of, packed_frames
+from vcu_gateway.recording.tap import packed_frames
 
 HEADER = TickHeader(sequence=7, frames=2**40, datagrams_lost=3, frames_lost=2**33)
 LINES = '{"f":0,"tick":1,"frames":[]}\n{"f":2,"why":"größer"}\n'
@@ -35,9 +36,9 @@ FRAMES = st.builds(
 def test_a_tick_is_unpacked_as_it_was_packed(frames, lines):
     packed = datagram.packed_tick(HEADER, packed_frames(frames), lines)
     unpacked = datagram.unpack(packed)
-    assert isinstance(unpacked, TickDatagram)
+    assert isinstance(unpacked, TickParts)
     assert (unpacked.header, unpacked.lines.decode()) == (HEADER, lines)
-    assert [frame_of(record) for record in unpacked.frames] == frames
+    assert frames_of(unpacked.frames) == frames
 
 
 def test_a_frame_of_eight_bytes_takes_22_bytes():

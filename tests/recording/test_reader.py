@@ -10,7 +10,7 @@ import pytest
 from tests.core.simulated_drive import CODEC, MS
 from tests.recording.recorded import WALL_NS, RecordedDrive
 from vcu_gateway.core import calls
-from vcu_gateway.core.calls import Receive, RunTick
+from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
@@ -18,7 +18,14 @@ from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.checkpoint import restore, state_of
-from vcu_gateway.recording.core_lines import Checkpoint, Gap, InputRecord, TickRecord, WhyRecord
+from vcu_gateway.recording.core_lines import (
+    Checkpoint,
+    FrameRun,
+    Gap,
+    InputRecord,
+    TickRecord,
+    WhyRecord,
+)
 from vcu_gateway.recording.log import open_recording
 from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.units import NS_PER_S
@@ -51,12 +58,11 @@ def recorded(tmp_path_factory) -> RecordedDrive:
 def replayed(drive: Drive, first_segment: int | None = None) -> tuple[int, int]:
     """Replay and compare everything; how many ticks and sentences were the same."""
     gateway, ticks, sentences = None, 0, 0
-    for record in drive.records(first_segment):
+    for record in drive.runs(first_segment):
         match record:
             case Checkpoint():
-                if gateway is not None:
-                    assert state_of(gateway) == record.state
                 gateway = gateway or restore(record.state, CODEC, record.settings)
+                assert state_of(gateway) == record.state
             case TickRecord():
                 result = RunTick(record.now_ns).apply(gateway)
                 assert result[3:] == record[1:2] + record[3:]
@@ -67,6 +73,9 @@ def replayed(drive: Drive, first_segment: int | None = None) -> tuple[int, int]:
                 sentences += 1
             case InputRecord(one, answer):
                 assert one.apply(gateway) == answer
+            case FrameRun(frames):
+                for frame in frames:
+                    gateway.receive(frame)
             case _:
                 raise AssertionError(record)
     return ticks, sentences
@@ -85,7 +94,7 @@ def test_it_is_replayed_to_the_byte_from_each_segment(recorded, first_segment):
 
 
 def test_the_records_have_what_really_happened(recorded):
-    records = list(open_drive(recorded.writer.folder).records())
+    records = list(open_drive(recorded.writer.folder).runs())
     ticks = [one for one in records if isinstance(one, TickRecord)]
     assert [tick[1:] for tick in ticks] == [
         (one.frames, one.mode, one.events) for one in recorded.results
@@ -103,31 +112,28 @@ def test_what_a_gateway_said_of_itself_is_in_the_info(recorded):
 
 
 def test_the_settings_of_a_later_segment_are_those_in_effect_then(recorded):
-    records = open_drive(recorded.writer.folder).records()
+    records = open_drive(recorded.writer.folder).runs()
     derated = [one.settings.derated_power_w for one in records if isinstance(one, Checkpoint)]
     assert derated == [10_000, 10_000, 5_000, 5_000]
 
 
+def frames_of(drive: Drive) -> list[Frame]:
+    return [frame for run in drive.runs() if isinstance(run, FrameRun) for frame in run.frames]
+
+
 def test_the_frames_are_candump_lines_with_nanoseconds(recorded, tmp_path):
     drive = open_drive(recorded.writer.folder)
-    frames = [one.frame for one in drive.frames()]
+    frames, distance_ns = frames_of(drive), drive.info.clock.distance_ns
     path = recorded.writer.folder / "0001.frames.log.gz"
     with open_recording(str(path), lambda problem: pytest.fail(str(problem))) as recording:
         read = [one.frame for one in recording]
     assert [(one.can_id, one.data, one.arrival_ns) for one in read] == [
-        (one.can_id, one.data, one.arrival_ns) for one in frames[: len(read)]
+        (one.can_id, one.data, one.arrival_ns + distance_ns) for one in frames[: len(read)]
     ]
-    inputs = [
-        one.input.frame
-        for one in drive.records()
-        if isinstance(one, InputRecord) and isinstance(one.input, Receive)
-    ]
-    distance_ns = drive.info.clock.distance_ns
-    assert [one.arrival_ns + distance_ns for one in inputs] == [one.arrival_ns for one in frames]
 
 
 def test_odd_frames_are_read_as_they_were(recorded):
-    frames = {one.frame.can_id: one.frame for one in open_drive(recorded.writer.folder).frames()}
+    frames = {one.can_id: one for one in frames_of(open_drive(recorded.writer.folder))}
     assert not frames[0x123].extended
     assert frames[0x20].error
     assert frames[0x18FF00AA].own_echo
@@ -154,7 +160,7 @@ def copied(recorded: RecordedDrive, tmp_path: Path, without: tuple[str, ...] = (
 
 
 def gaps(drive: Drive) -> list[Gap]:
-    return [one for one in drive.records() if isinstance(one, Gap)]
+    return [one for one in drive.runs() if isinstance(one, Gap)]
 
 
 def test_segments_that_are_not_there_are_a_gap(recorded, tmp_path):
@@ -172,7 +178,7 @@ def test_a_damaged_member_is_a_gap_up_to_the_next_checkpoint(recorded, tmp_path,
     middle = len(data) // 2
     data[middle : middle + 40] = bytes(40)
     (folder / name).write_bytes(data)
-    records = list(open_drive(folder).records())
+    records = list(open_drive(folder).runs())
     ticks = sum(isinstance(one, TickRecord) for one in records)
     first, second = [one for one in records if isinstance(one, Gap)]
     assert name in first.why
@@ -207,7 +213,7 @@ def test_a_drive_whose_beginning_cannot_be_read_begins_behind_it(recorded, tmp_p
 
 
 def ticks_of(drive: Drive) -> int:
-    return sum(isinstance(one, TickRecord) for one in drive.records())
+    return sum(isinstance(one, TickRecord) for one in drive.runs())
 
 
 def test_a_line_that_is_whole_and_wrong_is_an_error_with_its_place(recorded, tmp_path):
@@ -267,7 +273,7 @@ def test_a_drive_is_held_while_it_is_written(tmp_path):
 
 
 def test_the_wall_clock_of_a_checkpoint_is_that_of_its_tick(recorded):
-    records = open_drive(recorded.writer.folder).records()
+    records = open_drive(recorded.writer.folder).runs()
     times = [(one.now_ns, one.wall_ns) for one in records if isinstance(one, Checkpoint)]
     assert [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(times)] == [
         (10_000 * MS, 10_000 * MS)

@@ -11,13 +11,14 @@ from hypothesis import settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from tests.core.test_invariants import CODEC, COUNTS, GatewayMachine
+from tests.recording.tapped import frames_of
 from vcu_gateway.core.calls import RunTick
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.checkpoint import restore, state_of
 from vcu_gateway.recording.core_lines import Checkpoint, LineParser, Placed, TickRecord, WhyRecord
-from vcu_gateway.recording.datagram import TickDatagram, TickHeader
-from vcu_gateway.recording.tap import Tap, TappedGateway, TapStream, frame_of, packed_frames
+from vcu_gateway.recording.datagram import TickHeader, TickParts
+from vcu_gateway.recording.tap import Tap, TappedGateway, TapStream, packed_frames
 
 EXAMPLES = 6
 
@@ -41,7 +42,7 @@ class RecordedMachine(GatewayMachine):
         self.seen += len(frames)
         header = TickHeader(1, self.stream.frames, 0, 0)
         received = datagram.unpack(datagram.packed_tick(header, packed_frames(frames), lines))
-        assert isinstance(received, TickDatagram)
+        assert isinstance(received, TickParts)
         self._check(received)
         return result
 
@@ -50,12 +51,13 @@ class RecordedMachine(GatewayMachine):
         if isinstance(placed[0].record, Checkpoint):
             first = placed.pop(0).record
             self.from_the_start = restore(first.state, CODEC, first.settings)
-        self._apply(self.from_the_start, received.frames, placed)
+        frames = frames_of(received.frames)
+        self._apply(self.from_the_start, frames, placed)
         state = state_of(self.gateway)
         assert state_of(self.from_the_start) == state
         if self.last_checkpoint is not None:
             behind = restore(*self.last_checkpoint)
-            self._apply(behind, received.frames, placed)
+            self._apply(behind, frames, placed)
             assert state_of(behind) == state
         self.last_checkpoint = json.loads(json.dumps(state)), CODEC, self.gateway.settings
         COUNTS["restored"] += 1
@@ -64,7 +66,7 @@ class RecordedMachine(GatewayMachine):
         taken, before = 0, self.seen - len(frames)
         for frames_before, record in placed:
             while before + taken < frames_before:
-                gateway.receive(frame_of(frames[taken]))
+                gateway.receive(frames[taken])
                 taken += 1
             if isinstance(record, TickRecord):
                 result = RunTick(record.now_ns).apply(gateway)
@@ -74,7 +76,7 @@ class RecordedMachine(GatewayMachine):
             else:
                 assert record.input.apply(gateway) == record.answer
         for frame in frames[taken:]:
-            gateway.receive(frame_of(frame))
+            gateway.receive(frame)
 
 
 @pytest.mark.timeout(3600)

@@ -9,14 +9,14 @@ from vcu_gateway.recording.tap import Tap
 
 def records(tap: Tap) -> Iterator[CoreRecord]:
     """Everything that was noted since the last call, in its order."""
-    noted = tap.take()
+    frames, noted = tap.take()
     done = 0
-    for call in noted.calls:
-        for frame in noted.frames[done : call[0]]:
+    for call in noted:
+        for frame in frames[done : call[0]]:
             yield InputRecord(calls.Receive(frame), None)
         done = max(done, call[0])
         yield record(call[1], call[2])
-    for frame in noted.frames[done:]:
+    for frame in frames[done:]:
         yield InputRecord(calls.Receive(frame), None)
 
 

@@ -12,7 +12,7 @@ def test_the_first_frames_of_a_gateway_without_a_vehicle_change_no_later_tick(tm
     drive.open_link()
     folder = drive.run(3.0).end()
     check = EqualityCheck(CODEC)
-    for record in open_drive(folder).records():
+    for record in open_drive(folder).runs():
         check.note(record)
     result = check.result()
     assert result.equal, result.first_difference
@@ -23,7 +23,7 @@ def test_a_sentence_that_was_left_out_is_a_difference(tmp_path):
     drive = SimulatedDrive(tmp_path / "drive")
     drive.open_link()
     folder = drive.run(3.0).end()
-    records = list(open_drive(folder).records())
+    records = list(open_drive(folder).runs())
     told = [i for i, one in enumerate(records) if type(one).__name__ == "WhyRecord"]
     check = EqualityCheck(CODEC)
     for record in records[: told[1]] + records[told[1] + 1 :]:

@@ -25,7 +25,7 @@ from vcu_gateway.export import formats
 from vcu_gateway.export.source import ReadOptions, Selection, Source, read, title
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.recording.candump import RecordedFrame
-from vcu_gateway.recording.decoded import FORMATS, FrameFormat, FrameWriter, Summary
+from vcu_gateway.recording.decoded import FORMATS, FrameWriter, Summary
 from vcu_gateway.recording.folder import recording_path
 from vcu_gateway.recording.log import Recording, open_recording
 from vcu_gateway.time_window import Window
@@ -129,7 +129,7 @@ def _codec(dbc_path: Path | None, *, aliased: bool) -> Codec:
 
 
 def _writers(
-    codec: Codec, wanted: tuple[str, ...], text_format: FrameFormat
+    codec: Codec, wanted: tuple[str, ...], text_format: type[FrameWriter]
 ) -> dict[str, FrameWriter]:
     for name in wanted:
         if name not in codec.by_name:
@@ -138,7 +138,7 @@ def _writers(
             known = ", ".join(codec.by_name)
             raise click.BadParameter(f"no message {name}{meant} Known are {known}.")
     return {
-        name: FrameWriter(message.spec, text_format)
+        name: text_format(message.spec)
         for name, message in codec.by_name.items()
         if not wanted or name in wanted
     }

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway import __version__
-from vcu_gateway.errors import GatewayError
 from vcu_gateway.recorder.ring import Disk
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, layout
@@ -159,8 +158,10 @@ class DriveRecorder:
             if os.path.isdir(self.folder):
                 return
             self._release()
-        elif self._found_own_folder():
-            self._resume()
+        else:
+            self.folder = layout.free_path(self.folder, self._is_own)
+            if os.path.lexists(self.folder):
+                self._resume()
         if not os.path.isdir(self.folder):
             more = {"number": self._number, "created": utc(time.time_ns(), ISO_TIME)}
             more |= {"format": layout.FORMAT, "recorder": __version__}
@@ -168,17 +169,10 @@ class DriveRecorder:
         self._files_beside = chain.file_digests(self.folder)
         self._hold = layout.hold(self.folder)
 
-    def _found_own_folder(self) -> bool:
-        """True where this run's folder is there; the name of another run's is not taken."""
-        name, count = self.folder.name, 1
-        while os.path.lexists(self.folder):
-            with contextlib.suppress(GatewayError):
-                path = self.folder / layout.DRIVE_FILE
-                if layout.read_description(path).get("run") == self.hello["run"]:
-                    return True
-            count += 1
-            self.folder = self.folder.with_name(f"{name}-{count}")
-        return False
+    def _is_own(self, folder: Path) -> bool:
+        """True for this run's folder; the name of another run's is not taken."""
+        described = layout.description_if_any(folder / layout.DRIVE_FILE)
+        return described.get("run") == self.hello["run"]
 
     def _resume(self) -> None:
         """Go on where the files of this drive end; OSError where they cannot be read."""

@@ -127,20 +127,12 @@ class Incidents:
     def _description(
         self, trigger: Trigger, described_in: Path, drive: str, links: Iterable[Path]
     ) -> bytes:
-        wall_ns = time.time_ns()
-        return layout.incident_bytes(
-            {
-                **trigger._asdict(),
-                "at": utc(wall_ns, ISO_TIME),
-                "at_ns": wall_ns,
-                "before_s": self._options.before_s,
-                "after_s": self._options.after_s,
-                "drive": drive,
-            },
-            layout.description_if_any(described_in / layout.DRIVE_FILE),
-            links,
-            _copies(described_in),
-        )
+        wall_ns, options = time.time_ns(), self._options
+        when = {"at": utc(wall_ns, ISO_TIME), "at_ns": wall_ns}
+        kept = {"before_s": options.before_s, "after_s": options.after_s, "drive": drive}
+        described = layout.description_if_any(described_in / layout.DRIVE_FILE)
+        incident = trigger._asdict() | when | kept
+        return layout.incident_bytes(incident, described, links, _copies(described_in))
 
     def keep_budget(self, newest: Path | None = None) -> None:
         """Remove incidents above the budget: of a kind that has several, not its first."""

@@ -7,5 +7,5 @@
   `checkpoint` its state, `reader` reads it, `cause_spans` says how long each cause counted.
 - A foreign log: `candump` and `log` read it frame by frame, `decoded` writes it. No identifier is
   ever shortened to 29 bits: a number beyond them is an error frame or damage (docs/protocol.md E2).
-- Kept recordings: `folder`, `keep`, `check` with `checked_segment` and `chain_check`.
+- Kept recordings: `folder`, `keep`, `check` with `checked_segment`.
 """

@@ -1,8 +1,7 @@
 """Settings, demands and calls of the core as JSON, and back.
 
-Calls of the core in a core line: each field is written and read as its type says.
-
-A call's first field stands under its word, every other one under its own name without the unit:
+Each field of a call is written and read as its type says. The first one stands under the call's
+word, every other one under its own name without the unit:
 
     Arm(5)                  "arm":5
     Reset(SERVICE, 5)       "reset":"service","now":5
@@ -12,9 +11,9 @@ A call's first field stands under its word, every other one under its own name w
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Event, Severity
@@ -26,11 +25,16 @@ from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.units import NS_PER_US
 
+_T = TypeVar("_T")
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-_SETTINGS = {item.name: item for item in fields(Settings)}
-_DEMAND = tuple(item.name for item in fields(ControllerDemand))
+_SETTINGS = tuple(item.name for item in fields(Settings))
 _DEFAULTS = Settings()
-_NOTHING_DEMANDED = ControllerDemand()
+_LEFT_OUT = {
+    item.name: item.default
+    for item in fields(ControllerDemand)
+    if item.name not in ("throttle_pct", "power_mode")
+}
+"""Fields of a controller's demand that are written where they are not their default."""
 
 
 def settings_json(settings: Settings) -> dict[str, Any]:
@@ -46,7 +50,7 @@ def settings_of(values: Any) -> Settings:
     """
     if not isinstance(values, dict):
         raise ValueError("the settings are no object")
-    if unknown := sorted(values.keys() - _SETTINGS.keys()):
+    if unknown := sorted(set(values) - set(_SETTINGS)):
         raise ValueError(f"settings that this version does not know: {', '.join(unknown)}")
     return Settings(**{name: _setting(name, value) for name, value in values.items()})
 
@@ -68,8 +72,7 @@ def _setting(name: str, value: Any) -> Any:
 
 def controller_json(demand: ControllerDemand) -> dict[str, Any]:
     """Demand of one controller; the power mode by its name."""
-    values = {name: getattr(demand, name) for name in _DEMAND}
-    return values | {"power_mode": demand.power_mode.name.lower()}
+    return asdict(demand) | {"power_mode": demand.power_mode.name.lower()}
 
 
 def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
@@ -105,33 +108,22 @@ def demand_text(demand: Demand, now_ns: int) -> str:
 
 
 def _controller_text(one: ControllerDemand) -> str:
-    number, default = number_text, _NOTHING_DEMANDED
-    text = (
-        f'{{"throttle_pct":{number(one.throttle_pct)},"power_mode":"{one.power_mode.name.lower()}"'
-    )
-    if one.brake_pct != default.brake_pct:
-        text += f',"brake_pct":{number(one.brake_pct)}'
-    if one.motor_reverse:
-        text += ',"motor_reverse":true'
-    if one.regen_brake:
-        text += ',"regen_brake":true'
-    if one.speed_limit_rpm != default.speed_limit_rpm:
-        text += f',"speed_limit_rpm":{number(one.speed_limit_rpm)}'
-    if one.power_limit_w != default.power_limit_w:
-        text += f',"power_limit_w":{number(one.power_limit_w)}'
-    if one.throttle_track2_pct is not None:
-        text += f',"throttle_track2_pct":{number(one.throttle_track2_pct)}'
+    throttle, mode = number_text(one.throttle_pct), one.power_mode.name.lower()
+    text = f'{{"throttle_pct":{throttle},"power_mode":"{mode}"'
+    for name, default in _LEFT_OUT.items():
+        if (value := getattr(one, name)) != default:
+            text += f',"{name}":{number_text(value)}'
     return text + "}"
 
 
 def number_text(value: float | None) -> str:
     """JSON text of a number, truth value or None; what JSON does not have becomes a word."""
     if value is None or isinstance(value, bool):
-        return _WORDS[value]
+        return WORDS[value]
     return repr(value) if isinstance(value, int) or isfinite(value) else f'"{value!r}"'
 
 
-_WORDS = {None: "null", True: "true", False: "false"}
+WORDS = {None: "null", True: "true", False: "false"}
 _quoted = json.encoder.encode_basestring_ascii
 
 
@@ -161,32 +153,29 @@ def number_of(value: Any) -> Any:
     raise ValueError(f"{value!r:.40} is no number")
 
 
-def whole_of(value: Any) -> int:
-    if type(value) is not int:
-        raise ValueError(f"{value!r:.40} is no whole number")
-    return value
+def _only(kind: type[_T], what: str) -> Callable[[Any], _T]:
+    """Takes values of this type alone; ValueError for others."""
+
+    def read(value: Any) -> _T:
+        if isinstance(value, kind) and type(value) is kind:
+            return value
+        raise ValueError(f"{value!r:.40} is {what}")
+
+    return read
 
 
-def text_of(value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{value!r:.40} is no text")
-    return value
-
-
-TRUTH = {True: "true", False: "false"}
-_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=str)
-
-
-def encoded(values: Any) -> str:
-    return _ENCODER.encode(values)
+whole_of = _only(int, "no whole number")
+text_of = _only(str, "no text")
+truth_of = _only(bool, "neither true nor false")
+encoded = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=str).encode
 
 
 def call_text(call: CoreCall[object]) -> str:
     """Members of a call's JSON object."""
     if type(call) is calls.Offer:  # a demand's age is told, not its time
         return f'"offer":{demand_text(call.demand, call.now_ns)},"now":{call.now_ns}'
-    fields = _FIELDS[type(call)]
-    members = [f'"{one.key}":{one.write(value)}' for one, value in zip(fields, call, strict=True)]  # type: ignore[call-overload]
+    written = zip(_FIELDS[type(call)], call, strict=True)  # type: ignore[call-overload]
+    members = [f'"{key}":{write(value)}' for (key, write, _), value in written]
     return ",".join(members) or f'"{calls.WORDS[type(call)]}":true'
 
 
@@ -201,18 +190,12 @@ def call_of(values: Mapping[str, Any]) -> CoreCall[object] | None:
     if word == "offer":
         return calls.Offer(demand_of(values[word], whole_of(values["now"])), values["now"])
     kind = _KINDS[word]
-    call: CoreCall[object] = kind(*[one.read(values[one.key]) for one in _FIELDS[kind]])
+    call: CoreCall[object] = kind(*[read(values[key]) for key, _, read in _FIELDS[kind]])
     return call
 
 
-def truth_of(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError(f"{value!r:.40} is neither true nor false")
-    return value
-
-
-def _text_or_none(value: Any) -> str | None:
-    return None if value is None else text_of(value)
+def _or_none(read: Callable[[Any], object]) -> Callable[[Any], object]:
+    return lambda value: None if value is None else read(value)
 
 
 def out_frame_text(frame: OutFrame) -> str:
@@ -244,18 +227,19 @@ def _carrier_of(values: Any) -> Carrier:
 
 
 _Codec = tuple[Callable[[Any], str], Callable[[Any], Any]]
+_Field = tuple[str, Callable[[Any], str], Callable[[Any], Any]]
 _TYPES: Mapping[Any, _Codec] = {
     int: (str, whole_of),
-    bool: (TRUTH.__getitem__, truth_of),
+    bool: (WORDS.__getitem__, truth_of),
     str: (encoded, text_of),
-    str | None: (encoded, _text_or_none),
+    str | None: (encoded, _or_none(text_of)),
     Mapping[str, bool]: (
         lambda one: encoded(dict(one)),
         lambda values: {name: truth_of(one) for name, one in values.items()},
     ),
     FaultClass: (lambda one: f'"{one.value}"', FaultClass),
     Carrier: (encoded, _carrier_of),
-    Carrier | None: (encoded, lambda values: None if values is None else _carrier_of(values)),
+    Carrier | None: (encoded, _or_none(_carrier_of)),
     LinkStatus: (lambda one: encoded([one.state.value, one.since_ns]), _link_of),
     Settings: (lambda one: encoded(settings_json(one)), settings_of),
     OutFrame: (out_frame_text, out_frame_of),
@@ -263,18 +247,10 @@ _TYPES: Mapping[Any, _Codec] = {
 """How a field of each type is written and read; a demand needs the time of its offer, too."""
 
 
-class _Field(NamedTuple):
-    key: str
-    write: Callable[[Any], str]
-    read: Callable[[Any], Any]
-
-
-def _fields(kind: type, word: str) -> tuple[_Field, ...]:
+def _fields(kind: type, word: str) -> list[_Field]:
     types = kind.__annotations__
     keys = [word, *(name.removesuffix("_ns") for name in list(types)[1:])]
-    return tuple(
-        [_Field(key, *_TYPES[one]) for key, one in zip(keys, types.values(), strict=False)]
-    )
+    return [(key, *_TYPES[one]) for key, one in zip(keys, types.values(), strict=False)]
 
 
 _KINDS: Mapping[str, Any] = {word: kind for kind, word in calls.WORDS.items()}

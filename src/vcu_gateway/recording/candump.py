@@ -4,25 +4,20 @@
 `recorded_frame` read what our recorder wrote (candump_lines), where a damaged line is an
 error. `quick_lines` matches many lines at once.
 
-Recorded frame, the common result of every reader.
-
-Problems of a recording, reported a bounded number of times.
-
-Reader of text lines that counts them and bounds their length.
+Here too is what every reader of a log gives and uses: recorded frames, problems that are reported
+a bounded number of times, and lines that are counted and bounded in length.
 """
 
 import gzip
 import re
 from binascii import unhexlify
 from collections.abc import Callable, Iterator
-from enum import Enum
 from functools import partial
 from typing import NamedTuple, TextIO
 
 from vcu_gateway.core import j1939
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
-from vcu_gateway.units import NS_PER_S
 
 
 class RecordedFrame(NamedTuple):
@@ -43,26 +38,14 @@ class RecordedFrame(NamedTuple):
 
 REPORTED_LIMIT = 10
 
-_ERROR_FLAG = 1 << 29
 _FLAGS = {30: "remote frames", 31: "29-bit identifiers"}
 # The classes that the kernel puts into an error frame's identifier; other bits in a "class"
 # are those of an identifier that was printed with 30 bits.
 _ERROR_CLASSES = 0x3FF
 
 
-class Verdict(Enum):
-    """Kind of frame that an identifier above 29 bits stands for."""
-
-    ERROR = "error frame"
-    UNREADABLE = "unreadable"
-
-
 class LineProblems:
-    """Counter of what cannot be read; the first of each kind are reported.
-
-    Attributes:
-        unreadable: lines or frames that were passed over.
-    """
+    """Counter of lines or frames that cannot be read; the first of each kind are reported."""
 
     def __init__(self, where: Callable[[int], str], report: Callable[[Problem], None]) -> None:
         self._where = where
@@ -77,32 +60,29 @@ class LineProblems:
         if self.unreadable == REPORTED_LIMIT:
             self._report(Problem("further damage is only counted", self._where(position)))
 
-    def flagged(self, position: int, can_id: int) -> Verdict:
-        """Explain, once an identifier, a number that does not fit 29 bits."""
-        flags = [bit for bit in _FLAGS if can_id >> bit & 1]
-        if can_id < 0 or can_id >> 32:
-            self._explain(position, can_id, "is no identifier of 29 bits")
-        elif flags:
-            bits = " and ".join(
-                f"bit {bit} set, SocketCAN's flag of {_FLAGS[bit]}" for bit in flags
-            )
-            self._explain(position, can_id, f"has {bits}")
-        else:
-            # What the kernel's own error frames carry needs no explanation.
-            if can_id & j1939.ID_MASK & ~_ERROR_CLASSES:
-                what = "has bit 29 set, SocketCAN's error-frame flag; the source prints such 30-bit"
-                what += " identifiers for the IMU (docs/protocol.md E2)"
-                self._explain(position, can_id, what)
-            return Verdict.ERROR
-        self.unreadable += 1
-        return Verdict.UNREADABLE
-
-    def _explain(self, position: int, can_id: int, what: str) -> None:
-        if can_id in self._explained or len(self._explained) >= REPORTED_LIMIT:
-            return
-        self._explained.add(can_id)
-        remedy = f"on the wire it is {can_id & j1939.ID_MASK:08X}"
-        self._report(Problem(f"identifier {can_id:08X} {what}", self._where(position), remedy))
+    def is_error_frame(self, position: int, can_id: int) -> bool:
+        """What a number stands for that does not fit 29 bits, explained once: else unreadable."""
+        bits = [
+            f"bit {bit} set, SocketCAN's flag of {what}"
+            for bit, what in _FLAGS.items()
+            if can_id >> bit & 1
+        ]
+        is_error = can_id >> 29 == 1
+        self.unreadable += not is_error
+        if not 0 <= can_id < 1 << 32:
+            what = "is no identifier of 29 bits"
+        elif bits:
+            what = f"has {' and '.join(bits)}"
+        elif can_id & j1939.ID_MASK & ~_ERROR_CLASSES:
+            what = "has bit 29 set, SocketCAN's error-frame flag; the source prints such 30-bit"
+            what += " identifiers for the IMU (docs/protocol.md E2)"
+        else:  # the kernel's own error frames need no explanation
+            return is_error
+        if can_id not in self._explained and len(self._explained) < REPORTED_LIMIT:
+            self._explained.add(can_id)
+            remedy = f"on the wire it is {can_id & j1939.ID_MASK:08X}"
+            self._report(Problem(f"identifier {can_id:08X} {what}", self._where(position), remedy))
+        return is_error
 
     def failure(self, position: int, error: Exception) -> GatewayError:
         """Error that ended the reading: an unreadable file, or wrong contents."""
@@ -113,17 +93,11 @@ class LineProblems:
         return DataError(Problem(what, where, "nothing after this place was read"))
 
 
-_LONGEST_CHARACTERS = 8192
-
-
 class LineReader:
-    """Iterator over the lines of a text file, with the number of the current one.
+    """Iterator over the lines of a text file; `number` is the latest one's, from 1.
 
     Of a line beyond 8192 characters only the beginning is given, so that a file without
     line ends cannot fill the memory.
-
-    Attributes:
-        number: of the latest line, from 1; 0 before the first.
     """
 
     def __init__(self, file: TextIO) -> None:
@@ -142,7 +116,7 @@ class LineReader:
 
     def _walk(self) -> Iterator[str]:
         at_start = True
-        for piece in iter(partial(self._file.readline, _LONGEST_CHARACTERS), ""):
+        for piece in iter(partial(self._file.readline, 8192), ""):
             if at_start:
                 self.number += 1
                 yield piece
@@ -158,22 +132,10 @@ _REMOTE = re.compile(r"R(?:[0-8](?:_[9A-F])?)?", re.IGNORECASE)
 _FD = re.compile(r"#[0-9A-F]((?:[0-9A-F]{2}){0,64})", re.IGNORECASE)
 _DATA = re.compile(r"((?:[0-9A-F]{2}\.?){0,64})(?:_[9A-F])?", re.IGNORECASE)
 
-_QUICK = [
-    (
-        re.compile(
-            rb"^\((\d{1,10})\.(\d{%d})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: ([RT]))?\n"
-            % digits,
-            re.MULTILINE,
-        ),
-        10 ** (9 - digits),
-    )
-    for digits in (9, 6)
-]
-_NS_BY_DIGITS = tuple(10 ** (9 - digits) for digits in range(10))
+_QUICK_LINE = rb"^\((\d{1,10})\.(\d{%d})\) (\S+) ([01][0-9A-F]{7})#([0-9A-F]{16})(?: ([RT]))?\n"
+_QUICK = [(re.compile(_QUICK_LINE % one, re.MULTILINE), 10 ** (9 - one)) for one in (9, 6)]
 _STANDARD_MASK = 0x7FF
 _STANDARD_DIGITS = 3
-_STAMP_DIGITS = 9
-_REMEDY = "record with `candump -L` or `candump -l`"
 
 
 def frames(lines: LineReader, problems: LineProblems) -> Iterator[RecordedFrame]:
@@ -183,17 +145,21 @@ def frames(lines: LineReader, problems: LineProblems) -> Iterator[RecordedFrame]
     """
     match = _LINE.fullmatch
     for line in lines:
-        found = match(line)
-        if found is None:
+        if (found := match(line)) is None:
             if not line.isspace():
                 what = "is no line of a candump log, `(time) channel identifier#data`"
-                problems.damaged(lines.number, what, _REMEDY)
+                remedy = "record with `candump -L` or `candump -l`"
+                problems.damaged(lines.number, what, remedy)
         elif recorded := _recorded(found, lines.number, problems):
             yield recorded
 
 
 def _recorded(found: re.Match[str], number: int, problems: LineProblems) -> RecordedFrame | None:
-    if _is_refused(found[4], number, problems):
+    can_id = int(found[4], 16)
+    if len(found[4]) == _STANDARD_DIGITS and can_id > _STANDARD_MASK:
+        problems.damaged(number, f"identifier {can_id:X} of three digits does not fit 11 bits")
+        return None
+    if can_id > j1939.ID_MASK and not problems.is_error_frame(number, can_id):
         return None
     try:
         frame, fd = _frame(found)
@@ -201,17 +167,6 @@ def _recorded(found: re.Match[str], number: int, problems: LineProblems) -> Reco
         problems.damaged(number, str(error))
         return None
     return RecordedFrame(frame, found[3], number, fd)
-
-
-def _is_refused(digits: str, number: int, problems: LineProblems) -> bool:
-    """True where an identifier is none of a frame; one that is too large is reported."""
-    can_id = int(digits, 16)
-    if len(digits) > _STANDARD_DIGITS:
-        flagged = can_id > j1939.ID_MASK
-        return flagged and problems.flagged(number, can_id) is Verdict.UNREADABLE
-    if can_id > _STANDARD_MASK:
-        problems.damaged(number, f"identifier {can_id:X} of three digits does not fit 11 bits")
-    return can_id > _STANDARD_MASK
 
 
 def _frame(found: re.Match[str], ahead_ns: int = 0, own_echo: bool = False) -> tuple[Frame, bool]:
@@ -222,7 +177,7 @@ def _frame(found: re.Match[str], ahead_ns: int = 0, own_echo: bool = False) -> t
         data, remote, fd = bytes.fromhex(payload), False, False
     except ValueError:
         data, remote, fd = _unusual(payload)
-    arrival_ns = int(seconds) * NS_PER_S + int(fraction) * _NS_BY_DIGITS[len(fraction)] - ahead_ns
+    arrival_ns = int(seconds + fraction.ljust(9, "0")) - ahead_ns
     extended, error = len(digits) > _STANDARD_DIGITS, can_id > j1939.ID_MASK
     return Frame(can_id & j1939.ID_MASK, data, arrival_ns, extended, remote, error, own_echo), fd
 
@@ -248,7 +203,7 @@ def recorded_frame(line: str, ahead_ns: int = 0) -> Frame:
     ValueError where it is no such line: it has nine digits of a second, and a direction.
     """
     found = _LINE.fullmatch(line)
-    if found is None or len(found[2] or "") != _STAMP_DIGITS or not found[6]:
+    if found is None or len(found[2] or "") != 9 or not found[6]:
         raise ValueError("is no frame line of a recorder")
     return _frame(found, ahead_ns, found[6] == "T")[0]
 

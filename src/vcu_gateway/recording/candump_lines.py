@@ -2,7 +2,7 @@
 
     (1763920000.123456789) can0 040AD079#0011223344556677 R
 
-R: received, T: the echo of an own frame. A remote frame is `#R8`, an FD frame `##0...`, an error
+R: received, T: the echo of an own frame. A remote frame is `#R`, an FD frame `##0...`, an error
 frame has bit 29 of the identifier set, as in `20000040#`.
 """
 
@@ -19,7 +19,6 @@ _STAMP_AND_KIND = struct.Struct("<q6s8x")
 _KIND = struct.Struct("<IBB")
 _PAYLOAD_AT = 2 * (CLASSIC.size - _CLASSIC_BYTES)
 _PAYLOAD_END = 2 * CLASSIC.size
-_SECOND_DIGITS = -9
 
 
 class CandumpLines:
@@ -30,18 +29,16 @@ class CandumpLines:
         self._kept: dict[int, str] = {}
         self._kept_kinds: dict[bytes, tuple[str, str]] = {}
 
-    def line(self, wall_ns: int, can_id: int, data: bytes, own_echo: bool, length: int = 0) -> str:
-        """One frame with its line end.
-
-        `can_id` has Linux's flags; `length` is that of a remote frame, which has no data.
-        """
+    def line(self, wall_ns: int, can_id: int, data: bytes, own_echo: bool) -> str:
+        """One frame with its line end; `can_id` has Linux's flags, a remote frame no data."""
         seconds, nanoseconds = divmod(wall_ns, NS_PER_S)
         head = self._kept.get(can_id) or self._head(can_id)
-        direction = "T" if own_echo else "R"
-        if can_id & REMOTE or len(data) > _CLASSIC_BYTES:
-            payload = f"R{length or ''}" if can_id & REMOTE else f"#0{data.hex().upper()}"
-            return f"({seconds}.{nanoseconds:09d}){head}{payload} {direction}\n"
-        return f"({seconds}.{nanoseconds:09d}){head}{data.hex().upper()} {direction}\n"
+        payload, direction = data.hex().upper(), "T" if own_echo else "R"
+        if can_id & REMOTE:
+            payload = "R"
+        elif len(data) > _CLASSIC_BYTES:
+            payload = f"#0{payload}"
+        return f"({seconds}.{nanoseconds:09d}){head}{payload} {direction}\n"
 
     def text(self, tick: TickParts, clock_ns: int) -> str:
         """All frames of a tick; `clock_ns` is the wall clock less the gateway's monotonic one."""
@@ -66,9 +63,7 @@ class CandumpLines:
             head, tail = kinds[kind]
             stamp = str(arrival_ns + clock_ns)
             payload = digits[place : place + 2 * _CLASSIC_BYTES]
-            lines.append(
-                f"({stamp[:_SECOND_DIGITS]}.{stamp[_SECOND_DIGITS:]}){head}{payload}{tail}"
-            )
+            lines.append(f"({stamp[:-9]}.{stamp[-9:]}){head}{payload}{tail}")
             place += _PAYLOAD_END
         return "".join(lines)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from vcu_gateway.core.causes import Finding, HeldCause
+from vcu_gateway.core.causes import HeldCause
 
 
 class CauseKey(NamedTuple):
@@ -20,11 +20,7 @@ class CauseKey(NamedTuple):
 
 @dataclass
 class CauseSpan:
-    """Time for which a cause counted.
-
-    Attributes:
-        detail: its value when it began; ended_ns: None where it still counts at the end.
-    """
+    """Time for which a cause counted; `ended_ns` is None where it still does at the end."""
 
     key: CauseKey
     detail: str
@@ -33,11 +29,7 @@ class CauseSpan:
 
 
 class CauseSpans:
-    """Builds the spans of one recording, or of one side of a comparison.
-
-    Attributes:
-        spans: in the order of their beginning, the first `most` of them.
-    """
+    """Builds the spans of a recording, or of one side of a comparison; only the first `most`."""
 
     def __init__(self, most: int | None = None) -> None:
         self.spans: list[CauseSpan] = []
@@ -50,7 +42,8 @@ class CauseSpans:
 
     def stand(self, held: Iterable[HeldCause], now_ns: int) -> None:
         """At a checkpoint these causes count: those that did go on, all others have ended."""
-        details = {_key(one.finding): one.finding.detail for one in held}
+        findings = [one.finding for one in held]
+        details = {CauseKey(f.cause, f.subject, f.effect.value): f.detail for f in findings}
         for key in self._open.keys() - details.keys():
             self._end(key, now_ns)
         for key, detail in details.items():
@@ -58,12 +51,10 @@ class CauseSpans:
 
     def event(self, name: str, fields: Mapping[str, object], now_ns: int) -> None:
         """Take in an event; those of other names than a cause's change nothing."""
-        if name not in ("cause_began", "cause_ended"):
-            return
         key = CauseKey(*(str(fields.get(part, "")) for part in CauseKey._fields))
         if name == "cause_began":
             self._begin(key, str(fields.get("detail", "")), now_ns)
-        else:
+        elif name == "cause_ended":
             self._end(key, now_ns)
 
     def end(self, now_ns: int) -> None:
@@ -82,7 +73,3 @@ class CauseSpans:
         span = self._open.pop(key, None)
         if span is not None:
             span.ended_ns = now_ns
-
-
-def _key(finding: Finding) -> CauseKey:
-    return CauseKey(finding.cause, finding.subject, finding.effect.value)

@@ -1,7 +1,5 @@
 """Core lines: a line of JSON for each call and what it answered, written and read.
 
-Core lines written: the calls that a tap gathered, a line of JSON each.
-
     {"f":0,"offer":{"source":"driver",...},"now":1000950000000,"granted":true}
     {"f":9,"tick":1001000000000,"frames":[["PCU1","0008A7D0","0c000000e02e0000"],...],"ok":[true,true]}
 
@@ -10,7 +8,7 @@ docs/recordings-format.md; both ways are here.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from vcu_gateway.core.calls import NoteSent
@@ -22,7 +20,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.recording.call_text import (
-    TRUTH,
+    WORDS,
     call_of,
     call_text,
     encoded,
@@ -43,7 +41,6 @@ class Checkpoint(NamedTuple):
 
     Attributes:
         state: for `checkpoint.restore`.
-        settings: those in effect.
         mode, why: operating mode and its explanation then.
         now_ns, wall_ns: both clocks, read together.
         ticks, frames: since the start of the gateway.
@@ -98,9 +95,7 @@ class ShellEvent(NamedTuple):
 class Gap(NamedTuple):
     """What is missing at this place: a checkpoint follows, with a state from behind it.
 
-    Attributes:
-        frames, ticks, datagrams: how many are missing; None where that is not known.
-        why: in words.
+    A count is None where it is not known.
     """
 
     frames: int | None
@@ -116,10 +111,7 @@ CoreRecord = Checkpoint | InputRecord | TickRecord | WhyRecord | ShellEvent | Ga
 class NotedCall(NamedTuple):
     """One call of the core in the order of the calls, or what was noted beside them.
 
-    Attributes:
-        frames_before: frames since the last take of the tap.
-        what: the call; frames are not among them.
-        answer: the call's result, such as a `RequestResult`; None where it has none.
+    `frames_before` are those since the last take of the tap; `answer` is None where it has none.
     """
 
     frames_before: int
@@ -128,11 +120,7 @@ class NotedCall(NamedTuple):
 
 
 class LineWriter:
-    """Writes the lines of one segment after the other.
-
-    Attributes:
-        frames: frames of this segment so far.
-    """
+    """Writes the lines of one segment after the other; `frames` are those of this one so far."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -140,16 +128,8 @@ class LineWriter:
 
     def begin(self, checkpoint: Checkpoint) -> str:
         self.frames, self._mode = 0, checkpoint.mode
-        values = {
-            "state": checkpoint.state,
-            "settings": settings_json(checkpoint.settings),
-            "mode": checkpoint.mode.value,
-            "why": checkpoint.why,
-            "now": checkpoint.now_ns,
-            "wall": checkpoint.wall_ns,
-            "ticks": checkpoint.ticks,
-            "frames": checkpoint.frames,
-        }
+        values = {name.removesuffix("_ns"): one for name, one in checkpoint._asdict().items()}
+        values |= {"settings": settings_json(checkpoint.settings), "mode": checkpoint.mode.value}
         return f'{{"checkpoint":{encoded(values)},"f":0}}\n'
 
     def lines(self, calls: Sequence[NotedCall], frames: int) -> str:
@@ -160,7 +140,8 @@ class LineWriter:
             call = calls[index]
             index += 1
             if isinstance(call.answer, TickResult):
-                sent = self._sent(calls, index, call, call.answer)
+                following = calls[index : index + len(call.answer.frames)]
+                sent = _sent_behind(call, call.answer, following)
                 lines.append(self._tick(before + call.frames_before, call.answer, sent))
                 index += len(sent)
             else:
@@ -168,55 +149,47 @@ class LineWriter:
         self.frames += frames
         return "".join(lines)
 
-    @staticmethod
-    def _sent(
-        calls: Sequence[NotedCall], index: int, tick: NotedCall, result: TickResult
-    ) -> list[NoteSent]:
-        """Calls of `sent` that follow a tick as the loop makes them; none where they differ."""
-        following = calls[index : index + len(result.frames)]
-        sent = [
-            call.what
-            for call, frame in zip(following, result.frames, strict=False)
-            if isinstance(call.what, NoteSent)
-            and call.what.frame is frame
-            and call.what.now_ns == result.snapshot.now_ns
-            and call.frames_before == tick.frames_before
-        ]
-        return sent if len(sent) == len(result.frames) else []
-
     def _tick(self, frames_before: int, result: TickResult, sent: Sequence[NoteSent]) -> str:
-        texts = [out_frame_text(frame) for frame in result.frames]
-        parts = [
-            f'{{"f":{frames_before},"tick":{result.snapshot.now_ns}',
-            f'"frames":[{",".join(texts)}]',
-        ]
+        frames = ",".join(map(out_frame_text, result.frames))
+        text = f'{{"f":{frames_before},"tick":{result.snapshot.now_ns},"frames":[{frames}]'
         if sent:
-            parts.append(f'"ok":[{",".join(TRUTH[one.ok] for one in sent)}]')
+            text += f',"ok":[{",".join(WORDS[one.ok] for one in sent)}]'
         if result.mode is not self._mode:
             self._mode = result.mode
-            parts.append(f'"mode":"{result.mode.value}"')
+            text += f',"mode":"{result.mode.value}"'
         if result.events:
-            parts.append(f'"events":{encoded([event_values(event) for event in result.events])}')
-        return ",".join(parts) + "}\n"
+            text += f',"events":{encoded(list(map(event_values, result.events)))}'
+        return text + "}\n"
+
+
+def _sent_behind(
+    tick: NotedCall, result: TickResult, following: Sequence[NotedCall]
+) -> list[NoteSent]:
+    """Calls of `sent` that follow a tick as the loop makes them; none where they differ."""
+    sent = [
+        call.what
+        for call, frame in zip(following, result.frames, strict=False)
+        if isinstance(call.what, NoteSent)
+        and call.what.frame is frame
+        and call.what.now_ns == result.snapshot.now_ns
+        and call.frames_before == tick.frames_before
+    ]
+    return sent if len(sent) == len(result.frames) else []
 
 
 def _line(call: NotedCall, before: int) -> str:
-    what, answer = call.what, ""
+    what, result, answer = call.what, call.answer, ""
     if isinstance(what, WhyRecord):
         text = f'"why":{encoded(what.sentence)},"now":{what.now_ns}'
     elif isinstance(what, ShellEvent):
         text = f'"event":{encoded(event_values(what.event))},"now":{what.now_ns}'
     else:
         text = call_text(what)
-    if isinstance(call.answer, RequestResult):
-        answer = _answer(call.answer)
+    if isinstance(result, RequestResult):
+        answer = ',"granted":true'
+        if result.refusal is not None:
+            answer = f',"refused":{encoded([result.refusal.value, result.sentence])}'
     return f'{{"f":{before + call.frames_before},{text}{answer}}}\n'
-
-
-def _answer(answer: RequestResult) -> str:
-    if answer.refusal is None:
-        return ',"granted":true'
-    return f',"refused":{encoded([answer.refusal.value, answer.sentence])}'
 
 
 class LineError(ValueError):
@@ -244,16 +217,20 @@ class LineParser:
         try:
             return self._records(json.loads(line))
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as e:
-            raise LineError(_reason(e, line)) from e
+            what = f"{type(e).__name__}: {e}".removesuffix(": ")
+            text = line.decode(errors="replace") if isinstance(line, bytes) else line
+            raise LineError(f"is no core line ({what}): {text.strip():.60}") from e
 
     def _records(self, values: Any) -> list[Placed]:
         before = whole_of(values["f"])
         if "tick" in values and "frames" in values:
-            tick = self._tick(values)
-            sent = _sent(tick, values.get("ok", ()))
-            return [Placed(before, tick), *[Placed(before, one) for one in sent]]
-        call = call_of(values)
-        if call is not None:
+            tick, taken = self._tick(values), values.get("ok", ())
+            if taken and len(taken) != len(tick.frames):
+                raise ValueError(f"{len(taken)} results of {len(tick.frames)} frames")
+            pairs = zip(tick.frames, taken, strict=False)
+            sent = [NoteSent(frame, truth_of(ok), tick.now_ns) for frame, ok in pairs]
+            return [Placed(before, tick), *[Placed(before, InputRecord(one, None)) for one in sent]]
+        if (call := call_of(values)) is not None:
             return [Placed(before, InputRecord(call, _read_answer(values)))]
         kind = next((key for key in values if key in _RECORDS), None)
         if kind is None:
@@ -271,19 +248,6 @@ class LineParser:
         return TickRecord(whole_of(values["tick"]), frames, self._mode, events)
 
 
-def _reason(error: Exception, line: bytes | str) -> str:
-    text = line.decode(errors="replace") if isinstance(line, bytes) else line
-    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return f"is no core line ({what}): {text.strip():.60}"
-
-
-def _sent(tick: TickRecord, taken: Any) -> Iterator[InputRecord]:
-    if taken and len(taken) != len(tick.frames):
-        raise ValueError(f"{len(taken)} results of {len(tick.frames)} frames")
-    for frame, ok in zip(tick.frames, taken, strict=False):
-        yield InputRecord(NoteSent(frame, truth_of(ok), tick.now_ns), None)
-
-
 def _read_answer(values: Mapping[str, Any]) -> RequestResult | None:
     if "granted" in values:
         return GRANTED
@@ -295,16 +259,9 @@ def _read_answer(values: Mapping[str, Any]) -> RequestResult | None:
 
 def _checkpoint(values: Any) -> Checkpoint:
     kept = values["checkpoint"]
-    return Checkpoint(
-        state=kept["state"],
-        settings=settings_of(kept["settings"]),
-        mode=Mode(kept["mode"]),
-        why=text_of(kept["why"]),
-        now_ns=whole_of(kept["now"]),
-        wall_ns=whole_of(kept["wall"]),
-        ticks=whole_of(kept["ticks"]),
-        frames=whole_of(kept["frames"]),
-    )
+    settings, mode, why = settings_of(kept["settings"]), Mode(kept["mode"]), text_of(kept["why"])
+    numbers = [whole_of(kept[key]) for key in ("now", "wall", "ticks", "frames")]
+    return Checkpoint(kept["state"], settings, mode, why, *numbers)
 
 
 def _gap(values: Any) -> Gap:

@@ -102,16 +102,8 @@ class HelloPart(NamedTuple):
     text: bytes
 
 
-class TickDatagram(NamedTuple):
-    """Frames and core lines of one tick; `lines` is UTF-8, each line with its end, or empty."""
-
-    header: TickHeader
-    frames: list[FrameRecord]
-    lines: bytes
-
-
 class TickParts(NamedTuple):
-    """Tick whose frames are still packed, one behind the other."""
+    """Frames of one tick, still packed, and its core lines: UTF-8, each with its end, or none."""
 
     header: TickHeader
     frame_count: int
@@ -146,7 +138,7 @@ def packed_hello(hello: Mapping[str, Any]) -> Iterator[bytes]:
         yield _PREFIX.pack(HELLO, FORMAT, last) + text[start : start + PART_BYTES]
 
 
-def unpack(datagram: bytes) -> HelloPart | TickDatagram:
+def unpack(datagram: bytes) -> HelloPart | TickParts:
     """What a datagram holds; DatagramError where it is damaged or of another format."""
     if len(datagram) < _PREFIX.size:
         raise DatagramError(f"a datagram of {len(datagram)} bytes is too short")
@@ -156,8 +148,7 @@ def unpack(datagram: bytes) -> HelloPart | TickDatagram:
     if kind == HELLO and last in (0, 1):
         return HelloPart(bool(last), datagram[_PREFIX.size :])
     if kind == TICK and last == 0:
-        parts = tick_parts(datagram)
-        return TickDatagram(parts.header, frame_records(parts.frames), parts.lines)
+        return tick_parts(datagram)
     raise DatagramError(f"kind {kind} with {last} is neither a HELLO nor a tick")
 
 

@@ -1,16 +1,14 @@
 """Decoded frames of a log: counted, and written as JSON lines or CSV.
 
-Decoded frames as text: JSON lines or CSV.
-
 A signal's text follows from its raw code alone, so it is made once a code and kept.
 """
 
 import csv
 import io
 import json
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from decimal import Decimal
 from functools import lru_cache
 
@@ -19,20 +17,11 @@ from vcu_gateway.core.spec import MessageSpec, SignalSpec
 from vcu_gateway.core.state import Quality, mark
 from vcu_gateway.units import NS_PER_S
 
-CAN_FD = "fd"
-"""Beside the reasons of the codec: a classic bus has no CAN FD frames."""
-
-_SHOWN_IDENTIFIERS = 10
 _KEPT_IDENTIFIERS = 4096
-_BY_IDENTIFIER = (Reason.UNKNOWN, Reason.FOREIGN_SOURCE, Reason.STANDARD)
 
 
 class Tally:
-    """Counts identifiers; with very many of them, the rare ones are forgotten by name.
-
-    Attributes:
-        forgotten: frames whose identifier is no longer kept.
-    """
+    """Counts identifiers; with very many of them, the rare ones are forgotten by name."""
 
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
@@ -47,7 +36,7 @@ class Tally:
 
     def lines(self, digits: int) -> Iterator[str]:
         """The most frequent identifiers, and the frames of all others in one line."""
-        shown = self._counts.most_common(_SHOWN_IDENTIFIERS)
+        shown = self._counts.most_common(10)
         at_least = "at least " if self.forgotten else ""
         for can_id, count in shown:
             yield f"{can_id:0{digits}X} {at_least}{count}"
@@ -57,18 +46,14 @@ class Tally:
 
 
 class Summary:
-    """Frames of one recording by what became of them.
-
-    Attributes:
-        decoded: frames written, by message.
-        passed_over: frames that `--message` did not ask for.
-    """
+    """Frames of one recording by what became of them; `--message` passed some over."""
 
     def __init__(self) -> None:
         self.decoded: Counter[str] = Counter()
         self.passed_over = 0
         self._rejected: Counter[str] = Counter()
-        self._identifiers = {reason: Tally() for reason in _BY_IDENTIFIER}
+        by_identifier = (Reason.UNKNOWN, Reason.FOREIGN_SOURCE, Reason.STANDARD)
+        self._identifiers = {reason.value: Tally() for reason in by_identifier}
 
     @property
     def frames(self) -> int:
@@ -76,11 +61,11 @@ class Summary:
 
     def reject(self, reason: Reason, can_id: int) -> None:
         self._rejected[reason.value] += 1
-        if reason in self._identifiers:
-            self._identifiers[reason].add(can_id)
+        if tally := self._identifiers.get(reason.value):
+            tally.add(can_id)
 
     def reject_fd(self) -> None:
-        self._rejected[CAN_FD] += 1
+        self._rejected["fd"] += 1  # beside the reasons of the codec, which knows a classic bus
 
     def lines(self, unreadable: int) -> Iterator[str]:
         """The summary, for people; what is unreadable is no frame."""
@@ -95,38 +80,18 @@ class Summary:
             yield "not decoded:"
         for reason, count in self._rejected.most_common():
             yield f"  {reason} {count}"
-            tally = self._identifiers.get(Reason(reason)) if reason != CAN_FD else None
-            if tally:
+            if tally := self._identifiers.get(reason):
                 digits = 3 if reason == Reason.STANDARD.value else 8
                 yield from (f"    {line}" for line in tally.lines(digits))
 
 
-# Codes of one signal whose texts are kept; 16-bit noise must not fill the memory.
-_KEPT_CODES = 8192
-_CSV_COLUMNS = "time,channel,message,signal,value,unit,raw,quality,name\n"
+class FrameWriter(ABC):
+    """Writes out the frames of one message; a format is a class, and `head` its first line."""
 
+    head = ""
 
-@dataclass(frozen=True, slots=True)
-class FrameFormat:
-    """How the parts of a decoded frame are written.
-
-    Attributes:
-        head: the first line, or nothing.
-        signal: (message, signal, value, raw, quality) -> text.
-        frame: (time in seconds, channel, message, texts of the signals) -> lines.
-    """
-
-    head: str
-    signal: Callable[[MessageSpec, SignalSpec, float, int, Quality], str]
-    frame: Callable[[str, str | None, MessageSpec, list[str]], str]
-
-
-class FrameWriter:
-    """Writes out the frames of one message."""
-
-    def __init__(self, message: MessageSpec, text_format: FrameFormat) -> None:
+    def __init__(self, message: MessageSpec) -> None:
         self._message = message
-        self._format = text_format
         self._decimals = [decimals(signal) for signal in message.signals]
         self._kept: list[dict[int, str]] = [{} for _ in message.signals]
 
@@ -135,8 +100,7 @@ class FrameWriter:
             signals = [kept[raw] for kept, raw in zip(self._kept, decoded.raws, strict=True)]
         except KeyError:
             signals = [self._signal(index, decoded) for index in range(len(decoded.raws))]
-        time_s = f"{arrival_ns / NS_PER_S:.6f}"
-        return self._format.frame(time_s, channel, self._message, signals)
+        return self._frame_text(f"{arrival_ns / NS_PER_S:.6f}", channel, signals)
 
     def _signal(self, index: int, decoded: Decoded) -> str:
         raw, kept = decoded.raws[index], self._kept[index]
@@ -144,11 +108,16 @@ class FrameWriter:
             signal = self._message.signals[index]
             # Adding 0 turns a rounded -0.0 into 0.0.
             value = round(decoded.values[index], self._decimals[index]) + 0
-            if len(kept) >= _KEPT_CODES:
+            if len(kept) >= 8192:  # 16-bit noise must not fill the memory
                 kept.clear()
-            quality = mark(decoded, index, signal)
-            kept[raw] = self._format.signal(self._message, signal, value, raw, quality)
+            kept[raw] = self._signal_text(signal, value, raw, mark(decoded, index, signal))
         return kept[raw]
+
+    @abstractmethod
+    def _signal_text(self, signal: SignalSpec, value: float, raw: int, quality: Quality) -> str: ...
+
+    @abstractmethod
+    def _frame_text(self, time_s: str, channel: str | None, signals: list[str]) -> str: ...
 
 
 def decimals(signal: SignalSpec) -> int:
@@ -157,27 +126,23 @@ def decimals(signal: SignalSpec) -> int:
     return max(0, *(-int(number.as_tuple().exponent) for number in numbers))
 
 
-@lru_cache(maxsize=1024)
-def _json_text(text: str | None) -> str:
-    return json.dumps(text)
+_json_text = lru_cache(maxsize=1024)(json.dumps)
 
 
-def _json_signal(
-    message: MessageSpec, signal: SignalSpec, value: float, raw: int, quality: Quality
-) -> str:
-    del message
-    name = f', "name": {_json_text(signal.names.get(raw))}' if signal.names else ""
-    return (
-        f'"{signal.name}": {{"value": {value!r}, "unit": {_json_text(signal.unit)}, '
-        f'"raw": {raw}, "quality": "{quality.value}"{name}}}'
-    )
+class _JsonWriter(FrameWriter):
+    """A JSON object on a line for each frame."""
 
+    def _signal_text(self, signal: SignalSpec, value: float, raw: int, quality: Quality) -> str:
+        name = f', "name": {_json_text(signal.names.get(raw))}' if signal.names else ""
+        return (
+            f'"{signal.name}": {{"value": {value!r}, "unit": {_json_text(signal.unit)}, '
+            f'"raw": {raw}, "quality": "{quality.value}"{name}}}'
+        )
 
-def _json_frame(time_s: str, channel: str | None, message: MessageSpec, signals: list[str]) -> str:
-    return (
-        f'{{"time": {time_s}, "channel": {_json_text(channel)}, "message": "{message.name}", '
-        f'"signals": {{{", ".join(signals)}}}}}\n'
-    )
+    def _frame_text(self, time_s: str, channel: str | None, signals: list[str]) -> str:
+        head = f'"time": {time_s}, "channel": {_json_text(channel)}'
+        message = f'"message": "{self._message.name}", "signals": {{{", ".join(signals)}}}'
+        return f"{{{head}, {message}}}\n"
 
 
 @lru_cache(maxsize=1024)
@@ -189,21 +154,19 @@ def _csv_field(text: str | None) -> str:
     return row.getvalue()
 
 
-def _csv_signal(
-    message: MessageSpec, signal: SignalSpec, value: float, raw: int, quality: Quality
-) -> str:
-    name = _csv_field(signal.names.get(raw))
-    unit = _csv_field(signal.unit)
-    return f"{message.name},{signal.name},{value!r},{unit},{raw},{quality.value},{name}\n"
+class _CsvWriter(FrameWriter):
+    """A line for each signal of a frame."""
+
+    head = "time,channel,message,signal,value,unit,raw,quality,name\n"
+
+    def _signal_text(self, signal: SignalSpec, value: float, raw: int, quality: Quality) -> str:
+        name, unit = _csv_field(signal.names.get(raw)), _csv_field(signal.unit)
+        head = f"{self._message.name},{signal.name},{value!r}"
+        return f"{head},{unit},{raw},{quality.value},{name}\n"
+
+    def _frame_text(self, time_s: str, channel: str | None, signals: list[str]) -> str:
+        start = f"{time_s},{_csv_field(channel)},"
+        return "".join([start + signal for signal in signals])
 
 
-def _csv_frame(time_s: str, channel: str | None, message: MessageSpec, signals: list[str]) -> str:
-    del message
-    start = f"{time_s},{_csv_field(channel)},"
-    return "".join([start + signal for signal in signals])
-
-
-FORMATS = {
-    "jsonl": FrameFormat("", _json_signal, _json_frame),
-    "csv": FrameFormat(_CSV_COLUMNS, _csv_signal, _csv_frame),
-}
+FORMATS: Mapping[str, type[FrameWriter]] = {"jsonl": _JsonWriter, "csv": _CsvWriter}

@@ -1,8 +1,10 @@
 """Recordings on a disk: drives and incidents by name, and what a list shows of each."""
 
+import contextlib
 import errno
 import os
 import stat
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -15,15 +17,12 @@ from vcu_gateway.errors import (
 )
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.layout import DEFAULT_FOLDER
-from vcu_gateway.recording.segment import Losses, SegmentBegin, last_second, read_begin
+from vcu_gateway.recording.segment import Losses, last_second, read_begin
 from vcu_gateway.units import NS_PER_S
 
 RecordingKind = Literal["drive", "incident"]
 
-_PARENTS: tuple[tuple[RecordingKind, str], ...] = (
-    ("drive", layout.DRIVES),
-    ("incident", layout.INCIDENTS),
-)
+_PARENTS: Mapping[RecordingKind, str] = {"drive": layout.DRIVES, "incident": layout.INCIDENTS}
 
 
 class RecordingPath(NamedTuple):
@@ -38,19 +37,13 @@ class RecordingPath(NamedTuple):
 
 
 class RecordingFolder:
-    """Folder with `drives` and `incidents` in it, as the recorder writes it.
-
-    Attributes:
-        path: where it is.
-    """
+    """Folder with `drives` and `incidents` in it, as the recorder writes it."""
 
     def __init__(self, path: Path) -> None:
         """MissingInputError where it is none, NotPermittedError where it may not be read."""
         self.path = path
-        try:
+        with reading(path):
             inside = os.listdir(path)
-        except OSError as error:
-            raise read_error(error, path) from error
         if not {layout.DRIVES, layout.INCIDENTS} & set(inside):
             what = "has no recordings in it"
             remedy = "is the recorder on: systemctl status vcu-gateway-recorder.socket"
@@ -58,15 +51,13 @@ class RecordingFolder:
 
     def recordings(self) -> list[RecordingPath]:
         """All drives, then all incidents, the oldest first; links are none."""
-        try:
+        with reading(self.path):
             return [
                 RecordingPath(kind, found)
-                for kind, parent in _PARENTS
+                for kind, parent in _PARENTS.items()
                 for found in layout.recorded_folders(self.path / parent)
                 if not found.is_symlink()
             ]
-        except OSError as error:
-            raise read_error(error, self.path) from error
 
     def named(self, name: str) -> RecordingPath:
         """The one of this name; MissingInputError where there is none."""
@@ -77,19 +68,26 @@ class RecordingFolder:
         raise MissingInputError(Problem(f'no drive or incident "{name}"', str(self.path), remedy))
 
 
-def read_error(error: OSError, path: Path) -> GatewayError:
-    if isinstance(error, PermissionError):
-        remedy = "sudo usermod -aG vcu-gateway-recorder $USER and log in again, or use sudo"
-        return NotPermittedError(Problem("may not be read by this user", str(path), remedy))
-    what = f"cannot be read: {error.strerror or error}"
-    return MissingInputError(Problem(what, str(path), "recordings lie elsewhere? --folder"))
+@contextlib.contextmanager
+def _disk(path: Path, done: str, if_refused: str, remedy: str = "") -> Iterator[None]:
+    """An OSError within becomes a NotPermittedError or a MissingInputError of this path."""
+    try:
+        yield
+    except PermissionError as error:
+        problem = Problem(f"may not be {done} by this user", str(path), if_refused)
+        raise NotPermittedError(problem) from error
+    except OSError as error:
+        what = f"cannot be {done}: {error.strerror or error}"
+        raise MissingInputError(Problem(what, str(path), remedy)) from error
 
 
-def write_error(error: OSError, path: Path) -> GatewayError:
-    if isinstance(error, PermissionError):
-        what, remedy = "may not be changed by this user", "use sudo"
-        return NotPermittedError(Problem(what, str(path), remedy))
-    return MissingInputError(Problem(f"cannot be changed: {error.strerror or error}", str(path)))
+def reading(path: Path) -> contextlib.AbstractContextManager[None]:
+    join = "sudo usermod -aG vcu-gateway-recorder $USER and log in again, or use sudo"
+    return _disk(path, "read", join, "recordings lie elsewhere? --folder")
+
+
+def writing(path: Path) -> contextlib.AbstractContextManager[None]:
+    return _disk(path, "changed", "use sudo")
 
 
 _NOT_THERE = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL)
@@ -103,8 +101,8 @@ def recording_path(name: str) -> Path:
     path = Path(name)
     if "/" in name or "." in name or _is_there(path):  # the recorder's names have neither
         return path
-    for part in (layout.DRIVES, layout.INCIDENTS):
-        kept = DEFAULT_FOLDER / part / name
+    for parent in _PARENTS.values():
+        kept = DEFAULT_FOLDER / parent / name
         if _is_there(kept):
             return kept
     return path
@@ -116,23 +114,21 @@ def recorded_path(name: str) -> Path | None:
     NotPermittedError where this user may not look.
     """
     path = recording_path(name)
-    if _is_there(path, folder=True):
-        return path
     beside = path.parent / layout.DRIVE_FILE
-    if layout.segment_number(path.name) is not None and _is_there(beside):
-        return path
-    return None
+    is_segment = layout.segment_number(path.name) is not None and _is_there(beside)
+    return path if is_segment or _is_there(path, folder=True) else None
 
 
 def _is_there(path: Path, folder: bool = False) -> bool:
-    try:
-        found = path.stat()
-    except ValueError:  # a null character
-        return False
-    except OSError as error:
-        if error.errno in _NOT_THERE:
+    with reading(path):
+        try:
+            found = path.stat()
+        except ValueError:  # a null character
             return False
-        raise read_error(error, path) from error
+        except OSError as error:
+            if error.errno in _NOT_THERE:
+                return False
+            raise
     return not folder or stat.S_ISDIR(found.st_mode)
 
 
@@ -146,8 +142,6 @@ class RecordingSummary(NamedTuple):
         lost: what gaps tell; None where it cannot be read.
         reasons: why an incident is kept.
         kept: the recorder never removes it.
-        is_written: a recorder is writing it.
-        problems: what cannot be read of it.
     """
 
     kind: RecordingKind
@@ -166,35 +160,32 @@ class RecordingSummary(NamedTuple):
 
 def summarise(recording: RecordingPath) -> RecordingSummary:
     """The summary; NotPermittedError or MissingInputError where the folder cannot be read."""
-    try:
-        return _summarise(recording)
-    except OSError as error:
-        raise read_error(error, recording.path) from error
-
-
-def _summarise(recording: RecordingPath) -> RecordingSummary:
     path, problems = recording.path, list[str]()
-    described = _described(path / layout.DRIVE_FILE, problems)
-    reasons = [_described(one, problems) for one in layout.incident_files(path)]
-    segments = layout.segments(path)
-    cores = [segment.core for segment in segments if segment.core]
-    first, last = (read_begin(core) for core in (cores[0], cores[-1])) if cores else (None, None)
-    return RecordingSummary(
-        recording.kind,
-        recording.name,
-        _channel(described),
-        first and first.wall_ns,
-        _duration_s(first, cores),
-        len(segments),
-        _size_bytes(path),
-        last and last.lost,
-        tuple(
-            layout.plain_reason(str(one.get("what") or one.get("reason"))) for one in reasons if one
-        ),
-        (path / layout.KEEP_FILE).exists(),
-        layout.is_held(path),
-        tuple(problems),
-    )
+    with reading(path):
+        files = [path / layout.DRIVE_FILE, *layout.incident_files(path)]
+        drive, *incidents = [_described(one, problems) for one in files]
+        segments = layout.segments(path)
+        cores = [segment.core for segment in segments if segment.core]
+        both_ends = (cores[0], cores[-1]) if cores else (None, None)
+        first, last = map(read_begin, both_ends)
+        end_s = last_second(both_ends[1])
+        begun_s = None if first is None else first.wall_ns / NS_PER_S
+        channel = drive.get("channel")
+        reasons = [str(one.get("what") or one.get("reason")) for one in incidents if one]
+        return RecordingSummary(
+            recording.kind,
+            recording.name,
+            layout.plain_reason(channel) if isinstance(channel, str) else None,
+            first and first.wall_ns,
+            None if begun_s is None or end_s is None else max(0.0, end_s - begun_s),
+            len(segments),
+            sum(one.lstat().st_size for one in path.iterdir()),
+            last and last.lost,
+            tuple(map(layout.plain_reason, reasons)),
+            (path / layout.KEEP_FILE).exists(),
+            layout.is_held(path),
+            tuple(problems),
+        )
 
 
 def _described(path: Path, problems: list[str]) -> dict[str, Any]:
@@ -203,21 +194,3 @@ def _described(path: Path, problems: list[str]) -> dict[str, Any]:
     except GatewayError as error:
         problems.append(str(error))
         return {}
-
-
-def _channel(described: dict[str, Any]) -> str | None:
-    channel = described.get("channel")
-    return layout.plain_reason(channel) if isinstance(channel, str) else None
-
-
-def _duration_s(first: SegmentBegin | None, cores: list[Path]) -> float | None:
-    """From the begin of what is left to its last readable member."""
-    end_s = last_second(cores[-1]) if cores else None
-    if first is None or end_s is None:
-        return None
-    return max(0.0, end_s - first.wall_ns / NS_PER_S)
-
-
-def _size_bytes(folder: Path) -> int:
-    with os.scandir(folder) as entries:
-        return sum(entry.stat(follow_symlinks=False).st_size for entry in entries)

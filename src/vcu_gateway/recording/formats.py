@@ -1,5 +1,6 @@
 """Formats that python-can reads, as frames."""
 
+import itertools
 from collections.abc import Iterator
 from typing import IO, Any
 
@@ -10,15 +11,12 @@ from can.io.generic import BinaryIOMessageReader, TextIOMessageReader
 
 from vcu_gateway.core import j1939
 from vcu_gateway.core.j1939 import Frame
-from vcu_gateway.recording.candump import LineProblems, LineReader, RecordedFrame, Verdict
+from vcu_gateway.recording.candump import LineProblems, LineReader, RecordedFrame
 from vcu_gateway.units import NS_PER_S
 
 Content = LineReader | IO[bytes] | str
 """The lines of a text format, the open file of a binary one, or the name of a database."""
-
-
-def suffixes() -> tuple[str, ...]:
-    return tuple(sorted(can.io.MESSAGE_READERS))
+SUFFIXES = sorted(can.io.MESSAGE_READERS)
 
 
 def is_text(suffix: str) -> bool:
@@ -32,19 +30,20 @@ def is_binary(suffix: str) -> bool:
 def frames(suffix: str, content: Content, problems: LineProblems) -> Iterator[RecordedFrame]:
     """Every frame; ends with an error at the first damage, as python-can cannot go on."""
     messages = _messages(suffix, content)
-    place = 0
-    while True:
+    for number in itertools.count(1):
         try:
             message = next(messages, None)
         except Exception as error:
             # Any bytes go into python-can's parsers: their errors have no common base.
-            place = content.number if isinstance(content, LineReader) else place + 1
-            raise problems.failure(place, error) from error
+            raise problems.failure(_place(content, number), error) from error
         if message is None:
             return
-        place = content.number if isinstance(content, LineReader) else place + 1
-        if recorded := _recorded(message, place, problems):
+        if recorded := _recorded(message, _place(content, number), problems):
             yield recorded
+
+
+def _place(content: Content, number: int) -> int:
+    return content.number if isinstance(content, LineReader) else number
 
 
 def _messages(suffix: str, content: Content) -> Iterator[can.Message]:
@@ -65,7 +64,7 @@ def _recorded(message: can.Message, place: int, problems: LineProblems) -> Recor
     error = message.is_error_frame
     if not error and can_id & j1939.ID_MASK != can_id:
         error = True
-        if problems.flagged(place, can_id) is Verdict.UNREADABLE:
+        if not problems.is_error_frame(place, can_id):
             return None
     frame = Frame(
         can_id & j1939.ID_MASK,

@@ -16,14 +16,12 @@ from vcu_gateway.errors import (
     UnavailableError,
 )
 from vcu_gateway.recording import layout, signature
-from vcu_gateway.recording.folder import RecordingFolder, RecordingPath, read_error, write_error
+from vcu_gateway.recording.folder import RecordingFolder, RecordingPath, reading, writing
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.recorder_status import STALE_S, STATUS_PATH, RecorderStatus, read_status
 from vcu_gateway.recording.segment import last_second, read_begin
 from vcu_gateway.text import utc
 from vcu_gateway.units import NS_PER_S
-
-_UMASK = 0o027
 
 
 def act_as_owner(folder: Path) -> None:
@@ -34,13 +32,11 @@ def act_as_owner(folder: Path) -> None:
     """
     if os.geteuid() != 0:
         return
-    try:
+    with reading(folder):
         owner = folder.stat()
-    except OSError as error:
-        raise read_error(error, folder) from error
     if owner.st_uid == 0:
         return
-    os.umask(_UMASK)
+    os.umask(0o027)
     os.setgroups([])
     os.setresgid(owner.st_gid, owner.st_gid, owner.st_gid)
     os.setresuid(owner.st_uid, owner.st_uid, owner.st_uid)
@@ -52,7 +48,7 @@ def remove_recording(recording: RecordingPath) -> list[str]:
     RequestRefusedError where a recorder is writing it. A link is removed and what it points to is
     not: every name is looked up in the opened folder itself.
     """
-    try:
+    with writing(recording.path):
         descriptor = os.open(recording.path, layout.FOLDER_FLAGS)
         try:
             _refuse_written(descriptor, recording)
@@ -63,8 +59,6 @@ def remove_recording(recording: RecordingPath) -> list[str]:
             os.close(descriptor)
         if not others:
             recording.path.rmdir()
-    except OSError as error:
-        raise write_error(error, recording.path) from error
     return others
 
 
@@ -83,24 +77,20 @@ def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
     known = {*layout.FILES_BESIDE, layout.KEEP_FILE}
     known |= {path.name for segment in layout.segments(folder) for path in segment.paths}
     known |= {path.name for path in layout.incident_files(folder)}
-    known |= {name for name in found if signature.is_link(name)}
+    known |= {name for name in found if signature.LINK.fullmatch(name)}
     known |= {f"{name}{signature.SUFFIX}" for name in known}
     own = sorted(known & set(found), key=lambda name: (name.endswith(".json"), name))
     return own, sorted(set(found) - known)
 
 
-_REASON = "requested"
-
-
 def keep_whole(recording: RecordingPath) -> bool:
     """Have the recorder never remove it; False where that is so already."""
     path = recording.path / layout.KEEP_FILE
-    try:
-        layout.write_new(path, b"")
-    except FileExistsError:
-        return False
-    except OSError as error:
-        raise write_error(error, path) from error
+    with writing(path):
+        try:
+            layout.write_new(path, b"")
+        except FileExistsError:
+            return False
     return True
 
 
@@ -128,13 +118,18 @@ def keep_part(
         raise DataError(Problem(what, drive.name, "vcu-gateway recordings list, all times in UTC"))
     # Without a bound it is the drive's own: the incident says what it holds.
     begin_ns, end_ns = max(begin_ns, chosen[0][1]), min(end_ns, chosen[-1][2])
-    name = layout.incident_name(begin_ns, _REASON)
+    name = layout.incident_name(begin_ns, layout.REQUESTED)
     path = layout.free_path(folder.path / layout.INCIDENTS / name)
-    try:
-        files = _incident_files(drive, begin_ns, end_ns, reason, links)
+    with writing(path):
+        beside = [drive.path / name for name in layout.FILES_BESIDE]
+        copies = {one.name: one.read_bytes() for one in beside if one.exists()}
+        described = layout.read_description(drive.path / layout.DRIVE_FILE)
+        cause = {"reason": layout.REQUESTED, "kind": layout.REQUESTED, "what": reason}
+        when = {"at": utc(begin_ns, "%Y-%m-%dT%H:%M:%S+00:00"), "at_ns": begin_ns}
+        kept = {"before_s": 0, "after_s": (end_ns - begin_ns) / NS_PER_S, "drive": drive.name}
+        text = layout.incident_bytes(cause | when | kept, described, links, copies)
+        files = {layout.INCIDENT_FILE: text, layout.KEEP_FILE: b"", **copies}
         layout.create_folder(path, files, links)
-    except OSError as error:
-        raise write_error(error, path) from error
     return RecordingPath("incident", path)
 
 
@@ -151,37 +146,8 @@ def segment_times(drive: Path) -> list[tuple[SegmentFiles, int, int]]:
     ends = [wall_ns for _, wall_ns in begun[1:]]
     if begun:
         last, wall_ns = begun[-1]
-        last_s = last_second(last.core) if last.core is not None else None
-        ends.append(max(wall_ns, (last_s or 0) * NS_PER_S))
+        ends.append(max(wall_ns, (last_second(last.core) or 0) * NS_PER_S))
     return [(segment, begin, end) for (segment, begin), end in zip(begun, ends, strict=True)]
-
-
-def _incident_files(
-    drive: RecordingPath, begin_ns: int, end_ns: int, reason: str, links: list[Path]
-) -> dict[str, bytes]:
-    """Description, copies of the drive's own, and the mark that it stays."""
-    described = layout.read_description(drive.path / layout.DRIVE_FILE)
-    incident = {
-        "reason": _REASON,
-        "kind": _REASON,
-        "what": reason,
-        "at": utc(begin_ns, "%Y-%m-%dT%H:%M:%S+00:00"),
-        "at_ns": begin_ns,
-        "before_s": 0,
-        "after_s": (end_ns - begin_ns) / NS_PER_S,
-        "drive": drive.name,
-    }
-    beside = [drive.path / name for name in layout.FILES_BESIDE]
-    copies = {path.name: path.read_bytes() for path in beside if path.exists()}
-    return {
-        layout.INCIDENT_FILE: layout.incident_bytes(incident, described, links, copies),
-        layout.KEEP_FILE: b"",
-        **copies,
-    }
-
-
-_PATIENCE_S = 5.0
-_LOOK_EVERY_S = 0.1
 
 
 def running(folder: RecordingFolder, status_path: Path | None = None) -> RecorderStatus:
@@ -197,7 +163,10 @@ def running(folder: RecordingFolder, status_path: Path | None = None) -> Recorde
     if not 0 <= (age_s := status.age_s()) < STALE_S:
         since = f"{age_s:.0f} s old" if age_s > 0 else "from before this computer's start"
         raise no_recorder(f"{status_path} is {since}")
-    if not _is_same(Path(status.folder), folder.path):
+    is_here = False
+    with contextlib.suppress(OSError):  # another user's, or gone
+        is_here = folder.path.samefile(status.folder)
+    if not is_here:
         what = f"the recorder that runs writes into {status.folder}, not here"
         remedy = "name that folder with --folder; a demo records with --record, while it runs"
         raise UnavailableError(Problem(what, str(folder.path), remedy))
@@ -206,15 +175,8 @@ def running(folder: RecordingFolder, status_path: Path | None = None) -> Recorde
     return status
 
 
-def _is_same(one: Path, other: Path) -> bool:
-    try:
-        return one.samefile(other)
-    except OSError:  # another user's, or gone
-        return False
-
-
 def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:
-    """Ask the recorder, by its process number; the incident's name, None where it takes longer.
+    """Ask the recorder, by its process number; the incident's name, None where it takes over 5 s.
 
     One that is open already takes this reason in.
     """
@@ -222,25 +184,19 @@ def keep_now(folder: RecordingFolder, pid: int, reason: str = "") -> str | None:
     file = folder.path / layout.INCIDENTS / layout.REASON_FILE
     try:
         if reason:
-            _write(file, reason)
+            with writing(file):
+                file.write_text(reason)
         _signal(pid)
     except GatewayError:
         with contextlib.suppress(OSError):
             file.unlink()
         raise
-    until_s = time.monotonic() + _PATIENCE_S
+    until_s = time.monotonic() + 5.0
     while time.monotonic() < until_s:
         if new := _descriptions(folder) - before:
             return max(path.parent.name for path in new)
-        time.sleep(_LOOK_EVERY_S)
+        time.sleep(0.1)
     return None
-
-
-def _write(file: Path, reason: str) -> None:
-    try:
-        file.write_text(reason)
-    except OSError as error:
-        raise write_error(error, file) from error
 
 
 def _signal(pid: int) -> None:

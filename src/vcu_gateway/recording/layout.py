@@ -1,6 +1,4 @@
-"""Mark of a drive's folder that is being written; it ends with the process, however that ends.
-
-Names and folders of recorded drives and incidents.
+"""Names and folders of recorded drives and incidents.
 
     drives/20261123T180412Z-1f3a9c2e/    start of the gateway by the wall clock, and of its run id
         drive.json  config.yaml  vcu.dbc
@@ -24,7 +22,7 @@ import re
 import shutil
 import stat
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,6 +41,8 @@ DBC_FILE = "vcu.dbc"
 FILES_BESIDE = (DRIVE_FILE, CONFIG_FILE, DBC_FILE)
 INCIDENT_FILE = "incident.json"
 KEEP_FILE = "keep"
+REQUESTED = "requested"
+"""Reason of an incident that somebody asked for."""
 REASON_FILE = ".reason"
 """In the folder of incidents: why somebody asks the recorder for one of this moment."""
 REASON_MAX_LENGTH = 200
@@ -53,7 +53,6 @@ CORE_SUFFIX = ".core.jsonl.gz"
 
 _SEGMENT = re.compile(r"(\d{4,9})(?:\.frames\.log\.gz|\.core\.jsonl\.gz)", re.ASCII)
 _INCIDENT = re.compile(r"incident(?:-\d+)?\.json", re.ASCII)
-_RUN_DIGITS = 8
 _TEXTS = {"config": CONFIG_FILE, "dbc": DBC_FILE}
 _PARTIAL = ".partial-"
 
@@ -81,7 +80,7 @@ def core_name(number: int) -> str:
 
 def drive_name(start_wall_ns: int, run: str) -> str:
     """Folder of a drive: when its gateway started, and the begin of its run id."""
-    return f"{_utc(start_wall_ns)}-{_plain(run)[:_RUN_DIGITS]}"
+    return f"{_utc(start_wall_ns)}-{_plain(run)[:8]}"
 
 
 def incident_name(wall_ns: int, reason: str) -> str:
@@ -89,10 +88,10 @@ def incident_name(wall_ns: int, reason: str) -> str:
     return f"{_utc(wall_ns)}-{_plain(reason)}"
 
 
-def free_path(folder: Path) -> Path:
-    """This path, or with the first of -2, -3 behind its name that is free."""
+def free_path(folder: Path, is_own: Callable[[Path], bool] = lambda _: False) -> Path:
+    """This path, or with the first of -2, -3 behind its name that is free, or the caller's own."""
     path, count = folder, 1
-    while os.path.lexists(path):
+    while os.path.lexists(path) and not is_own(path):
         count += 1
         path = folder.with_name(f"{folder.name}-{count}")
     return path
@@ -266,7 +265,7 @@ FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def hold(folder: Path) -> int:
-    """Mark it as being written; the descriptor that is to be closed in the end."""
+    """Mark it as being written, until the descriptor is closed, or the process ends however."""
     descriptor = os.open(folder, FOLDER_FLAGS)
     fcntl.flock(descriptor, fcntl.LOCK_EX)
     return descriptor

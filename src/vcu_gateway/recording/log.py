@@ -1,6 +1,7 @@
 """Recording of any format, opened by its name."""
 
 import codecs
+import contextlib
 import gzip
 import importlib.util
 import io
@@ -19,18 +20,14 @@ STANDARD_INPUT = "-"
 """The name that stands for candump text on standard input."""
 
 _CANDUMP = ".log"
-_GZIP = ".gz"
-_MF4 = ".mf4"
 
 
 class Recording:
-    """One recording, read once from beginning to end, and closed by `with`.
+    """One recording, read once from beginning to end.
 
     Attributes:
-        name: the file's, for people.
         size_bytes: as stored; 0 where it is not known.
         live: frames may still come while it is read.
-        problems: counter of what could not be read so far.
     """
 
     def __init__(
@@ -49,48 +46,26 @@ class Recording:
         self._stored = stored
         self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
         self._suffix = suffix
-        self._lines = self._counted() if self._is_text() else None
-        self.problems = LineProblems(self._where, report)
-
-    def _is_text(self) -> bool:
-        if self._suffix == _CANDUMP:
-            return True
-        from vcu_gateway.recording import formats
-
-        return formats.is_text(self._suffix)
-
-    def _counted(self) -> LineReader:
-        # Bytes that are no text make their line a damaged one, not the file unreadable.
-        return LineReader(io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace"))
-
-    def _where(self, position: int) -> str:
+        self._lines: LineReader | None = None
+        if _is_text(suffix):
+            # Bytes that are no text make their line a damaged one, not the file unreadable.
+            text = io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace")
+            self._lines = LineReader(text)
         between = ":" if self._lines else ", frame "
-        return f"{self.name}{between}{position}"
-
-    def __enter__(self) -> "Recording":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if not self.live:
-            self._stored.close()
+        self.problems = LineProblems(lambda position: f"{name}{between}{position}", report)
 
     def __iter__(self) -> Iterator[RecordedFrame]:
-        if self._lines is not None and self._suffix == _CANDUMP:
-            return self._candump(self._lines)
+        lines = self._lines
+        if lines is not None and self._suffix == _CANDUMP:
+            try:
+                yield from candump.frames(lines, self.problems)
+            except (OSError, EOFError, zlib.error) as error:
+                raise self.problems.failure(lines.number, error) from error
+            return
         from vcu_gateway.recording import formats
 
-        content: formats.Content = self._plain
-        if self._lines is not None:
-            content = self._lines
-        elif not formats.is_binary(self._suffix):
-            content = self.name
-        return formats.frames(self._suffix, content, self.problems)
-
-    def _candump(self, lines: LineReader) -> Iterator[RecordedFrame]:
-        try:
-            yield from candump.frames(lines, self.problems)
-        except (OSError, EOFError, zlib.error) as error:
-            raise self.problems.failure(lines.number, error) from error
+        content: formats.Content = self._plain if formats.is_binary(self._suffix) else self.name
+        yield from formats.frames(self._suffix, lines or content, self.problems)
 
     def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]] | None:
         """Whole lines of candump text, and how many stand before them; None for other formats.
@@ -125,36 +100,38 @@ class Recording:
         return min(1.0, self._stored.tell() / self.size_bytes)
 
 
-def open_recording(name: str, report: Callable[[Problem], None]) -> Recording:
-    """Open a recording; `report` is given every complaint that is worth telling.
+@contextlib.contextmanager
+def open_recording(name: str, report: Callable[[Problem], None]) -> Iterator[Recording]:
+    """Open a recording, for `with`; `report` is given every complaint that is worth telling.
 
     Raises MissingInputError where it cannot be read or nobody knows its format,
     UnavailableError where that format needs a package that is not installed. Iterating
     raises DataError where the contents are damaged beyond reading on.
     """
     if name == STANDARD_INPUT:
-        return _standard_input(report)
+        if sys.stdin is None:  # closed by who started this program
+            raise MissingInputError(Problem("is closed", "standard input"))
+        yield Recording("standard input", sys.stdin.buffer, _CANDUMP, False, report, live=True)
+        return
     path = PurePath(name)
-    packed = path.suffix.lower() == _GZIP
+    packed = path.suffix.lower() == ".gz"
     suffix = PurePath(path.stem if packed else path).suffix.lower()
     try:
-        stored = open(name, "rb")  # noqa: PTH123, SIM115 - as it was named; the recording closes it
+        stored = open(name, "rb")  # noqa: PTH123, SIM115 - as it was named; closed below
     except OSError as error:
         problem = Problem(f"cannot be read: {error.strerror or error}", name)
         raise MissingInputError(problem) from error
-    try:
+    with stored:
         _check_format(name, suffix, packed)
-        return Recording(name, stored, suffix, packed, report)
-    except BaseException:
-        stored.close()
-        raise
+        yield Recording(name, stored, suffix, packed, report)
 
 
-def _standard_input(report: Callable[[Problem], None]) -> Recording:
-    # Python has none where the caller closed it.
-    if sys.stdin is None:
-        raise MissingInputError(Problem("is closed", "standard input"))
-    return Recording("standard input", sys.stdin.buffer, _CANDUMP, False, report, live=True)
+def _is_text(suffix: str) -> bool:
+    if suffix == _CANDUMP:
+        return True
+    from vcu_gateway.recording import formats
+
+    return formats.is_text(suffix)
 
 
 def _check_format(name: str, suffix: str, packed: bool) -> None:
@@ -162,13 +139,13 @@ def _check_format(name: str, suffix: str, packed: bool) -> None:
         return
     from vcu_gateway.recording import formats
 
-    known = formats.suffixes()
-    if suffix not in known:
+    if suffix not in formats.SUFFIXES:
         what = f"{suffix} is no known format" if suffix else "has no suffix to tell its format"
-        remedy = f"known are {', '.join(known)}, and most of them with .gz; candump text is .log"
+        known = ", ".join(formats.SUFFIXES)
+        remedy = f"known are {known}, and most of them with .gz; candump text is .log"
         raise MissingInputError(Problem(what, name, remedy))
     if packed and not formats.is_text(suffix) and not formats.is_binary(suffix):
         raise MissingInputError(Problem(f"{suffix} cannot be read packed", name, "gunzip it first"))
-    if suffix == _MF4 and importlib.util.find_spec("asammdf") is None:
+    if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         remedy = "pip install 'vcu-gateway[mf4]'"
         raise UnavailableError(Problem("reading .mf4 needs the package asammdf", name, remedy))

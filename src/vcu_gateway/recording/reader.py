@@ -1,84 +1,70 @@
 """Reader of recorded drives: what a gateway was given and what it answered, in order.
 
     drive = open_drive(Path("drives/20261123T180412Z-1f3a9c2e"))
-    for record in drive.records():
+    for record in drive.runs():
         ...
 
 Memory does not grow with the drive. What is missing is a `Gap`; after it a checkpoint follows.
-
-Reader of one segment: frames and core lines of its two files, put into one order.
 """
 
 import contextlib
+import itertools
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.core.calls import Receive
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.errors import DataError, MissingInputError, Problem
-from vcu_gateway.recording import candump, chain, layout
+from vcu_gateway.recording import chain, layout
 from vcu_gateway.recording.call_text import settings_of
-from vcu_gateway.recording.candump import RecordedFrame, recorded_frame, recorded_frames
+from vcu_gateway.recording.candump import recorded_frame, recorded_frames
 from vcu_gateway.recording.core_lines import (
     Checkpoint,
     CoreRecord,
     FrameRun,
     Gap,
-    InputRecord,
     LineParser,
     Placed,
     TickRecord,
 )
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.members import Member, MemberDamage, whole_members
-from vcu_gateway.recording.segment import SegmentBegin, read_begin
-
-_NO_CHECKPOINT = "does not begin with a checkpoint"
-
-
-class _Line(NamedTuple):
-    text: str
-    number: int
+from vcu_gateway.recording.segment import SegmentBegin, is_number, read_begin
 
 
 class _SegmentMembers:
-    """Members of one file up to the first damage.
-
-    Attributes:
-        damage: why they ended before the end of the file; empty where they did not.
-    """
+    """Members of one file up to the first damage; that is empty where they came to its end."""
 
     def __init__(self, path: Path | None) -> None:
-        self._path = path
+        self.path = path
         self.damage = ""
 
     def __iter__(self) -> Iterator[Member]:
-        if self._path is None:
+        if self.path is None:
             self.damage = "a file of the segment is not there"
-        for member in whole_members(self._path, self._end):
+        for member in whole_members(self.path, self._end):
             if self.damage:
                 return
             yield member
 
     def _end(self, damage: MemberDamage) -> None:
-        if self._path is not None and not self.damage:
-            self.damage = f"{self._path.name}: {damage.what}"
+        if self.path is not None and not self.damage:
+            self.damage = f"{self.path.name}: {damage.what}"
+
+    def problem(self, error: ValueError, line: int) -> DataError:
+        remedy = "vcu-gateway recordings check says what else is damaged"
+        return DataError(Problem(str(error), f"{self.path}:{line}", remedy))
 
 
-def _lines(member: Member) -> Iterator[_Line]:
-    for number, line in member.numbered_lines():
-        yield _Line(line.decode(errors="replace"), number)
-
-
-class _FrameSource:
+class _FrameSource(_SegmentMembers):
     """Frames of a segment, taken in runs of any length."""
 
-    def __init__(self, members: _SegmentMembers, path: Path | None, distance_ns: int) -> None:
-        self._members = iter(members)
-        self._path = path
+    def __init__(self, path: Path | None, distance_ns: int) -> None:
+        super().__init__(path)
+        self._members = iter(self)
         self._distance_ns = distance_ns
         self._waiting: list[Frame] = []
 
@@ -99,20 +85,19 @@ class _FrameSource:
         frames = recorded_frames(member.data, self._distance_ns)
         if frames is not None:
             return frames
-        return [self._frame(line) for line in _lines(member)]
+        return [self._frame(number, line) for number, line in member.numbered_lines()]
 
-    def _frame(self, line: _Line) -> Frame:
+    def _frame(self, number: int, line: bytes) -> Frame:
         try:
-            return recorded_frame(line.text, self._distance_ns)
+            return recorded_frame(line.decode(errors="replace"), self._distance_ns)
         except ValueError as error:
-            raise _problem(error, self._path, line) from error
+            raise self.problem(error, number) from error
 
 
 class SegmentReader:
     """Records of one segment; `before` is the reader of the one before, which has come to its end.
 
     Attributes:
-        number: of the segment.
         begun: it, or one before it, has begun with a checkpoint.
         frames, ticks: since the start of the gateway, up to where its records end.
         line: of the core lines' file, the latest that was read.
@@ -128,61 +113,56 @@ class SegmentReader:
         self.ticks: int = before.ticks if before else 0
         self.damage = ""
         self.line = 0
-        self._files = files
-        self._distance_ns = distance_ns
         self._before = before
-        self._core_members = _SegmentMembers(files.core)
-        self._frame_members = _SegmentMembers(files.frames)
+        self._core = _SegmentMembers(files.core)
+        self._frames = _FrameSource(files.frames, distance_ns)
 
     def runs(self) -> Iterator[FrameRun | CoreRecord]:
         """Gap, checkpoint, and then every run of frames, call and result in order."""
         placed = self._placed()
         first, second = next(placed, None), next(placed, None)
         if first is None or not isinstance(first.record, Checkpoint):
-            self.damage = self._core_members.damage or f"{self._files.core}: {_NO_CHECKPOINT}"
+            what = f"{self._core.path}: does not begin with a checkpoint"
+            self.damage = self._core.damage or what
             yield Gap(None, None, None, self.damage)
             return
         told = second.record if second and isinstance(second.record, Gap) else None
-        yield from self._missing(first.record, told)
+        if gap := self._missing(first.record, told):
+            yield gap
         yield first.record
         self.begun = True
         self.frames, self.ticks = first.record.frames, first.record.ticks
-        yield from self._in_order(second, placed)
+        yield from self._in_order(itertools.chain([second] if second else [], placed))
 
-    def _missing(self, begin: Checkpoint, told: Gap | None) -> Iterator[Gap]:
+    def _missing(self, begin: Checkpoint, told: Gap | None) -> Gap | None:
         before = self._before
         if before is None:
-            if told is not None:
-                yield told
-            return
+            return told
         frames, ticks = begin.frames - before.frames, begin.ticks - before.ticks
         if frames <= 0 and ticks <= 0:
-            return
+            return None
         why = before.damage or ("" if told is None else told.why)
         if self.number != before.number + 1:
             why = f"segments {before.number + 1} to {self.number - 1} are not there"
-        yield Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
+        return Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
 
-    def _in_order(
-        self, second: Placed | None, placed: Iterator[Placed]
-    ) -> Iterator[FrameRun | CoreRecord]:
-        source, taken = _FrameSource(self._frame_members, self._files.frames, self._distance_ns), 0
-        while second is not None:
-            if taken < second.frames_before:
-                frames = source.take(second.frames_before - taken)
+    def _in_order(self, placed: Iterator[Placed]) -> Iterator[FrameRun | CoreRecord]:
+        taken = 0
+        for frames_before, record in placed:
+            if taken < frames_before:
+                frames = self._frames.take(frames_before - taken)
                 yield self._run(frames)
                 taken += len(frames)
-                if taken < second.frames_before:
-                    self.damage = self._frame_members.damage or "frames are missing"
+                if taken < frames_before:
+                    self.damage = self._frames.damage or "frames are missing"
                     yield Gap(None, None, None, self.damage)
                     return
-            if not isinstance(second.record, Gap):
-                self.ticks += isinstance(second.record, TickRecord)
-                yield second.record
-            second = next(placed, None)
-        for frames in source.rest():
+            if not isinstance(record, Gap):
+                self.ticks += isinstance(record, TickRecord)
+                yield record
+        for frames in self._frames.rest():
             yield self._run(frames)
-        if damage := self._core_members.damage or self._frame_members.damage:
+        if damage := self._core.damage or self._frames.damage:
             self.damage = damage
             yield Gap(None, None, None, damage)
 
@@ -192,30 +172,21 @@ class SegmentReader:
 
     def _placed(self) -> Iterator[Placed]:
         parser = LineParser()
-        for member in self._core_members:
-            for line in _lines(member):
-                self.line = line.number
+        for member in self._core:
+            for self.line, line in member.numbered_lines():
                 try:
-                    yield from parser.records(line.text)
+                    yield from parser.records(line.decode(errors="replace"))
                 except ValueError as error:
-                    raise _problem(error, self._files.core, line) from error
-
-
-def _problem(error: ValueError, path: Path | None, line: _Line) -> DataError:
-    remedy = "vcu-gateway recordings check says what else is damaged"
-    return DataError(Problem(str(error), f"{path}:{line.number}", remedy))
+                    raise self._core.problem(error, self.line) from error
 
 
 class DriveInfo(NamedTuple):
     """What a gateway said of itself when it began to be recorded.
 
     Attributes:
-        run: id of its process.
         versions: of the program, Python, the kernel and the machine.
         clock: wall time of a frame is arrival_ns + clock.distance_ns.
         settings: in effect when the drive began; those of a checkpoint are later ones.
-        config, dbc: the texts.
-        described: all of drive.json.
     """
 
     run: str
@@ -224,9 +195,7 @@ class DriveInfo(NamedTuple):
     clock: ClockPair
     settings: Settings
     config: str
-    config_digest: str
     dbc: str
-    described: dict[str, Any]
 
 
 def open_drive(path: Path) -> "Drive":
@@ -252,7 +221,10 @@ def open_drive(path: Path) -> "Drive":
 
 def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
     """DataError where the first segment's begin names other digests; older ones name none."""
-    begin = next(filter(None, (_begin(files.core) for files in segments)), None)
+    begin: SegmentBegin | None = None
+    for files in segments:
+        with contextlib.suppress(OSError):
+            begin = begin or read_begin(files.core)
     if begin is None or not begin.files:
         return
     found = chain.file_digests(folder)
@@ -261,12 +233,6 @@ def compare_with_digests(folder: Path, segments: list[SegmentFiles]) -> None:
             what = "is not the file that the recorder wrote: the recording names another SHA-256"
             remedy = "vcu-gateway recordings check says what else was changed"
             raise DataError(Problem(what, str(folder / name), remedy))
-
-
-def _begin(core: Path | None) -> SegmentBegin | None:
-    with contextlib.suppress(OSError):
-        return read_begin(core)
-    return None
 
 
 def _info(folder: Path) -> DriveInfo:
@@ -280,9 +246,7 @@ def _info(folder: Path) -> DriveInfo:
             clock=clock_of(described),
             settings=settings_of(described["settings"]),
             config=_text(folder / layout.CONFIG_FILE),
-            config_digest=str(described.get("config_digest", "")),
             dbc=_text(folder / layout.DBC_FILE),
-            described=described,
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         version = described.get("versions", {})
@@ -292,14 +256,10 @@ def _info(folder: Path) -> DriveInfo:
 
 def clock_of(described: Mapping[str, Any]) -> ClockPair:
     """Both clocks of a drive.json; KeyError, TypeError or ValueError where they are none."""
-    clock = described["clock"]
-    return ClockPair(_stamp(clock["monotonic_ns"]), _stamp(clock["wall_ns"]))
-
-
-def _stamp(value: object) -> int:
-    if type(value) is not int or not 0 <= value < 1 << 63:
+    stamps = [described["clock"][key] for key in ("monotonic_ns", "wall_ns")]
+    if not all(map(is_number, stamps)):
         raise ValueError("a clock is no number of nanoseconds")
-    return value
+    return ClockPair(*stamps)
 
 
 def _text(path: Path) -> str:
@@ -309,27 +269,14 @@ def _text(path: Path) -> str:
         raise MissingInputError(Problem(f"cannot be read: {error}", str(path))) from error
 
 
+@dataclass
 class Drive:
-    """A recorded drive, or the part of one that is in a folder.
+    """A recorded drive, or the part of one that is in a folder; its segments by number."""
 
-    Attributes:
-        segments: files by number; records begin with the checkpoint of each.
-    """
-
-    def __init__(self, folder: Path, info: DriveInfo, segments: tuple[SegmentFiles, ...]) -> None:
-        self.folder = folder
-        self.info = info
-        self.segments = segments
-        self._read: SegmentReader | None = None
-
-    def records(self, first_segment: int | None = None) -> Iterator[CoreRecord]:
-        """As `runs`, each frame as a `Receive`."""
-        for record in self.runs(first_segment):
-            if type(record) is FrameRun:
-                for frame in record.frames:
-                    yield InputRecord(Receive(frame), None)
-            else:
-                yield record  # type: ignore[misc]
+    folder: Path
+    info: DriveInfo
+    segments: tuple[SegmentFiles, ...]
+    _read: SegmentReader | None = None
 
     def runs(self, first_segment: int | None = None) -> Iterator[FrameRun | CoreRecord]:
         """Every run of frames, call and result in order, from this segment on.
@@ -350,13 +297,3 @@ class Drive:
         if self._read is None:
             return str(self.folder)
         return f"{self.folder / layout.core_name(self._read.number)}:{self._read.line}"
-
-    def frames(self) -> Iterator[RecordedFrame]:
-        """Every frame with its wall time, without what belongs to it; damage is passed by."""
-        number = 0
-        for files in self.segments:
-            for member in whole_members(files.frames):
-                for _, line in member.numbered_lines():
-                    number += 1
-                    frame = candump.recorded_frame(line.decode(errors="replace"))
-                    yield RecordedFrame(frame, self.info.channel, number, len(frame.data) > 8)

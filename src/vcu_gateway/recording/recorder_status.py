@@ -12,13 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.errors import (
-    DataError,
-    GatewayError,
-    NotPermittedError,
-    Problem,
-    UnavailableError,
-)
+from vcu_gateway.errors import DataError, NotPermittedError, Problem, UnavailableError
 from vcu_gateway.units import NS_PER_S
 
 FORMAT = 1
@@ -61,10 +55,8 @@ class RecorderTotals:
 
     Attributes:
         bytes: of members written, both files.
-        frames, ticks: recorded.
         gaps, frames_lost, ticks_lost: told in the recordings.
         syncs, sync_failures: calls of fdatasync for one segment.
-        signing_failures: signatures that could not be made.
         removed_segments, removed_incidents: gone for want of room.
     """
 
@@ -85,14 +77,9 @@ class RecorderStatus(NamedTuple):
     """State of the recorder, in the order of the file.
 
     Attributes:
-        version: of the recorder.
-        started_wall_ns: when it started.
-        written_wall_ns, written_monotonic_ns: when this was written.
-        folder: of the recordings.
         total_bytes, free_bytes: of its file system, for its user; None before they are known.
         max_bytes, keep_free_bytes, incident_max_bytes: as it was told.
         drives_bytes, incidents_bytes: on the disk now; what both have counts as the drives'.
-        incidents: how many there are.
         disk: "ok", "full", "failing" or "stalled".
         last_error: of the disk; None where there was none.
         last_sync_s, longest_sync_s: how long fdatasync took, the longest in a minute; None before
@@ -153,8 +140,14 @@ def read_status(path: Path = STATUS_PATH) -> RecorderStatus:
     """
     try:
         found = json.loads(path.read_bytes())
+    except PermissionError as error:
+        remedy = "sudo usermod -aG vcu-gateway $USER and log in again, or use sudo"
+        problem = Problem("may not be read by this user", str(path), remedy)
+        raise NotPermittedError(problem) from error
     except OSError as error:
-        raise _unreadable(path, error) from error
+        remedy = "sudo systemctl start vcu-gateway-recorder.socket, and a gateway"
+        problem = Problem("no recorder has written its state", str(path), remedy)
+        raise UnavailableError(problem) from error
     except ValueError as error:
         raise DataError(Problem(f"is no JSON: {error}", str(path))) from error
     try:
@@ -165,21 +158,12 @@ def read_status(path: Path = STATUS_PATH) -> RecorderStatus:
         raise DataError(Problem(what, str(path), remedy)) from error
 
 
-def _unreadable(path: Path, error: OSError) -> GatewayError:
-    if isinstance(error, PermissionError):
-        remedy = "sudo usermod -aG vcu-gateway $USER and log in again, or use sudo"
-        return NotPermittedError(Problem("may not be read by this user", str(path), remedy))
-    remedy = "sudo systemctl start vcu-gateway-recorder.socket, and a gateway"
-    return UnavailableError(Problem("no recorder has written its state", str(path), remedy))
-
-
 def _status(found: dict[str, Any]) -> RecorderStatus:
     """What this version does not know is left out; KeyError for what is missing."""
-    places = {name: _PLACES.get(name, (None, name)) for name in RecorderStatus._fields}
-    values = {
-        name: found[key] if group is None else found[group].get(key)
-        for name, (group, key) in places.items()
-    }
+    values = {}
+    for name in RecorderStatus._fields:
+        group, key = _PLACES.get(name, (None, name))
+        values[name] = found[key] if group is None else found[group].get(key)
     counts = {one.name: values["totals"][one.name] for one in fields(RecorderTotals)}
     connections = tuple(
         RecordedConnection(**{key: one[key] for key in RecordedConnection._fields})

@@ -1,6 +1,6 @@
 """Segment of a drive: its writer, a gzip member a second in each file, and the recorder's lines.
 
-The recorder's own lines of a segment: how it begins, what is missing before it, how it ends.
+These say how a segment begins, what is missing before it, and how it ends:
 
     {"f":0,"begin":{"frames":71600,"ticks":4000,"wall_ns":...,"recorder":"0.1.0",...}}
     {"f":0,"gap":{"frames":358,"ticks":20,"why":"the recorder's memory was full"}}
@@ -24,8 +24,6 @@ LINES_OF_BEGIN = 4
 MAX_LINE_BYTES = 1 << 22
 """Of a core line; a longer one is damage, or an attack on the reader's memory."""
 NEXT_BEGINS = "the next segment begins"
-_NUMBERS = range(1 << 63)
-"""What counters and stamps can be."""
 
 
 class Losses(NamedTuple):
@@ -46,8 +44,6 @@ class SegmentBegin(NamedTuple):
 
     Attributes:
         frames, ticks: that the gateway had handed on before it, since its start.
-        wall_ns: when it began.
-        recorder: version of its recorder.
         lost: of the whole drive up to here.
         segment: its number; None where its recorder wrote no chain.
         files: SHA-256 of the files beside the members, by name.
@@ -86,7 +82,6 @@ class SegmentEnd(NamedTuple):
     why: str
 
     def line(self) -> str:
-        """As the recorder writes it."""
         return _line(self.frames or 0, end=self._asdict())
 
 
@@ -111,13 +106,14 @@ def parsed_line(line: bytes) -> dict[str, Any]:
         found = json.loads(line)
     except (ValueError, RecursionError) as error:
         raise CoreLineError(f"is no JSON: {error}") from error
-    if not isinstance(found, dict) or not _is_number(found.get("f")):
+    if not isinstance(found, dict) or not is_number(found.get("f")):
         raise CoreLineError("has no number of frames before it")
     return found
 
 
-def _is_number(value: object) -> bool:
-    return type(value) is int and value in _NUMBERS
+def is_number(value: object) -> bool:
+    """True for what a counter or a stamp can be."""
+    return type(value) is int and 0 <= value < 1 << 63
 
 
 def read_begin(core: Path | None) -> SegmentBegin | None:
@@ -135,11 +131,11 @@ def read_begin(core: Path | None) -> SegmentBegin | None:
 def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
     """The begin that stands in the first lines of a segment; CoreLineError where it is wrong."""
     begin = next((line["begin"] for line in lines if "begin" in line), None)
-    gaps = [line["gap"] for line in lines if "gap" in line]
     if begin is None:
         return None
     try:
-        gap = sum((_gap(one) for one in gaps), Losses())
+        gaps = [_numbers(line["gap"], ("frames", "ticks")) for line in lines if "gap" in line]
+        gap = sum((Losses(frames, ticks, 1) for frames, ticks in gaps), Losses())
         lost = Losses(*_numbers(begin["lost"], Losses._fields))
         frames, ticks, wall_ns = _numbers(begin, ("frames", "ticks", "wall_ns"))
         files = dict(begin.get("files") or {})
@@ -149,15 +145,10 @@ def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
     return SegmentBegin(frames, ticks, wall_ns, str(told[0]), lost, told[1], files, told[2], gap)
 
 
-def _gap(values: Mapping[str, Any]) -> Losses:
-    frames, ticks = _numbers(values, ("frames", "ticks"))
-    return Losses(frames, ticks, 1)
-
-
 def _numbers(values: Mapping[str, Any], keys: tuple[str, ...]) -> list[int]:
     """These counts, 0 where one is null; ValueError where one is no such number."""
     found = [values[key] or 0 for key in keys]
-    if not all(map(_is_number, found)):
+    if not all(map(is_number, found)):
         raise ValueError(f"{', '.join(keys)} are no numbers")
     return found
 
@@ -168,25 +159,22 @@ def end_of(line: Mapping[str, Any]) -> SegmentEnd:
     An older recorder did not say whether it closes the drive: any why but the next segment does.
     """
     end = line["end"]
-    if not isinstance(end, dict) or not _is_number(end.get("ticks", 0)):
+    if not isinstance(end, dict) or not is_number(end.get("ticks", 0)):
         raise CoreLineError("has no usable end")
     why = str(end.get("why", ""))
     closes = end.get("closes", why != NEXT_BEGINS) is True
     return SegmentEnd(end.get("frames"), end.get("ticks"), closes, why)
 
 
-def last_second(path: Path) -> int | None:
-    """When the last readable lines of a file were gathered, seconds since 1970."""
+def last_second(path: Path | None) -> int | None:
+    """When the last readable lines of a file were gathered, seconds since 1970; None without."""
     return max((part.wall_s for part in whole_members(path) if part.wall_s), default=None)
 
 
 class MemberFile:
     """File of members that only grows; made by this process, never opened again.
 
-    Attributes:
-        path: where it is.
-        lines: how many whole members of it hold.
-        size: bytes of whole members.
+    It has that many lines and bytes in whole members; what is waiting has no member yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -195,6 +183,7 @@ class MemberFile:
         self._descriptor = os.open(path, flags, 0o640)
         self.path = path
         self.lines = self.size = 0
+        self.waiting: list[str] = []
 
     def append(self, data: bytes, wall_s: int, link: bytes | None = None) -> bytes:
         """Write whole lines as one member, and give its digest; OSError leaves none of it."""
@@ -236,7 +225,6 @@ class SegmentWriter:
     Frames are written before the core lines that count them.
 
     Attributes:
-        number: of the segment.
         link: digest of the last member written to the drive; None: members are not chained.
         frames: how many it was given; the `f` of the next core line.
         waiting: characters that no member has yet.
@@ -247,8 +235,6 @@ class SegmentWriter:
         self.number = number
         self.link = link
         self.frames = self.waiting = 0
-        self._frame_text: list[str] = []
-        self._core_text: list[str] = []
         self._frames_file = MemberFile(folder / layout.frames_name(number))
         try:
             self._core_file = MemberFile(folder / layout.core_name(number))
@@ -257,10 +243,11 @@ class SegmentWriter:
             self._frames_file.close()
             self._frames_file.path.unlink(missing_ok=True)
             raise
+        self._files = (self._frames_file, self._core_file)
 
     @property
     def size(self) -> int:
-        return self._frames_file.size + self._core_file.size
+        return sum(file.size for file in self._files)
 
     @property
     def recorded_frames(self) -> int:
@@ -268,33 +255,30 @@ class SegmentWriter:
 
     @property
     def is_in_place(self) -> bool:
-        return self._frames_file.is_in_place and self._core_file.is_in_place
+        return all(file.is_in_place for file in self._files)
 
     def add(self, core_text: str, frame_text: str = "", frames: int = 0) -> None:
         """Core lines, and that many frame lines before them; each with its line end."""
         self.frames += frames
         self.waiting += len(frame_text) + len(core_text)
-        self._frame_text.append(frame_text)
-        self._core_text.append(core_text)
+        self._frames_file.waiting.append(frame_text)
+        self._core_file.waiting.append(core_text)
 
     def flush(self, wall_s: int) -> None:
         """Write what waits, a member for each file; OSError leaves what is unwritten waiting."""
-        for file, waiting in self._files():
-            text = "".join(waiting).encode()
+        for file in self._files:
+            text = "".join(file.waiting).encode()
             if text:
                 digest = file.append(text, wall_s, self.link)
                 self.link = digest if self.link is not None else None
-            waiting.clear()
+            file.waiting.clear()
         self.waiting = 0
 
-    def _files(self) -> tuple[tuple[MemberFile, list[str]], ...]:
-        return (self._frames_file, self._frame_text), (self._core_file, self._core_text)
-
     def sync(self) -> None:
-        for file, _ in self._files():
+        for file in self._files:
             file.sync()
 
     def close(self) -> None:
         """Close both files; what waits is lost."""
-        for file, _ in self._files():
+        for file in self._files:
             file.close()

@@ -18,16 +18,21 @@ import binascii
 import hashlib
 import os
 import re
+import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
+
+from vcu_gateway.errors import Problem, UnavailableError
+from vcu_gateway.recording import layout
+from vcu_gateway.recording.chain import FaultKind, FileFault
 
 NAMESPACE = "vcu-gateway-recording"
 SUFFIX = ".sig"
 _PROGRAM = "ssh-keygen"
 _SIGN_WITHIN_S, _VERIFY_WITHIN_S = 2.0, 10.0
-_LINK = re.compile(r"\d{4,9}\.link", re.ASCII)
+LINK = re.compile(r"\d{4,9}\.link", re.ASCII)
 _FINGERPRINT = re.compile(r"SHA256:\S+")
 
 
@@ -53,10 +58,6 @@ def link_paths(folder: Path, segment: int) -> tuple[Path, Path]:
     return folder / name, folder / f"{name}{SUFFIX}"
 
 
-def is_link(name: str) -> bool:
-    return _LINK.fullmatch(name) is not None
-
-
 def link_text(run: str, segment: int, link: bytes) -> bytes:
     """What is signed at the end of a segment; `link`: digest of its last member."""
     return (f"vcu-gateway recording 1\nrun {run}\nsegment {segment}\nlink {link.hex()}\n").encode()
@@ -64,7 +65,7 @@ def link_text(run: str, segment: int, link: bytes) -> bytes:
 
 def fingerprint(key: Path) -> str:
     """Fingerprint of a private key without a passphrase; SignatureError where it is none."""
-    public = _run(["-y", "-P", "", "-f", key], b"", _SIGN_WITHIN_S).stdout.split()
+    public = _run(b"", _SIGN_WITHIN_S, "-y", "-P", "", "-f", key).split()
     try:
         blob = base64.b64decode(public[1], validate=True)
     except (IndexError, binascii.Error) as error:
@@ -75,7 +76,7 @@ def fingerprint(key: Path) -> str:
 
 def sign(data: bytes, key: Path) -> bytes:
     """Signature of these bytes; SignatureError where there is none, after 2 s at most."""
-    return _run(["-Y", "sign", "-n", NAMESPACE, "-f", key], data, _SIGN_WITHIN_S).stdout
+    return _run(data, _SIGN_WITHIN_S, "-Y", "sign", "-n", NAMESPACE, "-f", key)
 
 
 def verify(data: bytes, signature: Path, allowed_signers: Path | None = None) -> Verified:
@@ -83,28 +84,98 @@ def verify(data: bytes, signature: Path, allowed_signers: Path | None = None) ->
 
     Without allowed signers any key will do.
     """
-    of_it: list[str | Path] = ["-n", NAMESPACE, "-s", signature]
-    if allowed_signers is None:
-        found = _run(["-Y", "check-novalidate", *of_it], data, _VERIFY_WITHIN_S)
-        return Verified(_fingerprint_in(found.stdout), None)
-    find: list[str | Path] = ["-Y", "find-principals", "-f", allowed_signers, "-s", signature]
-    names = _run(find, b"", _VERIFY_WITHIN_S).stdout.decode(errors="replace").splitlines()
-    if not names:
-        raise SignatureError("its key is none of the allowed signers'")
-    by_name: list[str | Path] = ["-Y", "verify", "-f", allowed_signers, "-I", names[0]]
-    found = _run([*by_name, *of_it], data, _VERIFY_WITHIN_S)
-    return Verified(_fingerprint_in(found.stdout), names[0])
+    name: str | None = None
+    by = ["check-novalidate"]
+    if allowed_signers is not None:
+        find = ("-Y", "find-principals", "-f", allowed_signers, "-s", signature)
+        names = _run(b"", _VERIFY_WITHIN_S, *find).decode(errors="replace").splitlines()
+        if not names:
+            raise SignatureError("its key is none of the allowed signers'")
+        name, by = names[0], ["verify", "-f", str(allowed_signers), "-I", names[0]]
+    said = _run(data, _VERIFY_WITHIN_S, "-Y", *by, "-n", NAMESPACE, "-s", signature)
+    found = _FINGERPRINT.search(said.decode(errors="replace"))
+    return Verified(found[0] if found else "unknown", name)
 
 
-def _fingerprint_in(output: bytes) -> str:
-    found = _FINGERPRINT.search(output.decode(errors="replace"))
-    return found[0] if found else "unknown"
+class Signatures(NamedTuple):
+    """Who has signed a recording.
+
+    Attributes:
+        signers: fingerprints of the keys, with their names where allowed signers were given.
+        segments: how many segments are signed; descriptions: and how many of an incident's.
+        expected: fingerprint of the key that its recorder says to sign with; None without one.
+    """
+
+    signers: tuple[str, ...] = ()
+    segments: int = 0
+    descriptions: int = 0
+    expected: str | None = None
 
 
-def _run(
-    arguments: Sequence[str | Path], data: bytes, within_s: float
-) -> "subprocess.CompletedProcess[bytes]":
-    """Run ssh-keygen, which asks nobody for a passphrase and is ended after that time."""
+def check_signatures(
+    folder: Path,
+    ends: Mapping[int, bytes],
+    expected: str | None,
+    allowed_signers: Path | None,
+    faults: list[FileFault],
+) -> Signatures:
+    """Verify every signature of a drive or an incident; OSError as the disk has it.
+
+    `ends`: digest of the last member of each segment. Signatures of something else are added to
+    `faults`, and with allowed signers what none of them signed.
+    """
+    run = str(layout.description_if_any(folder / layout.DRIVE_FILE).get("run"))
+
+    def signers(signed: Iterable[tuple[str, bytes, str]]) -> list[str]:
+        found = [_signer(folder, *one, allowed_signers, faults) for one in signed]
+        return [one for one in found if one is not None]
+
+    segments = signers(
+        (link_name(number), link_text(run, number, digest), f"segment {number}")
+        for number, digest in ends.items()
+    )
+    paths = layout.incident_files(folder)
+    descriptions = signers((path.name, _data(path), path.name) for path in paths)
+    all_signers = tuple(sorted({*segments, *descriptions}))
+    return Signatures(all_signers, len(segments), len(descriptions), expected)
+
+
+def _signer(
+    folder: Path,
+    name: str,
+    data: bytes,
+    what: str,
+    allowed_signers: Path | None,
+    faults: list[FileFault],
+) -> str | None:
+    """Who has signed the file of this name, or these bytes; None where nobody did."""
+    path = folder / f"{name}{SUFFIX}"
+    if not path.exists():
+        if allowed_signers is not None:
+            faults.append(FileFault(name, f"{what} is not signed", FaultKind.CHANGED))
+        return None
+    if shutil.which(_PROGRAM) is None:
+        what = f"{path.name} cannot be verified without {_PROGRAM}"
+        raise UnavailableError(Problem(what, str(folder), "apt install openssh-client"))
+    try:
+        layout.read_small(path)
+        found = verify(data, path, allowed_signers)
+    except (OSError, SignatureError) as error:
+        reason = f"the signature is none of {what} as it is here: {error}"
+        faults.append(FileFault(path.name, reason, FaultKind.CHANGED))
+        return None
+    return f"{found.fingerprint} ({found.identity})" if found.identity else found.fingerprint
+
+
+def _data(path: Path) -> bytes:
+    try:
+        return layout.read_small(path)
+    except OSError:
+        return b""
+
+
+def _run(data: bytes, within_s: float, *arguments: str | Path) -> bytes:
+    """Output of ssh-keygen, which asks nobody for a passphrase and is ended after that time."""
     try:
         done = subprocess.run(  # noqa: S603 - OpenSSH's own program
             [_PROGRAM, *map(str, arguments)],
@@ -124,4 +195,4 @@ def _run(
     if done.returncode:
         said = done.stderr.decode(errors="replace").split("\n")
         raise SignatureError(next((line for line in said if line.strip()), "it failed"))
-    return done
+    return done.stdout

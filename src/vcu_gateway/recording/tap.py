@@ -1,12 +1,11 @@
-"""Tap: every call of a gateway's core and its result, noted for the recorder, batch by batch.
-
-Tap: a gateway core that notes every call and its result, for the recorder.
+"""Tap: a gateway core that notes every call and its result, for the recorder, batch by batch.
 
 It behaves as the core does, and costs an append a frame. Belongs to the ticking thread.
 """
 
-import os
 import platform
+from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any, NamedTuple, TypeVar
 
 from vcu_gateway import __version__
@@ -32,7 +31,6 @@ class Hello(NamedTuple):
     """Everything that reading and replaying a drive needs besides its inputs.
 
     Attributes:
-        run: id of the gateway's process, another one for each.
         boot: id of the machine's boot; empty where it is not known.
         clock: both clocks, read together once for the whole run.
         config: effective configuration as YAML; config_digest: that of `check-config`.
@@ -52,43 +50,24 @@ class Hello(NamedTuple):
     def values(self) -> dict[str, Any]:
         return self._asdict() | {
             "format": datagram.FORMAT,
-            "versions": versions(),
-            "clock": {
-                "monotonic_ns": self.clock.monotonic_ns,
-                "wall_ns": self.clock.wall_ns,
+            "versions": {
+                "gateway": __version__,
+                "python": platform.python_version(),
+                "kernel": platform.release(),
+                "machine": platform.machine(),
             },
+            "clock": asdict(self.clock),
             "settings": settings_json(self.settings),
         }
-
-
-def versions() -> dict[str, str]:
-    """Versions of this program, of Python and of the kernel, and the processor's name."""
-    system = os.uname()
-    return {
-        "gateway": __version__,
-        "python": platform.python_version(),
-        "kernel": system.release,
-        "machine": system.machine,
-    }
 
 
 _Answer = TypeVar("_Answer")
 
 
-class Noted(NamedTuple):
-    """Frames and calls since the last take, each in its order."""
-
-    frames: list[Frame]
-    calls: list[NotedCall]
-
-
 class Tap:
     """Gathers frames and calls in the order in which the core was given them.
 
-    Attributes:
-        frames, calls: since the last take.
-        ticks: so far.
-        events: of the last tick's result.
+    Frames and calls are those since the last take; events are of the last tick's result.
     """
 
     def __init__(self) -> None:
@@ -101,8 +80,9 @@ class Tap:
         """A call that was made, or what is to stand at this place beside the calls."""
         self.calls.append(NotedCall(len(self.frames), what, answer))
 
-    def take(self) -> Noted:
-        noted = Noted(self.frames[:], self.calls[:])
+    def take(self) -> tuple[list[Frame], list[NotedCall]]:
+        """Frames and calls since the last take, each in its order."""
+        noted = self.frames[:], self.calls[:]
         self.frames.clear()
         self.calls.clear()
         return noted
@@ -123,29 +103,26 @@ class TappedGateway(Gateway):
         """Make a call, and note it with its answer; one that fails is noted without."""
         if isinstance(call, (Receive, RunTick)):  # the gateway's own methods note these
             return call.apply(self)
-        try:
-            answer = call.apply(self)
-        except Exception:
-            self.tap.note(call)
-            raise
-        self.tap.note(call, answer)
-        return answer
+        return self._noted(call, lambda: call.apply(self))
 
     def receive(self, frame: Frame) -> None:
         self._note_frame(frame)
         self.receiver.receive(frame)
 
     def tick(self, now_ns: int) -> TickResult:
-        tap = self.tap
-        try:
-            result = super().tick(now_ns)
-        except Exception:
-            tap.note(RunTick(now_ns))
-            raise
-        tap.note(RunTick(now_ns), result)
-        tap.ticks += 1
-        tap.events = result.events
+        result = self._noted(RunTick(now_ns), lambda: super(TappedGateway, self).tick(now_ns))
+        self.tap.ticks += 1
+        self.tap.events = result.events
         return result
+
+    def _noted(self, call: CoreCall[object], make: Callable[[], _Answer]) -> _Answer:
+        try:
+            answer = make()
+        except Exception:
+            self.tap.note(call)
+            raise
+        self.tap.note(call, answer)
+        return answer
 
 
 def packed_frames(frames: list[Frame]) -> list[bytes]:
@@ -153,46 +130,16 @@ def packed_frames(frames: list[Frame]) -> list[bytes]:
     return [
         pack(frame.arrival_ns, frame.can_id | extended, frame.own_echo, 8, frame.data)
         if frame.extended and len(frame.data) == 8 and not frame.error and not frame.remote
-        else _packed_frame(frame)
+        else datagram.packed_frame(*recorded_frame(frame))
         for frame in frames
     ]
 
 
-def _packed_frame(frame: Frame) -> bytes:
-    return datagram.packed_frame(*recorded_frame(frame))
-
-
 def recorded_frame(frame: Frame) -> datagram.FrameRecord:
     """The frame with Linux's flags in its identifier."""
-    can_id = frame.can_id & datagram.ID_MASK
-    if frame.extended:
-        can_id |= datagram.EXTENDED
-    if frame.remote:
-        can_id |= datagram.REMOTE
-    if frame.error:
-        can_id |= datagram.ERROR
+    flags = frame.extended * datagram.EXTENDED | frame.remote * datagram.REMOTE
+    can_id = frame.can_id & datagram.ID_MASK | flags | frame.error * datagram.ERROR
     return datagram.FrameRecord(frame.arrival_ns, can_id, frame.own_echo, bytes(frame.data))
-
-
-def frame_of(record: datagram.FrameRecord) -> Frame:
-    """Frame of the core from one of a datagram."""
-    can_id = record.can_id
-    return Frame(
-        can_id & datagram.ID_MASK,
-        record.data,
-        record.arrival_ns,
-        extended=can_id & datagram.EXTENDED != 0,
-        remote=can_id & datagram.REMOTE != 0,
-        error=can_id & datagram.ERROR != 0,
-        own_echo=record.own_echo,
-    )
-
-
-class Batch(NamedTuple):
-    """Frames and the core lines that belong to them; `lines` may begin with a checkpoint."""
-
-    frames: list[Frame]
-    lines: str
 
 
 class TapStream:
@@ -241,14 +188,15 @@ class TapStream:
             sentence = self._gateway.why(now_ns).sentence()
             self._gateway.tap.note(WhyRecord(now_ns, sentence))
 
-    def batch(self) -> Batch:
+    def batch(self) -> tuple[list[Frame], str]:
+        """Frames and the core lines that belong to them, which may begin with a checkpoint."""
         frames, calls = self._gateway.tap.take()
         self.frames += len(frames)
         head, self._head = self._head, ""
-        return Batch(frames, head + self._writer.lines(calls, len(frames)))
+        return frames, head + self._writer.lines(calls, len(frames))
 
     def skip(self) -> int:
         """Leave out everything since the last batch; how many frames that were."""
-        frames = len(self._gateway.tap.take().frames)
-        self.frames += frames
-        return frames
+        frames, _ = self._gateway.tap.take()
+        self.frames += len(frames)
+        return len(frames)
