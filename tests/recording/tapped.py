@@ -35,8 +35,15 @@ def parsed(text: str, parser: LineParser | None = None) -> list[Placed]:
 
 def frames_of(packed: bytes) -> list[Frame]:
     """Frames of the core from those of a datagram."""
-    flags = (datagram.EXTENDED, datagram.REMOTE, datagram.ERROR)
     return [
-        Frame(can_id & datagram.ID_MASK, data, at_ns, *(can_id & flag != 0 for flag in flags), own)
+        Frame(
+            can_id & datagram.ID_MASK,
+            data,
+            at_ns,
+            extended=can_id & datagram.EXTENDED != 0,
+            remote=can_id & datagram.REMOTE != 0,
+            error=can_id & datagram.ERROR != 0,
+            own_echo=own,
+        )
         for at_ns, can_id, own, data in datagram.frame_records(packed)
     ]

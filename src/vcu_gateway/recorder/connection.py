@@ -39,8 +39,8 @@ def checked_hello(hello: Mapping[str, Any]) -> Mapping[str, Any]:
     run, channel, clock = hello.get("run"), hello.get("channel"), hello.get("clock")
     if not isinstance(run, str) or not _RUN.fullmatch(run):
         raise _hello("has no run id of up to 64 plain characters")
-    plain = isinstance(channel, str) and channel.isprintable() and " " not in channel
-    if not plain or not 0 < len(channel) <= _LONGEST_CHANNEL:
+    name = channel if isinstance(channel, str) and " " not in channel else ""
+    if not 0 < len(name) <= _LONGEST_CHANNEL or not name.isprintable():
         raise _hello(f"has no channel of up to {_LONGEST_CHANNEL} printable characters")
     if not isinstance(clock, dict) or not _are_counts(clock, "monotonic_ns", "wall_ns"):
         raise _hello("has no clock of two 64-bit numbers")

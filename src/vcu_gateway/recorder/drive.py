@@ -172,7 +172,7 @@ class DriveRecorder:
     def _is_own(self, folder: Path) -> bool:
         """True for this run's folder; the name of another run's is not taken."""
         described = layout.description_if_any(folder / layout.DRIVE_FILE)
-        return described.get("run") == self.hello["run"]
+        return bool(described.get("run") == self.hello["run"])
 
     def _resume(self) -> None:
         """Go on where the files of this drive end; OSError where they cannot be read."""
