@@ -74,10 +74,9 @@ def _refuse_written(descriptor: int, recording: RecordingPath) -> None:
 def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
     """What belongs to a recording, its description last, and what does not."""
     found = os.listdir(descriptor)
-    known = {*layout.FILES_BESIDE, layout.KEEP_FILE}
+    known = {*layout.FILES_BESIDE, layout.KEEP_FILE, *filter(signature.LINK.fullmatch, found)}
     known |= {path.name for segment in layout.segments(folder) for path in segment.paths}
     known |= {path.name for path in layout.incident_files(folder)}
-    known |= {name for name in found if signature.LINK.fullmatch(name)}
     known |= {f"{name}{signature.SUFFIX}" for name in known}
     own = sorted(known & set(found), key=lambda name: (name.endswith(".json"), name))
     return own, sorted(set(found) - known)

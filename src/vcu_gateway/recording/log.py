@@ -64,7 +64,7 @@ class Recording:
             return
         from vcu_gateway.recording import formats
 
-        content: formats.Content = self._plain if formats.is_binary(self._suffix) else self.name
+        content: formats.Content = self._plain if self._suffix in formats.BINARY else self.name
         yield from formats.frames(self._suffix, lines or content, self.problems)
 
     def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]] | None:
@@ -131,7 +131,7 @@ def _is_text(suffix: str) -> bool:
         return True
     from vcu_gateway.recording import formats
 
-    return formats.is_text(suffix)
+    return suffix in formats.TEXT
 
 
 def _check_format(name: str, suffix: str, packed: bool) -> None:
@@ -144,7 +144,7 @@ def _check_format(name: str, suffix: str, packed: bool) -> None:
         known = ", ".join(formats.SUFFIXES)
         remedy = f"known are {known}, and most of them with .gz; candump text is .log"
         raise MissingInputError(Problem(what, name, remedy))
-    if packed and not formats.is_text(suffix) and not formats.is_binary(suffix):
+    if packed and suffix not in (*formats.TEXT, *formats.BINARY):
         raise MissingInputError(Problem(f"{suffix} cannot be read packed", name, "gunzip it first"))
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         remedy = "pip install 'vcu-gateway[mf4]'"
