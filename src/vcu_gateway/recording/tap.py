@@ -32,7 +32,6 @@ class Hello(NamedTuple):
 
     Attributes:
         boot: id of the machine's boot; empty where it is not known.
-        clock: both clocks, read together once for the whole run.
         config: effective configuration as YAML; config_digest: that of `check-config`.
         dbc: text of the DBC; dbc_digest: the begin of its SHA-256.
     """
