@@ -223,7 +223,7 @@ class RecorderTap:
         self._begin_segment(now_ns)
 
     def _begin_segment_when_due(self, now_ns: int) -> None:
-        many = self._stream.segment_frames >= _CHECKPOINT_FRAMES
+        many = self._stream.writer.frames >= _CHECKPOINT_FRAMES
         if self._recording and (many or now_ns >= self._checkpoint_ns):
             self._begin_segment(now_ns)
 

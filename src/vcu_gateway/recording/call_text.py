@@ -44,10 +44,7 @@ def settings_json(settings: Settings) -> dict[str, Any]:
 
 
 def settings_of(values: Any) -> Settings:
-    """Settings of what `settings_json` gave; a field that is not there has its default.
-
-    Raises ValueError where a value cannot be taken, or a field is not known.
-    """
+    """Settings of what `settings_json` gave, with defaults for what is not there; or ValueError."""
     if not isinstance(values, dict):
         raise ValueError("the settings are no object")
     if unknown := sorted(set(values) - set(_SETTINGS)):
@@ -76,10 +73,7 @@ def controller_json(demand: ControllerDemand) -> dict[str, Any]:
 
 
 def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
-    """Demand of what `controller_json` gave, or a part of it; for what is missing the default.
-
-    ValueError, KeyError or TypeError for others.
-    """
+    """Demand of what `controller_json` gave, or of a part; ValueError, KeyError or TypeError."""
     numbers = {name: number_of(value) for name, value in values.items() if name != "power_mode"}
     return ControllerDemand(**numbers, power_mode=PowerMode[values["power_mode"].upper()])
 
@@ -93,9 +87,8 @@ def demand_text(demand: Demand, now_ns: int) -> str:
     """
     made_ns = demand.made_ns
     age = "null" if made_ns is None else now_ns - made_ns
-    head = (
-        f'{{"source":{_quoted(demand.source)},"ttl_ms":{number_text(demand.ttl_ms)},"age_ns":{age}'
-    )
+    source, ttl_ms = _quoted(demand.source), number_text(demand.ttl_ms)
+    head = f'{{"source":{source},"ttl_ms":{ttl_ms},"age_ns":{age}'
     if made_ns is None or demand.sequence != made_ns // NS_PER_US:
         head += f',"sequence":{demand.sequence}'
     controllers = demand.controllers

@@ -47,7 +47,12 @@ class Recording:
         self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
         self._suffix = suffix
         self._lines: LineReader | None = None
-        if _is_text(suffix):
+        is_text = suffix == _CANDUMP
+        if not is_text:
+            from vcu_gateway.recording import formats
+
+            is_text = suffix in formats.TEXT
+        if is_text:
             # Bytes that are no text make their line a damaged one, not the file unreadable.
             text = io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace")
             self._lines = LineReader(text)
@@ -124,14 +129,6 @@ def open_recording(name: str, report: Callable[[Problem], None]) -> Iterator[Rec
     with stored:
         _check_format(name, suffix, packed)
         yield Recording(name, stored, suffix, packed, report)
-
-
-def _is_text(suffix: str) -> bool:
-    if suffix == _CANDUMP:
-        return True
-    from vcu_gateway.recording import formats
-
-    return suffix in formats.TEXT
 
 
 def _check_format(name: str, suffix: str, packed: bool) -> None:
