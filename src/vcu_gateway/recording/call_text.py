@@ -12,7 +12,6 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
-from math import isfinite
 from typing import Any, TypeVar
 
 from vcu_gateway.core import calls
@@ -113,7 +112,7 @@ def number_text(value: float | None) -> str:
     """JSON text of a number, truth value or None; what JSON does not have becomes a word."""
     if value is None or isinstance(value, bool):
         return WORDS[value]
-    return repr(value) if isinstance(value, int) or isfinite(value) else f'"{value!r}"'
+    return repr(value) if isinstance(value, int) or math.isfinite(value) else f'"{value!r}"'
 
 
 WORDS = {None: "null", True: "true", False: "false"}

@@ -85,12 +85,10 @@ def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
 def keep_whole(recording: RecordingPath) -> bool:
     """Have the recorder never remove it; False where that is so already."""
     path = recording.path / layout.KEEP_FILE
-    with writing(path):
-        try:
-            layout.write_new(path, b"")
-        except FileExistsError:
-            return False
-    return True
+    with writing(path), contextlib.suppress(FileExistsError):
+        layout.write_new(path, b"")
+        return True
+    return False
 
 
 def keep_part(

@@ -43,16 +43,15 @@ class _SegmentMembers:
         self.damage = ""
 
     def __iter__(self) -> Iterator[Member]:
+        damages: list[MemberDamage] = []
+        for member in whole_members(self.path, damages.append):
+            if damages:
+                break
+            yield member
         if self.path is None:
             self.damage = "a file of the segment is not there"
-        for member in whole_members(self.path, self._end):
-            if self.damage:
-                return
-            yield member
-
-    def _end(self, damage: MemberDamage) -> None:
-        if self.path is not None and not self.damage:
-            self.damage = f"{self.path.name}: {damage.what}"
+        elif damages:
+            self.damage = f"{self.path.name}: {damages[0].what}"
 
     def problem(self, error: ValueError, line: int) -> DataError:
         remedy = "vcu-gateway recordings check says what else is damaged"
