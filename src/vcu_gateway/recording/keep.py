@@ -51,24 +51,19 @@ def remove_recording(recording: RecordingPath) -> list[str]:
     with writing(recording.path):
         descriptor = os.open(recording.path, layout.FOLDER_FLAGS)
         try:
-            _refuse_written(descriptor, recording)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             own, others = _names(descriptor, recording.path)
             for name in own:
                 os.unlink(name, dir_fd=descriptor)
+        except BlockingIOError as error:
+            remedy = "stop it first: sudo systemctl stop vcu-gateway-recorder.socket"
+            problem = Problem("is being written by the recorder", recording.name, remedy)
+            raise RequestRefusedError(problem) from error
         finally:
             os.close(descriptor)
         if not others:
             recording.path.rmdir()
     return others
-
-
-def _refuse_written(descriptor: int, recording: RecordingPath) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        remedy = "stop it first: sudo systemctl stop vcu-gateway-recorder.socket"
-        problem = Problem("is being written by the recorder", recording.name, remedy)
-        raise RequestRefusedError(problem) from error
 
 
 def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:

@@ -23,11 +23,9 @@ _CANDUMP = ".log"
 
 
 class Recording:
-    """One recording, read once from beginning to end.
+    """One recording, read once from beginning to end; live, while frames may still come.
 
-    Attributes:
-        size_bytes: as stored; 0 where it is not known.
-        live: frames may still come while it is read.
+    Its size is as it is stored, and 0 where it is not known.
     """
 
     def __init__(
