@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from tests.recording.tapped import frames_of
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.recording import datagram
-from vcu_gateway.recording.datagram import (
-    DatagramError,
-    HelloPart,
-    HelloText,
-    TickHeader,
-    TickParts,
-)
+from vcu_gateway.recording.datagram import DatagramError, HelloPart, HelloText, TickHeader
 from vcu_gateway.recording.tap import packed_frames
 
 HEADER = TickHeader(sequence=7, frames=2**40, datagrams_lost=3, frames_lost=2**33)
@@ -35,8 +29,7 @@ FRAMES = st.builds(
 @given(frames=st.lists(FRAMES, max_size=20), lines=st.sampled_from(["", LINES]))
 def test_a_tick_is_unpacked_as_it_was_packed(frames, lines):
     packed = datagram.packed_tick(HEADER, packed_frames(frames), lines)
-    unpacked = datagram.unpack(packed)
-    assert isinstance(unpacked, TickParts)
+    unpacked = datagram.tick_parts(packed)
     assert (unpacked.header, unpacked.lines.decode()) == (HEADER, lines)
     assert frames_of(unpacked.frames) == frames
 

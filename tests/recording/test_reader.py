@@ -18,14 +18,7 @@ from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.checkpoint import restore, state_of
-from vcu_gateway.recording.core_lines import (
-    Checkpoint,
-    FrameRun,
-    Gap,
-    InputRecord,
-    TickRecord,
-    WhyRecord,
-)
+from vcu_gateway.recording.core_lines import Checkpoint, FrameRun, Gap, TickRecord, WhyRecord
 from vcu_gateway.recording.log import open_recording
 from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.units import NS_PER_S
@@ -71,11 +64,11 @@ def replayed(drive: Drive, first_segment: int | None = None) -> tuple[int, int]:
             case WhyRecord(now_ns, sentence):
                 assert gateway.why(now_ns).sentence() == sentence
                 sentences += 1
-            case InputRecord(one, answer):
-                assert one.apply(gateway) == answer
             case FrameRun(frames):
                 for frame in frames:
                     gateway.receive(frame)
+            case (one, answer):
+                assert one.apply(gateway) == answer
             case _:
                 raise AssertionError(record)
     return ticks, sentences

@@ -106,7 +106,7 @@ class RecorderTap:
             if latest is not None:
                 self._stream.note_why(now_ns, latest.why_signature)
             self._hand_on()
-            many = self._stream.segment_frames >= _CHECKPOINT_FRAMES
+            many = self._stream.writer.frames >= _CHECKPOINT_FRAMES
             if self._recording and (many or now_ns >= self._checkpoint_ns):
                 self._begin_segment(now_ns)
         else:

@@ -12,7 +12,6 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
-from math import isfinite
 from typing import Any, TypeVar
 
 from vcu_gateway.core import calls
@@ -44,10 +43,7 @@ def settings_json(settings: Settings) -> dict[str, Any]:
 
 
 def settings_of(values: Any) -> Settings:
-    """Settings of what `settings_json` gave; a field that is not there has its default.
-
-    Raises ValueError where a value cannot be taken, or a field is not known.
-    """
+    """Settings of what `settings_json` gave, with defaults for what is not there; or ValueError."""
     if not isinstance(values, dict):
         raise ValueError("the settings are no object")
     if unknown := sorted(set(values) - set(_SETTINGS)):
@@ -76,10 +72,7 @@ def controller_json(demand: ControllerDemand) -> dict[str, Any]:
 
 
 def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
-    """Demand of what `controller_json` gave, or a part of it; for what is missing the default.
-
-    ValueError, KeyError or TypeError for others.
-    """
+    """Demand of what `controller_json` gave, or of a part; ValueError, KeyError or TypeError."""
     numbers = {name: number_of(value) for name, value in values.items() if name != "power_mode"}
     return ControllerDemand(**numbers, power_mode=PowerMode[values["power_mode"].upper()])
 
@@ -93,9 +86,8 @@ def demand_text(demand: Demand, now_ns: int) -> str:
     """
     made_ns = demand.made_ns
     age = "null" if made_ns is None else now_ns - made_ns
-    head = (
-        f'{{"source":{_quoted(demand.source)},"ttl_ms":{number_text(demand.ttl_ms)},"age_ns":{age}'
-    )
+    source, ttl_ms = _quoted(demand.source), number_text(demand.ttl_ms)
+    head = f'{{"source":{source},"ttl_ms":{ttl_ms},"age_ns":{age}'
     if made_ns is None or demand.sequence != made_ns // NS_PER_US:
         head += f',"sequence":{demand.sequence}'
     controllers = demand.controllers
@@ -120,7 +112,7 @@ def number_text(value: float | None) -> str:
     """JSON text of a number, truth value or None; what JSON does not have becomes a word."""
     if value is None or isinstance(value, bool):
         return WORDS[value]
-    return repr(value) if isinstance(value, int) or isfinite(value) else f'"{value!r}"'
+    return repr(value) if isinstance(value, int) or math.isfinite(value) else f'"{value!r}"'
 
 
 WORDS = {None: "null", True: "true", False: "false"}

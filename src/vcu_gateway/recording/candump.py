@@ -27,7 +27,6 @@ class RecordedFrame(NamedTuple):
         frame: its arrival_ns is the recording's own stamp, on whatever clock that was.
         channel: the interface's name or number; None where the format has none.
         position: line of a text format, else number of the frame, from 1.
-        fd: a CAN FD frame.
     """
 
     frame: Frame

@@ -7,12 +7,12 @@ frame has bit 29 of the identifier set, as in `20000040#`.
 """
 
 import struct
+from functools import lru_cache
 
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.datagram import CLASSIC, ERROR, EXTENDED, ID_MASK, REMOTE, TickParts
 from vcu_gateway.units import NS_PER_S
 
-_STANDARD_MASK = 0x7FF
 _CLASSIC_BYTES = 8
 _KEPT_IDENTIFIERS = 4096
 _STAMP_AND_KIND = struct.Struct("<q6s8x")
@@ -22,17 +22,16 @@ _PAYLOAD_END = 2 * CLASSIC.size
 
 
 class CandumpLines:
-    """Lines of one channel; the texts of its identifiers are kept."""
+    """Lines of one channel; the texts around its payloads are kept."""
 
     def __init__(self, channel: str) -> None:
         self._channel = channel
-        self._kept: dict[int, str] = {}
         self._kept_kinds: dict[bytes, tuple[str, str]] = {}
 
     def line(self, wall_ns: int, can_id: int, data: bytes, own_echo: bool) -> str:
         """One frame with its line end; `can_id` has Linux's flags, a remote frame no data."""
         seconds, nanoseconds = divmod(wall_ns, NS_PER_S)
-        head = self._kept.get(can_id) or self._head(can_id)
+        head = _head(self._channel, can_id)
         payload, direction = data.hex().upper(), "T" if own_echo else "R"
         if can_id & REMOTE:
             payload = "R"
@@ -73,17 +72,14 @@ class CandumpLines:
             can_id, own_echo, length = _KIND.unpack(kind)
             is_classic = length == _CLASSIC_BYTES and not can_id & REMOTE
             if is_classic and len(self._kept_kinds) < _KEPT_IDENTIFIERS:
-                self._kept_kinds[kind] = self._head(can_id), " T\n" if own_echo else " R\n"
+                head = _head(self._channel, can_id)
+                self._kept_kinds[kind] = head, " T\n" if own_echo else " R\n"
 
-    def _head(self, can_id: int) -> str:
-        """Channel and identifier; at most 4096 are kept, whatever a flood sends."""
-        if can_id & ERROR:
-            digits = f"{can_id & ID_MASK | ERROR:08X}"
-        elif can_id & EXTENDED:
-            digits = f"{can_id & ID_MASK:08X}"
-        else:
-            digits = f"{can_id & _STANDARD_MASK:03X}"
-        head = f" {self._channel} {digits}#"
-        if len(self._kept) < _KEPT_IDENTIFIERS:
-            self._kept[can_id] = head
-        return head
+
+@lru_cache(maxsize=_KEPT_IDENTIFIERS)
+def _head(channel: str, can_id: int) -> str:
+    """Channel and identifier; so many are kept, whatever a flood sends."""
+    if can_id & ERROR:
+        return f" {channel} {can_id & ID_MASK | ERROR:08X}#"
+    digits = f"{can_id & ID_MASK:08X}" if can_id & EXTENDED else f"{can_id & 0x7FF:03X}"
+    return f" {channel} {digits}#"

@@ -32,7 +32,6 @@ from vcu_gateway.recording.segment import (
 )
 
 _ECHO = re.compile(rb" ([0-9A-Fa-f]{1,8})#([!-~]{0,200}) T$", re.MULTILINE)
-_KEPT_FROM_BEFORE = 100
 _NOT_JUDGED = 2
 """Echoes at the begin of what was recorded: their commands may stand before it."""
 
@@ -82,7 +81,7 @@ class EchoCheck:
             self._sent.clear()
             self._not_judged.clear()
         for identifier, waiting in self._sent.items():  # they were sent before this segment
-            late = list(waiting)[-_KEPT_FROM_BEFORE:]
+            late = list(waiting)[-100:]
             self._sent[identifier] = deque(one._replace(place=-1) for one in late)
         for command in commands:
             self._sent[command.identifier].append(command)

@@ -90,9 +90,6 @@ def writing(path: Path) -> contextlib.AbstractContextManager[None]:
     return _disk(path, "changed", "use sudo")
 
 
-_NOT_THERE = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL)
-
-
 def recording_path(name: str) -> Path:
     """The path of this name; below DEFAULT_FOLDER where nothing of this name lies here.
 
@@ -126,7 +123,7 @@ def _is_there(path: Path, folder: bool = False) -> bool:
         except ValueError:  # a null character
             return False
         except OSError as error:
-            if error.errno in _NOT_THERE:
+            if error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG, errno.EINVAL):
                 return False
             raise
     return not folder or stat.S_ISDIR(found.st_mode)

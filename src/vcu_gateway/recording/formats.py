@@ -16,15 +16,10 @@ from vcu_gateway.units import NS_PER_S
 
 Content = LineReader | IO[bytes] | str
 """The lines of a text format, the open file of a binary one, or the name of a database."""
-SUFFIXES = sorted(can.io.MESSAGE_READERS)
-
-
-def is_text(suffix: str) -> bool:
-    return issubclass(can.io.MESSAGE_READERS[suffix], TextIOMessageReader)
-
-
-def is_binary(suffix: str) -> bool:
-    return issubclass(can.io.MESSAGE_READERS[suffix], BinaryIOMessageReader)
+_READERS = can.io.MESSAGE_READERS
+SUFFIXES = sorted(_READERS)
+TEXT = [one for one in SUFFIXES if issubclass(_READERS[one], TextIOMessageReader)]
+BINARY = [one for one in SUFFIXES if issubclass(_READERS[one], BinaryIOMessageReader)]
 
 
 def frames(suffix: str, content: Content, problems: LineProblems) -> Iterator[RecordedFrame]:
@@ -47,7 +42,7 @@ def _place(content: Content, number: int) -> int:
 
 
 def _messages(suffix: str, content: Content) -> Iterator[can.Message]:
-    reader_type: Any = mf4_reader() if suffix == ".mf4" else can.io.MESSAGE_READERS[suffix]
+    reader_type: Any = mf4_reader() if suffix == ".mf4" else _READERS[suffix]
     with reader_type(content) as reader:
         yield from reader
 

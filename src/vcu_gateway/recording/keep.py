@@ -51,10 +51,14 @@ def remove_recording(recording: RecordingPath) -> list[str]:
     with writing(recording.path):
         descriptor = os.open(recording.path, layout.FOLDER_FLAGS)
         try:
-            _refuse_written(descriptor, recording)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             own, others = _names(descriptor, recording.path)
             for name in own:
                 os.unlink(name, dir_fd=descriptor)
+        except BlockingIOError as error:
+            remedy = "stop it first: sudo systemctl stop vcu-gateway-recorder.socket"
+            problem = Problem("is being written by the recorder", recording.name, remedy)
+            raise RequestRefusedError(problem) from error
         finally:
             os.close(descriptor)
         if not others:
@@ -62,22 +66,12 @@ def remove_recording(recording: RecordingPath) -> list[str]:
     return others
 
 
-def _refuse_written(descriptor: int, recording: RecordingPath) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        remedy = "stop it first: sudo systemctl stop vcu-gateway-recorder.socket"
-        problem = Problem("is being written by the recorder", recording.name, remedy)
-        raise RequestRefusedError(problem) from error
-
-
 def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
     """What belongs to a recording, its description last, and what does not."""
     found = os.listdir(descriptor)
-    known = {*layout.FILES_BESIDE, layout.KEEP_FILE}
+    known = {*layout.FILES_BESIDE, layout.KEEP_FILE, *filter(signature.LINK.fullmatch, found)}
     known |= {path.name for segment in layout.segments(folder) for path in segment.paths}
     known |= {path.name for path in layout.incident_files(folder)}
-    known |= {name for name in found if signature.LINK.fullmatch(name)}
     known |= {f"{name}{signature.SUFFIX}" for name in known}
     own = sorted(known & set(found), key=lambda name: (name.endswith(".json"), name))
     return own, sorted(set(found) - known)
@@ -86,12 +80,10 @@ def _names(descriptor: int, folder: Path) -> tuple[list[str], list[str]]:
 def keep_whole(recording: RecordingPath) -> bool:
     """Have the recorder never remove it; False where that is so already."""
     path = recording.path / layout.KEEP_FILE
-    with writing(path):
-        try:
-            layout.write_new(path, b"")
-        except FileExistsError:
-            return False
-    return True
+    with writing(path), contextlib.suppress(FileExistsError):
+        layout.write_new(path, b"")
+        return True
+    return False
 
 
 def keep_part(

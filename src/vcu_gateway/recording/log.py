@@ -23,11 +23,9 @@ _CANDUMP = ".log"
 
 
 class Recording:
-    """One recording, read once from beginning to end.
+    """One recording, read once from beginning to end; live, while frames may still come.
 
-    Attributes:
-        size_bytes: as stored; 0 where it is not known.
-        live: frames may still come while it is read.
+    Its size is as it is stored, and 0 where it is not known.
     """
 
     def __init__(
@@ -47,7 +45,12 @@ class Recording:
         self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
         self._suffix = suffix
         self._lines: LineReader | None = None
-        if _is_text(suffix):
+        is_text = suffix == _CANDUMP
+        if not is_text:
+            from vcu_gateway.recording import formats
+
+            is_text = suffix in formats.TEXT
+        if is_text:
             # Bytes that are no text make their line a damaged one, not the file unreadable.
             text = io.TextIOWrapper(self._plain, encoding="utf-8-sig", errors="replace")
             self._lines = LineReader(text)
@@ -64,7 +67,7 @@ class Recording:
             return
         from vcu_gateway.recording import formats
 
-        content: formats.Content = self._plain if formats.is_binary(self._suffix) else self.name
+        content: formats.Content = self._plain if self._suffix in formats.BINARY else self.name
         yield from formats.frames(self._suffix, lines or content, self.problems)
 
     def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]] | None:
@@ -126,14 +129,6 @@ def open_recording(name: str, report: Callable[[Problem], None]) -> Iterator[Rec
         yield Recording(name, stored, suffix, packed, report)
 
 
-def _is_text(suffix: str) -> bool:
-    if suffix == _CANDUMP:
-        return True
-    from vcu_gateway.recording import formats
-
-    return formats.is_text(suffix)
-
-
 def _check_format(name: str, suffix: str, packed: bool) -> None:
     if suffix == _CANDUMP:
         return
@@ -144,7 +139,7 @@ def _check_format(name: str, suffix: str, packed: bool) -> None:
         known = ", ".join(formats.SUFFIXES)
         remedy = f"known are {known}, and most of them with .gz; candump text is .log"
         raise MissingInputError(Problem(what, name, remedy))
-    if packed and not formats.is_text(suffix) and not formats.is_binary(suffix):
+    if packed and suffix not in (*formats.TEXT, *formats.BINARY):
         raise MissingInputError(Problem(f"{suffix} cannot be read packed", name, "gunzip it first"))
     if suffix == ".mf4" and importlib.util.find_spec("asammdf") is None:
         remedy = "pip install 'vcu-gateway[mf4]'"

@@ -43,16 +43,15 @@ class _SegmentMembers:
         self.damage = ""
 
     def __iter__(self) -> Iterator[Member]:
+        damages: list[MemberDamage] = []
+        for member in whole_members(self.path, damages.append):
+            if damages:
+                break
+            yield member
         if self.path is None:
             self.damage = "a file of the segment is not there"
-        for member in whole_members(self.path, self._end):
-            if self.damage:
-                return
-            yield member
-
-    def _end(self, damage: MemberDamage) -> None:
-        if self.path is not None and not self.damage:
-            self.damage = f"{self.path.name}: {damage.what}"
+        elif damages:
+            self.damage = f"{self.path.name}: {damages[0].what}"
 
     def problem(self, error: ValueError, line: int) -> DataError:
         remedy = "vcu-gateway recordings check says what else is damaged"
@@ -94,90 +93,81 @@ class _FrameSource(_SegmentMembers):
             raise self.problem(error, number) from error
 
 
-class SegmentReader:
-    """Records of one segment; `before` is the reader of the one before, which has come to its end.
+class _SegmentReader:
+    """Reads one segment after the other; of the latest its number, and its core line so far."""
 
-    Attributes:
-        begun: it, or one before it, has begun with a checkpoint.
-        frames, ticks: since the start of the gateway, up to where its records end.
-        line: of the core lines' file, the latest that was read.
-        damage: why they end before the segment does; empty where they do not.
-    """
+    def __init__(self, distance_ns: int) -> None:
+        self.number = self.line = 0
+        self._distance_ns = distance_ns
+        self._begun = False
+        self._frames = self._ticks = 0  # since the start of the gateway, as far as they were read
+        self._damage = ""
 
-    def __init__(
-        self, files: SegmentFiles, distance_ns: int, before: "SegmentReader | None" = None
-    ) -> None:
-        self.number = files.number
-        self.begun = before is not None
-        self.frames: int = before.frames if before else 0
-        self.ticks: int = before.ticks if before else 0
-        self.damage = ""
-        self.line = 0
-        self._before = before
-        self._core = _SegmentMembers(files.core)
-        self._frames = _FrameSource(files.frames, distance_ns)
-
-    def runs(self) -> Iterator[FrameRun | CoreRecord]:
+    def runs(self, files: SegmentFiles) -> Iterator[FrameRun | CoreRecord]:
         """Gap, checkpoint, and then every run of frames, call and result in order."""
-        placed = self._placed()
+        before, damage_before = self.number, self._damage
+        self.number, self.line, self._damage = files.number, 0, ""
+        core, source = _SegmentMembers(files.core), _FrameSource(files.frames, self._distance_ns)
+        placed = self._placed(core)
         first, second = next(placed, None), next(placed, None)
         if first is None or not isinstance(first.record, Checkpoint):
-            what = f"{self._core.path}: does not begin with a checkpoint"
-            self.damage = self._core.damage or what
-            yield Gap(None, None, None, self.damage)
+            yield self._ended(core.damage or f"{core.path}: does not begin with a checkpoint")
             return
         told = second.record if second and isinstance(second.record, Gap) else None
-        if gap := self._missing(first.record, told):
-            yield gap
+        if self._begun:
+            told = self._missing(first.record, damage_before or (told.why if told else ""), before)
+        if told is not None:
+            yield told
         yield first.record
-        self.begun = True
-        self.frames, self.ticks = first.record.frames, first.record.ticks
-        yield from self._in_order(itertools.chain([second] if second else [], placed))
+        self._begun = True
+        self._frames, self._ticks = first.record.frames, first.record.ticks
+        yield from self._in_order(itertools.chain([second] if second else [], placed), source)
+        if not self._damage and (damage := core.damage or source.damage):
+            yield self._ended(damage)
 
-    def _missing(self, begin: Checkpoint, told: Gap | None) -> Gap | None:
-        before = self._before
-        if before is None:
-            return told
-        frames, ticks = begin.frames - before.frames, begin.ticks - before.ticks
+    def _ended(self, damage: str) -> Gap:
+        """The segment goes on, and its records end here."""
+        self._damage = damage
+        return Gap(None, None, None, damage)
+
+    def _missing(self, begin: Checkpoint, why: str, before: int) -> Gap | None:
+        frames, ticks = begin.frames - self._frames, begin.ticks - self._ticks
         if frames <= 0 and ticks <= 0:
             return None
-        why = before.damage or ("" if told is None else told.why)
-        if self.number != before.number + 1:
-            why = f"segments {before.number + 1} to {self.number - 1} are not there"
+        if self.number != before + 1:
+            why = f"segments {before + 1} to {self.number - 1} are not there"
         return Gap(max(frames, 0), max(ticks, 0), None, why or "it was not recorded")
 
-    def _in_order(self, placed: Iterator[Placed]) -> Iterator[FrameRun | CoreRecord]:
+    def _in_order(
+        self, placed: Iterator[Placed], source: _FrameSource
+    ) -> Iterator[FrameRun | CoreRecord]:
         taken = 0
         for frames_before, record in placed:
             if taken < frames_before:
-                frames = self._frames.take(frames_before - taken)
+                frames = source.take(frames_before - taken)
                 yield self._run(frames)
                 taken += len(frames)
                 if taken < frames_before:
-                    self.damage = self._frames.damage or "frames are missing"
-                    yield Gap(None, None, None, self.damage)
+                    yield self._ended(source.damage or "frames are missing")
                     return
             if not isinstance(record, Gap):
-                self.ticks += isinstance(record, TickRecord)
+                self._ticks += isinstance(record, TickRecord)
                 yield record
-        for frames in self._frames.rest():
+        for frames in source.rest():
             yield self._run(frames)
-        if damage := self._core.damage or self._frames.damage:
-            self.damage = damage
-            yield Gap(None, None, None, damage)
 
     def _run(self, frames: list[Frame]) -> FrameRun:
-        self.frames += len(frames)
+        self._frames += len(frames)
         return FrameRun(frames)
 
-    def _placed(self) -> Iterator[Placed]:
+    def _placed(self, core: _SegmentMembers) -> Iterator[Placed]:
         parser = LineParser()
-        for member in self._core:
+        for member in core:
             for self.line, line in member.numbered_lines():
                 try:
                     yield from parser.records(line.decode(errors="replace"))
                 except ValueError as error:
-                    raise self._core.problem(error, self.line) from error
+                    raise core.problem(error, self.line) from error
 
 
 class DriveInfo(NamedTuple):
@@ -276,20 +266,18 @@ class Drive:
     folder: Path
     info: DriveInfo
     segments: tuple[SegmentFiles, ...]
-    _read: SegmentReader | None = None
+    _read: _SegmentReader | None = None
 
     def runs(self, first_segment: int | None = None) -> Iterator[FrameRun | CoreRecord]:
         """Every run of frames, call and result in order, from this segment on.
 
         Raises DataError where a line is whole and wrong.
         """
-        before: SegmentReader | None = None
+        reader = _SegmentReader(self.info.clock.distance_ns)
         for files in self.segments:
             if first_segment is None or files.number >= first_segment:
-                segment = SegmentReader(files, self.info.clock.distance_ns, before)
-                self._read = segment
-                yield from segment.runs()
-                before = segment if segment.begun else None
+                self._read = reader
+                yield from reader.runs(files)
 
     @property
     def place(self) -> str:

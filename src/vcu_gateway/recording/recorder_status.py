@@ -32,12 +32,9 @@ _PLACES = {
 
 
 class RecordedConnection(NamedTuple):
-    """A gateway that is connected.
+    """A gateway that is connected, its folder and the segment being written, None before the first.
 
-    Attributes:
-        drive: name of its folder, None before there is one; segment: the one being written.
-        frames_handed_on: since the gateway started, lost ones counted.
-        since_wall_ns, last_datagram_wall_ns: when it began, and when the latest datagram came.
+    Frames that it handed on are since it started, lost ones counted.
     """
 
     channel: str
@@ -78,14 +75,11 @@ class RecorderStatus(NamedTuple):
 
     Attributes:
         total_bytes, free_bytes: of its file system, for its user; None before they are known.
-        max_bytes, keep_free_bytes, incident_max_bytes: as it was told.
         drives_bytes, incidents_bytes: on the disk now; what both have counts as the drives'.
         disk: "ok", "full", "failing" or "stalled".
-        last_error: of the disk; None where there was none.
         last_sync_s, longest_sync_s: how long fdatasync took, the longest in a minute; None before
             the first.
         waiting_bytes: in memory, not yet written; memory_bytes at most.
-        refused: how often something was, by reason.
         bytes_a_second: mean of the last minute, or of the time since the start.
     """
 

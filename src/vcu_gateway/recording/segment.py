@@ -9,6 +9,7 @@ These say how a segment begins, what is missing before it, and how it ends:
 A begin stands behind the checkpoint of its segment, and a gap behind the begin.
 """
 
+import contextlib
 import json
 import os
 from collections.abc import Mapping
@@ -122,10 +123,9 @@ def read_begin(core: Path | None) -> SegmentBegin | None:
     if not isinstance(first, Member):
         return None
     lines = first.data.split(b"\n", LINES_OF_BEGIN)[:LINES_OF_BEGIN]
-    try:
+    with contextlib.suppress(CoreLineError):
         return begin_of([parsed_line(line) for line in lines if line])
-    except CoreLineError:
-        return None
+    return None
 
 
 def begin_of(lines: list[dict[str, Any]]) -> SegmentBegin | None:
@@ -209,11 +209,9 @@ class MemberFile:
     @property
     def is_in_place(self) -> bool:
         """False where somebody removed it, or its folder."""
-        try:
-            found = self.path.stat()
-        except OSError:
-            return False
-        return os.path.samestat(found, os.fstat(self._descriptor))
+        with contextlib.suppress(OSError):
+            return os.path.samestat(self.path.stat(), os.fstat(self._descriptor))
+        return False
 
     def close(self) -> None:
         os.close(self._descriptor)

@@ -15,6 +15,7 @@ signature; that of an incident is over its description:
 
 import base64
 import binascii
+import contextlib
 import hashlib
 import os
 import re
@@ -126,7 +127,7 @@ def check_signatures(
     """
     run = str(layout.description_if_any(folder / layout.DRIVE_FILE).get("run"))
 
-    def signers(signed: Iterable[tuple[str, bytes, str]]) -> list[str]:
+    def signers(signed: Iterable[tuple[str, bytes | None, str]]) -> list[str]:
         found = [_signer(folder, *one, allowed_signers, faults) for one in signed]
         return [one for one in found if one is not None]
 
@@ -135,7 +136,7 @@ def check_signatures(
         for number, digest in ends.items()
     )
     paths = layout.incident_files(folder)
-    descriptions = signers((path.name, _data(path), path.name) for path in paths)
+    descriptions = signers((path.name, None, path.name) for path in paths)
     all_signers = tuple(sorted({*segments, *descriptions}))
     return Signatures(all_signers, len(segments), len(descriptions), expected)
 
@@ -143,12 +144,12 @@ def check_signatures(
 def _signer(
     folder: Path,
     name: str,
-    data: bytes,
+    data: bytes | None,
     what: str,
     allowed_signers: Path | None,
     faults: list[FileFault],
 ) -> str | None:
-    """Who has signed the file of this name, or these bytes; None where nobody did."""
+    """Who has signed the file of this name, or these bytes in its place; None where nobody did."""
     path = folder / f"{name}{SUFFIX}"
     if not path.exists():
         if allowed_signers is not None:
@@ -157,21 +158,17 @@ def _signer(
     if shutil.which(_PROGRAM) is None:
         what = f"{path.name} cannot be verified without {_PROGRAM}"
         raise UnavailableError(Problem(what, str(folder), "apt install openssh-client"))
+    if data is None:
+        with contextlib.suppress(OSError):
+            data = layout.read_small(folder / name)
     try:
         layout.read_small(path)
-        found = verify(data, path, allowed_signers)
+        found = verify(data or b"", path, allowed_signers)
     except (OSError, SignatureError) as error:
         reason = f"the signature is none of {what} as it is here: {error}"
         faults.append(FileFault(path.name, reason, FaultKind.CHANGED))
         return None
     return f"{found.fingerprint} ({found.identity})" if found.identity else found.fingerprint
-
-
-def _data(path: Path) -> bytes:
-    try:
-        return layout.read_small(path)
-    except OSError:
-        return b""
 
 
 def _run(data: bytes, within_s: float, *arguments: str | Path) -> bytes:

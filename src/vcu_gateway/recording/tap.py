@@ -32,7 +32,6 @@ class Hello(NamedTuple):
 
     Attributes:
         boot: id of the machine's boot; empty where it is not known.
-        clock: both clocks, read together once for the whole run.
         config: effective configuration as YAML; config_digest: that of `check-config`.
         dbc: text of the DBC; dbc_digest: the begin of its SHA-256.
     """
@@ -150,25 +149,21 @@ class TapStream:
 
     Attributes:
         frames: since the start of the gateway, up to the last batch.
-        segment_frames: since the last checkpoint.
+        writer: of the lines since the last checkpoint.
     """
 
     def __init__(self, gateway: TappedGateway) -> None:
         self._gateway = gateway
-        self._writer = LineWriter()
+        self.writer = LineWriter()
         self._head = ""
         self._why: object = None
         self.frames = 0
-
-    @property
-    def segment_frames(self) -> int:
-        return self._writer.frames
 
     def begin(self, now_ns: int, wall_ns: int) -> None:
         """Begin a segment with the gateway's state; what was not taken before is part of it."""
         self.skip()
         gateway, why = self._gateway, self._gateway.why(now_ns)
-        self._head = self._writer.begin(
+        self._head = self.writer.begin(
             Checkpoint(
                 state=checkpoint.state_of(gateway),
                 settings=gateway.settings,
@@ -193,7 +188,7 @@ class TapStream:
         frames, calls = self._gateway.tap.take()
         self.frames += len(frames)
         head, self._head = self._head, ""
-        return frames, head + self._writer.lines(calls, len(frames))
+        return frames, head + self.writer.lines(calls, len(frames))
 
     def skip(self) -> int:
         """Leave out everything since the last batch; how many frames that were."""
