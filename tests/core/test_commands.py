@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vcu_gateway.core.causes import Effect
-from vcu_gateway.core.commands import Command, Commander, message_name, moved, strictest_mode
+from vcu_gateway.core.commands import Command, Commander, message_name, moved
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
 from vcu_gateway.core.pedals import ThrottleHold
 from vcu_gateway.core.settings import Settings
@@ -35,6 +35,7 @@ class Drive:
         *effects,
         slow=True,
         released=True,
+        below_cap=True,
         after_ns=PERIOD_NS,
         **both,
     ):
@@ -43,7 +44,9 @@ class Drive:
         if demanded is None:
             demanded = dict.fromkeys(CONTROLLERS, ControllerDemand(**both))
         args = (frozenset(effects), slow, self.settings, self.now_ns)
-        facts = {"regenerates": True, "released": released} if what == "active" else {}
+        facts = {"below_cap": below_cap}
+        if what == "active":
+            facts = {"regenerates": True, "released": released}
         if what == "safe":
             commands = self.commander.safe(demanded, self.settings, False, self.now_ns)
         else:
@@ -150,7 +153,9 @@ def test_standby_carries_zero_torque_whatever_is_asked(drive):
 
 def test_standby_without_a_demand_is_zero_torque_in_the_direction_it_had(drive):
     drive.settle(motor_reverse=True)
-    commands = drive.commander.settle(None, frozenset(), True, drive.settings, drive.now_ns)
+    commands = drive.commander.settle(
+        None, frozenset(), True, drive.settings, drive.now_ns, below_cap=True
+    )
     assert commands["PCU1"] == Command(motor_reverse=True)
 
 
@@ -523,9 +528,6 @@ def test_a_limit_never_passes_its_target_and_never_rises_above_its_step(
     ],
 )
 def test_the_strictest_mode_wins_at_once(drive, demanded, effects, expected):
-    mode = strictest_mode(demanded, frozenset(effects))
-    assert mode is expected
-    assert isinstance(mode, PowerMode)
     drive.active(power_mode=demanded)
     assert drive.active(*effects, power_mode=demanded).power_mode is expected
 
@@ -575,10 +577,13 @@ def test_each_controllers_power_mode_waits_where_its_demand_is_higher(drive):
     drive.active(power_mode=ECO)
     turbo = ControllerDemand(power_mode=TURBO)
     demanded = {"PCU1": turbo, "PCU2": ControllerDemand()}
-    assert drive.commander.waiting_modes(demanded, frozenset()) == {"PCU1": ECO}
-    assert drive.commander.waiting_modes(demanded, frozenset({Effect.POWER_LIMIT})) == {}
+    assert drive.commander.waiting_modes(demanded, frozenset(), drive.settings) == {"PCU1": ECO}
+    assert (
+        drive.commander.waiting_modes(demanded, frozenset({Effect.POWER_LIMIT}), drive.settings)
+        == {}
+    )
     safety = dict.fromkeys(CONTROLLERS, ControllerDemand(power_mode=SAFETY))
-    assert drive.commander.waiting_modes(safety, frozenset()) == {}
+    assert drive.commander.waiting_modes(safety, frozenset(), drive.settings) == {}
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)

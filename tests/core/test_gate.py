@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from vcu_gateway.core import gate as gate_module
 from vcu_gateway.core.gate import Gate
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.tuning import SlipLimiter, Tuning
 
 MS = 1_000_000
 PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0
@@ -28,6 +29,7 @@ LIMITS = Settings(
     regen_min_rpm=100.0,
     independent_directions=False,
 )
+ALL = (100.0, 100.0, 65_535.0)
 ROLLING = (1_000.0, 1_000.0)
 STANDING = (0.0, 0.0)
 ZERO_TORQUE = bytes.fromhex("0c00000070170000")
@@ -51,9 +53,13 @@ def gate():
     return gate
 
 
-def check(gate, data, *, slot=0, can_id=None, armed=True, speeds=STANDING, now_ns=50 * MS):
+def check(
+    gate, data, *, slot=0, can_id=None, armed=True, demanded=ALL, speeds=STANDING, now_ns=50 * MS
+):
     can_id = (PCU1_ID, PCU2_ID)[slot] if can_id is None else can_id
-    return gate.check(slot, can_id, data, armed=armed, speeds_rpm=speeds, now_ns=now_ns)
+    return gate.check(
+        slot, can_id, data, armed=armed, demanded=demanded, speeds_rpm=speeds, now_ns=now_ns
+    )
 
 
 def assert_passes(gate, data, **facts):
@@ -523,3 +529,80 @@ def test_the_gate_imports_nothing_of_the_modules_that_it_checks():
             assert node.level == 0
             imported.add(node.module)
     assert imported == {"dataclasses", "typing"}
+
+
+# What is demanded.
+
+
+@pytest.mark.parametrize(
+    ("data", "demanded"),
+    [
+        (frame(throttle=10), (3.9, 0.0, 60_000.0)),
+        (frame(throttle=10), (3.706, 0.0, 60_000.0)),
+        (frame(brake=100), (0.0, 38.806, 60_000.0)),
+        (frame(power=6000), (0.0, 0.0, 5999.5)),
+    ],
+)
+def test_what_is_demanded_passes_rounded(gate, data, demanded):
+    assert_passes(gate, data, demanded=demanded)
+
+
+@pytest.mark.parametrize(
+    ("data", "demanded"),
+    [
+        (frame(throttle=11), (3.9, 0.0, 60_000.0)),
+        (frame(throttle=10), (3.704, 0.0, 60_000.0)),
+        (frame(throttle=1), (0.0, 100.0, 60_000.0)),
+        (frame(brake=101), (100.0, 39.0, 60_000.0)),
+        (frame(brake=1), (100.0, 0.0, 60_000.0)),
+        (frame(power=6001), (100.0, 100.0, 6000.0)),
+        (frame(power=6000), (100.0, 100.0, 5999.4)),
+    ],
+)
+def test_more_than_is_demanded_is_blocked(gate, data, demanded):
+    assert_blocked(gate, "not_demanded", data, demanded=demanded)
+
+
+@pytest.mark.parametrize("safe", SAFE_FRAMES[:2])
+def test_a_safe_frame_needs_no_demand(gate, safe):
+    data = safe if safe is ZERO_TORQUE else ZERO_TORQUE
+    assert_passes(gate, data, demanded=(0.0, 0.0, 0.0))
+
+
+# Both together.
+
+STEP_PCT = 5.0
+APART_RAW = int(4 * STEP_PCT / 0.39) + 1  # four steps of the slew, rounded
+
+
+def sent_apart(*throttles_raw) -> Gate:
+    gate = Gate(IDS, LIMITS)
+    for slot, raw in enumerate(throttles_raw):
+        gate.sent(slot, frame(throttle=raw), 0)
+    return gate
+
+
+@pytest.mark.parametrize("throttles", [(100, 100 + APART_RAW), (100 + APART_RAW, 100), (9, 9)])
+def test_throttles_of_equal_demands_may_be_four_steps_apart(throttles):
+    assert sent_apart(0, 0).check_both(throttles, demanded_alike=True) is None
+
+
+@pytest.mark.parametrize("throttles", [(100, 101 + APART_RAW), (101 + APART_RAW, 100), (0, 255)])
+def test_throttles_of_equal_demands_that_are_further_apart_are_blocked(throttles):
+    gate = sent_apart(0, 0)
+    assert gate.check_both(throttles, demanded_alike=True) == "asymmetry"
+    assert gate.blocked == {"asymmetry": 1}
+    assert gate.check_both(throttles, demanded_alike=False) is None
+
+
+def test_throttles_may_stay_as_far_apart_as_they_were_sent():
+    gate = sent_apart(0, 200)
+    assert gate.check_both((10, 211), demanded_alike=True) is None
+    assert gate.check_both((10, 212), demanded_alike=True) == "asymmetry"
+
+
+def test_a_slip_limiter_may_have_them_further_apart():
+    slip = replace(LIMITS, tuning=Tuning(slip=SlipLimiter(asymmetry_max_pct=20)))
+    gate = Gate(IDS, slip)
+    assert gate.check_both((0, APART_RAW + 51), demanded_alike=True) is None
+    assert gate.check_both((0, APART_RAW + 52), demanded_alike=True) == "asymmetry"

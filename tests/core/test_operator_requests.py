@@ -57,6 +57,7 @@ def inputs(*stimuli: Stimulus, found: Causes | None = None, **changes: Any) -> R
         listening=False,
         restarts=0,
         restart_state_failure=None,
+        speed_pending=False,
     )
     return healthy._replace(**changes)
 

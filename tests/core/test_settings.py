@@ -36,6 +36,10 @@ OTHER_VALUES = {
     "power_slew_w_per_s": 50_000.0,
     "regen_slew_pct_per_s": 50.0,
     "speed_slew_rpm_per_s": 3_000.0,
+    "power_return_w_per_s": 500.0,
+    "brake_return_pct_per_s": 10.0,
+    "speed_fall_rpm_per_s": 400.0,
+    "speed_return_rpm_per_s": 500.0,
     "independent_directions": True,
     "second_track_required": True,
     "priorities": {"driver": 1},
@@ -62,6 +66,17 @@ def test_the_defaults_are_safety_mds():
         "power_slew_w_per_s": 60_000.0,
         "regen_slew_pct_per_s": 100.0,
         "speed_slew_rpm_per_s": 4_000.0,
+        "power_return_w_per_s": 1_000.0,
+        "brake_return_pct_per_s": 20.0,
+        "speed_fall_rpm_per_s": 500.0,
+        "speed_return_rpm_per_s": 1_000.0,
+        "tuning": {
+            "curves": {},
+            "start": None,
+            "modes": {},
+            "slip": None,
+            "motor_rpm_per_kmh": None,
+        },
         "direction_change_rpm": 50.0,
         "regen_min_rpm": 100.0,
         "echo_below_max_pct": 15.0,
@@ -80,7 +95,7 @@ def test_the_defaults_are_safety_mds():
 
 def test_every_setting_is_judged_here():
     names = {field.name for field in dataclasses.fields(Settings)}
-    assert names == STRICTER_AND_LOOSER.keys() | OTHER_VALUES.keys()
+    assert names == {*STRICTER_AND_LOOSER, *OTHER_VALUES, "tuning"}
 
 
 def with_setting(settings: Settings, name: str, value: Any) -> Settings:
@@ -129,4 +144,5 @@ def test_what_is_read_once_at_the_start_needs_a_restart():
         "wheel_speed_difference_max_kmh",
         "bench_demand",
         "auto_arm",
+        "drive_modes.start",
     }

@@ -6,7 +6,7 @@ import pytest
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
-from vcu_gateway.core.demand import PowerMode
+from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.transmit import OutFrame, SentHistory, SentValues, Transmitter
 
@@ -14,6 +14,7 @@ MS = 1_000_000
 PCU1_ID, PCU2_ID = 0x0008A7D0, 0x0008A8D0
 ZERO_TORQUE = bytes.fromhex("0c000000e02e0000")
 STANDING = (0.0, 0.0)
+ALL = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=100, brake_pct=100))
 
 
 @pytest.fixture
@@ -78,7 +79,7 @@ def test_the_transmit_priority_is_configuration_and_the_gate_knows_it(codec, pri
         PCU1_ID | priority << 26,
         PCU2_ID | priority << 26,
     ]
-    assert output.fault_of(frames, False, STANDING, 0) is None
+    assert output.fault_of(frames, False, ALL, STANDING, 0) is None
 
 
 def test_both_frames_are_shown_to_the_gate_each_in_its_slot(output):
@@ -92,18 +93,18 @@ def test_both_frames_are_shown_to_the_gate_each_in_its_slot(output):
         (output.encoded(decided(good, bad)), "throttle_slew"),
         (tuple(reversed(output.encoded(decided(good, good)))), "identifier"),
     ):
-        assert output.fault_of(frames, True, STANDING, 0) == rule
+        assert output.fault_of(frames, True, ALL, STANDING, 0) == rule
     assert output.gate.blocked == {"throttle_slew": 2, "identifier": 2}
 
 
 def test_the_gate_is_told_whether_torque_is_allowed_and_how_fast_the_motors_turn(output):
     frames = output.encoded(decided(power_mode=PowerMode.ECO))
-    assert output.fault_of(frames, False, STANDING, 0) == "unarmed"
+    assert output.fault_of(frames, False, ALL, STANDING, 0) == "unarmed"
     for frame in frames:
         output.note_sent(frame, 0)
     turned = output.encoded(decided(motor_reverse=True))
-    assert output.fault_of(turned, True, (0.0, 50.0), 0) == "direction"
-    assert output.fault_of(turned, True, STANDING, 0) is None
+    assert output.fault_of(turned, True, ALL, (0.0, 50.0), 0) == "direction"
+    assert output.fault_of(turned, True, ALL, STANDING, 0) is None
 
 
 def test_a_frame_that_was_sent_is_what_the_next_one_is_held_against(output):
@@ -112,8 +113,8 @@ def test_a_frame_that_was_sent_is_what_the_next_one_is_held_against(output):
     )
     for frame in low[:1]:
         output.note_sent(frame, 1_000 * MS)
-    assert output.fault_of(high[:1], True, STANDING, 1_050 * MS) is None
-    assert output.fault_of(high, True, STANDING, 1_050 * MS) == "throttle_slew"
+    assert output.fault_of(high[:1], True, ALL, STANDING, 1_050 * MS) is None
+    assert output.fault_of(high, True, ALL, STANDING, 1_050 * MS) == "throttle_slew"
 
 
 def test_what_was_sent_is_booked_as_the_wire_carried_it(output):
@@ -146,9 +147,9 @@ def test_new_limits_count_from_the_next_frame_on(codec, change, command, rule):
         output.note_sent(frame, 0)
     frames = output.encoded(decided(power_mode=PowerMode.ECO, **command))
     speeds = (30.0, 30.0)
-    assert output.fault_of(frames, True, speeds, 50 * MS) is None
+    assert output.fault_of(frames, True, ALL, speeds, 50 * MS) is None
     output.gate.limits = dataclasses.replace(settings, **change)
-    assert output.fault_of(frames, True, speeds, 50 * MS) == rule
+    assert output.fault_of(frames, True, ALL, speeds, 50 * MS) == rule
 
 
 def test_the_period_of_the_gate_is_the_configured_one(codec):
@@ -156,7 +157,7 @@ def test_the_period_of_the_gate_is_the_configured_one(codec):
     for frame in output.encoded(decided()):
         output.note_sent(frame, 0)
     frames = output.encoded(decided(power_mode=PowerMode.ECO, throttle_pct=4.0))
-    assert output.fault_of(frames, True, STANDING, 50 * MS) == "throttle_slew"
+    assert output.fault_of(frames, True, ALL, STANDING, 50 * MS) == "throttle_slew"
 
 
 def test_the_gate_knows_how_a_power_limit_comes_down_and_whether_directions_may_differ(codec):
@@ -169,7 +170,7 @@ def test_the_gate_knows_how_a_power_limit_comes_down_and_whether_directions_may_
 def test_without_any_demand_the_frames_are_zero_torque_and_pass_unarmed(output):
     frames = output.encoded(decided())
     assert {frame.data for frame in frames} == {ZERO_TORQUE}
-    assert output.fault_of(frames, False, STANDING, 0) is None
+    assert output.fault_of(frames, False, ALL, STANDING, 0) is None
 
 
 BOTH = ("PCU1", "PCU2")

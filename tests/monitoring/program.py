@@ -142,7 +142,13 @@ def driven() -> Program:
     drive.gateway.apply(calls.EmergencyStop())
     program.run(650)  # a status of each controller, while what went before is held
     drive.gateway.transmitter.gate.check(
-        0, 0, bytes(8), armed=False, speeds_rpm=(None, None), now_ns=drive.now_ns
+        0,
+        0,
+        bytes(8),
+        armed=False,
+        demanded=(0, 0, 0),
+        speeds_rpm=(None, None),
+        now_ns=drive.now_ns,
     )
     drive.gateway.receive(Frame(0x18FECA15, bytes(8), drive.now_ns))
     drive.gateway.receive(Frame(COMMAND_IDS["PCU2"] ^ 0xFF, bytes(8), drive.now_ns))

@@ -42,6 +42,10 @@ TESTS = {
     "gate": ["gate"],
     "schedule": ["schedule", "arrival_time"],
     "stop": ["stop"],
+    "laws": ["laws"],
+    "law_inputs": ["laws"],
+    "caps": ["caps", "commands"],
+    "curve": ["curve", "laws"],
     "state": ["state", "freshness"],
 }
 """Module -> its test files; what survives them meets WHOLE."""

@@ -151,6 +151,26 @@ class Terminate(NamedTuple):
         gateway.requests.terminate()
 
 
+class SetDriveMode(NamedTuple):
+    """`Gateway.set_drive_mode`."""
+
+    mode: str
+    level: FaultClass
+    now_ns: int
+
+    def apply(self, gateway: Gateway) -> RequestResult:
+        return gateway.set_drive_mode(*self)
+
+
+class BeginInMode(NamedTuple):
+    """`Gateway.begin_in_mode`."""
+
+    mode: str
+
+    def apply(self, gateway: Gateway) -> None:
+        gateway.begin_in_mode(self.mode)
+
+
 class ReloadSettings(NamedTuple):
     """`Gateway.reload`."""
 
@@ -197,5 +217,7 @@ WORDS: Mapping[type[CoreCall[object]], str] = {
     EmergencyStop: "estop",
     Terminate: "terminate",
     ReloadSettings: "reload",
+    SetDriveMode: "drive_mode",
+    BeginInMode: "begin_in_mode",
 }
 """Word of each call in a recording (docs/recordings-format.md); frames have files of their own."""

@@ -34,6 +34,7 @@ class Effect(Enum):
     POWER_LIMIT = "power limit"
     REGEN_LIMIT = "regen limit"
     REGEN_OFF = "regen off"
+    CAP = "cap"
     STOP = "stop"
     CUT = "cut"
 
@@ -41,7 +42,9 @@ class Effect(Enum):
     __hash__ = object.__hash__
 
 
-LIMITING = frozenset({Effect.TURBO_OFF, Effect.POWER_LIMIT, Effect.REGEN_LIMIT, Effect.REGEN_OFF})
+LIMITING = frozenset(
+    {Effect.TURBO_OFF, Effect.POWER_LIMIT, Effect.REGEN_LIMIT, Effect.REGEN_OFF, Effect.CAP}
+)
 BLOCKING = frozenset({Effect.STOP, Effect.CUT})
 _NO_EFFECTS: frozenset[Effect] = frozenset()
 
@@ -71,6 +74,9 @@ class Finding:
         return self.cause, self.subject, self.effect
 
     def __str__(self) -> str:
+        if self.effect is Effect.CAP:  # its detail says how much
+            colon = "" if ": " in self.detail else ":"
+            return f"{self.subject}{colon} {self.detail}"
         detail = f" {self.detail}" if self.detail else ""
         return f"{self.subject}{detail}: {self.effect.value}"
 

@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from vcu_gateway.core import caps
+from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps, lower_mode
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.demand import (
     CONTROLLERS,
@@ -22,8 +24,10 @@ from vcu_gateway.demand_ranges import SPEED_LIMIT_HIGHEST_RPM
 from vcu_gateway.units import NS_PER_S
 
 _SPEED_LIMIT_MIN_RPM = 500.0
-_FULL_PCT = 100.0
-_RISING = (PowerMode.SAFETY, PowerMode.ECO, PowerMode.NORMAL, PowerMode.TURBO)
+NOT_CAPPED: Mapping[str, Caps] = dict.fromkeys(CONTROLLERS, NO_CAPS)
+"""Caps where nothing is configured."""
+_ZERO_W, _ZERO_PCT = 0.5, 0.195
+"""Below it a limit is 0 in its frame."""
 
 
 class Command(NamedTuple):
@@ -72,6 +76,7 @@ class Commander:
     Attributes:
         last: the commands of the tick before.
         pedals: throttle holds, from the demands since the tick before.
+        caps: what curves, drive mode and slip limiter allow each controller in this tick.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -83,7 +88,8 @@ class Commander:
         self._elapsed_s = 0.0
         self._sent_speed_limit_rpm: dict[str, float] = {}
         self.pedals = Pedals()
-        self._ramps = dict.fromkeys(CONTROLLERS, Ramps(settings.power_limit_max_w, _FULL_PCT))
+        self._ramps = dict.fromkeys(CONTROLLERS, Ramps(settings.power_limit_max_w, FULL_PCT))
+        self.caps = NOT_CAPPED
 
     def take_over(self, reverse: Mapping[str, bool]) -> None:
         """Begin in these directions, by controller: those applied by a gateway before this one."""
@@ -127,15 +133,21 @@ class Commander:
         slow: bool,
         settings: Settings,
         now_ns: int,
+        *,
+        below_cap: bool,
     ) -> Mapping[str, Command]:
         """ZERO_TORQUE in STANDBY: a direction may change, and limits move on meanwhile.
 
         `demanded` is None without a fresh demand. `slow` is True where both motors' speeds are
-        known, fresh and below the change speed.
+        known, fresh and below the change speed, `below_cap` where they are below the speed's cap.
         """
         self._step(settings, demanded, now_ns)
-        self._move_ramps(effects, settings)
+        self._move_ramps(caps.of_effects(effects, settings), effects, settings)
         commands = self.zero_torque(settings, power_cut=False)
+        fall_rpm_per_s = settings.speed_slew_rpm_per_s if below_cap else _speed_fall(settings)
+        for name, command in commands.items() if self.caps is not NOT_CAPPED else ():
+            speed_rpm = self._capped_rpm(name, command.speed_limit_rpm, fall_rpm_per_s)
+            commands[name] = command._replace(speed_limit_rpm=speed_rpm)
         if demanded is not None and slow and self._standing() and not _differ(demanded, settings):
             commands = {
                 name: command._replace(motor_reverse=demanded[name].motor_reverse)
@@ -167,28 +179,37 @@ class Commander:
         the throttle last sent to each was below 5 %.
         """
         held = self._step(settings, demanded, now_ns)
-        self._move_ramps(effects, settings)
+        of_effects = caps.of_effects(effects, settings)
+        self._move_ramps(of_effects, effects, settings)
         change = slow and self._standing() and not _differ(demanded, settings)
-        rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s
         commands: dict[str, Command] = {}
         for name, last in self.last.items():
             commands[name] = self._granted(
                 name,
                 demanded[name],
-                effects,
+                of_effects,
                 settings,
                 reverse=demanded[name].motor_reverse if change else last.motor_reverse,
-                throttle_max_pct=0.0 if held else last.throttle_pct + rise_pct,
+                throttle_max_pct=0.0 if held else self._throttle_max_pct(name, settings),
                 regenerates=regenerates and Effect.REGEN_OFF not in effects,
                 released=released,
             )
         return self._decided(commands)
 
+    def _throttle_max_pct(self, name: str, settings: Settings) -> float:
+        """Highest throttle now: what the rise has earned, within its caps."""
+        own, ramps = self.caps[name], self._ramps[name]
+        if own.power_w < _ZERO_W and ramps.power_w < _ZERO_W:
+            return 0.0  # a controller may read a power limit of 0 as none
+        slew_pct_per_s = min(settings.throttle_slew_pct_per_s, own.throttle_rise_pct_per_s)
+        earned_pct = self.last[name].throttle_pct + slew_pct_per_s * self._elapsed_s
+        return min(earned_pct, own.throttle_pct)
+
     def _granted(
         self,
         name: str,
         demanded: ControllerDemand,
-        effects: frozenset[Effect],
+        of_effects: Caps,
         settings: Settings,
         *,
         reverse: bool,
@@ -196,18 +217,22 @@ class Commander:
         regenerates: bool,
         released: bool,
     ) -> Command:
-        ramps, power_mode = self._ramps[name], strictest_mode(demanded.power_mode, effects)
+        ramps, own = self._ramps[name], self.caps[name]
+        power_mode = _allowed_mode(demanded.power_mode, of_effects, own)
         if not released:
             power_mode = lower_mode(power_mode, self.last[name].power_mode)
         if power_mode is PowerMode.SAFETY:
             throttle_max_pct = 0.0
+        if own.brake_pct < _ZERO_PCT and ramps.brake_pct < _ZERO_PCT:
+            regenerates = False
+        speed_rpm = self._speed_limit_rpm(name, demanded.speed_limit_rpm, settings)
         return Command(
             power_mode=power_mode,
             motor_reverse=reverse,
             regen_brake=demanded.regen_brake and regenerates,
             throttle_pct=min(demanded.throttle_pct, throttle_max_pct),
             brake_pct=min(demanded.brake_pct, ramps.brake_pct),
-            speed_limit_rpm=self._speed_limit_rpm(name, demanded.speed_limit_rpm, settings),
+            speed_limit_rpm=self._capped_rpm(name, speed_rpm, _speed_fall(settings)),
             power_limit_w=min(demanded.power_limit_w, ramps.power_w),
         )
 
@@ -217,14 +242,33 @@ class Commander:
         sent_rpm = self._sent_speed_limit_rpm.get(name, target_rpm)
         return max(target_rpm, sent_rpm - settings.speed_slew_rpm_per_s * self._elapsed_s)
 
+    def _capped_rpm(self, name: str, limit_rpm: float, fall_rpm_per_s: float) -> float:
+        """SpeedLimit within its cap, to which it falls from the one sent last."""
+        cap_rpm = max(_SPEED_LIMIT_MIN_RPM, self.caps[name].speed_rpm)
+        if cap_rpm >= limit_rpm:
+            return limit_rpm
+        sent_rpm = self._sent_speed_limit_rpm.get(name, limit_rpm)
+        return min(limit_rpm, max(cap_rpm, sent_rpm - fall_rpm_per_s * self._elapsed_s))
+
+    def speed_pending(self) -> bool:
+        """True where the SpeedLimit has not come down to its cap."""
+        for name, last in self.last.items():
+            if last.speed_limit_rpm > max(_SPEED_LIMIT_MIN_RPM, self.caps[name].speed_rpm):
+                return True
+        return False
+
+    def elapsed_s(self, settings: Settings, now_ns: int) -> float:
+        """Time since the last command, up to one period."""
+        if self._last_ns is None:
+            return 0.0
+        return min(max(now_ns - self._last_ns, 0), settings.period_ns) / NS_PER_S
+
     def _step(self, settings: Settings, demanded: ControllerDemands | None, now_ns: int) -> bool:
         """Begin a tick; True where the pedals hold the throttle at 0.
 
         Time since the last command counts up to one period: a late tick earns no more.
         """
-        if self._last_ns is not None:
-            elapsed_ns = min(max(now_ns - self._last_ns, 0), settings.period_ns)
-            self._elapsed_s = elapsed_ns / NS_PER_S
+        self._elapsed_s = self.elapsed_s(settings, now_ns)
         self._last_ns = now_ns
         applied: dict[str, bool] = {}
         for name, last in self.last.items():
@@ -257,33 +301,29 @@ class Commander:
         return last._replace(power_mode=lower_mode(last.power_mode, before.power_mode))
 
     def waiting_modes(
-        self, demanded: ControllerDemands, effects: frozenset[Effect]
+        self, demanded: ControllerDemands, effects: frozenset[Effect], settings: Settings
     ) -> Mapping[str, PowerMode]:
         """PowerMode of each controller in which a higher one waits for released throttle."""
         waiting: dict[str, PowerMode] = {}
+        of_effects = caps.of_effects(effects, settings)
         for name, last in self.last.items():
             if demanded[name].power_mode is last.power_mode:
                 continue
-            wanted = strictest_mode(demanded[name].power_mode, effects)
+            wanted = _allowed_mode(demanded[name].power_mode, of_effects, self.caps[name])
             if lower_mode(wanted, last.power_mode) is not wanted:
                 waiting[name] = last.power_mode
         return waiting
 
-    def _move_ramps(self, effects: frozenset[Effect], settings: Settings) -> None:
+    def _move_ramps(self, of_effects: Caps, effects: frozenset[Effect], settings: Settings) -> None:
         """Limits go to their targets along their slews, REGEN_OFF at once.
 
         A falling limit starts from what is really commanded, so that it bites in this tick.
         """
         power_max_w = settings.power_limit_max_w
-        power_w, brake_pct = power_max_w, _FULL_PCT
-        if Effect.POWER_LIMIT in effects:
-            power_w = min(settings.derated_power_w, power_max_w)
-        if Effect.REGEN_LIMIT in effects:
-            brake_pct = settings.regen_limit_pct
-        if Effect.REGEN_OFF in effects:
-            brake_pct = 0.0
         for name, last in self.last.items():
-            ramps = self._ramps[name]
+            ramps, own = self._ramps[name], self.caps[name]
+            power_w = min(of_effects.power_w, own.power_w, power_max_w)
+            brake_pct = min(of_effects.brake_pct, own.brake_pct)
             if ramps.power_w == power_w and ramps.brake_pct == brake_pct:
                 continue
             self._ramps[name] = Ramps(
@@ -307,17 +347,13 @@ def moved(limit: float, commanded: float, target: float, step: float) -> float:
     return max(target, min(limit, commanded) - step)
 
 
-def lower_mode(one: PowerMode, other: PowerMode) -> PowerMode:
-    """The power mode of two that allows less."""
-    return min(one, other, key=_RISING.index)
-
-
-def strictest_mode(demanded: PowerMode, effects: frozenset[Effect]) -> PowerMode:
-    """Demanded power mode as far as the effects allow; SAFETY is the strictest of all."""
-    if demanded is PowerMode.SAFETY:
-        return demanded
-    if Effect.POWER_LIMIT in effects:
-        return PowerMode.ECO
-    if Effect.TURBO_OFF in effects:
-        return min(demanded, PowerMode.NORMAL)
+def _allowed_mode(demanded: PowerMode, *allowed: Caps) -> PowerMode:
+    """Demanded power mode as far as these allow; SAFETY is the lowest of all."""
+    for one in allowed:
+        demanded = lower_mode(demanded, one.power_mode)
     return demanded
+
+
+def _speed_fall(settings: Settings) -> float:
+    """Steepest fall of a capped SpeedLimit; never steeper than of any other."""
+    return min(settings.speed_fall_rpm_per_s, settings.speed_slew_rpm_per_s)

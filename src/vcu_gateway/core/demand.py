@@ -84,6 +84,7 @@ class Refusal(Enum):
     EXPIRED = "expired"
     FROM_THE_FUTURE = "from_the_future"
     NOT_ALLOWED_NOW = "not_allowed_now"
+    NO_SUCH_MODE = "no_such_mode"
 
 
 class RequestResult(NamedTuple):

@@ -8,6 +8,9 @@ the gateway sends safe frames instead; the safe frame always passes.
 from dataclasses import dataclass, field
 from typing import Protocol
 
+Demanded = tuple[float, float, float]
+"""Throttle and brake in % and power in W that are demanded of a controller."""
+
 # Byte 1 of the command frame.
 _MODE_MASK, _MODE_SAFETY = 0b0000_1100, 0b0000_1100
 _REVERSE, _REGEN = 0x10, 0x20
@@ -21,6 +24,9 @@ _SPEED_LIMIT_MIN_RPM = 500
 # Half a bit now and half a bit before.
 _ROUNDING = 1
 _PERCENT_PER_BIT = 0.39
+_TINY = 1e-6  # of a sum of floats
+# Ticks of which a controller's frame may not have left, before that stops the drive.
+_UNSENT_STEPS = 4
 _NS_PER_S = 1_000_000_000
 
 
@@ -35,6 +41,7 @@ class GateLimits(Protocol):
             has become stricter; SpeedLimit never falls faster.
         regen_min_rpm: below it no motor regenerates; 0 switches this off.
         independent_directions: throttle also where the slots have two directions.
+        asymmetry_max_pct: most by which the throttles may differ where their demands do not.
     """
 
     @property
@@ -55,6 +62,8 @@ class GateLimits(Protocol):
     def regen_min_rpm(self) -> float: ...
     @property
     def independent_directions(self) -> bool: ...
+    @property
+    def asymmetry_max_pct(self) -> float: ...
 
 
 @dataclass(slots=True)
@@ -84,17 +93,38 @@ class Gate:
         data: bytes,
         *,
         armed: bool,
+        demanded: Demanded,
         speeds_rpm: tuple[float | None, ...],
         now_ns: int,
     ) -> str | None:
         """Name of the rule that the frame of a slot breaks; None where it may be sent.
 
-        `speeds_rpm` holds the last known speed of each motor, None where it is not known.
+        `demanded` holds throttle and brake (%) and power (W) that are demanded of the controller,
+        `speeds_rpm` the last known speed of each motor, None where it is not known.
         """
         own_id, sent = self.allowed[slot], self._sent.get(slot)
-        why = self._fault(can_id == own_id, data, armed, speeds_rpm, sent, now_ns)
-        if why is not None:
-            self.blocked[why] = self.blocked.get(why, 0) + 1
+        why = self._fault(can_id == own_id, data, armed, demanded, speeds_rpm, sent, now_ns)
+        return None if why is None else self._counted(why)
+
+    def check_both(self, throttles_raw: tuple[int, ...], demanded_alike: bool) -> str | None:
+        """As `check`, of the throttles of one tick's frames together.
+
+        Where the demands are alike the difference is within its limit, or does not grow: after
+        different demands one of them may have to come up first.
+        """
+        if not demanded_alike:
+            return None
+        apart_raw = max(throttles_raw) - min(throttles_raw) - _ROUNDING
+        limits, sent = self.limits, [one.data[1] for one in self._sent.values()]
+        step_pct = limits.throttle_slew_pct_per_s * limits.period_ns / _NS_PER_S
+        most_pct = limits.asymmetry_max_pct + _UNSENT_STEPS * step_pct
+        before_raw = max(sent, default=0) - min(sent, default=0)
+        if apart_raw <= before_raw or apart_raw * _PERCENT_PER_BIT <= most_pct:
+            return None
+        return self._counted("asymmetry")
+
+    def _counted(self, why: str) -> str:
+        self.blocked[why] = self.blocked.get(why, 0) + 1
         return why
 
     def sent(self, slot: int, data: bytes, at_ns: int) -> None:
@@ -106,6 +136,7 @@ class Gate:
         own_id: bool,
         data: bytes,
         armed: bool,
+        demanded: Demanded,
         speeds_rpm: tuple[float | None, ...],
         sent: _Sent | None,
         now_ns: int,
@@ -122,7 +153,7 @@ class Gate:
             return "direction"
         if _is_safe(data):
             return None
-        return self._torque_fault(data, armed, speeds_rpm, sent, now_ns)
+        return self._torque_fault(data, armed, demanded, speeds_rpm, sent, now_ns)
 
     def _speed_limit_fault(self, speed: int, sent: _Sent | None) -> str | None:
         limits = self.limits
@@ -139,12 +170,15 @@ class Gate:
         self,
         data: bytes,
         armed: bool,
+        demanded: Demanded,
         speeds_rpm: tuple[float | None, ...],
         sent: _Sent | None,
         now_ns: int,
     ) -> str | None:
         if not armed:
             return "unarmed"
+        if _above(data, demanded):
+            return "not_demanded"
         power, limits = _word(data, 6), self.limits
         if power > limits.power_limit_max_w:
             before = None if sent is None else _word(sent.data, 6)
@@ -194,6 +228,17 @@ class Gate:
         earned_pct = self.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
         # Codes are rounded to the nearest: half a bit up now, half a bit down before.
         return sent.data[1] + earned_pct / _PERCENT_PER_BIT + 1
+
+
+def _above(data: bytes, demanded: Demanded) -> bool:
+    """True where throttle, brake or power is more than what is demanded, rounded."""
+    throttle_pct, brake_pct, power_w = demanded
+    half = _PERCENT_PER_BIT / 2 + _TINY
+    return (
+        data[1] * _PERCENT_PER_BIT > throttle_pct + half
+        or data[2] * _PERCENT_PER_BIT > brake_pct + half
+        or _word(data, 6) > power_w + 0.5 + _TINY
+    )
 
 
 def _mode_rank(data: bytes) -> int:

@@ -19,7 +19,8 @@ A tick decides in these steps, all of them on one snapshot:
 
 1. A tick that comes too late in ACTIVE latches a fault before anything else of it counts.
 2. `InputCollector`: snapshot, link, echoes of own frames, what plausibility remembers.
-3. Rules give findings; `Causes` holds each until it was absent for `clear_hold_ms`.
+3. Rules give findings, and so do `Laws`, with caps, where curves, drive modes or a slip limiter are
+   configured; `Causes` holds each until it was absent for `clear_hold_ms`.
 4. Every cause that blocks is a stimulus of the supervisor; so are an expired demand, a missing
    message, and the end of qualification.
 5. `Commander`: in ACTIVE the demand within limits and slews, otherwise zero torque.
@@ -36,11 +37,12 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple, Protocol, TypeVar
 
 from vcu_gateway.core import plausibility, rules, state, why
-from vcu_gateway.core.causes import Event
+from vcu_gateway.core.causes import Event, Finding, Severity
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.core.commands import Command, Commander
-from vcu_gateway.core.demand import GRANTED, ControllerDemands, RequestResult
+from vcu_gateway.core.commands import NOT_CAPPED, Command, Commander
+from vcu_gateway.core.demand import GRANTED, ControllerDemands, Refusal, RequestResult, refused
 from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.laws import CurveState, DriveModes, LawInputs, Laws
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.mode_manager import (
     ListenBeforeTalk,
@@ -112,6 +114,7 @@ class Gateway:
         self.requests = OperatorRequests(settings, self._modes, self._commander, self._listening)
         self._regeneration = RegenerationInterlock()
         self._speeds = plausibility.UNKNOWN
+        self._laws = Laws(settings.tuning)
         self._qualification = Qualification()
         self._shutdown = Shutdown()
         self._stop_watch = StopWatch(self.transmitter.power_cut_bits())
@@ -155,12 +158,67 @@ class Gateway:
 
     def reload(self, settings: Settings) -> RequestResult:
         """Take new settings whole or not at all; while ACTIVE only stricter limits."""
-        if reason := reload_refusal(self.settings, settings, self.supervisor.mode):
+        reason = reload_refusal(self.settings, settings, self.supervisor.mode)
+        if reason := reason or self._mode_in_use(settings):
             return self.requests.refuse("reload", reason)
         self.settings = settings
+        self.fit_laws()
         self.requests.terms = settings
         self.transmitter.gate.limits = settings
         return GRANTED
+
+    def fit_laws(self) -> None:
+        """Begin anew what does not fit the settings, after a reload or in another one's state."""
+        tuning = self.settings.tuning
+        if not tuning.acts:
+            self._laws, self._commander.caps = Laws(tuning), NOT_CAPPED
+        elif not {*self.drive_modes} <= {*tuning.modes, tuning.start}:
+            self._laws.modes = DriveModes(tuning.start, tuning.start)
+
+    def _mode_in_use(self, settings: Settings) -> str:
+        """Why these settings cannot be taken: a drive mode in use is not among them."""
+        for name in self.drive_modes:
+            if name is not None and name not in settings.tuning.modes:
+                return f"drive mode {name} is in use"
+        return ""
+
+    @property
+    def drive_modes(self) -> tuple[str | None, str | None]:
+        """The drive mode, and the one that was asked for last; None where there are none."""
+        return self._laws.modes.current, self._laws.modes.requested
+
+    @property
+    def curves(self) -> tuple[CurveState, ...]:
+        """Every configured curve as it was in the last tick; from any thread."""
+        worst, held = self._laws.deratings.worst.copy(), self._laws.deratings.held.copy()
+        return tuple(
+            CurveState(name, worst.get(name), held.get(name))
+            for name in self.settings.tuning.curves
+        )
+
+    @property
+    def slip_caps_pct(self) -> Mapping[str, float]:
+        """Throttle that the slip limiter leaves each controller; from any thread."""
+        return self._laws.slip.caps_pct
+
+    def set_drive_mode(self, name: str, level: FaultClass, now_ns: int) -> RequestResult:
+        """Ask for a drive mode; it is taken whole where that makes no step."""
+        self._modes.judge_lateness(now_ns)
+        modes = self.settings.tuning.modes
+        if name not in modes:
+            known = f"the modes are {', '.join(sorted(modes))}" if modes else "none is configured"
+            return refused(Refusal.NO_SUCH_MODE, f"there is no drive mode {name}; {known}")
+        for left in {*self.drive_modes} - {None, name}:
+            if modes[left or name].left_by_service and level is not FaultClass.SERVICE:
+                reason = f"drive mode {left} is left at service level"
+                return self.requests.refuse("set_drive_mode", reason)
+        self._laws.modes.requested = name
+        return GRANTED
+
+    def begin_in_mode(self, name: str) -> None:
+        """Drive mode that the process before this one was in; one that is gone changes nothing."""
+        if name in self.settings.tuning.modes:
+            self._laws.modes.current = self._laws.modes.requested = name
 
     @property
     def mode(self) -> Mode:
@@ -239,16 +297,39 @@ class Gateway:
         talking = self._listening.over or self._listening.update(now_ns)
         if not sent.begun:
             self._commander.take_over(echoed_directions(snapshot, sent.unsent))
-        modes.update(rules.findings(inputs), settings.clear_hold_ms * NS_PER_MS, now_ns)
+        self._speeds = plausibility.of(snapshot, inputs.observed)
+        findings = rules.findings(inputs)
+        if settings.tuning.acts:
+            findings = (*findings, *self._capped(snapshot))
+        modes.update(findings, settings.clear_hold_ms * NS_PER_MS, now_ns)
         self._supervise(snapshot, settings)
         self._stop_watch.follow(self._latched_cut, self.receiver.echoes)
-        self._speeds = plausibility.of(snapshot, inputs.observed)
         commands = self._decide(settings, now_ns)
         frames = self._frames(commands, now_ns) if talking else ()
         sent.emitted = bool(frames)
         mode, events = self.supervisor.mode, modes.end_tick(now_ns)
         self._shutdown.note_tick(mode is Mode.STOPPING)
         return TickResult(snapshot, mode, self._commander.last, frames, events)
+
+    def _capped(self, snapshot: Snapshot) -> Iterable[Finding]:
+        """Give the commander the caps of this tick; what there is to tell of them."""
+        mode, now_ns = self.supervisor.mode, snapshot.now_ns
+        inputs = LawInputs(
+            snapshot=snapshot,
+            settings=self.settings,
+            demanded=self.requests.demanded(now_ns),
+            active=mode is Mode.ACTIVE,
+            told=mode in (Mode.STANDBY, Mode.ACTIVE),
+            sent_throttle_pct={n: one.throttle_pct for n, one in self._commander.last.items()},
+            motor_rpm=self._speeds.highest_rpm,
+            elapsed_s=self._commander.elapsed_s(self.settings, now_ns),
+        )
+        result = self._laws.tick(inputs)
+        self._commander.caps = result.caps
+        if result.mode_changed is not None:
+            fields = {"mode": result.mode_changed}
+            self._modes.emit(Event("drive_mode_changed", Severity.INFO, fields))
+        return result.findings
 
     def _supervise(self, snapshot: Snapshot, settings: Settings) -> None:
         """Give the supervisor every stimulus of this tick, the most urgent first."""
@@ -283,14 +364,19 @@ class Gateway:
                 demanded, effects, slow, settings, now_ns, regenerates=fast, released=released
             )
         if mode is Mode.STANDBY:
-            return self._commander.settle(demanded, effects, slow, settings, now_ns)
+            cap_rpm = min(one.speed_rpm for one in self._commander.caps.values())
+            below_cap = plausibility.all_below(self._speeds.highest_rpm, cap_rpm)
+            return self._commander.settle(
+                demanded, effects, slow, settings, now_ns, below_cap=below_cap
+            )
         return self._commander.safe(demanded, settings, self._modes.power_is_cut, now_ns)
 
     def _frames(self, commands: Mapping[str, Command], now_ns: int) -> tuple[OutFrame, ...]:
         """Encode, and show every frame to the gate; one blocked frame stops both."""
         armed = self.supervisor.mode is Mode.ACTIVE
         frames = self.transmitter.encoded(commands)
-        rule = self.transmitter.fault_of(frames, armed, self._speeds.highest_rpm, now_ns)
+        demanded, rpm = self.requests.demanded(now_ns), self._speeds.highest_rpm
+        rule = self.transmitter.fault_of(frames, armed, demanded, rpm, now_ns)
         if rule is None:
             return frames
         self._collector.blocked_by_gate = rule
@@ -321,8 +407,14 @@ class Gateway:
         released = self.transmitter.history.released
         if demanded is None or self.supervisor.mode is not Mode.ACTIVE or released:
             return ()
-        effects = self.causes.effects()
-        return why.power_mode_waits(self._commander.waiting_modes(demanded, effects))
+        waiting = self._commander.waiting_modes(demanded, self.causes.effects(), self.settings)
+        return why.power_mode_waits(waiting)
+
+    def _drive_mode_waits(self) -> Iterable[str]:
+        current, requested = self.drive_modes
+        if current == requested:
+            return ()
+        return [f"drive mode {requested} waits for the pedal's release"]
 
     def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:
@@ -330,7 +422,7 @@ class Gateway:
         if self.supervisor.mode in (Mode.STANDBY, Mode.ACTIVE):
             demanded = self.requests.demanded(now_ns)
             waits = why.waits(self._commander, demanded, self._speeds.highest_rpm, self.settings)
-            return [*waits, *self._power_mode_waits(demanded)]
+            return [*waits, *self._power_mode_waits(demanded), *self._drive_mode_waits()]
         if self.supervisor.mode is not Mode.STARTING:
             return []
         waits = list(self._qualification.missing(self._snapshot, self.settings))

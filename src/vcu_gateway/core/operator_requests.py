@@ -44,6 +44,7 @@ class RequestInputs(NamedTuple):
         listening: another sender of the gateway's frames may still be heard.
         restarts: unexpected restarts of the gateway in this drive.
         restart_state_failure: why the restart state could not be kept; None where it was.
+        speed_pending: the SpeedLimit has not come down to its cap.
     """
 
     supervisor: Supervisor
@@ -55,6 +56,7 @@ class RequestInputs(NamedTuple):
     listening: bool
     restarts: int
     restart_state_failure: str | None
+    speed_pending: bool
 
 
 class OperatorRequests:
@@ -173,6 +175,7 @@ class OperatorRequests:
             listening=not self._listening.over,
             restarts=self.restarts,
             restart_state_failure=self.restart_state_failure,
+            speed_pending=self._commander.speed_pending(),
         )
 
     def demanded(self, now_ns: int) -> ControllerDemands | None:
@@ -217,6 +220,8 @@ def _against_demand(inputs: RequestInputs) -> str:
         return "both controllers must have the same direction"
     if inputs.reverse_pending:
         return "a change of direction is pending"
+    if inputs.speed_pending:
+        return "the speed limit has not come down to its cap"
     return ""
 
 

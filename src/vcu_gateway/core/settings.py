@@ -13,7 +13,9 @@ from typing import Annotated, get_type_hints
 
 from annotated_types import Interval, Len, MinLen
 
+from vcu_gateway.core import tuning as tuning_module
 from vcu_gateway.core.demand import ControllerDemand
+from vcu_gateway.core.tuning import Tuning
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
 
 REQUIRED_MESSAGES = ("BMS_Status", "PCU1_Status2", "PCU2_Status2")
@@ -55,6 +57,7 @@ class Settings:
 
     Attributes:
         period_ns: of the command frames; in no file.
+        tuning: curves, drive modes and laws; their keys are those of core/tuning.py.
         bench_demand: static demand for both controllers on a test bench; None on a vehicle.
     """
 
@@ -154,6 +157,31 @@ class Settings:
             " A sudden limit could brake hard.",
         ),
     ] = 4_000.0
+    power_return_w_per_s: Annotated[
+        float,
+        Interval(ge=100, le=60_000),
+        Key("limits", Reload.LIVE, "How fast a power limit of a curve or a drive mode returns."),
+    ] = 1_000.0
+    brake_return_pct_per_s: Annotated[
+        float,
+        Interval(ge=1, le=100),
+        Key("limits", Reload.LIVE, "How fast a brake limit of a curve or a drive mode returns."),
+    ] = 20.0
+    speed_fall_rpm_per_s: Annotated[
+        float,
+        Interval(ge=100, le=4_000),
+        Key(
+            "limits",
+            Reload.LIVE,
+            "Steepest fall of the SpeedLimit because of a curve or a drive mode: a controller may"
+            " brake to hold it.",
+        ),
+    ] = 500.0
+    speed_return_rpm_per_s: Annotated[
+        float,
+        Interval(ge=100, le=20_000),
+        Key("limits", Reload.LIVE, "How fast a speed limit of a curve or a drive mode returns."),
+    ] = 1_000.0
     direction_change_rpm: Annotated[
         float,
         Interval(ge=0, le=100),
@@ -294,6 +322,8 @@ class Settings:
         ),
     ] = False
 
+    tuning: Tuning = field(default_factory=Tuning)
+
     bench_demand: ControllerDemand | None = None
     auto_arm: Annotated[
         bool,
@@ -304,6 +334,11 @@ class Settings:
             " `arm`.",
         ),
     ] = False
+
+    @property
+    def asymmetry_max_pct(self) -> float:
+        """Most by which the throttles may differ where their demands do not."""
+        return self.tuning.asymmetry_max_pct
 
 
 def keys(settings: type) -> dict[str, Key]:
@@ -321,31 +356,34 @@ def keys(settings: type) -> dict[str, Key]:
 KEYS: Mapping[str, Key] = keys(Settings)
 """The configuration's key of each field; a field that is not here is in no file."""
 
-RESTART_ONLY = tuple(
-    item.name
-    for item in fields(Settings)
-    if item.name not in KEYS or KEYS[item.name].reload is Reload.NEVER
+RESTART_ONLY = (
+    *(
+        item.name
+        for item in fields(Settings)
+        if item.name != "tuning"
+        and (item.name not in KEYS or KEYS[item.name].reload is Reload.NEVER)
+    ),
+    tuning_module.START_KEY,
 )
-"""Fields that are read once, at the start."""
+"""Fields, and keys of the tuning, that are read once, at the start."""
 
 
 def changed(before: Settings, after: Settings) -> tuple[str, ...]:
-    """Names of the fields that differ."""
-    names = [item.name for item in fields(Settings)]
-    return tuple(name for name in names if getattr(before, name) != getattr(after, name))
+    """Names of the fields that differ, and whole keys of what differs in the tuning."""
+    names = [item.name for item in fields(Settings) if item.name != "tuning"]
+    differ = [name for name in names if getattr(before, name) != getattr(after, name)]
+    return (*differ, *tuning_module.changed(before.tuning, after.tuning))
 
 
 def loosened(before: Settings, after: Settings) -> tuple[str, ...]:
-    """Names of the fields that `after` changes otherwise than towards a stricter value."""
-    return tuple(
-        name
-        for name in changed(before, after)
-        if not _is_stricter(name, getattr(before, name), getattr(after, name))
-    )
+    """As `changed`, what `after` changes otherwise than towards a stricter value."""
+    return tuple(name for name in changed(before, after) if not _is_stricter(name, before, after))
 
 
-def _is_stricter(name: str, before: float, after: float) -> bool:
-    reload = KEYS[name].reload if name in KEYS else Reload.NEVER
+def _is_stricter(name: str, before: Settings, after: Settings) -> bool:
+    if name not in KEYS:
+        return tuning_module.is_stricter(name, before.tuning, after.tuning)
+    reload, old, new = KEYS[name].reload, getattr(before, name), getattr(after, name)
     if reload is Reload.SMALLER:
-        return after < before
-    return reload is Reload.LARGER and after > before
+        return bool(new < old)
+    return reload is Reload.LARGER and bool(new > old)

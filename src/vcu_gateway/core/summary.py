@@ -52,6 +52,7 @@ _WORDS = {
     "throttle 0 until the direction changes": "waiting for the change of direction",
     "throttle 0 in power mode safety": "waiting for another power mode than safety",
     "power mode ": "waiting for power mode ",
+    "drive mode ": "waiting for drive mode ",
     "the gateway was restarted ": "restarted too often: ",
     "the restart state cannot be kept": "the restart state cannot be kept",
     "there is no fresh demand": "waiting for the pedals or a program: no fresh demand",
@@ -59,6 +60,7 @@ _WORDS = {
     "the demanded throttle has not been 0": "waiting for the pedal to stay released",
     "both controllers must have the same direction": "waiting for one direction for both motors",
     "a change of direction is pending": "waiting for the change of direction",
+    "the speed limit has not come down": "waiting for the speed limit to come down",
 }
 """Words by the beginning of a condition or refusal that names no cause; the rest of it is kept."""
 
@@ -199,6 +201,8 @@ def _subjects(causes: tuple[HeldCause, ...]) -> set[str]:
 
 def _named(held: HeldCause) -> str:
     finding = held.finding
+    if finding.effect is Effect.CAP:
+        return str(finding)
     return _part(finding.subject, finding.detail, _OF_A_MESSAGE.get(finding.cause, ""))
 
 

@@ -1,0 +1,509 @@
+"""Curves, drive modes and slip limiter in a whole drive, from a healthy one on."""
+
+import dataclasses
+import itertools
+
+import pytest
+
+from tests.core.simulated_drive import MS, Drive, standby
+from vcu_gateway.core import calls
+from vcu_gateway.core.causes import Effect
+from vcu_gateway.core.curve import Curve
+from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode, Refusal
+from vcu_gateway.core.laws import CurveState, Laws
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.supervisor import FaultClass, Mode
+from vcu_gateway.core.tuning import DERATINGS, DriveMode, SlipLimiter, Tuning
+
+FULL = ControllerDemand(throttle_pct=100, brake_pct=0, power_mode=PowerMode.TURBO)
+BRAKING = ControllerDemand(brake_pct=100, power_mode=PowerMode.TURBO)
+RPM_PER_KMH = 100.0
+
+
+def curve(*points) -> Curve:
+    return Curve(tuple((float(x), float(y)) for x, y in points))
+
+
+HOT = curve((95, 60000), (110, 6000), (125, 0))
+EXAMPLES = {
+    name: Curve(tuple((float(x), float(y)) for x, y in one.example))
+    for name, one in DERATINGS.items()
+}
+
+
+def driving(demanded=FULL, modes=None, slip=None, *, settings=None, **curves) -> Drive:
+    """An armed drive under this demand, its limits settled; curves by `limit__by_input`."""
+    tuning = Tuning(
+        {name.replace("__", "."): one for name, one in curves.items()},
+        next(iter(modes), None) if modes else None,
+        modes or {},
+        slip,
+        RPM_PER_KMH,
+    )
+    drive = standby(tuning=tuning, **(settings or {}))
+    drive.run(2000)
+    answer = drive.arm()
+    assert answer.granted, answer.sentence
+    if slip is not None:
+        wheels(drive, 20_000)
+        drive.run(100)
+    drive.demanded = demanded
+    drive.turn(2000)
+    drive.run(2000)
+    return drive
+
+
+def sent(drive: Drive, controller: str = "PCU1"):
+    return drive.result.commands[controller]
+
+
+def heat(drive: Drive, celsius: int, *controllers: str) -> None:
+    for name in controllers or CONTROLLERS:
+        drive.codes[f"{name}_Status1.MotorTemperature"] = celsius
+
+
+# Curves.
+
+
+def test_a_hot_motor_lowers_the_power_of_both_along_the_slew():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    assert sent(drive).power_limit_w == 60_000
+    heat(drive, 110, "PCU2")
+    drive.run(500)
+    falling_w = []
+    for _ in range(30):
+        drive.tick()
+        assert sent(drive, "PCU1").power_limit_w == sent(drive, "PCU2").power_limit_w
+        falling_w.append(sent(drive).power_limit_w)
+    assert falling_w[-1] == 6000
+    steps = [before - after for before, after in itertools.pairwise(falling_w)]
+    assert max(steps) <= 3000
+    assert "limited by motor temperature 110 °C: power at most 6.0 kW (for " in drive.sentence
+
+
+def test_a_limit_returns_at_its_own_rate_while_active():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 110)
+    drive.run(2000)
+    heat(drive, 40)
+    drive.run(500)
+    before_w = sent(drive).power_limit_w
+    drive.run(1000)
+    assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
+
+
+def test_outside_active_a_limit_is_what_its_curve_says():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 110)
+    drive.run(2000)
+    drive.gateway.requests.disarm(drive.now_ns)
+    heat(drive, 40)
+    drive.run(600)
+    assert drive.gateway._laws.deratings.held == {"power_limit_w.by_motor_temperature_c": 60_000}
+
+
+def test_an_input_that_is_not_known_falls_to_the_derated_power_and_never_rises():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    drive.silent.add("PCU1_Status1")
+    drive.run(4000)
+    assert sent(drive).power_limit_w <= 10_000
+    told = [str(held.finding) for held in drive.gateway.causes.held]
+    assert "motor temperature not known: power at most 10.0 kW" in told
+
+
+@pytest.mark.parametrize(
+    ("name", "silent", "field", "fallback"),
+    [
+        ("power_limit_w__by_pack_temperature_max_c", "BMS_Temperatures", "power_limit_w", 10_000),
+        ("power_limit_w__by_battery_voltage_v", "", "power_limit_w", 1000),
+        ("brake_pct__by_pack_temperature_max_c", "BMS_Temperatures", "brake_pct", 20),
+    ],
+)
+def test_without_its_input_the_fallback_counts(name, silent, field, fallback):
+    demanded = BRAKING if field == "brake_pct" else FULL
+    drive = driving(demanded, **{name: EXAMPLES[name.replace("__", ".")]})
+    drive.silent.add(silent)
+    drive.run(6000)
+    assert getattr(sent(drive), field) == fallback
+
+
+def test_of_a_speed_limit_that_is_not_known_nothing_is_left_but_what_it_was():
+    drive = driving(brake_pct__by_motor_speed_rpm=EXAMPLES["brake_pct.by_motor_speed_rpm"])
+    drive.codes["PCU1_Status2.MotorSpeed"] = 6001  # out of range
+    drive.run(3000)
+    assert "motor speed not known: brake at most 20 %" in drive.sentence
+
+
+@pytest.mark.parametrize("name", DERATINGS)
+def test_each_curve_gives_its_lowest_value_at_its_worst_input(name):
+    derating, one = DERATINGS[name], EXAMPLES[name]
+    demanded = BRAKING if derating.limit == "brake_pct" else FULL
+    drive = driving(demanded, **{name.replace(".", "__"): one})
+    worst = one.points[0][0] if derating.rises else one.points[-1][0]
+    for message, signals in derating.input.messages:
+        for signal in signals:
+            spec = next(
+                m for m in drive.gateway.snapshot(drive.now_ns).messages if m.name == message
+            )
+            raw = round((worst - spec.signal(signal).offset) / spec.signal(signal).factor)
+            drive.codes[f"{message}.{signal}"] = raw
+    drive.run(30_000)
+    field = {"power_limit_w": "power_limit_w", "brake_pct": "brake_pct"}.get(
+        derating.limit, "speed_limit_rpm"
+    )
+    assert getattr(sent(drive), field) == pytest.approx(one.lowest, abs=20)
+    held = {one.finding.cause for one in drive.gateway.causes.held}
+    assert derating.key in held
+
+
+def test_of_several_frames_between_two_ticks_the_worst_counts():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 125)
+    drive.receive("PCU1_Status1", drive.now_ns + 1 * MS)
+    heat(drive, 40)
+    drive.receive("PCU1_Status1", drive.now_ns + 2 * MS)
+    drive.tick()
+    held = drive.gateway._laws.deratings.held
+    assert held == {"power_limit_w.by_motor_temperature_c": 0.0}
+
+
+def test_a_power_limit_of_0_by_a_curve_takes_the_throttle_too():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 125)
+    drive.run(500)
+    while sent(drive).power_limit_w > 0:
+        assert sent(drive).throttle_pct > 0
+        drive.tick()
+    assert sent(drive).throttle_pct == 0
+
+
+def test_a_brake_of_0_by_a_curve_takes_the_regeneration_too():
+    demanded = dataclasses.replace(BRAKING, regen_brake=True)
+    drive = driving(demanded, brake_pct__by_soc_pct=EXAMPLES["brake_pct.by_soc_pct"])
+    assert sent(drive).regen_brake
+    drive.codes["BMS_Status.SOC"] = 98
+    drive.run(3000)
+    assert (sent(drive).brake_pct, sent(drive).regen_brake) == (0, False)
+
+
+def test_motors_whose_temperatures_differ_by_more_than_40_degrees_are_told():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 80, "PCU1")
+    drive.run(600)
+    assert "motor_temperature_difference" not in {
+        c.finding.cause for c in drive.gateway.causes.held
+    }
+    heat(drive, 81, "PCU1")
+    drive.run(600)
+    (held,) = drive.gateway.causes.held
+    assert str(held.finding) == "motor temperatures differ by 41 °C: alarm"
+
+
+def test_a_speed_limit_by_a_curve_falls_slowly_and_returns_slowly():
+    limit = EXAMPLES["speed_limit_rpm.by_soc_pct"]
+    drive = driving(speed_limit_rpm__by_soc_pct=limit)
+    drive.codes["BMS_Status.SOC"] = 14
+    drive.run(500)
+    before_rpm = sent(drive).speed_limit_rpm
+    drive.run(1000)
+    assert sent(drive).speed_limit_rpm == pytest.approx(before_rpm - 500)
+    drive.codes["BMS_Status.SOC"] = 80
+    drive.run(10_000)
+    assert sent(drive).speed_limit_rpm == 12_000
+
+
+# Drive modes.
+
+ECO = DriveMode(
+    by_pedal=curve((0, 0), (50, 10), (100, 60)),
+    power_mode_max=PowerMode.NORMAL,
+    power_limit_w=8000,
+    speed_limit_kmh=40,
+)
+SPORT = DriveMode()
+VALET = DriveMode(speed_limit_kmh=15, left_by_service=True)
+MODES = {"eco": ECO, "sport": SPORT, "valet": VALET}
+
+
+def test_the_mode_of_a_start_caps_what_it_says():
+    drive = driving(modes=MODES)
+    command = sent(drive)
+    assert command.throttle_pct == 60
+    assert command.power_mode is PowerMode.NORMAL
+    assert (command.power_limit_w, command.speed_limit_rpm) == (8000, 4000)
+
+
+def ask(drive: Drive, mode: str, level=FaultClass.DRIVER):
+    return drive.gateway.apply(calls.SetDriveMode(mode, level, drive.now_ns))
+
+
+def test_a_mode_asked_for_at_full_pedal_waits_for_the_release():
+    drive = driving(modes=MODES)
+    assert ask(drive, "sport").granted
+    drive.run(2000)
+    assert sent(drive).throttle_pct == 60
+    assert sent(drive).power_limit_w == 8000
+    assert "drive mode sport waits for the pedal's release" in drive.sentence
+    drive.demanded = dataclasses.replace(FULL, throttle_pct=4.9)
+    drive.tick()
+    assert drive.gateway.drive_modes == ("sport", "sport")
+    assert [one.fields for one in drive.events if one.name == "drive_mode_changed"] == [
+        {"mode": "sport"}
+    ]
+
+
+def test_the_limits_of_a_mode_asked_for_count_from_the_request_on():
+    drive = driving(modes={"sport": SPORT, "eco": ECO})
+    assert sent(drive).power_limit_w == 60_000
+    ask(drive, "eco")
+    drive.tick()
+    assert sent(drive).power_limit_w == 57_000
+    assert sent(drive).throttle_pct == 100
+    assert sent(drive).power_mode is PowerMode.TURBO
+
+
+def test_a_mode_that_there_is_not_is_refused_with_those_that_there_are():
+    answer = ask(driving(modes=MODES), "sprot")
+    assert answer.refusal is Refusal.NO_SUCH_MODE
+    assert answer.sentence == "there is no drive mode sprot; the modes are eco, sport, valet"
+
+
+def test_without_modes_every_mode_is_refused():
+    assert ask(driving(), "eco").sentence == "there is no drive mode eco; none is configured"
+
+
+def test_a_mode_left_by_service_is_left_at_service_level_alone():
+    drive = driving(modes={"valet": VALET, "sport": SPORT})
+    answer = ask(drive, "sport")
+    assert (answer.granted, answer.sentence) == (False, "drive mode valet is left at service level")
+    assert ask(drive, "valet").granted
+    assert ask(drive, "sport", FaultClass.SERVICE).granted
+
+
+def test_a_gateway_begins_in_the_mode_that_the_process_before_it_kept():
+    drive = Drive(tuning=Tuning(start="eco", modes=MODES, motor_rpm_per_kmh=RPM_PER_KMH))
+    drive.gateway.apply(calls.BeginInMode("valet"))
+    assert drive.gateway.drive_modes == ("valet", "valet")
+    drive.gateway.apply(calls.BeginInMode("gone"))
+    assert drive.gateway.drive_modes == ("valet", "valet")
+
+
+def test_arming_waits_until_the_speed_limit_has_come_down():
+    drive = Drive(tuning=Tuning(start="valet", modes=MODES, motor_rpm_per_kmh=RPM_PER_KMH))
+    drive.until(Mode.STANDBY).run(1500)
+    assert drive.gateway.requests.arm(drive.now_ns).sentence == (
+        "the speed limit has not come down to its cap"
+    )
+    drive.run(3000)
+    assert drive.gateway.requests.arm(drive.now_ns).granted
+
+
+def test_a_reload_that_drops_the_mode_in_use_is_refused():
+    drive = driving(modes=MODES)
+    settings = drive.gateway.settings
+    fewer = dataclasses.replace(settings.tuning, modes={"sport": SPORT}, start="eco")
+    drive.gateway.requests.disarm(drive.now_ns)
+    answer = drive.gateway.reload(dataclasses.replace(settings, tuning=fewer))
+    assert answer.sentence == "drive mode eco is in use"
+
+
+def wheels(drive: Drive, left: int, right: int | None = None) -> None:
+    drive.codes["ARD2_SteeringWheel.WheelSpeedFL"] = left
+    drive.codes["ARD2_SteeringWheel.WheelSpeedFR"] = left if right is None else right
+
+
+def test_the_throttle_over_speed_follows_the_faster_front_wheel():
+    drive = driving(modes={"rain": DriveMode(by_speed=curve((0, 30), (30, 60), (60, 100)))})
+    assert sent(drive).throttle_pct == 30
+    wheels(drive, 10_000, 30_000)
+    drive.run(1000)
+    assert sent(drive).throttle_pct == pytest.approx(60)
+    wheels(drive, 65_535)
+    drive.run(2000)
+    assert sent(drive).throttle_pct == 100
+
+
+def test_without_a_speed_the_throttle_over_speed_goes_to_its_lowest():
+    drive = driving(modes={"rain": DriveMode(by_speed=curve((0, 30), (60, 100)))})
+    wheels(drive, 60_000)
+    drive.run(2000)
+    drive.silent.add("ARD2_SteeringWheel")
+    drive.run(300)
+    assert sent(drive).throttle_pct == 100
+    for _ in range(14):
+        before_pct = sent(drive).throttle_pct
+        drive.tick()
+        assert before_pct - 5.001 <= sent(drive).throttle_pct <= before_pct
+    drive.run(500)
+    assert sent(drive).throttle_pct == 30
+
+
+def test_the_throttle_rises_as_the_mode_says():
+    drive = driving(
+        modes={"rain": DriveMode(rise_by_speed=curve((0, 20), (40, 60)))},
+        demanded=ControllerDemand(power_mode=PowerMode.TURBO),
+    )
+    drive.demanded = FULL
+    drive.run(1000)
+    assert sent(drive).throttle_pct == pytest.approx(20)
+
+
+# Slip.
+
+SLIP = SlipLimiter()
+
+
+def spin(drive: Drive, *motors_kmh: float, front_kmh: float = 20) -> None:
+    wheels(drive, round(front_kmh * 1000))
+    drive.turn(*(round(kmh * RPM_PER_KMH) for kmh in motors_kmh))
+
+
+def slipping(**changes) -> Drive:
+    drive = driving(slip=dataclasses.replace(SLIP, **changes))
+    spin(drive, 20, 20)
+    drive.run(1000)
+    assert sent(drive).throttle_pct == 100
+    return drive
+
+
+def test_a_wheel_within_what_is_allowed_is_left_alone():
+    drive = slipping()
+    spin(drive, 28, 28)
+    drive.run(1000)
+    assert sent(drive).throttle_pct == 100
+
+
+def test_a_wheel_beyond_what_is_allowed_is_cut_by_half_at_once_and_the_other_follows():
+    drive = slipping()
+    spin(drive, 28.01, 20)
+    drive.tick()
+    drive.tick()
+    assert sent(drive, "PCU1").throttle_pct == 50
+    assert sent(drive, "PCU2").throttle_pct == 70
+    assert "limited by slip of PCU1: throttle at most 50 %" in drive.sentence
+
+
+def test_the_next_cut_waits_and_the_lowest_throttle_stays():
+    drive = slipping()
+    spin(drive, 38, 38)
+    throttles = []
+    for _ in range(40):
+        drive.tick()
+        throttles.append(sent(drive).throttle_pct)
+    changes = [i for i in range(1, 40) if throttles[i] != throttles[i - 1]]
+    assert {after - before for before, after in itertools.pairwise(changes)} == {5}
+    assert throttles[-1] == 10
+
+
+def test_without_slip_the_throttle_returns_at_its_rate():
+    drive = slipping()
+    spin(drive, 38, 38)
+    drive.run(150)
+    spin(drive, 20, 20)
+    drive.run(100)
+    before_pct = sent(drive).throttle_pct
+    drive.run(1000)
+    assert sent(drive).throttle_pct == pytest.approx(before_pct + 10)
+
+
+def test_a_saturated_front_wheel_only_releases():
+    drive = slipping()
+    spin(drive, 38, 38)
+    drive.run(150)
+    wheels(drive, 65_535)
+    drive.run(10_000)
+    assert sent(drive).throttle_pct == 100
+
+
+def test_without_a_front_speed_the_cap_stays_until_the_pedal_is_released():
+    drive = slipping()
+    spin(drive, 38, 38)
+    drive.run(150)
+    drive.silent.add("ARD2_SteeringWheel")
+    drive.run(400)
+    stays_pct = sent(drive).throttle_pct
+    drive.run(1000)
+    assert sent(drive).throttle_pct == stays_pct < 100
+    drive.demanded = ControllerDemand(power_mode=PowerMode.TURBO)
+    drive.run(10_000)
+    drive.demanded = FULL
+    drive.run(2000)
+    assert sent(drive).throttle_pct == 100
+
+
+def test_outside_active_it_forgets():
+    drive = slipping()
+    spin(drive, 38, 38)
+    drive.run(500)
+    drive.gateway.requests.disarm(drive.now_ns)
+    drive.tick()
+    assert drive.gateway._laws.slip.caps_pct == dict.fromkeys(CONTROLLERS, 100.0)
+
+
+# Together.
+
+
+def test_nothing_is_told_before_standby():
+    drive = Drive(tuning=Tuning(curves={"power_limit_w.by_motor_temperature_c": HOT}))
+    drive.silent.add("PCU1_Status1")
+    drive.run(500)
+    assert not [held for held in drive.gateway.causes.held if held.finding.effect is Effect.CAP]
+
+
+def test_without_any_key_there_are_no_laws_and_a_reload_may_add_a_stricter_curve_alone():
+    drive = driving()
+    settings = drive.gateway.settings
+    hot = Tuning(
+        curves={"power_limit_w.by_motor_temperature_c": HOT}, motor_rpm_per_kmh=RPM_PER_KMH
+    )
+    assert drive.gateway.reload(dataclasses.replace(settings, tuning=hot)).granted
+    looser = dataclasses.replace(
+        hot,
+        curves={"power_limit_w.by_motor_temperature_c": curve((95, 60000), (110, 7000), (125, 0))},
+    )
+    answer = drive.gateway.reload(dataclasses.replace(settings, tuning=looser))
+    assert answer.sentence == (
+        "while active, limits may only become stricter: curves.power_limit_w.by_motor_temperature_c"
+    )
+    assert not drive.gateway.reload(settings).granted
+    drive.gateway.requests.disarm(drive.now_ns)
+    assert drive.gateway.reload(settings).granted
+    assert drive.gateway._commander.caps == Drive().gateway._commander.caps
+
+
+def test_the_start_mode_needs_a_restart():
+    drive = driving(modes=MODES)
+    settings = drive.gateway.settings
+    other = dataclasses.replace(settings.tuning, start="sport")
+    answer = drive.gateway.reload(dataclasses.replace(settings, tuning=other))
+    assert answer.sentence == "these need a restart: drive_modes.start"
+    assert Settings().tuning == Tuning()
+
+
+def test_a_curve_that_a_reload_took_away_begins_anew():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 110)
+    drive.run(2000)
+    drive.gateway.requests.disarm(drive.now_ns)
+    settings = drive.gateway.settings
+    other = Tuning(curves={"brake_pct.by_soc_pct": EXAMPLES["brake_pct.by_soc_pct"]})
+    assert drive.gateway.reload(dataclasses.replace(settings, tuning=other)).granted
+    drive.tick()
+    assert drive.gateway._laws.deratings.held == {"brake_pct.by_soc_pct": 100.0}
+
+
+def test_laws_that_remember_the_same_are_equal():
+    tuning = Tuning(start="eco", modes=MODES)
+    assert Laws(tuning) == Laws(tuning)
+    assert Laws(tuning) != Laws(Tuning())
+    assert Laws(tuning) != 5
+
+
+def test_curves_and_slip_are_told_to_whoever_asks():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT, slip=SLIP)
+    heat(drive, 110)
+    drive.run(2000)
+    assert drive.gateway.curves == (
+        CurveState("power_limit_w.by_motor_temperature_c", 110.0, 6000.0),
+    )
+    assert drive.gateway.slip_caps_pct == dict.fromkeys(CONTROLLERS, 100.0)
