@@ -16,12 +16,14 @@ from hypothesis import strategies as st
 from tests.core.simulated_drive import CODEC, MS, Drive, active, in_mode
 from tests.recording.graphs import DifferenceError, compare
 from vcu_gateway.core import calls
+from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.core.tuning import Tuning
 from vcu_gateway.recording.checkpoint import StateError, restore, state_of
 
 # Decides nothing; the frames that follow a checkpoint tell it anew.
@@ -148,6 +150,11 @@ OTHER: dict[str, Any] = {
     "power_slew_w_per_s": 6_001.0,
     "regen_slew_pct_per_s": 11.0,
     "speed_slew_rpm_per_s": 501.0,
+    "power_return_w_per_s": 101.0,
+    "brake_return_pct_per_s": 2.0,
+    "speed_fall_rpm_per_s": 101.0,
+    "speed_return_rpm_per_s": 102.0,
+    "tuning": Tuning({"brake_pct.by_soc_pct": Curve(((90, 100), (98, 0)))}),
     "direction_change_rpm": 1.0,
     "regen_min_rpm": 2.0,
     "required_messages": ("BMS_Status", "PCU1_Status2", "PCU2_Status2", "IMU_Attitude"),

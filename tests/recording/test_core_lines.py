@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.core.simulated_drive import MS, ZERO_TORQUE
 from tests.core.test_invariants import ASKED, SETTINGS
+from tests.core.test_tuning import WHOLE as TUNING
 from tests.recording.tapped import TappedDrive, lines_of, parsed
 from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Event, Severity
@@ -73,6 +74,9 @@ CALLS = [
     calls.EmergencyStop(),
     calls.Terminate(),
     calls.ReloadSettings(Settings(bench_demand=ControllerDemand(), priorities={"driver": 2})),
+    calls.ReloadSettings(Settings(tuning=TUNING)),
+    calls.SetDriveMode("sport", FaultClass.DRIVER, NOW),
+    calls.BeginInMode("valet"),
     calls.NoteSent(OutFrame("PCU1", 0x0008A7D0, ZERO_TORQUE), False, NOW),
 ]
 

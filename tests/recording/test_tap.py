@@ -20,7 +20,8 @@ from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.recording.tap import Tap, TappedGateway
 
 READING: dict[type, set[str]] = {
-    Gateway: {"apply", "snapshot", "safe_frames", "why", "reasons", "stop"},
+    # `fit_laws` belongs to `reload`, and to a core that is restored.
+    Gateway: {"apply", "snapshot", "safe_frames", "why", "reasons", "stop", "fit_laws"},
     # `refuse` emits an event, for the core alone: `reload` and its like call it.
     OperatorRequests: {"refuse", "against_arming", "against_resetting", "demanded"},
 }

@@ -204,7 +204,7 @@ def _shape(one: Judged, facts: TickFacts) -> Broken:
 
 
 def _speed_limit(one: Judged, facts: TickFacts) -> Broken:
-    """What is demanded, else the maximum; it falls along the slew and rises at once."""
+    """What is demanded, else the maximum, or less where it is capped; it falls along the slew."""
     rpm, limits = one.command.speed_limit_rpm, facts.limits
     highest_rpm = lowest_rpm = limits.speed_limit_max_rpm
     if facts.active and one.demanded is None:
@@ -212,6 +212,8 @@ def _speed_limit(one: Judged, facts: TickFacts) -> Broken:
     elif facts.active and one.demanded is not None:
         asked_rpm = max(one.demanded.speed_limit_rpm, _SPEED_LIMIT_MIN_RPM)
         highest_rpm = lowest_rpm = min(asked_rpm, highest_rpm)
+    if limits.speed_capped:
+        lowest_rpm = _SPEED_LIMIT_MIN_RPM
     if one.before is not None:
         step_rpm = limits.speed_slew_rpm_per_s * facts.elapsed_ns / _NS_PER_S
         falls_to_rpm = one.before.command.speed_limit_rpm - step_rpm

@@ -48,6 +48,7 @@ class VerdictLimits:
         stale_after_ms, late_after_ms: by message, where the configuration says otherwise.
         aliases: further identifiers of messages.
         bench_demand: static demand of a test bench; None on a vehicle.
+        speed_capped: a curve or a drive mode may have SpeedLimit below what is demanded.
     """
 
     period_ms: float
@@ -72,6 +73,7 @@ class VerdictLimits:
     late_after_ms: Mapping[str, int]
     aliases: Mapping[int, str]
     bench_demand: JudgedDemands | None
+    speed_capped: bool = False
 
     @cached_property
     def stale_ns(self) -> Mapping[str, int]:

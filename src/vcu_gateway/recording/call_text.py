@@ -14,14 +14,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
-from vcu_gateway.core import calls
+from vcu_gateway.core import calls, tuning
 from vcu_gateway.core.causes import Event, Severity
+from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
 from vcu_gateway.core.gateway import CoreCall
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.core.transmit import OutFrame
+from vcu_gateway.core.tuning import Tuning
 from vcu_gateway.units import NS_PER_US
 
 _T = TypeVar("_T")
@@ -39,7 +41,19 @@ _LEFT_OUT = {
 def settings_json(settings: Settings) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in _SETTINGS}
     bench = settings.bench_demand
-    return values | {"bench_demand": None if bench is None else controller_json(bench)}
+    values["bench_demand"] = None if bench is None else controller_json(bench)
+    if settings.tuning == _DEFAULTS.tuning:
+        del values["tuning"]
+    else:
+        own = tuning.values(settings.tuning)
+        values["tuning"] = {key: _tuning_json(value) for key, value in own.items()}
+    return values
+
+
+def _tuning_json(value: Any) -> Any:
+    if isinstance(value, Curve):
+        return [list(point) for point in value.points]
+    return value.name.lower() if isinstance(value, PowerMode) else value
 
 
 def settings_of(values: Any) -> Settings:
@@ -54,6 +68,8 @@ def settings_of(values: Any) -> Settings:
 def _setting(name: str, value: Any) -> Any:
     if name == "bench_demand":
         return None if value is None else controller_of(value)
+    if name == "tuning":
+        return _tuning_of(value)
     default = getattr(_DEFAULTS, name)
     if isinstance(default, tuple):
         if isinstance(value, list) and all(isinstance(one, str) for one in value):
@@ -64,6 +80,13 @@ def _setting(name: str, value: Any) -> Any:
     elif type(value) is type(default) or {type(value), type(default)} == {int, float}:
         return value
     raise ValueError(f"the setting {name} cannot be {value!r:.40}")
+
+
+def _tuning_of(value: Any) -> Tuning:
+    try:
+        return tuning.of_values(value)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"the tuning cannot be read: {error}") from error
 
 
 def controller_json(demand: ControllerDemand) -> dict[str, Any]:

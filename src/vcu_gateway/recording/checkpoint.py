@@ -34,8 +34,11 @@ from typing import Any
 
 from vcu_gateway import core
 from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.commands import NOT_CAPPED
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.laws import Laws
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.tuning import Tuning
 
 _DERIVED: Mapping[str, frozenset[str]] = {
     name: frozenset(attributes.split())
@@ -52,6 +55,8 @@ _DERIVED: Mapping[str, frozenset[str]] = {
         "ModeManager": "_period_ns",
         "ListenBeforeTalk": "_listen_ns",
         "OperatorRequests": "terms",
+        "Laws": "",
+        "Deratings": "worst _readers _told",
     }.items()
 }
 """Attributes by class that the codec and the settings give, or that are made again.
@@ -61,8 +66,10 @@ What is known of a stop is among these: it decides nothing, and the frames that 
 
 _LATER: Mapping[str, Mapping[str, Any]] = {
     "OperatorRequests": {"restart_state_failure": None},
+    "Gateway": {"_laws": Laws(Tuning())},
+    "Commander": {"caps": NOT_CAPPED},
 }
-"""Attributes by class that came later, with what earlier recordings mean by leaving them out."""
+"""Attributes by class that came later, with what a state means by leaving them out."""
 
 _SCALARS = frozenset({bool, int, str, type(None)})
 
@@ -84,11 +91,13 @@ def restore(state: Any, codec: Codec, settings: Settings) -> Gateway:
     """
     twin = Gateway(codec, settings, 0)
     try:
-        return _Decoder().root(state, twin)
+        gateway = _Decoder().root(state, twin)
     except StateError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise StateError(f"the state is damaged ({type(error).__name__}: {error})") from error
+    gateway.fit_laws()
+    return gateway
 
 
 def _core_class(kind: type) -> type:
@@ -246,12 +255,16 @@ class _Decoder:
     def _fill(self, made: Any, kind: type, content: Any, twin: Any) -> None:
         """Lay the attributes of a state over what the codec and the settings give."""
         expected = _attributes(kind, twin) if twin is not None else _field_names(kind)
-        content = {**_LATER.get(kind.__name__, {}), **content}
-        if sorted(content) != expected:
-            odd = ", ".join(sorted(set(content).symmetric_difference(expected)))
+        later = _LATER.get(kind.__name__, {})
+        if sorted({*later, *content}) != expected:
+            odd = ", ".join(sorted({*later, *content}.symmetric_difference(expected)))
             raise StateError(f"{kind.__name__} has other attributes in this version: {odd}")
         for name in expected:
-            value = self.decoded(content[name], getattr(twin, name, None))
+            own = getattr(twin, name, None)
+            if name in content:
+                value = self.decoded(content[name], own)
+            else:
+                value = later[name] if own is None else own
             object.__setattr__(made, name, value)
         if made is not twin:
             for name in _DERIVED.get(kind.__name__, ()):

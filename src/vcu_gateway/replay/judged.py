@@ -46,6 +46,10 @@ def limits_of(settings: Settings, aliases: Mapping[int, str]) -> VerdictLimits:
     values["bench_demand"] = (
         None if bench is None else dict.fromkeys(CONTROLLERS, _demand_of(bench))
     )
+    tuning = settings.tuning
+    values["speed_capped"] = any(name.startswith("speed_limit") for name in tuning.curves) or any(
+        mode.speed_limit_kmh is not None for mode in tuning.modes.values()
+    )
     return VerdictLimits(**values, period_ms=settings.period_ns / 1e6, aliases=aliases)
 
 
