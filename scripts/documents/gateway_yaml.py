@@ -9,8 +9,8 @@ Generated from the model, for people who write a configuration:
       # value.
       speed_limit_max_rpm: 12000
 
-A key whose default is null is commented out and shows its example, and so is the whole section
-of the test bench.
+A key whose default is null is commented out and shows its example, and so are the whole sections of
+the tuning and of the test bench.
 """
 
 import json
@@ -23,12 +23,14 @@ from pydantic import BaseModel, TypeAdapter
 from pydantic.fields import FieldInfo
 
 from vcu_gateway.config.model import Config
+from vcu_gateway.config.tuning import TUNING_SECTIONS
 from vcu_gateway.core.settings import KEYS, Reload
 from vcu_gateway.strict_yaml import parser, validation
 
 _COLUMNS = 97
 _INDENT = "  "
-_COMMENTED_OUT = "bench"
+_CURVE = "by_"
+_COMMENTED_OUT = (*TUNING_SECTIONS, "bench")
 _UNQUOTED = re.compile(r"[A-Za-z/]")  # what begins otherwise is not text to every reader of YAML
 
 _HEAD = """\
@@ -48,9 +50,8 @@ _HEAD = """\
 def text() -> str:
     """The file's contents."""
     sections = {name: _section(field) for name, field in Config.model_fields.items()}
-    bench = sections.pop(_COMMENTED_OUT)
-    parts = [_head(section) + _keys(name, section) for name, section in sections.items()]
-    parts.append(_head(bench) + [f"#{line}" for line in _keys(_COMMENTED_OUT, bench)])
+    ordered = sorted(sections.items(), key=lambda item: item[0] in _COMMENTED_OUT)
+    parts = [_head(section) + _lines(name, section) for name, section in ordered]
     return "\n".join([_HEAD, *("\n".join([*lines, ""]) for lines in parts)])
 
 
@@ -59,6 +60,13 @@ def _section(field: FieldInfo) -> type[BaseModel]:
     if section is None:
         raise TypeError(f"the configuration holds sections only, not {field}")
     return section
+
+
+def _lines(name: str, section: type[BaseModel]) -> list[str]:
+    """A section's keys, commented out where it is a whole."""
+    if name not in _COMMENTED_OUT:
+        return _keys(name, section)
+    return [f"#{line}" for line in _keys(name, section, commented_out=True)]
 
 
 def _head(section: type[BaseModel]) -> list[str]:
@@ -77,25 +85,31 @@ def _comment(words: str, indent: str) -> list[str]:
     )
 
 
-def _keys(name: str, section: type[BaseModel], indent: str = "") -> list[str]:
+def _keys(
+    name: str, section: type[BaseModel], indent: str = "", *, commented_out: bool = False
+) -> list[str]:
     """A section's name and its keys below it, the sections within it last."""
     fields = section.model_fields.items()
     ordered = sorted(fields, key=lambda item: validation.section_of(item[1]) is not None)
-    blocks = [_key(key, field, section, indent + _INDENT) for key, field in ordered]
+    blocks = [_key(key, field, section, indent + _INDENT, commented_out) for key, field in ordered]
     lines = [line for block in blocks for line in ("", *block)]
     return [f"{indent}{name}:", *lines[1:]]
 
 
-def _key(name: str, field: FieldInfo, section: type[BaseModel], indent: str) -> list[str]:
+def _key(
+    name: str, field: FieldInfo, section: type[BaseModel], indent: str, commented_out: bool
+) -> list[str]:
     default = None if field.is_required() else _json_default(name, section)
-    facts = "; ".join(_facts(name, field, default))
     comment = _comment(field.description or "", indent)
-    comment += _comment(f"{facts[0].upper()}{facts[1:]}.", indent)
-    if within := validation.section_of(field):
-        return comment + _keys(name, within, indent)
-    if default is None:
+    within = validation.section_of(field)
+    if within is None or default is None:
+        facts = "; ".join(_facts(name, field, default))
+        comment += _comment(f"{facts[0].upper()}{facts[1:]}.", indent)
+    if within:
+        return comment + _keys(name, within, indent, commented_out=commented_out)
+    if default is None or (commented_out and field.examples):
         (example,) = field.examples or [None]
-        mark = "" if field.is_required() else "#"
+        mark = "" if field.is_required() or commented_out else "#"
         return [*comment, f"{indent}{mark}{name}: {_flow(example)}"]
     return comment + _assignment(name, default, indent)
 
@@ -109,7 +123,7 @@ def _assignment(name: str, value: Any, indent: str) -> list[str]:
 
 def _facts(name: str, field: FieldInfo, default: Any) -> Iterator[str]:
     """Unit, default, choices, range and reload rule, as far as the key has them."""
-    if unit := validation.unit(name):
+    if (unit := validation.unit(name)) and not name.startswith(_CURVE):
         yield f"unit {unit}"
     if field.is_required():
         yield "required; must be true"

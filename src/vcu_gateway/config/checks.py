@@ -8,11 +8,12 @@ The packaged DBC, or another one that agrees with it.
 import dataclasses
 import grp
 import pwd
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from vcu_gateway.config.load import load
+from vcu_gateway.config.load import core_settings, load
 from vcu_gateway.config.model import IDENTIFIER_KEYS, Config
+from vcu_gateway.config.tuning import without_effect
 from vcu_gateway.core import j1939
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec
@@ -153,6 +154,22 @@ def _unknown(
 
 def check_effect(config: Config) -> list[Problem]:
     """Values that are allowed, and have no effect beside another one; they prevent no start."""
+    source = config.source
+    hints = without_effect(core_settings(config).tuning, _highest(config))
+    found = problems(hints, source.file, source.lines, IDENTIFIER_KEYS)
+    return [*_derating_without_effect(config), *found]
+
+
+def _highest(config: Config) -> Mapping[str, float]:
+    limits = config.limits
+    return {
+        "power_limit_w": limits.power_limit_max_w,
+        "brake_pct": 100,
+        "speed_limit_rpm": limits.speed_limit_max_rpm,
+    }
+
+
+def _derating_without_effect(config: Config) -> list[Problem]:
     derated_w, most_w = config.limits.derated_power_w, config.limits.power_limit_max_w
     if not 0 < most_w <= derated_w:
         return []

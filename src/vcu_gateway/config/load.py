@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway.config.model import IDENTIFIER_KEYS, BenchDemandSection, Config, ConfigSource
+from vcu_gateway.config.tuning import TUNING_SECTIONS, contradictions, tuning_of
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W
@@ -77,6 +78,7 @@ def _contradictions(config: Config) -> Iterator[FileProblem]:
     if ttl_ms > longest_ms:
         what = f"must be at most {longest_ms} ms, not {ttl_ms}"
         yield FileProblem(("demand", "ttl_default_ms"), what, "demand.ttl_max_ms says so")
+    yield from contradictions(config.vehicle, config.drive_modes, config.laws)
     dbc = config.protocol.dbc
     if dbc is not None and not os.path.isfile(dbc):
         yield FileProblem(("protocol", "dbc"), f"no file can be found at {dbc}")
@@ -150,7 +152,11 @@ def core_settings(config: Config) -> Settings:
     """The core's settings, the bench demand with them."""
     values = {name: getattr(getattr(config, key.section), name) for name, key in KEYS.items()}
     demand = config.bench.demand
-    return Settings(**values, bench_demand=None if demand is None else _bench_demand(demand))
+    return Settings(
+        **values,
+        tuning=tuning_of({name: getattr(config, name) for name in TUNING_SECTIONS}),
+        bench_demand=None if demand is None else _bench_demand(demand),
+    )
 
 
 def _bench_demand(demand: BenchDemandSection) -> ControllerDemand:

@@ -18,6 +18,12 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
+from vcu_gateway.config.tuning import (
+    CurvesSection,
+    DriveModesSection,
+    LawsSection,
+    VehicleSection,
+)
 from vcu_gateway.config.value_types import (
     Confirmation,
     File,
@@ -298,7 +304,11 @@ class Config(Section):
     bus: BusSection = BusSection()
     protocol: ProtocolSection = ProtocolSection()
     freshness: FreshnessSection = FreshnessSection()
+    vehicle: VehicleSection = VehicleSection()
     limits: LimitsSection = LimitsSection()
+    curves: CurvesSection = CurvesSection()
+    drive_modes: DriveModesSection = DriveModesSection()
+    laws: LawsSection = LawsSection()
     safety: SafetySection = SafetySection()
     demand: DemandSection = DemandSection()
     api: ApiSection = ApiSection()

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import Config
+from vcu_gateway.config.tuning import TUNING_SECTIONS, flat
 from vcu_gateway.core.calls import ReloadSettings
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.settings import KEYS, Reload, loosened
+from vcu_gateway.core.settings import KEYS, RESTART_ONLY, Reload, loosened
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.daemon.events import EventLog
@@ -99,7 +100,11 @@ def _refused(*problems: str) -> ReloadOutcome:
 
 def _in_a_drive(name: str) -> str:
     """Which way this setting may change while the vehicle can move, if any."""
-    key = KEYS[name]
+    key = KEYS.get(name)
+    if key is None:
+        lower = "may only become a curve that is nowhere higher while active"
+        none = "cannot change while active; disarm first"
+        return f"{name} {lower if name.startswith('curves.') else none}"
     direction = {Reload.SMALLER: "smaller", Reload.LARGER: "larger"}.get(key.reload)
     if direction is None:
         return f"{key.section}.{name} cannot change while active; disarm first"
@@ -121,6 +126,8 @@ def changed(before: Config, after: Config) -> tuple[str, ...]:
 def is_live(name: str) -> bool:
     """True where a running gateway takes this key, a dotted name; the others need a restart."""
     section, _, key = name.partition(".")
+    if section in TUNING_SECTIONS:
+        return name not in RESTART_ONLY
     setting = KEYS.get(key)
     return setting is not None and setting.section == section and setting.reload is not Reload.NEVER
 
@@ -128,5 +135,8 @@ def is_live(name: str) -> bool:
 def _flat(config: Config) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for section, keys in configuration.effective(config).items():
-        values.update({f"{section}.{key}": value for key, value in keys.items()})
+        if section in TUNING_SECTIONS:
+            values |= flat(keys, section)
+        else:
+            values |= {f"{section}.{key}": value for key, value in keys.items()}
     return values

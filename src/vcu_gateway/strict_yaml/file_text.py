@@ -14,6 +14,10 @@ from vcu_gateway.errors import ConfigError, GatewayError, MissingInputError, Pro
 KeyPath = tuple[str | int, ...]
 
 
+class PointIndex(int):
+    """Index of a point in a curve; a problem shows it as [2], counted from 1."""
+
+
 class LineMap:
     """Line of each key and item, by its path in the document."""
 
@@ -70,8 +74,10 @@ def problems(
 
 
 def dotted(path: KeyPath, hexadecimal: KeyPath | None = None) -> str:
-    return ".".join(
-        _shown_key(key, as_hexadecimal=path[:depth] == hexadecimal)
+    return "".join(
+        f"[{key + 1}]"
+        if isinstance(key, PointIndex)
+        else "." * (depth > 0) + _shown_key(key, as_hexadecimal=path[:depth] == hexadecimal)
         for depth, key in enumerate(path)
     )
 

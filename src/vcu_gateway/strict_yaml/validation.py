@@ -18,12 +18,23 @@ from vcu_gateway.strict_yaml.file_text import KeyPath as Path
 from vcu_gateway.strict_yaml.parser import YamlDocument
 
 REFUSED = "refused"
-"""The error type of our own refusals; their context holds `requirement` and `remedy`."""
+"""The error type of our own refusals; their context is what `refusal` was given."""
 
 
-def refusal(requirement: str, remedy: str = "") -> PydanticCustomError:
-    """The error of a key that does not meet this requirement ("must be ...")."""
-    context: dict[str, Any] = {"requirement": requirement, "remedy": remedy}
+def refusal(
+    requirement: str, remedy: str = "", *, place: Path = (), complete: bool = False
+) -> PydanticCustomError:
+    """The error of a key that does not meet this requirement ("must be ...").
+
+    `place` leads on to an item of the key's value; a `complete` requirement says itself what was
+    given instead.
+    """
+    context: dict[str, Any] = {
+        "requirement": requirement,
+        "remedy": remedy,
+        "place": place,
+        "complete": complete,
+    }
     return PydanticCustomError(REFUSED, "{requirement}", context)
 
 
@@ -51,6 +62,7 @@ class Section(BaseModel):
 _Model = TypeVar("_Model", bound=Section)
 
 _UNITS = {
+    "rpm_per_kmh": "rpm per km/h",
     "bit_s": "bit/s",
     "bytes": "bytes",
     "ms": "ms",
@@ -121,6 +133,9 @@ def _finding(details: ErrorDetails, root: type[Section]) -> FileProblem:
     requirement = _requirement(details, field) if path else root.outline
     if path[-1:] == (_KEY,):
         return FileProblem(path[:-1], f"the key {requirement}", _own_remedy(details))
+    own: Mapping[str, Any] = details.get("ctx", {}) if kind == REFUSED else {}
+    if own.get("complete"):
+        return FileProblem((*path, *own["place"]), requirement, _own_remedy(details))
     of_items = kind == REFUSED and isinstance(details["input"], list | tuple)
     what = requirement if of_items else f"{requirement}, not {shown(details['input'])}"
     return FileProblem(path, what, _own_remedy(details) or _remedy(details, field))
