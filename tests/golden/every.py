@@ -6,6 +6,7 @@ from tests.golden import (  # noqa: F401 - each adds its own
     drives_pedals,
     drives_requests,
     drives_scenarios,
+    drives_tuning,
     drives_vehicle,
 )
 from tests.golden.scripts import DRIVES
