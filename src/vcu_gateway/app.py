@@ -18,6 +18,7 @@ from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.spec import ProtocolSpec
+from vcu_gateway.daemon.kept_drive_mode import KeptDriveMode
 from vcu_gateway.daemon.log import log_event
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import Reloader
@@ -81,6 +82,10 @@ class Application:
         others = other_folders(bus, folder)
         restart_state = RestartState(folder, bus, self.loop.gateway, self.loop.event_log, others)
         restart_state.begin()
+        gateway, event_log = self.loop.gateway, self.loop.event_log
+        if (kept := KeptDriveMode.of(bus.channel, gateway, event_log, folder)) is not None:
+            kept.begin()
+            self.loop.add_observer(kept.observe)
         self._service = ServiceReporter(manager, runtime, self.loop)
         self._service.begin()
         self.facts.start = self._service.start
