@@ -191,3 +191,50 @@ def test_a_verb_answers_in_a_moment(ask):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=90)
     assert done.stdout == "[]\n"
+
+
+# Tuning.
+
+TUNED = """
+vehicle: {motor_rpm_per_kmh: 85.3}
+curves: {power_limit_w: {by_motor_temperature_c: [[95, 14000], [110, 6000]]}}
+drive_modes: {start: eco, modes: {eco: {power_limit_w: 8000}, sport: {},
+  valet: {left_by_service: true}}}
+laws: {slip: {}}
+"""
+
+
+def test_tuning_shows_the_drive_mode_each_curve_and_the_slip_limiter(tmp_path):
+    with driven(tmp_path, TUNED) as one:
+        one.until_ready()
+        lines = vcu(one.socket_path, "tuning").stdout.splitlines()
+        found = json.loads(vcu(one.socket_path, "tuning", "--json").stdout)
+    assert lines[0] == "drive mode eco (others: sport, valet)"
+    assert re.fullmatch(r"power_limit_w.by_motor_temperature_c +\d+ °C +14000 W *", lines[2]), lines
+    assert lines[3] == "slip: throttle at most PCU1 100 %, PCU2 100 %"
+    openrpc.result_adapter(results.TuningNow).validate_python(found)
+
+
+def test_without_tuning_both_verbs_say_so(ask):
+    assert ask("tuning").stdout.startswith("no curve, drive mode or slip limiter is configured")
+    assert ask("drive-mode").stdout.startswith("no drive mode is configured")
+    refused = ask("drive-mode sport")
+    assert refused.returncode == os.EX_TEMPFAIL
+    assert refused.stderr == "error: there is no drive mode sport; none is configured\n"
+
+
+def test_a_drive_mode_is_taken_refused_and_left_at_service_level(tmp_path):
+    with driven(tmp_path, TUNED) as one:
+        one.until_ready()
+        path = one.socket_path
+        assert vcu(path, "drive-mode", "sport").stdout == "sport (others: eco, valet)\n"
+        assert vcu(path, "drive-mode").stdout == "sport (others: eco, valet)\n"
+        wrong = vcu(path, "drive-mode", "sprot")
+        assert wrong.stderr == (
+            "error: there is no drive mode sprot; the modes are eco, sport, valet\n"
+        )
+        vcu(path, "drive-mode", "valet")
+        kept = vcu(path, "drive-mode", "eco")
+        assert kept.stderr == "error: drive mode valet is left at service level\n"
+        left = vcu(path, "drive-mode", "eco", "--level", "service")
+        assert left.stdout == "eco (others: sport, valet)\n"

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 VERBS = [
     *("run", "status", "why", "watch", "demand", "arm", "disarm", "reset", "estop", "events"),
     *("reload", "simulate", "demo", "decode", "check-config", "schema", "dbc", "completion"),
-    *("replay", "doctor", "version"),
+    *("replay", "doctor", "version", "drive-mode", "tuning"),
 ]
 
 

@@ -24,11 +24,13 @@ CALLS: list[calls.Call[Any]] = [
     calls.disarm(),
     calls.reset("driver"),
     calls.reset("service"),
+    calls.set_drive_mode("eco", "driver"),
+    calls.tuning(),
     calls.estop(),
     calls.reload(),
 ]
 NOT_CALLS = {"demand.set", "demand.release", "state.unsubscribe"}
-CHANGING = {"arm", "disarm", "reset", "estop", "config.reload"}
+CHANGING = {"arm", "disarm", "reset", "drive_mode.set", "estop", "config.reload"}
 
 
 def test_every_method_of_the_contract_can_be_called():

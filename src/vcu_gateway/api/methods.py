@@ -117,6 +117,12 @@ class ResetParams(Params):
     level: Literal["driver", "service"] = "driver"
 
 
+class DriveModeParams(ResetParams):
+    """Drive mode to be taken, and the level at which it is asked for."""
+
+    mode: str = Field(max_length=64, description="Name of a configured drive mode.")
+
+
 class EventsParams(Params):
     """Number of events to report."""
 
@@ -128,7 +134,7 @@ class Method(NamedTuple):
 
     Attributes:
         params: model of the parameters, by name; result: type of the result.
-        right: what the peer needs; `reset` at service level needs SERVICE instead.
+        right: what the peer needs; at service level it is SERVICE instead.
     """
 
     params: type[Params]
@@ -178,6 +184,19 @@ METHODS: Mapping[str, Method] = {
     "reset": Method(
         ResetParams, results.Granted, Right.OPERATE, "From fault to starting, at a level."
     ),
+    "drive_mode.set": Method(
+        DriveModeParams,
+        results.Granted,
+        Right.OPERATE,
+        "Ask for a drive mode, which waits for the pedal's release where it would make a step. A"
+        " mode with left_by_service is left at service level only.",
+    ),
+    "tuning.get": Method(
+        Nothing,
+        results.TuningNow,
+        Right.READ,
+        "Drive mode, and where the vehicle is on each curve.",
+    ),
     "estop": Method(
         Nothing,
         results.Granted,
@@ -203,7 +222,7 @@ METHODS: Mapping[str, Method] = {
 
 
 def right_needed(name: str, params: Params) -> Right:
-    """Right that this request needs; a reset at service level needs SERVICE."""
+    """Right that this request needs; one at service level needs SERVICE."""
     if isinstance(params, ResetParams) and params.level == "service":
         return Right.SERVICE
     return METHODS[name].right

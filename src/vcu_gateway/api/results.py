@@ -13,7 +13,9 @@ ControllerName = Literal["PCU1", "PCU2"]
 ModeName = Literal["starting", "standby", "active", "fault", "stopping"]
 PowerModeName = Literal["eco", "normal", "turbo", "safety"]
 QualityName = Literal["good", "out of range", "saturated", "stale", "never"]
-EffectName = Literal["alarm", "turbo off", "power limit", "regen limit", "regen off", "stop", "cut"]
+EffectName = Literal[
+    "alarm", "turbo off", "power limit", "regen limit", "regen off", "cap", "stop", "cut"
+]
 FaultClassName = Literal["driver", "service"]
 StopStageName = Literal["latched", "sent", "on the bus", "cut", "not obeyed"]
 LinkStateName = Literal["up", "error warning", "error passive", "bus off", "lost"]
@@ -184,6 +186,46 @@ class Why(TypedDict):
     demand: DemandState | None
     next_step: str
     """Action for the driver or operator."""
+
+
+class DriveModeNow(TypedDict):
+    """Drive mode of the vehicle."""
+
+    current: str
+    """The one whose pedal map, rise and power mode count."""
+    requested: str
+    """The one that was asked for last; another one waits for the pedal's release."""
+    modes: list[str]
+    left_by_service: list[str]
+    """Those that only the service level leaves."""
+
+
+class CurveNow(TypedDict):
+    """A configured curve, and where the vehicle is on it."""
+
+    key: str
+    """Whole key in the configuration file."""
+    input: str
+    """Quantity that it is a curve over."""
+    input_unit: str
+    cap_unit: str
+    points: list[list[float]]
+    x: float | None
+    """The input in the last tick; null where it is not known."""
+    cap: float | None
+    """The limit that it gives now, which returns slowly; null before the first tick."""
+    limits: bool
+    """Whether it gives less than its highest point."""
+
+
+class TuningNow(TypedDict):
+    """Drive mode, curves and slip limiter in the last tick."""
+
+    drive_mode: DriveModeNow | None
+    """Null where there are no drive modes."""
+    curves: list[CurveNow]
+    slip_throttle_max_pct: dict[ControllerName, float] | None
+    """Throttle that the slip limiter leaves each controller; null where it is off."""
 
 
 class Link(TypedDict):

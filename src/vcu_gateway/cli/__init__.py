@@ -25,6 +25,8 @@ _VERBS = {
     "arm": "let the vehicle move: from standby to active",
     "disarm": "end the drive: from active to standby",
     "reset": "from a latched fault to standby",
+    "drive-mode": "the drive modes, or another one",
+    "tuning": "where the vehicle is on each curve, and what limits it",
     "estop": "emergency stop: cut the power, and say whether it is",
     "events": "the latest events, counted",
     "reload": "read the configuration file again, all of it or nothing",
@@ -49,6 +51,7 @@ _VERBS = {
 MODULES = {
     **dict.fromkeys(("status", "arm", "disarm", "reset", "reload", "why", "events"), "operator"),
     "estop": "operator",
+    "drive-mode": "tuning",
     "check-config": "run",
     "version": "about",
     "completion": "about",

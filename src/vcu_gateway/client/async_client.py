@@ -215,6 +215,16 @@ class AsyncClient:
         """From fault to starting."""
         return await self.call(calls.reset(level))
 
+    async def set_drive_mode(
+        self, mode: str, level: Literal["driver", "service"] = "driver"
+    ) -> results.Granted:
+        """Ask for a drive mode; it waits for the pedal's release where it would make a step."""
+        return await self.call(calls.set_drive_mode(mode, level))
+
+    async def tuning(self) -> results.TuningNow:
+        """Drive mode, and where the vehicle is on each curve."""
+        return await self.call(calls.tuning())
+
     async def estop(self) -> results.Granted:
         """Emergency stop: cut the power of both controllers until a reset at service level."""
         return await self.call(calls.estop())

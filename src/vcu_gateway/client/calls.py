@@ -118,6 +118,16 @@ def reset(level: Literal["driver", "service"]) -> Call[results.Granted]:
     return Call("reset", {"level": level}, changes=True)
 
 
+def set_drive_mode(mode: str, level: Literal["driver", "service"]) -> Call[results.Granted]:
+    """Another drive mode."""
+    return Call("drive_mode.set", {"mode": mode, "level": level}, changes=True)
+
+
+def tuning() -> Call[results.TuningNow]:
+    """Drive mode, curves and slip limiter in the last tick."""
+    return Call("tuning.get", {})
+
+
 def estop() -> Call[results.Granted]:
     """Emergency stop: cut the power of both controllers."""
     return Call("estop", {}, changes=True, stops=True)

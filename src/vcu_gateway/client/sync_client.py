@@ -219,6 +219,16 @@ class Client:
         """From fault to starting."""
         return self.call(calls.reset(level))
 
+    def set_drive_mode(
+        self, mode: str, level: Literal["driver", "service"] = "driver"
+    ) -> results.Granted:
+        """Ask for a drive mode; it waits for the pedal's release where it would make a step."""
+        return self.call(calls.set_drive_mode(mode, level))
+
+    def tuning(self) -> results.TuningNow:
+        """Drive mode, and where the vehicle is on each curve."""
+        return self.call(calls.tuning())
+
     def estop(self) -> results.Granted:
         """Emergency stop: cut the power of both controllers until a reset at service level."""
         return self.call(calls.estop())

@@ -106,6 +106,11 @@ class CommandHandlers:
             "reset", caller, self._gateway.apply(calls.Reset(level, time.monotonic_ns()))
         )
 
+    def set_drive_mode(self, params: methods.DriveModeParams, caller: Caller) -> results.Granted:
+        level = FaultClass(params.level)
+        call = calls.SetDriveMode(params.mode, level, time.monotonic_ns())
+        return self._logged("drive_mode.set", caller, self._gateway.apply(call))
+
     def _logged(self, what: str, caller: Caller, answer: RequestResult) -> results.Granted:
         """Result as `_granted` makes it, with the peer in the event log."""
         peer = {"uid": caller.peer.uid, "pid": caller.peer.pid}
@@ -133,6 +138,7 @@ _COMMANDS: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
     "disarm": CommandHandlers.disarm,
     "reset": CommandHandlers.reset,
     "estop": CommandHandlers.estop,
+    "drive_mode.set": CommandHandlers.set_drive_mode,
     "events": CommandHandlers.events,
 }
 

@@ -1,18 +1,22 @@
 """State, commands, `why` and protocol as the API's results."""
 
+import math
 from collections.abc import Iterable
 from typing import Any, TypeVar, cast, get_args
 
 from vcu_gateway.api import results
 from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import HeldCause
+from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import Demand
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.laws import CurveState
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.stop import Stop
 from vcu_gateway.core.summary import summary
 from vcu_gateway.core.supervisor import Mode
+from vcu_gateway.core.tuning import DERATINGS, LIMITS
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.units import NS_PER_MS
 
@@ -189,6 +193,43 @@ def _cause(held: HeldCause, explained: explanation.Explanation) -> results.Cause
         "effect": finding.effect.value,
         "since_ms": _since(explained.now_ns, held.since_ns),
         "stands": held.stands(explained.judged_ns),
+    }
+
+
+def tuning(gateway: Gateway) -> results.TuningNow:
+    """Drive mode, curves and slip limiter in the last tick; from any thread."""
+    settings = gateway.settings.tuning
+    current, requested = gateway.drive_modes
+    drive_mode: results.DriveModeNow | None = None
+    if current is not None and requested is not None:
+        drive_mode = {
+            "current": current,
+            "requested": requested,
+            "modes": list(settings.modes),
+            "left_by_service": [n for n, one in settings.modes.items() if one.left_by_service],
+        }
+    slip_pct = dict(gateway.slip_caps_pct)
+    return {
+        "drive_mode": drive_mode,
+        "curves": [_curve(one, settings.curves[one.name]) for one in gateway.curves],
+        "slip_throttle_max_pct": None
+        if settings.slip is None
+        else {name: slip_pct[name] for name in _CONTROLLERS},
+    }
+
+
+def _curve(state: CurveState, curve: Curve) -> results.CurveNow:
+    derating = DERATINGS[state.name]
+    quantity = derating.input.quantity
+    return {
+        "key": derating.key,
+        "input": quantity.text,
+        "input_unit": quantity.unit,
+        "cap_unit": LIMITS[derating.limit].unit,
+        "points": [list(point) for point in curve.points],
+        "x": state.x,
+        "cap": state.cap if state.cap is None or math.isfinite(state.cap) else None,
+        "limits": state.cap is not None and state.cap < curve.highest,
     }
 
 
