@@ -29,7 +29,7 @@ from tests.web.stand import AlteringRelay, GatewayProcess, gateway_running, prox
 
 CI = pytest.mark.ci
 narrowest, *wider = WIDTHS
-VIEWS = ("why", "signals", "plots", "events", "bus", "recordings")
+VIEWS = ("why", "signals", "plots", "events", "bus", "recordings", "tuning")
 OLD_WITHIN_S = 0.5
 FRAMES_AGE = r"() => /^Sent \d+(\.\d+)? s ago/.test(document.querySelector('.frames').textContent)"
 

@@ -161,6 +161,8 @@ def _api_routes(api: Routes, recordings: RecordingRoutes) -> list[Route]:
         Route("/api/stream", visitors(api.stream)),
         Route("/api/history", visitors(api.history)),
         Route("/api/actions/{name}", api.act, methods=["POST"]),
+        Route("/api/tuning", visitors(api.tuning)),
+        Route("/api/drive-mode", visitors(api.set_drive_mode), methods=["POST"]),
         Route("/api/recordings", visitors(recordings.listed)),
         Route("/api/recordings/{kind}/{name}/download", visitors(recordings.download)),
         Route(

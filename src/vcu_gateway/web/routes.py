@@ -2,7 +2,7 @@
 
 Call that many ask for at once, and that is made once for all who wait.
 
-What the page may ask of the gateway: stop, disarm, arm, reset; never a demand.
+What the page may ask of the gateway: stop, disarm, arm, reset, a drive mode; never a demand.
 
 The emergency stop is asked for again and again until the gateway has answered. What became of it
 on the bus and at the controllers is no part of the answer: every state tells it.
@@ -14,15 +14,15 @@ import json
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any, Generic, TypedDict, TypeVar
+from typing import Any, Generic, Literal, TypedDict, TypeVar
 
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from vcu_gateway.api.errors import Right
-from vcu_gateway.api.results import Granted, ModeName
+from vcu_gateway.api.results import Granted, ModeName, TuningNow
 from vcu_gateway.client import ApiError, AsyncClient, ClientError
-from vcu_gateway.client.calls import Call, arm, disarm, estop, reset
+from vcu_gateway.client.calls import Call, arm, disarm, estop, reset, set_drive_mode, tuning
 from vcu_gateway.web.access import Access, Visitor
 from vcu_gateway.web.gateway_link import GatewayLink, now_ms
 from vcu_gateway.web.guard import NO_STORE, PageRequestError
@@ -93,6 +93,7 @@ class Actions:
         self._asking = AsyncClient(socket_path, _ASK_TIMEOUT_S)
         self._merged_stop = MergedCall(self._ask_to_stop)
         self._merged_disarm = MergedCall(functools.partial(self._ask, "disarm"))
+        self._merged_tuning = MergedCall(lambda: self._asking.call(tuning()))
 
     async def act(self, name: str) -> Answer:
         """Carry out an action of `roles.ACTION_RIGHTS`."""
@@ -100,10 +101,20 @@ class Actions:
             return await self._merged_stop()
         return await (self._merged_disarm() if name == "disarm" else self._ask(name))
 
+    async def set_drive_mode(self, mode: str, level: Literal["driver", "service"]) -> Answer:
+        """Ask for a drive mode."""
+        return await self._call(self._asking, set_drive_mode(mode, level))
+
+    async def tuning(self) -> TuningNow:
+        """Drive mode and curves now, asked for once for all; ClientError where that fails."""
+        return await self._merged_tuning()
+
     async def _ask(self, name: str) -> Answer:
-        client = self._stopping if name == "disarm" else self._asking
+        return await self._call(self._stopping if name == "disarm" else self._asking, CALLS[name])
+
+    async def _call(self, client: AsyncClient, call: Call[Granted]) -> Answer:
         try:
-            return _granted(await client.call(CALLS[name]))
+            return _granted(await client.call(call))
         except ApiError as error:
             return _answer(answered=True, sentence=error.sentence)
         except ClientError as error:
@@ -235,8 +246,31 @@ class Routes:
             raise PageRequestError(403, f"a {visitor.role.value} may not ask for {name}")
         done = await self._actions.act(name)
         self._tell(name, visitor, granted=done["granted"], sentence=done["sentence"])
-        status = 200 if done["granted"] else 409 if done["answered"] else 503
-        return answer(dict(done), status)
+        return answer(dict(done), _status(done))
+
+    async def tuning(self, request: Request, visitor: Visitor) -> Response:
+        """Drive mode, and where the vehicle is on each curve."""
+        del request, visitor
+        try:
+            return answer(await self._actions.tuning())
+        except ClientError as error:
+            raise PageRequestError(503, str(error)) from error
+
+    async def set_drive_mode(self, request: Request, visitor: Visitor) -> Response:
+        """Ask for a drive mode; at service level for who has that right."""
+        given = await json_body(request)
+        mode, level = given.get("mode"), given.get("level", "driver")
+        if not isinstance(mode, str) or level not in ("driver", "service"):
+            raise PageRequestError(400, "mode is a name, level driver or service")
+        right = Right.SERVICE if level == "service" else Right.OPERATE
+        if not visitor.may(right):
+            self._tell("drive mode", visitor, granted=False, sentence="the role may not")
+            raise PageRequestError(403, f"a {visitor.role.value} may not ask for a drive mode so")
+        done = await self._actions.set_drive_mode(mode, level)
+        self._tell(
+            f"drive mode {mode}", visitor, granted=done["granted"], sentence=done["sentence"]
+        )
+        return answer(dict(done), _status(done))
 
     def _tell(self, action: str, visitor: Visitor, *, granted: bool, sentence: str) -> None:
         self._events.tell(
@@ -262,6 +296,10 @@ class Routes:
             raise PageRequestError(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
         encoded = await self._samples.encoded(tuple(names), points)
         return encoded.response(request, NO_STORE)
+
+
+def _status(done: Answer) -> int:
+    return 200 if done["granted"] else 409 if done["answered"] else 503
 
 
 def clock() -> dict[str, float]:

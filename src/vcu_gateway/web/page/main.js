@@ -14,10 +14,11 @@ import * as now from "/view-now.js";
 import * as plots from "/view-plots.js";
 import * as recordings from "/view-recordings.js";
 import * as signals from "/view-signals.js";
+import * as tuning from "/view-tuning.js";
 
 const TITLE = document.title;
 const OLD_RENDER_MS = 250; // ages go on counting where nothing comes
-const views = { why: now, signals, plots, events, bus, recordings };
+const views = { why: now, signals, plots, events, bus, recordings, tuning };
 let current = null;
 let drawn = 0;
 let wanted = false;
