@@ -214,3 +214,30 @@ def limits(folder: Path) -> Path:
     drive.throttle(20.0, 0.0, motor_reverse=True)
     drive.run(2.0)
     return drive.end()
+
+
+TUNED = """
+limits: {power_limit_max_w: 14000, derated_power_w: 4000}
+curves:
+  power_limit_w: {by_motor_temperature_c: [[95, 14000], [110, 6000], [125, 0]]}
+  brake_pct: {by_controller_temperature_c: [[75, 100], [95, 10]]}
+  speed_limit_rpm: {by_soc_pct: [[5, 8000], [15, 12000]]}
+"""
+
+
+def tuned(folder: Path) -> Path:
+    """A drive with curves, on which motors and controllers become hot and the battery empty."""
+    drive = SimulatedDrive(folder, TUNED).begin()
+    drive.throttle(20.0, brake_pct=50.0)
+    drive.run(2.0)
+
+    def worn(name: str, data: bytes) -> bytes:
+        if name.endswith("Status1"):
+            return data[:6] + bytes([90, 110])
+        return data[:4] + bytes([5]) + data[5:] if name == "BMS_Status" else data
+
+    drive.change = worn
+    drive.run(4.0)
+    drive.change = lambda name, data: data
+    drive.run(6.0)
+    return drive.end()

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.replay.drives import SimulatedDrive
+from tests.replay.drives import SimulatedDrive, tuned
 from tests.replay.ran import replay, what_if
 from vcu_gateway.core import calls
 from vcu_gateway.core.demand import ControllerDemand, Demand
@@ -49,6 +49,13 @@ EXPECTED: dict[str, tuple[str, Any]] = {
     "limits.power_slew_w_per_s=20000": ("limits", lambda found: fields(found) == {"PowerLimit"}),
     "limits.regen_slew_pct_per_s=20": ("limits", lambda found: fields(found) == {"Brake"}),
     "limits.speed_slew_rpm_per_s=1000": ("limits", lambda found: "SpeedLimit" in fields(found)),
+    "limits.power_return_w_per_s=60000": ("tuned", lambda found: fields(found) == {"PowerLimit"}),
+    "limits.brake_return_pct_per_s=100": ("tuned", lambda found: fields(found) == {"Brake"}),
+    "limits.speed_fall_rpm_per_s=4000": ("tuned", lambda found: fields(found) == {"SpeedLimit"}),
+    "limits.speed_return_rpm_per_s=20000": (
+        "tuned",
+        lambda found: fields(found) == {"SpeedLimit"},
+    ),
     "limits.direction_change_rpm=0": ("limits", lambda found: "MotorReverse" in fields(found)),
     "limits.regen_min_rpm=1000": ("limits", lambda found: "RegenBrake" in fields(found)),
     "safety.required_messages=[BMS_Status, PCU1_Status2, PCU2_Status2, IMU_Attitude]": (
@@ -135,7 +142,7 @@ def directions(folder: Path) -> Path:
 @pytest.fixture(scope="session")
 def drives(recorded: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("special")
-    made = {"jumps": jumps, "disobeys": disobeys, "directions": directions}
+    made = {"jumps": jumps, "disobeys": disobeys, "directions": directions, "tuned": tuned}
     return recorded | {name: make(folder / name) for name, make in made.items()}
 
 

@@ -169,6 +169,8 @@ def _overlay(overlay: Overlay) -> Iterator[str]:
         yield "<ul>" + "".join(f"<li>{text(note)}</li>" for note in overlay.notes) + "</ul>"
     if overlay.rows:
         yield from _table(overlay.columns, overlay.rows)
+    if overlay.curves:
+        yield "<div class='curves'>" + "".join(one.svg() for one in overlay.curves) + "</div>"
     yield "</section>"
 
 

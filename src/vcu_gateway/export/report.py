@@ -14,6 +14,8 @@ from enum import Enum
 from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
+from vcu_gateway.export.curve_figure import CurveFigure
+
 GAP = -(1 << 31)
 """Stands for a bucket without a value."""
 
@@ -240,6 +242,7 @@ class Overlay(NamedTuple):
         series: "VCU_PCU1_Command.Throttle" -> value at each tick, NaN where no frame was sent.
         modes: wall time and the mode from there on.
         causes: text, begin and end of each; the end is None where it counts at the end.
+        curves: both curves of each, with the places where the drive was.
     """
 
     headline: str
@@ -250,6 +253,7 @@ class Overlay(NamedTuple):
     series: Mapping[str, Sequence[float]] = {}
     modes: Sequence[tuple[int, str]] = ()
     causes: Sequence[tuple[str, int, int | None]] = ()
+    curves: Sequence[CurveFigure] = ()
 
 
 class Report(NamedTuple):

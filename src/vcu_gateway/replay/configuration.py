@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway import config as configuration
+from vcu_gateway.config.tuning import TUNING_SECTIONS
 from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, DataError, Problem
@@ -16,7 +17,7 @@ from vcu_gateway.strict_yaml import file_text, parser
 
 SET = "--set"
 _EXAMPLE = "write section.key=value, such as limits.throttle_slew_pct_per_s=50"
-_USED_SECTIONS = {key.section for key in KEYS.values()} | {"bench"}
+_USED_SECTIONS = {key.section for key in KEYS.values()} | {"bench", *TUNING_SECTIONS}
 _MOST_PROBLEMS = 5
 
 
@@ -93,6 +94,11 @@ def given(
     without_effect = _drop_dbc(values)
     for assignment in assignments:
         path, value = _assignment(assignment)
+        *_, key = path
+        if "@" in key:
+            key, _, x = key.partition("@")
+            path = (*path[:-1], key)
+            value = _with_point(_at(values, path), x, value)
         _put(values, path, value)
         if path[0] not in _USED_SECTIONS or path[:2] == ("protocol", "status_code_names"):
             without_effect.append(f"{'.'.join(path)} has no effect on what is decided")
@@ -123,9 +129,33 @@ def _drop_dbc(values: dict[str, Any]) -> list[str]:
     return ["protocol.dbc is not used: a recording is decoded with the DBC recorded beside it"]
 
 
+def _with_point(points: Any, x_text: str, y: Any) -> Any:
+    """The points of a curve with one at this x; what is no curve is left to be refused."""
+    try:
+        x = float(x_text)
+    except ValueError:
+        remedy = "write @x=y, such as @110=6000"
+        raise ConfigError(Problem(f"'...@{x_text}' is no point", SET, remedy)) from None
+    try:
+        others = [list(point) for point in points or () if float(point[0]) != x]
+        return sorted([*others, [x, y]], key=lambda point: float(point[0]))
+    except (TypeError, ValueError, LookupError):
+        return points
+
+
+def _at(values: Mapping[str, Any], path: tuple[str, ...]) -> Any:
+    """The value of a key; None where there is none."""
+    place: Any = values
+    for name in path:
+        place = place.get(name) if isinstance(place, dict) else None
+    return place
+
+
 def _assignment(assignment: str) -> tuple[tuple[str, ...], Any]:
     name, equals, text = assignment.partition("=")
-    path = tuple(part.strip() for part in name.split("."))
+    name, at, x_text = name.partition("@")
+    *parents, last = (part.strip() for part in name.split("."))
+    path = (*parents, f"{last}{at}{x_text.strip()}")
     if not equals or len(path) < 2 or not all(path):
         key = KEYS.get(path[0])
         remedy = _EXAMPLE if key is None else f'did you mean "{key.section}.{assignment}"?'

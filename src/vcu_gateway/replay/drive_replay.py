@@ -11,7 +11,7 @@ import contextlib
 import os
 import pickle
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -35,7 +35,9 @@ from vcu_gateway.replay.configuration import (
     protocol_of,
     with_aliases,
 )
+from vcu_gateway.replay.curve_use import CurveUse
 from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
+from vcu_gateway.replay.geometry import GeometryMeasurement
 from vcu_gateway.replay.judged import JudgedRecords
 from vcu_gateway.replay.open_loop import ClosedLoop, OpenLoop
 from vcu_gateway.replay.report import ReplayReport, TimeOfDay
@@ -208,7 +210,8 @@ class _DriveReplay:
 
     def check(self) -> ReplayReport:
         """With the recorded configuration, and a verdict, which takes half as long again."""
-        check = EqualityCheck(Codec(self._protocol))
+        measured = GeometryMeasurement()
+        check = EqualityCheck(Codec(self._protocol), observe=measured.tick)
         with beside(self._verdict) as judged:
             self._replay(check.note)
             equality, clock = check.result(), self._clock
@@ -216,12 +219,19 @@ class _DriveReplay:
             self._check_ticks(equality.ticks, equality.ended_ns, gaps[0].why if gaps else "")
             verdict = judged()
         lines = list(report.equality_lines(equality, clock))
+        geometry = measured.result()
         values = {
+            "geometry": report.values_of(geometry, clock),
             "replay": {"equal": equality.equal, **report.values_of(equality, clock)},
             "verdict": report.verdict_values(verdict, clock),
         }
         overlay = Overlay(lines[0], tuple(lines[:2]))
         lines += report.verdict_lines(verdict, clock)
+        if geometry is not None:
+            lines.append(
+                f"motor speed per km/h in this drive: {geometry.motor_rpm_per_kmh:g} rpm"
+                f" ({geometry.samples:,} samples straight on above 10 km/h)"
+            )
         return self._report(lines, values, overlay, equality.equal and verdict.holds)
 
     def open_loop(self, plotted: bool) -> ReplayReport:
@@ -236,7 +246,8 @@ class _DriveReplay:
         gaps = [NotReplayed(1, at_ns, one.ticks, one.frames, one.why) for at_ns, one in loop.gaps]
         begun = "; from there on it begins with the recorded state"
         notes += [f"{line}{begun}" for line in report.gap_lines(gaps, clock)]
-        return self._answer(result, notes, series, "open loop")
+        curves = () if loop.curves is None else loop.curves.result()
+        return self._answer(result, notes, series, "open loop", curves)
 
     def closed_loop(self, plotted: bool) -> ReplayReport:
         """With a simulated vehicle, once with each configuration."""
@@ -272,16 +283,23 @@ class _DriveReplay:
         raise DataError(Problem(what, str(self._path), remedy))
 
     def _answer(
-        self, result: WhatIfResult, notes: list[str], series: CommandSeries | None, loop: str
+        self,
+        result: WhatIfResult,
+        notes: list[str],
+        series: CommandSeries | None,
+        loop: str,
+        curves: Sequence[CurveUse] = (),
     ) -> ReplayReport:
         clock, names = self._clock, self.changes.names
         self._check_ticks(result.ticks, result.ended_ns)
         given = [f"what if: {', '.join(names)}"] if names else []
         lines = [*given, *notes, "", *report.what_if_lines(result, clock)]
+        lines += report.curve_lines(curves)
         what_if = {"loop": loop, "given": given, "notes": notes, "same": result.same}
+        what_if["curves"] = report.values_of(tuple(curves), clock)
         values = {"what_if": what_if | report.values_of(result, clock)}
         open_loop = loop == "open loop"
-        overlay = report.overlay_of(result, clock, [*given, *notes], series, open_loop)
+        overlay = report.overlay_of(result, clock, [*given, *notes], series, open_loop, curves)
         return self._report(lines, values, overlay, result.same)
 
     def _notes(self, configured: GivenConfiguration) -> Iterator[str]:

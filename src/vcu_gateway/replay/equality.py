@@ -11,6 +11,7 @@ has come to, and taken over where they differ, so that one difference does not h
 
 import json
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from vcu_gateway.core.calls import WORDS, NoteSent, RunTick
@@ -19,6 +20,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.state import Snapshot
 from vcu_gateway.recording import checkpoint
 from vcu_gateway.recording.core_lines import (
     Checkpoint,
@@ -119,10 +121,16 @@ class EqualityCheck:
     """Replay of records in their order, each result compared with the recorded one.
 
     It begins with `gateway`, where the drive begins as a gateway does; else, and after every gap,
-    with the recorded state.
+    with the recorded state. `observe` is given the snapshot of each tick.
     """
 
-    def __init__(self, codec: Codec, gateway: Gateway | None = None) -> None:
+    def __init__(
+        self,
+        codec: Codec,
+        gateway: Gateway | None = None,
+        observe: Callable[[Snapshot], None] = lambda _: None,
+    ) -> None:
+        self._observe = observe
         self._codec = codec
         self._new_gateway = gateway
         self._fields = CommandFields(codec)
@@ -202,6 +210,7 @@ class EqualityCheck:
     def _replay_tick(self, gateway: Gateway, record: TickRecord) -> None:
         self._begin_tick(record.now_ns)
         result = gateway.tick(record.now_ns)
+        self._observe(result.snapshot)
         if result.frames != record.frames:
             for change in self._fields.changes(record.frames, result.frames):
                 field = f"{change.controller} {change.field}"

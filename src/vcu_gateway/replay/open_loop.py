@@ -33,6 +33,7 @@ from vcu_gateway.recording.core_lines import (
     WhyRecord,
 )
 from vcu_gateway.replay.commands import CommandSeries, RecordedCommands
+from vcu_gateway.replay.curve_use import CurveUses
 from vcu_gateway.replay.what_if import WhatIf
 
 REQUESTS: dict[type, str] = {
@@ -41,6 +42,7 @@ REQUESTS: dict[type, str] = {
     calls.Arm: "arm",
     calls.Disarm: "disarm",
     calls.Reset: "reset",
+    calls.SetDriveMode: "drive mode",
     calls.EmergencyStop: "estop",
 }
 
@@ -52,6 +54,7 @@ class OpenLoop:
         what_if: the recorded results beside the replayed ones.
         reloads: times of recorded reloads, which were left out.
         gaps: places where the replay began anew with the recorded state.
+        curves: where the drive was on each curve; None before its first checkpoint.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class OpenLoop:
         self.what_if = WhatIf(codec)
         self.reloads: list[int] = []
         self.gaps: list[tuple[int, Gap]] = []
+        self.curves: CurveUses | None = None
         self._codec = codec
         self._settings = settings
         self._series = series
@@ -94,6 +98,7 @@ class OpenLoop:
     def _begin(self, record: Checkpoint) -> None:
         gateway = self._gateway = begun(record, self._codec, self._settings)
         held = gateway.causes.held
+        self.curves = self.curves or CurveUses(record.settings, self._settings)
         self.what_if.begin(held, held, record.mode, record.now_ns)
 
     def _input(
@@ -124,7 +129,10 @@ class OpenLoop:
 
     def _tick(self, gateway: Gateway, record: TickRecord) -> None:
         now_ns = self._now_ns = record.now_ns
+        mode = gateway.mode
         result = gateway.tick(now_ns)
+        if self.curves is not None:
+            self.curves.tick(result.snapshot, mode)
         self._frames = {frame.controller: frame for frame in result.frames}
         if len(record.frames) != len(result.frames):
             self._send_what_was_not(gateway, record)

@@ -5,11 +5,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway import text
+from vcu_gateway.core.tuning import DERATINGS, LIMITS
+from vcu_gateway.export.curve_figure import CurveFigure
 from vcu_gateway.export.formats import written_text
 from vcu_gateway.export.html_report import Overlay, write_report
 from vcu_gateway.judge import DriveVerdict
 from vcu_gateway.recording.cause_spans import CauseSpan
 from vcu_gateway.replay.commands import CommandSeries
+from vcu_gateway.replay.curve_use import CurveUse
 from vcu_gateway.replay.equality import Equality, NotReplayed
 from vcu_gateway.replay.what_if import (
     CauseChange,
@@ -228,6 +231,33 @@ def decision_lines(timeline: Timeline, clock: TimeOfDay) -> Iterator[str]:
     yield from _seconds_table({"lasts": timeline})
 
 
+def curve_lines(curves: Sequence[CurveUse]) -> Iterator[str]:
+    """Where the drive was on each curve, how long that limited and how far down, on both sides."""
+    if not curves:
+        return
+    rows = [("curve", "input", "limited", "lowest")]
+    for one in curves:
+        derating = DERATINGS[one.key.removeprefix("curves.")]
+        places = [x for x, _ in one.seconds_at]
+        unit = derating.input.quantity.unit
+        span = f"{places[0]:g} to {places[-1]:g} {unit}" if places else "not known"
+        if places and one.unknown_s:
+            span += f", not known {text.duration(one.unknown_s * 1000)}"
+        sides = (one.before, one.after)
+        limited = _arrow(text.duration(side.limited_s * 1000) for side in sides)
+        cap = LIMITS[derating.limit].unit
+        lowest = _arrow(
+            "none" if one.lowest is None else f"{one.lowest:.0f} {cap}" for one in sides
+        )
+        rows.append((derating.name, span, limited, lowest))
+    yield from ("", *text.table(rows))
+
+
+def _arrow(sides: Iterable[str]) -> str:
+    before, after = sides
+    return before if before == after else f"{before} -> {after}"
+
+
 def _different_ticks(result: WhatIfResult) -> str:
     return f"{result.different_ticks:,} of {counted(result.ticks, 'tick')} differ"
 
@@ -306,6 +336,7 @@ def overlay_of(
     notes: Iterable[str],
     series: CommandSeries | None,
     only_changes: bool = False,
+    curves: Sequence[CurveUse] = (),
 ) -> Overlay:
     """The replayed side over a recording.
 
@@ -327,4 +358,17 @@ def overlay_of(
         ],
         times_ns=[] if series is None else [wall_ns(at_ns) for at_ns in series.times_ns],
         series={} if series is None else series.values,
+        curves=[_figure(one) for one in curves],
+    )
+
+
+def _figure(one: CurveUse) -> CurveFigure:
+    derating = DERATINGS[one.key.removeprefix("curves.")]
+    return CurveFigure(
+        derating.name,
+        derating.input.quantity.unit,
+        LIMITS[derating.limit].unit,
+        one.before.points or (),
+        one.after.points or (),
+        one.seconds_at,
     )
