@@ -1,4 +1,4 @@
-"""Write docs/protocol.md, config/gateway.yaml and docs/api.md's generated part again.
+"""Write docs/protocol.md, config/gateway.yaml, docs/api.md's generated part and pictures again.
 
 usage: python -m scripts.documents [--check], in the source tree, with the Python of .venv. With
 --check nothing is written: exit 1 where a file is not what the program says.
@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from scripts.documents import api_page, gateway_yaml, protocol_page
+from scripts.documents import api_page, gateway_yaml, protocol_page, tuning_picture
 
 from vcu_gateway.api import openrpc
 from vcu_gateway.cli.generate import differences
@@ -42,6 +42,7 @@ def _stale() -> Iterator[tuple[str, tuple[Path, str]]]:
         ("docs/protocol.md", protocol_page.write(defined)),
         ("docs/api.md", api_page.within(api, openrpc.document())),
         ("config/gateway.yaml", gateway_yaml.text()),
+        ("docs/pictures/tuning.svg", tuning_picture.svg(TREE / "config/examples/tuning.yaml")),
     ):
         path = TREE / name
         if path.read_text(encoding="utf-8") != text:
