@@ -507,3 +507,13 @@ def test_curves_and_slip_are_told_to_whoever_asks():
         CurveState("power_limit_w.by_motor_temperature_c", 110.0, 6000.0),
     )
     assert drive.gateway.slip_caps_pct == dict.fromkeys(CONTROLLERS, 100.0)
+
+
+def test_another_one_s_state_whose_mode_is_not_configured_begins_in_the_start_mode():
+    drive = driving(modes=MODES)
+    other = dataclasses.replace(
+        drive.gateway.settings.tuning, modes={"sport": SPORT}, start="sport"
+    )
+    drive.gateway.settings = dataclasses.replace(drive.gateway.settings, tuning=other)
+    drive.gateway.fit_laws()
+    assert drive.gateway.drive_modes == ("sport", "sport")

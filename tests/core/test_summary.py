@@ -102,6 +102,15 @@ def test_of_two_limits_it_names_the_first_and_counts_the_other():
     assert line == "limited by the battery: BMS_Status late and 1 more, since 1.5 s"
 
 
+def test_a_limit_of_a_curve_is_named_with_its_input_and_how_much_is_left():
+    hot = Finding("curves.x", "motor temperature", Effect.CAP, "101 °C: power at most 38.0 kW")
+    line = summary(explanation(Mode.ACTIVE, hot))
+    assert line == "limited by motor temperature 101 °C: power at most 38.0 kW"
+    slip = Finding("laws.slip", "slip of PCU1", Effect.CAP, "throttle at most 24 %")
+    line = summary(explanation(Mode.ACTIVE, slip))
+    assert line == "limited by slip of PCU1: throttle at most 24 %, since 1.5 s"
+
+
 def test_what_a_start_waits_for_is_the_first_message_that_why_waits_for():
     for silent in itertools.combinations(("BMS_Status", "PCU1_Status2", "PCU2_Status2"), 2):
         drive = Drive()
