@@ -30,6 +30,11 @@ _T = TypeVar("_T")
 _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 _SETTINGS = tuple(item.name for item in fields(Settings))
 _DEFAULTS = Settings()
+_LATER = (
+    *("tuning", "power_return_w_per_s", "brake_return_pct_per_s"),
+    *("speed_fall_rpm_per_s", "speed_return_rpm_per_s"),
+)
+"""Settings that came later: left out at their defaults, so a drive without them is as before."""
 _LEFT_OUT = {
     item.name: item.default
     for item in fields(ControllerDemand)
@@ -42,11 +47,11 @@ def settings_json(settings: Settings) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in _SETTINGS}
     bench = settings.bench_demand
     values["bench_demand"] = None if bench is None else controller_json(bench)
-    if settings.tuning == _DEFAULTS.tuning:
-        del values["tuning"]
-    else:
-        own = tuning.values(settings.tuning)
-        values["tuning"] = {key: _tuning_json(value) for key, value in own.items()}
+    own = tuning.values(settings.tuning)
+    values["tuning"] = {key: _tuning_json(value) for key, value in own.items()}
+    for name in _LATER:
+        if getattr(settings, name) == getattr(_DEFAULTS, name):
+            del values[name]
     return values
 
 
