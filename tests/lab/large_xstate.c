@@ -3,7 +3,8 @@
    Preloaded, it answers ptrace() as such a kernel does: PTRACE_GETREGSET of NT_X86_XSTATE gives as
    much of the state as asked for, PTRACE_SETREGSET of another length than the whole is EFAULT. What
    lies beyond every real part belongs to the tracee alone: other bytes there are EFAULT, too.
-   LARGE_XSTATE_IN names the only program that meets it. */
+   LARGE_XSTATE_IN names the only program that meets it; any other one meets a kernel that takes any
+   length, also where the real one does not. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <elf.h>
@@ -67,11 +68,11 @@ long ptrace(enum __ptrace_request request, ...)
     void *data = va_arg(arguments, void *);
     va_end(arguments);
 
-    if (here && address == (void *)NT_X86_XSTATE) {
-        if (request == PTRACE_GETREGSET)
+    if (address == (void *)NT_X86_XSTATE) {
+        if (request == PTRACE_GETREGSET && here)
             return get(pid, data);
         if (request == PTRACE_SETREGSET)
-            return set(pid, data);
+            return here ? set(pid, data) : 0;
     }
     return next(request, pid, address, data);
 }
