@@ -134,7 +134,7 @@ class RecordingSummary(NamedTuple):
 
     Attributes:
         begun_wall_ns: of what is left of it; None where that cannot be read.
-        duration_s: None likewise.
+        duration_s: its end is known to the second before it; None likewise.
         size_bytes: of its files; those of an incident are on the disk once, with its drive's.
         lost: what gaps tell; None where it cannot be read.
         reasons: why an incident is kept.
