@@ -1,11 +1,14 @@
 """Curves, drive modes and laws in the configuration file: what is taken, and each refusal."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
+from tests.config.test_config import LEAVES, model_keys
 from vcu_gateway.config import Config, check_effect, core_settings, load, parse, schema, yaml_text
+from vcu_gateway.config.tuning import TUNING_SECTIONS
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.tuning import DERATINGS, LIMITS, SlipLimiter
 from vcu_gateway.daemon.reload import is_live
@@ -181,12 +184,65 @@ def test_the_slip_limiter_needs_the_geometry():
 @pytest.mark.parametrize("name", ["Eco", "1st", "a" * 17, "eco-mode", ""])
 def test_a_mode_s_name_is_a_short_word(name):
     (refusal,) = refusals(f"drive_modes: {{start: '{name}', modes: {{'{name}': {{}}}}}}")
-    assert "drive_modes.modes" in refusal
+    assert refusal == (
+        f"gateway.yaml:1: drive_modes.modes.{name}: the key must be 1 to 16 small letters, digits"
+        " or _, a letter first; such as eco"
+    )
 
 
 def test_there_are_at_most_eight_modes():
-    modes = ", ".join(f"m{number}: {{}}" for number in range(9))
-    assert refusals(f"drive_modes: {{start: m0, modes: {{{modes}}}}}")
+    modes = [f"m{number}: {{}}" for number in range(9)]
+    parse(f"drive_modes: {{start: m0, modes: {{{', '.join(modes[:8])}}}}}", "f")
+    assert refusals(f"drive_modes: {{start: m0, modes: {{{', '.join(modes)}}}}}") == [
+        "gateway.yaml:1: drive_modes.modes: must be at most 8 modes, not 9"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("key", "taken", "refused", "text"),
+    [
+        ("power_limit_w", "0", "-1", ": must be at least 0 W, not -1"),
+        ("power_limit_w", "60000", "60001", ": must be at most 60000 W, not 60001"),
+        ("brake_max_pct", "0", "-1", ": must be at least 0 %, not -1"),
+        ("brake_max_pct", "100", "101", ": must be at most 100 %, not 101"),
+        ("speed_limit_kmh", "5.9", "2", ": must be at least 3 km/h, not 2"),
+        ("speed_limit_kmh", "200", "201", ": must be at most 200 km/h, not 201"),
+        (
+            "power_mode_max",
+            "turbo",
+            "safety",
+            ': must be one of eco, normal, turbo, not "safety"',
+        ),
+        (
+            "throttle_pct.by_speed_kmh",
+            "[[0, 5], [65, 100]]",
+            "[[0, 4], [65, 100]]",
+            "[1]: y must be 5 to 100 %, not 4",
+        ),
+        (
+            "throttle_pct.by_speed_kmh",
+            "[[0, 5], [1, 5]]",
+            "[[0, 5], [66, 5]]",
+            "[2]: x must be 0 to 65 km/h, not 66",
+        ),
+        (
+            "throttle_pct.by_speed_kmh",
+            "[[0, 5], [9, 5]]",
+            "[[0, 9], [9, 5]]",
+            "[2]: must not fall with the speed: 5 % after 9 %",
+        ),
+        (
+            "throttle_rise_pct_per_s.by_speed_kmh",
+            "[[0, 5], [65, 200]]",
+            "[[0, 5], [65, 201]]",
+            "[2]: y must be 5 to 200 %/s, not 201",
+        ),
+    ],
+)
+def test_a_drive_mode_s_keys_are_taken_at_their_ends_and_not_beyond(key, taken, refused, text):
+    whole = f"drive_modes.modes.eco.{key}"
+    parse(file_of(whole, taken), "f")
+    assert refusals(file_of(whole, refused)) == [f"gateway.yaml:2: {whole}{text}"]
 
 
 @pytest.mark.parametrize("name", DERATINGS)
@@ -272,3 +328,12 @@ def test_keys_are_taken_as_the_guide_says():
     looser = set(loosened(before, after))
     assert {key for key in changed(before, after) if key.startswith("curves.")} & looser == set()
     assert {key for key in changed(before, after) if key.startswith("drive_modes.")} <= looser
+
+
+TUNING_KEYS = [name for name in LEAVES if name.partition(".")[0] in TUNING_SECTIONS]
+
+
+@pytest.mark.parametrize("name", TUNING_KEYS)
+def test_every_key_of_the_tuning_says_when_a_reload_takes_it(name):
+    text = dict(model_keys(schema()))[name]["description"]
+    assert bool(re.search("[Ll]ive, ", text)) is is_live(name)

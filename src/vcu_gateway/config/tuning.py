@@ -5,11 +5,19 @@ its range, its direction and its refusals.
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import BeforeValidator, Field, StringConstraints, WithJsonSchema, create_model
+from pydantic import (
+    BeforeValidator,
+    Field,
+    StringConstraints,
+    WithJsonSchema,
+    create_model,
+    field_validator,
+)
 
 from vcu_gateway.core import tuning
 from vcu_gateway.core.tuning import (
@@ -213,7 +221,7 @@ class VehicleSection(Section):
         ge=5,
         le=500,
         description="Motor speed for each km/h of the vehicle. `vcu-gateway replay NAME` measures"
-        " it from a drive.",
+        " it from a drive. Live, but not while active.",
         examples=[85.3],
     )
 
@@ -291,7 +299,17 @@ class DriveModeSection(Section):
     )
 
 
-ModeName = Annotated[str, StringConstraints(pattern="^[a-z][a-z0-9_]{0,15}$")]
+_MODE_NAME = "^[a-z][a-z0-9_]{0,15}$"
+
+
+def _short_word(name: object) -> object:
+    if isinstance(name, str) and not re.fullmatch(_MODE_NAME, name):
+        what = "must be 1 to 16 small letters, digits or _, a letter first"
+        raise refusal(what, "such as eco")
+    return name
+
+
+ModeName = Annotated[str, StringConstraints(pattern=_MODE_NAME), BeforeValidator(_short_word)]
 
 
 class DriveModesSection(Section):
@@ -304,10 +322,17 @@ class DriveModesSection(Section):
     )
     modes: Mapping[ModeName, DriveModeSection] = Field(
         default={},
-        max_length=_MOST_MODES,
         description="At most 8 modes by name; live, but not while active.",
+        json_schema_extra={"maxProperties": _MOST_MODES},
         examples=[{"eco": {"power_mode_max": "normal", "power_limit_w": 8000}}],
     )
+
+    @field_validator("modes")
+    @classmethod
+    def _few(cls, modes: Mapping[str, DriveModeSection]) -> Mapping[str, DriveModeSection]:
+        if len(modes) > _MOST_MODES:
+            raise refusal(f"must be at most {_MOST_MODES} modes, not {len(modes)}", complete=True)
+        return modes
 
 
 _SLIP_TEXTS = {
@@ -321,10 +346,14 @@ _SLIP_TEXTS = {
 }
 
 
+def _slip_text(name: str) -> str:
+    return f"{_SLIP_TEXTS[name]} Live, but not while active."
+
+
 def _slip_section() -> Any:
     hints = get_type_hints(SlipLimiter, include_extras=True)
     keys: dict[str, Any] = {
-        one.name: (hints[one.name], Field(default=one.default, description=_SLIP_TEXTS[one.name]))
+        one.name: (hints[one.name], Field(default=one.default, description=_slip_text(one.name)))
         for one in fields(SlipLimiter)
     }
     text = "Limits how long a wheel spins; it is slow, and no traction control."
@@ -339,7 +368,8 @@ class LawsSection(Section):
 
     slip: SlipSection | None = Field(  # type: ignore[valid-type]
         default=None,
-        description="Slip limiter; {} takes every default. It needs vehicle.motor_rpm_per_kmh.",
+        description="Slip limiter; {} takes every default. It needs vehicle.motor_rpm_per_kmh."
+        " Live, but not while active.",
     )
 
 
