@@ -31,14 +31,16 @@ EXAMPLES = {
 }
 
 
-def driving(demanded=FULL, modes=None, slip=None, *, settings=None, **curves) -> Drive:
+def driving(
+    demanded=FULL, modes=None, slip=None, *, settings=None, rpm_per_kmh=RPM_PER_KMH, **curves
+) -> Drive:
     """An armed drive under this demand, its limits settled; curves by `limit__by_input`."""
     tuning = Tuning(
         {name.replace("__", "."): one for name, one in curves.items()},
         next(iter(modes), None) if modes else None,
         modes or {},
         slip,
-        RPM_PER_KMH,
+        rpm_per_kmh,
     )
     drive = standby(tuning=tuning, **(settings or {}))
     drive.run(2000)
@@ -109,6 +111,15 @@ def test_an_input_that_is_not_known_falls_to_the_derated_power_and_never_rises()
     assert sent(drive).power_limit_w <= 10_000
     told = [str(held.finding) for held in drive.gateway.causes.held]
     assert "motor temperature not known: power at most 10.0 kW" in told
+
+
+def test_a_limit_below_the_derated_power_stays_where_its_input_is_lost():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 110)
+    drive.run(2000)
+    drive.silent.add("PCU1_Status1")
+    drive.run(4000)
+    assert sent(drive).power_limit_w == 6000
 
 
 @pytest.mark.parametrize(
@@ -407,11 +418,11 @@ def test_without_slip_the_throttle_returns_at_its_rate():
 
 
 def test_a_saturated_front_wheel_only_releases():
-    drive = slipping()
-    spin(drive, 38, 38)
-    drive.run(150)
+    drive = driving(slip=SLIP, rpm_per_kmh=50.0)
+    assert sent(drive).throttle_pct < 100
     wheels(drive, 65_535)
-    drive.run(10_000)
+    drive.turn(4500)  # 90 km/h, more than is allowed at 65.535
+    drive.run(15_000)
     assert sent(drive).throttle_pct == 100
 
 
