@@ -138,7 +138,7 @@ def test_without_its_input_the_fallback_counts(name, silent, field, fallback):
     assert getattr(sent(drive), field) == fallback
 
 
-def test_of_a_speed_limit_that_is_not_known_nothing_is_left_but_what_it_was():
+def test_a_motor_speed_out_of_range_is_not_known_and_the_brake_falls_to_its_derated_value():
     drive = driving(brake_pct__by_motor_speed_rpm=EXAMPLES["brake_pct.by_motor_speed_rpm"])
     drive.codes["PCU1_Status2.MotorSpeed"] = 6001  # out of range
     drive.run(3000)

@@ -275,6 +275,7 @@ _RiseSection = create_model(
 class DriveModeSection(Section):
     """A drive mode: what it leaves out limits nothing."""
 
+    # Sections of curves are made from the core's tables; to the type checker they are variables.
     throttle_pct: _ThrottleSection = _ThrottleSection()  # type: ignore[valid-type]
     throttle_rise_pct_per_s: _RiseSection = _RiseSection()  # type: ignore[valid-type]
     power_mode_max: Literal["eco", "normal", "turbo"] = Field(
@@ -366,6 +367,7 @@ SlipSection = _slip_section()
 class LawsSection(Section):
     """Laws that measure what they do; off without their key."""
 
+    # As above: made from SlipLimiter.
     slip: SlipSection | None = Field(  # type: ignore[valid-type]
         default=None,
         description="Slip limiter; {} takes every default. It needs vehicle.motor_rpm_per_kmh."

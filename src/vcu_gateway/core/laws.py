@@ -89,7 +89,7 @@ class Laws:
         own, others = ((one.deratings.held, one.modes, one.slip) for one in (self, other))
         return own == others
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__ = None  # type: ignore[assignment]  # what it remembers changes
 
     def tick(self, inputs: LawInputs) -> LawResult:
         """The caps of a tick; once a tick, and not at all where nothing is configured."""
