@@ -76,7 +76,9 @@ def test_a_step_that_fails_is_shown_and_the_others_run_on(folder: Path) -> None:
     assert "all of it: build/suite/test-core.log; again: make test-core" in done.stdout
     assert "first verdict" in done.stdout
     assert "12 steps" in done.stdout
-    assert done.stdout.splitlines()[-1].endswith("failed: test-core")
+    last, verdict = done.stdout.splitlines()[-2:]
+    assert last.endswith("test-core: the reason")
+    assert verdict.endswith("failed: test-core")
 
 
 def test_the_slowest_tests_of_all_steps_are_told_with_what_they_set_up(folder: Path) -> None:

@@ -237,4 +237,6 @@ def test_a_long_queue_is_told_with_the_command_that_mends_it_and_an_unproven_ech
     assert caution["command"] == f"ip link set {adapter.name} txqueuelen 4"
     # slcan sends our frames back before they left.
     wait_until(lambda: shared.events("echo_unproven") != [], "the unproven echo")
+    told_ns = time.time_ns()
+    wait_until(lambda: shared.near.commands()[-1].stamp_ns > told_ns, "frames to check")
     shared.check()
