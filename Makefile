@@ -78,7 +78,7 @@ test-smoke: $(TESTED) $(LINTED)  ## style, types and the core: the first minute 
 test-bus: $(TESTED)  ## the tests on a real vcan0, in the lab where the kernel has no CAN
 	@scripts/suite bus
 
-test-ci: $(LAYERS)  ## with the oracle, other Debians and Pythons from nothing, two CAN controllers (30 minutes)
+test-ci: $(LAYERS)  ## with the oracle, other Debians and Pythons from nothing, power cuts (30 minutes)
 	@scripts/suite ci
 
 nightly: $(LAYERS)  ## what is left: soak, mutants, every system wholly; goes on where it was ended
