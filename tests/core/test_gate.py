@@ -4,6 +4,7 @@ import ast
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given
@@ -29,7 +30,15 @@ LIMITS = Settings(
     regen_min_rpm=100.0,
     independent_directions=False,
 )
-ALL = (100.0, 100.0, 65_535.0)
+
+
+class Asked(NamedTuple):
+    throttle_pct: float
+    brake_pct: float
+    power_limit_w: float
+
+
+ALL = Asked(100.0, 100.0, 65_535.0)
 ROLLING = (1_000.0, 1_000.0)
 STANDING = (0.0, 0.0)
 ZERO_TORQUE = bytes.fromhex("0c00000070170000")
@@ -544,7 +553,7 @@ def test_the_gate_imports_nothing_of_the_modules_that_it_checks():
     ],
 )
 def test_what_is_demanded_passes_rounded(gate, data, demanded):
-    assert_passes(gate, data, demanded=demanded)
+    assert_passes(gate, data, demanded=Asked(*demanded))
 
 
 @pytest.mark.parametrize(
@@ -560,13 +569,17 @@ def test_what_is_demanded_passes_rounded(gate, data, demanded):
     ],
 )
 def test_more_than_is_demanded_is_blocked(gate, data, demanded):
-    assert_blocked(gate, "not_demanded", data, demanded=demanded)
+    assert_blocked(gate, "not_demanded", data, demanded=Asked(*demanded))
 
 
 @pytest.mark.parametrize("safe", SAFE_FRAMES[:2])
 def test_a_safe_frame_needs_no_demand(gate, safe):
     data = safe if safe is ZERO_TORQUE else ZERO_TORQUE
-    assert_passes(gate, data, demanded=(0.0, 0.0, 0.0))
+    assert_passes(gate, data, demanded=None)
+
+
+def test_without_a_demand_nothing_but_a_safe_frame_passes(gate):
+    assert_blocked(gate, "not_demanded", frame(throttle=0), demanded=None)
 
 
 # Both together.

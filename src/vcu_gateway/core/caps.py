@@ -34,6 +34,8 @@ class Caps(NamedTuple):
 
     def lowest(self, other: "Caps") -> "Caps":
         """The lower cap of both, field by field."""
+        if other is NO_CAPS:
+            return self
         return Caps(
             min(self.throttle_pct, other.throttle_pct),
             min(self.throttle_rise_pct_per_s, other.throttle_rise_pct_per_s),
@@ -49,6 +51,8 @@ NO_CAPS = Caps()
 
 def lower_mode(one: PowerMode, other: PowerMode) -> PowerMode:
     """The power mode of two that allows less."""
+    if one is other:
+        return one
     return min(one, other, key=_RISING.index)
 
 

@@ -142,7 +142,7 @@ class Commander:
         known, fresh and below the change speed, `below_cap` where they are below the speed's cap.
         """
         self._step(settings, demanded, now_ns)
-        self._move_ramps(caps.of_effects(effects, settings), effects, settings)
+        self._move_ramps(self._allowed(effects, settings), effects, settings)
         commands = self.zero_torque(settings, power_cut=False)
         fall_rpm_per_s = settings.speed_slew_rpm_per_s if below_cap else _speed_fall(settings)
         for name, command in commands.items() if self.caps is not NOT_CAPPED else ():
@@ -179,37 +179,46 @@ class Commander:
         the throttle last sent to each was below 5 %.
         """
         held = self._step(settings, demanded, now_ns)
-        of_effects = caps.of_effects(effects, settings)
-        self._move_ramps(of_effects, effects, settings)
+        allowed = self._allowed(effects, settings)
+        self._move_ramps(allowed, effects, settings)
         change = slow and self._standing() and not _differ(demanded, settings)
+        rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s
         commands: dict[str, Command] = {}
         for name, last in self.last.items():
             commands[name] = self._granted(
                 name,
                 demanded[name],
-                of_effects,
+                allowed[name].power_mode,
                 settings,
                 reverse=demanded[name].motor_reverse if change else last.motor_reverse,
-                throttle_max_pct=0.0 if held else self._throttle_max_pct(name, settings),
+                throttle_max_pct=0.0 if held else last.throttle_pct + rise_pct,
                 regenerates=regenerates and Effect.REGEN_OFF not in effects,
                 released=released,
             )
+        for name, command in commands.items() if self.caps is not NOT_CAPPED else ():
+            commands[name] = self._capped(name, command, settings)
         return self._decided(commands)
 
-    def _throttle_max_pct(self, name: str, settings: Settings) -> float:
-        """Highest throttle now: what the rise has earned, within its caps."""
+    def _capped(self, name: str, command: Command, settings: Settings) -> Command:
+        """Command within its caps, but for those that ramps and PowerMode have taken already."""
         own, ramps = self.caps[name], self._ramps[name]
-        if own.power_w < _ZERO_W and ramps.power_w < _ZERO_W:
-            return 0.0  # a controller may read a power limit of 0 as none
         slew_pct_per_s = min(settings.throttle_slew_pct_per_s, own.throttle_rise_pct_per_s)
         earned_pct = self.last[name].throttle_pct + slew_pct_per_s * self._elapsed_s
-        return min(earned_pct, own.throttle_pct)
+        throttle_pct = min(command.throttle_pct, earned_pct, own.throttle_pct)
+        if own.power_w < _ZERO_W and ramps.power_w < _ZERO_W:
+            throttle_pct = 0.0  # a controller may read a power limit of 0 as none
+        brake_is_off = own.brake_pct < _ZERO_PCT and ramps.brake_pct < _ZERO_PCT
+        return command._replace(
+            throttle_pct=throttle_pct,
+            regen_brake=command.regen_brake and not brake_is_off,
+            speed_limit_rpm=self._capped_rpm(name, command.speed_limit_rpm, _speed_fall(settings)),
+        )
 
     def _granted(
         self,
         name: str,
         demanded: ControllerDemand,
-        of_effects: Caps,
+        allowed_mode: PowerMode,
         settings: Settings,
         *,
         reverse: bool,
@@ -217,22 +226,19 @@ class Commander:
         regenerates: bool,
         released: bool,
     ) -> Command:
-        ramps, own = self._ramps[name], self.caps[name]
-        power_mode = _allowed_mode(demanded.power_mode, of_effects, own)
+        ramps = self._ramps[name]
+        power_mode = lower_mode(demanded.power_mode, allowed_mode)
         if not released:
             power_mode = lower_mode(power_mode, self.last[name].power_mode)
         if power_mode is PowerMode.SAFETY:
             throttle_max_pct = 0.0
-        if own.brake_pct < _ZERO_PCT and ramps.brake_pct < _ZERO_PCT:
-            regenerates = False
-        speed_rpm = self._speed_limit_rpm(name, demanded.speed_limit_rpm, settings)
         return Command(
             power_mode=power_mode,
             motor_reverse=reverse,
             regen_brake=demanded.regen_brake and regenerates,
             throttle_pct=min(demanded.throttle_pct, throttle_max_pct),
             brake_pct=min(demanded.brake_pct, ramps.brake_pct),
-            speed_limit_rpm=self._capped_rpm(name, speed_rpm, _speed_fall(settings)),
+            speed_limit_rpm=self._speed_limit_rpm(name, demanded.speed_limit_rpm, settings),
             power_limit_w=min(demanded.power_limit_w, ramps.power_w),
         )
 
@@ -244,11 +250,17 @@ class Commander:
 
     def _capped_rpm(self, name: str, limit_rpm: float, fall_rpm_per_s: float) -> float:
         """SpeedLimit within its cap, to which it falls from the one sent last."""
-        cap_rpm = max(_SPEED_LIMIT_MIN_RPM, self.caps[name].speed_rpm)
+        cap_rpm = self.caps[name].speed_rpm
         if cap_rpm >= limit_rpm:
             return limit_rpm
+        cap_rpm = max(_SPEED_LIMIT_MIN_RPM, cap_rpm)
         sent_rpm = self._sent_speed_limit_rpm.get(name, limit_rpm)
         return min(limit_rpm, max(cap_rpm, sent_rpm - fall_rpm_per_s * self._elapsed_s))
+
+    @property
+    def speed_cap_rpm(self) -> float:
+        """The lower speed cap of both controllers."""
+        return min([one.speed_rpm for one in self.caps.values()])
 
     def speed_pending(self) -> bool:
         """True where the SpeedLimit has not come down to its cap."""
@@ -305,25 +317,33 @@ class Commander:
     ) -> Mapping[str, PowerMode]:
         """PowerMode of each controller in which a higher one waits for released throttle."""
         waiting: dict[str, PowerMode] = {}
-        of_effects = caps.of_effects(effects, settings)
+        allowed = self._allowed(effects, settings)
         for name, last in self.last.items():
             if demanded[name].power_mode is last.power_mode:
                 continue
-            wanted = _allowed_mode(demanded[name].power_mode, of_effects, self.caps[name])
+            wanted = lower_mode(demanded[name].power_mode, allowed[name].power_mode)
             if lower_mode(wanted, last.power_mode) is not wanted:
                 waiting[name] = last.power_mode
         return waiting
 
-    def _move_ramps(self, of_effects: Caps, effects: frozenset[Effect], settings: Settings) -> None:
+    def _allowed(self, effects: frozenset[Effect], settings: Settings) -> Mapping[str, Caps]:
+        """The lowest caps of all, those of effects among them."""
+        of_effects = caps.of_effects(effects, settings)
+        if of_effects is NO_CAPS:
+            return self.caps
+        return {name: own.lowest(of_effects) for name, own in self.caps.items()}
+
+    def _move_ramps(
+        self, allowed: Mapping[str, Caps], effects: frozenset[Effect], settings: Settings
+    ) -> None:
         """Limits go to their targets along their slews, REGEN_OFF at once.
 
         A falling limit starts from what is really commanded, so that it bites in this tick.
         """
         power_max_w = settings.power_limit_max_w
         for name, last in self.last.items():
-            ramps, own = self._ramps[name], self.caps[name]
-            power_w = min(of_effects.power_w, own.power_w, power_max_w)
-            brake_pct = min(of_effects.brake_pct, own.brake_pct)
+            ramps, brake_pct = self._ramps[name], allowed[name].brake_pct
+            power_w = min(allowed[name].power_w, power_max_w)
             if ramps.power_w == power_w and ramps.brake_pct == brake_pct:
                 continue
             self._ramps[name] = Ramps(
@@ -345,13 +365,6 @@ def moved(limit: float, commanded: float, target: float, step: float) -> float:
     if target >= limit:
         return min(target, limit + step)
     return max(target, min(limit, commanded) - step)
-
-
-def _allowed_mode(demanded: PowerMode, *allowed: Caps) -> PowerMode:
-    """Demanded power mode as far as these allow; SAFETY is the lowest of all."""
-    for one in allowed:
-        demanded = lower_mode(demanded, one.power_mode)
-    return demanded
 
 
 def _speed_fall(settings: Settings) -> float:

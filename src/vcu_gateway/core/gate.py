@@ -8,9 +8,6 @@ the gateway sends safe frames instead; the safe frame always passes.
 from dataclasses import dataclass, field
 from typing import Protocol
 
-Demanded = tuple[float, float, float]
-"""Throttle and brake in % and power in W that are demanded of a controller."""
-
 # Byte 1 of the command frame.
 _MODE_MASK, _MODE_SAFETY = 0b0000_1100, 0b0000_1100
 _REVERSE, _REGEN = 0x10, 0x20
@@ -24,7 +21,7 @@ _SPEED_LIMIT_MIN_RPM = 500
 # Half a bit now and half a bit before.
 _ROUNDING = 1
 _PERCENT_PER_BIT = 0.39
-_TINY = 1e-6  # of a sum of floats
+_HALF_BIT_PCT, _HALF_BIT_W = 0.195 + 1e-6, 0.5 + 1e-6  # and what a sum of floats is off by
 # Ticks of which a controller's frame may not have left, before that stops the drive.
 _UNSENT_STEPS = 4
 _NS_PER_S = 1_000_000_000
@@ -66,6 +63,17 @@ class GateLimits(Protocol):
     def asymmetry_max_pct(self) -> float: ...
 
 
+class Demanded(Protocol):
+    """What is demanded of one controller."""
+
+    @property
+    def throttle_pct(self) -> float: ...
+    @property
+    def brake_pct(self) -> float: ...
+    @property
+    def power_limit_w(self) -> float: ...
+
+
 @dataclass(slots=True)
 class _Sent:
     data: bytes
@@ -93,14 +101,14 @@ class Gate:
         data: bytes,
         *,
         armed: bool,
-        demanded: Demanded,
+        demanded: Demanded | None,
         speeds_rpm: tuple[float | None, ...],
         now_ns: int,
     ) -> str | None:
         """Name of the rule that the frame of a slot breaks; None where it may be sent.
 
-        `demanded` holds throttle and brake (%) and power (W) that are demanded of the controller,
-        `speeds_rpm` the last known speed of each motor, None where it is not known.
+        `demanded` is None without a fresh demand of the controller, `speeds_rpm` the last known
+        speed of each motor, None where it is not known.
         """
         own_id, sent = self.allowed[slot], self._sent.get(slot)
         why = self._fault(can_id == own_id, data, armed, demanded, speeds_rpm, sent, now_ns)
@@ -112,9 +120,9 @@ class Gate:
         Where the demands are alike the difference is within its limit, or does not grow: after
         different demands one of them may have to come up first.
         """
-        if not demanded_alike:
-            return None
         apart_raw = max(throttles_raw) - min(throttles_raw) - _ROUNDING
+        if apart_raw <= 0 or not demanded_alike:
+            return None
         limits, sent = self.limits, [one.data[1] for one in self._sent.values()]
         step_pct = limits.throttle_slew_pct_per_s * limits.period_ns / _NS_PER_S
         most_pct = limits.asymmetry_max_pct + _UNSENT_STEPS * step_pct
@@ -136,7 +144,7 @@ class Gate:
         own_id: bool,
         data: bytes,
         armed: bool,
-        demanded: Demanded,
+        demanded: Demanded | None,
         speeds_rpm: tuple[float | None, ...],
         sent: _Sent | None,
         now_ns: int,
@@ -170,16 +178,20 @@ class Gate:
         self,
         data: bytes,
         armed: bool,
-        demanded: Demanded,
+        demanded: Demanded | None,
         speeds_rpm: tuple[float | None, ...],
         sent: _Sent | None,
         now_ns: int,
     ) -> str | None:
         if not armed:
             return "unarmed"
-        if _above(data, demanded):
-            return "not_demanded"
         power, limits = _word(data, 6), self.limits
+        if demanded is None or (
+            data[1] * _PERCENT_PER_BIT > demanded.throttle_pct + _HALF_BIT_PCT
+            or data[2] * _PERCENT_PER_BIT > demanded.brake_pct + _HALF_BIT_PCT
+            or power > demanded.power_limit_w + _HALF_BIT_W
+        ):
+            return "not_demanded"
         if power > limits.power_limit_max_w:
             before = None if sent is None else _word(sent.data, 6)
             step = limits.power_slew_w_per_s * limits.period_ns / _NS_PER_S
@@ -228,17 +240,6 @@ class Gate:
         earned_pct = self.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
         # Codes are rounded to the nearest: half a bit up now, half a bit down before.
         return sent.data[1] + earned_pct / _PERCENT_PER_BIT + 1
-
-
-def _above(data: bytes, demanded: Demanded) -> bool:
-    """True where throttle, brake or power is more than what is demanded, rounded."""
-    throttle_pct, brake_pct, power_w = demanded
-    half = _PERCENT_PER_BIT / 2 + _TINY
-    return (
-        data[1] * _PERCENT_PER_BIT > throttle_pct + half
-        or data[2] * _PERCENT_PER_BIT > brake_pct + half
-        or _word(data, 6) > power_w + 0.5 + _TINY
-    )
 
 
 def _mode_rank(data: bytes) -> int:

@@ -304,8 +304,9 @@ class Gateway:
         modes.update(findings, settings.clear_hold_ms * NS_PER_MS, now_ns)
         self._supervise(snapshot, settings)
         self._stop_watch.follow(self._latched_cut, self.receiver.echoes)
-        commands = self._decide(settings, now_ns)
-        frames = self._frames(commands, now_ns) if talking else ()
+        demanded = requests.demanded(now_ns)
+        commands = self._decide(demanded, settings, now_ns)
+        frames = self._frames(commands, demanded, now_ns) if talking else ()
         sent.emitted = bool(frames)
         mode, events = self.supervisor.mode, modes.end_tick(now_ns)
         self._shutdown.note_tick(mode is Mode.STOPPING)
@@ -353,9 +354,10 @@ class Gateway:
         missing = self._qualification.missing(snapshot, self.settings)
         return self.transmitter.history.begun and not any(missing)
 
-    def _decide(self, settings: Settings, now_ns: int) -> Mapping[str, Command]:
-        mode = self.supervisor.mode
-        effects, demanded = self.causes.effects(), self.requests.demanded(now_ns)
+    def _decide(
+        self, demanded: ControllerDemands | None, settings: Settings, now_ns: int
+    ) -> Mapping[str, Command]:
+        mode, effects = self.supervisor.mode, self.causes.effects()
         fast = self._regeneration.possible(self._speeds.lowest_rpm, settings.regen_min_rpm)
         slow = plausibility.all_below(self._speeds.highest_rpm, settings.direction_change_rpm)
         if mode is Mode.ACTIVE and demanded is not None:
@@ -364,18 +366,24 @@ class Gateway:
                 demanded, effects, slow, settings, now_ns, regenerates=fast, released=released
             )
         if mode is Mode.STANDBY:
-            cap_rpm = min(one.speed_rpm for one in self._commander.caps.values())
-            below_cap = plausibility.all_below(self._speeds.highest_rpm, cap_rpm)
+            below_cap = plausibility.all_below(
+                self._speeds.highest_rpm, self._commander.speed_cap_rpm
+            )
             return self._commander.settle(
                 demanded, effects, slow, settings, now_ns, below_cap=below_cap
             )
         return self._commander.safe(demanded, settings, self._modes.power_is_cut, now_ns)
 
-    def _frames(self, commands: Mapping[str, Command], now_ns: int) -> tuple[OutFrame, ...]:
+    def _frames(
+        self,
+        commands: Mapping[str, Command],
+        demanded: ControllerDemands | None,
+        now_ns: int,
+    ) -> tuple[OutFrame, ...]:
         """Encode, and show every frame to the gate; one blocked frame stops both."""
         armed = self.supervisor.mode is Mode.ACTIVE
         frames = self.transmitter.encoded(commands)
-        demanded, rpm = self.requests.demanded(now_ns), self._speeds.highest_rpm
+        rpm = self._speeds.highest_rpm
         rule = self.transmitter.fault_of(frames, armed, demanded, rpm, now_ns)
         if rule is None:
             return frames

@@ -8,7 +8,7 @@ from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemands
-from vcu_gateway.core.gate import Demanded, Gate
+from vcu_gateway.core.gate import Gate
 from vcu_gateway.core.settings import Settings
 
 
@@ -80,21 +80,22 @@ class Transmitter:
     ) -> str | None:
         """Show every frame to the gate; the rule that one of them breaks, or None."""
         fault: str | None = None
-        asked = [_demanded(demanded, frame.controller) for frame in frames]
         for slot, frame in enumerate(frames):
             broken = self.gate.check(
                 slot,
                 frame.can_id,
                 frame.data,
                 armed=armed,
-                demanded=asked[slot],
+                demanded=None if demanded is None else demanded[frame.controller],
                 speeds_rpm=speeds_rpm,
                 now_ns=now_ns,
             )
             fault = fault or broken
+        if fault or demanded is None or frames[0].data == frames[-1].data:
+            return fault
         throttles_raw = tuple([frame.data[self._throttle_byte] for frame in frames])
-        alike = demanded is not None and demanded[CONTROLLERS[0]] == demanded[CONTROLLERS[1]]
-        return fault or self.gate.check_both(throttles_raw, alike)
+        alike = demanded[CONTROLLERS[0]] == demanded[CONTROLLERS[1]]
+        return self.gate.check_both(throttles_raw, alike)
 
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor
@@ -102,13 +103,6 @@ class Transmitter:
         self.taken[frame.controller] = TakenFrame(frame, now_ns)
         self.gate.sent(CONTROLLERS.index(frame.controller), frame.data, now_ns)
         self.history.note_sent(frame.controller, SentValues(now_ns, throttle_pct, reverse))
-
-
-def _demanded(demanded: ControllerDemands | None, controller: str) -> Demanded:
-    if demanded is None:
-        return 0.0, 0.0, 0.0
-    one = demanded[controller]
-    return one.throttle_pct, one.brake_pct, one.power_limit_w
 
 
 # The echo is held against a second or so before a Status1 that may be 1.6 s old.
