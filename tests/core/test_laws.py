@@ -10,7 +10,8 @@ from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Effect
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, PowerMode, Refusal
-from vcu_gateway.core.laws import CurveState, Laws
+from vcu_gateway.core.deratings import CurveState
+from vcu_gateway.core.laws import Laws
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.tuning import DERATINGS, DriveMode, SlipLimiter, Tuning
@@ -174,8 +175,11 @@ def test_of_several_frames_between_two_ticks_the_worst_counts():
     heat(drive, 40)
     drive.receive("PCU1_Status1", drive.now_ns + 2 * MS)
     drive.tick()
-    held = drive.gateway._laws.deratings.held
-    assert held == {"power_limit_w.by_motor_temperature_c": 0.0}
+    (curve,) = drive.gateway.curves
+    assert (curve.x, curve.cap) == (125.0, 0.0)
+    drive.tick()
+    (curve,) = drive.gateway.curves
+    assert curve.x == 40.0, "of the tick after them only the latest"
 
 
 def test_a_power_limit_of_0_by_a_curve_takes_the_throttle_too():

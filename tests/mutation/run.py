@@ -44,6 +44,7 @@ TESTS = {
     "stop": ["stop"],
     "laws": ["laws"],
     "law_inputs": ["laws"],
+    "deratings": ["laws"],
     "caps": ["caps", "commands"],
     "curve": ["curve", "laws"],
     "state": ["state", "freshness"],

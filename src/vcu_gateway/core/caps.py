@@ -14,6 +14,7 @@ from vcu_gateway.core.settings import Settings
 
 FULL_PCT = 100.0
 
+_ONLY_TOLD = frozenset({Effect.ALARM, Effect.CAP})
 _RISING = (PowerMode.SAFETY, PowerMode.ECO, PowerMode.NORMAL, PowerMode.TURBO)
 
 
@@ -34,8 +35,8 @@ class Caps(NamedTuple):
 
     def lowest(self, other: "Caps") -> "Caps":
         """The lower cap of both, field by field."""
-        if other is NO_CAPS:
-            return self
+        if other is NO_CAPS or self is NO_CAPS:
+            return self if other is NO_CAPS else other
         return Caps(
             min(self.throttle_pct, other.throttle_pct),
             min(self.throttle_rise_pct_per_s, other.throttle_rise_pct_per_s),
@@ -58,7 +59,7 @@ def lower_mode(one: PowerMode, other: PowerMode) -> PowerMode:
 
 def of_effects(effects: Set[Effect], settings: Settings) -> Caps:
     """What the effects of causes allow (docs/safety.md, Effects); STOP and CUT are modes."""
-    if not effects:
+    if effects <= _ONLY_TOLD:
         return NO_CAPS
     power_w, brake_pct, power_mode = math.inf, FULL_PCT, PowerMode.TURBO
     if Effect.TURBO_OFF in effects:

@@ -134,9 +134,9 @@ class Causes:
             return [_event("cause_began", finding)]
         # A lower code of the same signal does not end what stays until restart.
         stays = before.finding.until_restart or finding.until_restart
-        self._held[finding.key] = HeldCause(
-            replace(finding, until_restart=stays), before.since_ns, now_ns
-        )
+        if stays is not finding.until_restart:
+            finding = replace(finding, until_restart=stays)
+        self._held[finding.key] = HeldCause(finding, before.since_ns, now_ns)
         return []
 
     def effects(self) -> frozenset[Effect]:

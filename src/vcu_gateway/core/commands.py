@@ -195,24 +195,24 @@ class Commander:
                 regenerates=regenerates and Effect.REGEN_OFF not in effects,
                 released=released,
             )
-        for name, command in commands.items() if self.caps is not NOT_CAPPED else ():
-            commands[name] = self._capped(name, command, settings)
         return self._decided(commands)
 
-    def _capped(self, name: str, command: Command, settings: Settings) -> Command:
-        """Command within its caps, but for those that ramps and PowerMode have taken already."""
+    def _within(
+        self, name: str, throttle_max_pct: float, speed_rpm: float, settings: Settings
+    ) -> tuple[float, float, bool]:
+        """Throttle and SpeedLimit within the caps, and whether Brake is capped to 0.
+
+        PowerMode and the ramps of power and Brake have taken theirs already.
+        """
         own, ramps = self.caps[name], self._ramps[name]
-        slew_pct_per_s = min(settings.throttle_slew_pct_per_s, own.throttle_rise_pct_per_s)
-        earned_pct = self.last[name].throttle_pct + slew_pct_per_s * self._elapsed_s
-        throttle_pct = min(command.throttle_pct, earned_pct, own.throttle_pct)
+        if own.throttle_rise_pct_per_s < settings.throttle_slew_pct_per_s:
+            rise_pct = own.throttle_rise_pct_per_s * self._elapsed_s
+            throttle_max_pct = min(throttle_max_pct, self.last[name].throttle_pct + rise_pct)
         if own.power_w < _ZERO_W and ramps.power_w < _ZERO_W:
-            throttle_pct = 0.0  # a controller may read a power limit of 0 as none
+            throttle_max_pct = 0.0  # a controller may read a power limit of 0 as none
         brake_is_off = own.brake_pct < _ZERO_PCT and ramps.brake_pct < _ZERO_PCT
-        return command._replace(
-            throttle_pct=throttle_pct,
-            regen_brake=command.regen_brake and not brake_is_off,
-            speed_limit_rpm=self._capped_rpm(name, command.speed_limit_rpm, _speed_fall(settings)),
-        )
+        speed_rpm = self._capped_rpm(name, speed_rpm, _speed_fall(settings))
+        return min(throttle_max_pct, own.throttle_pct), speed_rpm, brake_is_off
 
     def _granted(
         self,
@@ -232,13 +232,19 @@ class Commander:
             power_mode = lower_mode(power_mode, self.last[name].power_mode)
         if power_mode is PowerMode.SAFETY:
             throttle_max_pct = 0.0
+        speed_rpm = self._speed_limit_rpm(name, demanded.speed_limit_rpm, settings)
+        if self.caps is not NOT_CAPPED:
+            throttle_max_pct, speed_rpm, brake_is_off = self._within(
+                name, throttle_max_pct, speed_rpm, settings
+            )
+            regenerates = regenerates and not brake_is_off
         return Command(
             power_mode=power_mode,
             motor_reverse=reverse,
             regen_brake=demanded.regen_brake and regenerates,
             throttle_pct=min(demanded.throttle_pct, throttle_max_pct),
             brake_pct=min(demanded.brake_pct, ramps.brake_pct),
-            speed_limit_rpm=self._speed_limit_rpm(name, demanded.speed_limit_rpm, settings),
+            speed_limit_rpm=speed_rpm,
             power_limit_w=min(demanded.power_limit_w, ramps.power_w),
         )
 

@@ -1,5 +1,6 @@
 """Curves: a limit over one quantity, linear between its points and level beyond them."""
 
+import math
 from bisect import bisect_right
 from dataclasses import dataclass
 
@@ -16,7 +17,7 @@ class Curve:
     def at(self, x: float) -> float:
         """The limit at x: a point's own y exactly, and never beyond the y of its neighbours."""
         points = self.points
-        after = bisect_right(points, x, key=_x)
+        after = bisect_right(points, (x, math.inf))
         if after == 0:
             return points[0][1]
         (left, y), right = points[after - 1], points[after : after + 1]
@@ -43,7 +44,3 @@ class Curve:
         """
         places = [x for x, _ in (*self.points, *other.points)]
         return all(self.at(x) <= other.at(x) for x in places)
-
-
-def _x(point: tuple[float, float]) -> float:
-    return point[0]

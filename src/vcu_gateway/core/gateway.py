@@ -41,8 +41,10 @@ from vcu_gateway.core.causes import Event, Finding, Severity
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import NOT_CAPPED, Command, Commander
 from vcu_gateway.core.demand import GRANTED, ControllerDemands, Refusal, RequestResult, refused
+from vcu_gateway.core.deratings import CurveState
 from vcu_gateway.core.j1939 import Frame
-from vcu_gateway.core.laws import CurveState, DriveModes, LawInputs, Laws
+from vcu_gateway.core.law_inputs import LawInputs
+from vcu_gateway.core.laws import DriveModes, Laws
 from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.mode_manager import (
     ListenBeforeTalk,
@@ -314,14 +316,17 @@ class Gateway:
 
     def _capped(self, snapshot: Snapshot) -> Iterable[Finding]:
         """Give the commander the caps of this tick; what there is to tell of them."""
-        mode, now_ns = self.supervisor.mode, snapshot.now_ns
+        mode, now_ns, sent_throttle_pct = self.supervisor.mode, snapshot.now_ns, {}
+        if self.settings.tuning.slip is not None:
+            for name, command in self._commander.last.items():
+                sent_throttle_pct[name] = command.throttle_pct
         inputs = LawInputs(
             snapshot=snapshot,
             settings=self.settings,
             demanded=self.requests.demanded(now_ns),
             active=mode is Mode.ACTIVE,
             told=mode in (Mode.STANDBY, Mode.ACTIVE),
-            sent_throttle_pct={n: one.throttle_pct for n, one in self._commander.last.items()},
+            sent_throttle_pct=sent_throttle_pct,
             motor_rpm=self._speeds.highest_rpm,
             elapsed_s=self._commander.elapsed_s(self.settings, now_ns),
         )

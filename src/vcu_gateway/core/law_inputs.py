@@ -1,49 +1,85 @@
-"""Inputs of the laws: the worst values since the tick before, and the front wheels' speed."""
+"""Inputs of the laws: demand, the worst values since the tick before, the front wheels' speed."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
+from vcu_gateway.core.demand import ControllerDemands
+from vcu_gateway.core.plausibility import SpeedsRpm
+from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import LatestFrame, Snapshot
 from vcu_gateway.core.tuning import WHEELS, WHEELS_SATURATED_KMH, Input
+
+RELEASED_PCT = 5.0
+"""A demanded throttle below it is released."""
 
 Span = tuple[float, float]
 
 
+class LawInputs(NamedTuple):
+    """What the laws know of a tick.
+
+    Attributes:
+        demanded: None without a fresh demand.
+        active: the tick begins in ACTIVE.
+        told: what limits is told: in STANDBY and ACTIVE.
+        sent_throttle_pct: throttle of each controller's last command that left.
+        motor_rpm: highest speed of each motor since the tick before; None where not believed.
+        elapsed_s: since the tick before, at most a period.
+    """
+
+    snapshot: Snapshot
+    settings: Settings
+    demanded: ControllerDemands | None
+    active: bool
+    told: bool
+    sent_throttle_pct: Mapping[str, float]
+    motor_rpm: SpeedsRpm
+    elapsed_s: float
+
+    @property
+    def released(self) -> bool:
+        """Every controller's demanded throttle is below 5 %, or nothing is demanded."""
+        demanded = self.demanded or {}
+        return all(one.throttle_pct < RELEASED_PCT for one in demanded.values())
+
+
 class InputReader:
-    """Lowest and highest value of an input, read anew only where a frame of it came."""
+    """Lowest and highest value of an input, read anew only where a frame of it came.
+
+    Attributes:
+        span: None where one of its signals is not known; the same object while nothing changes.
+    """
 
     def __init__(self, one: Input) -> None:
         self._messages = one.messages
-        self._kept: dict[str, tuple[LatestFrame, Span]] = {}
+        self._frames: dict[str, LatestFrame | None] = {}  # None: of several the worst counted
+        self.span: Span | None = None
 
-    def span(self, snapshot: Snapshot) -> Span | None:
-        """None where one of its signals is not known."""
+    def read(self, snapshot: Snapshot) -> None:
+        """Take in the frames of a tick."""
+        if self.span is None or not self._unchanged(snapshot):
+            span = self._read(snapshot)
+            if span != self.span:
+                self.span = span
+
+    def _unchanged(self, snapshot: Snapshot) -> bool:
+        for message, frame in self._frames.items():  # noqa: SIM110 - in every tick
+            if not snapshot.judges_only(message, frame):
+                return False
+        return True
+
+    def _read(self, snapshot: Snapshot) -> Span | None:
         lowest, highest = math.inf, -math.inf
         for message, signals in self._messages:
-            if snapshot.stale(message):
-                return None
-            frames = snapshot.judged(message)
-            kept = self._kept.get(message)
-            if kept is None or len(frames) != 1 or frames[0] is not kept[0]:
-                span = _span(snapshot, message, signals)
-                if span is None:
+            for signal in signals:
+                values = snapshot.good_values(message, signal)
+                if not values:
                     return None
-                kept = frames[-1], span
-                if len(frames) == 1:
-                    self._kept[message] = kept
-            lowest, highest = min(lowest, kept[1][0]), max(highest, kept[1][1])
+                lowest, highest = min(lowest, *values), max(highest, *values)
+            frames = snapshot.judged(message)
+            self._frames[message] = frames[0] if len(frames) == 1 else None
         return lowest, highest
-
-
-def _span(snapshot: Snapshot, message: str, signals: Sequence[str]) -> Span | None:
-    values: list[float] = []
-    for signal in signals:
-        good = snapshot.good_values(message, signal)
-        if not good:
-            return None
-        values += good
-    return min(values), max(values)
 
 
 class Front(NamedTuple):
@@ -60,15 +96,15 @@ class Front(NamedTuple):
 
 def front_speed(snapshot: Snapshot) -> Front | None:
     """Speed by the front wheels; None where it is not known."""
-    message, wheels = WHEELS
+    message, (left, right) = WHEELS
     if snapshot.stale(message):
         return None
-    indexes = [snapshot.index(message, wheel) for wheel in wheels]
-    return min(_front(frame, indexes) for frame in snapshot.judged(message))
+    wheels = snapshot.index(message, left), snapshot.index(message, right)
+    return min([_front(frame, *wheels) for frame in snapshot.judged(message)])
 
 
-def _front(frame: LatestFrame, indexes: Sequence[int]) -> Front:
-    decoded = frame.decoded
-    if any(decoded.marks >> index & 1 for index in indexes):
+def _front(frame: LatestFrame, left: int, right: int) -> Front:
+    marks, values = frame.decoded.marks, frame.decoded.values
+    if marks >> left & 1 or marks >> right & 1:
         return Front(WHEELS_SATURATED_KMH, saturated=True)
-    return Front(max(decoded.values[index] for index in indexes), saturated=False)
+    return Front(max(values[left], values[right]), saturated=False)

@@ -149,6 +149,12 @@ class Snapshot:
         latest = self._latest.get(message)
         return () if latest is None else (latest,)
 
+    def judges_only(self, message: str, frame: LatestFrame | None) -> bool:
+        """True where this frame is fresh, still the latest, and was there in the tick before."""
+        if message in self._arrived or message not in self._fresh:
+            return False
+        return self._latest[message] is frame
+
     def age_ns(self, message: str) -> int | None:
         """Time since the arrival, never below 0; None before the first frame."""
         latest = self._latest.get(message)

@@ -9,7 +9,8 @@ Both sides are computed from the replayed inputs, with the law of the core.
 
 from typing import NamedTuple
 
-from vcu_gateway.core.laws import Deratings, LawInputs
+from vcu_gateway.core.deratings import Deratings
+from vcu_gateway.core.law_inputs import LawInputs
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.supervisor import Mode

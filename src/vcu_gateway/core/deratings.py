@@ -1,0 +1,208 @@
+"""Deratings: curves over slow inputs limit the fields that have ramps.
+
+They fall at once and return slowly (docs/safety.md, Tuning). The limits of drive modes return in
+the same way.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, get_args
+
+from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps
+from vcu_gateway.core.causes import Effect, Finding
+from vcu_gateway.core.curve import Curve
+from vcu_gateway.core.law_inputs import InputReader, LawInputs, Span
+from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.tuning import DERATINGS, Derating, Limit
+
+_MOTOR_TEMPERATURE = "motor_temperature_c"
+_MOTORS_APART_MAX_C = 40.0
+_NO_LIMIT = math.inf
+_OF_MODES: Mapping[Limit, str] = {limit: f"drive_modes.{limit}" for limit in get_args(Limit)}
+
+
+class CurveState(NamedTuple):
+    """A curve in the last tick.
+
+    Attributes:
+        x: its input; None where that is not known.
+        cap: the limit that it gives, in the unit of the curve; None before the first tick.
+    """
+
+    name: str
+    x: float | None
+    cap: float | None
+
+
+class _CurveNow:
+    """A configured curve, and what it gave last: made again after a reload or a restart.
+
+    Attributes:
+        span: of its input, for which target and x were found; None where that was not known.
+        finding: what was told of it last, of this x and cap.
+    """
+
+    __slots__ = ("curve", "derating", "finding", "full", "reader", "span", "target", "told", "x")
+
+    def __init__(self, curve: Curve, derating: Derating, reader: InputReader) -> None:
+        self.curve, self.derating, self.reader = curve, derating, reader
+        self.full = curve.highest
+        self.span: Span | None = None
+        self.x: float | None = None
+        self.target: float | None = None
+        self.told: tuple[float | None, float] | None = None
+        self.finding: Finding | None = None
+
+    def look(self) -> None:
+        """Find the target of the input that its reader has read."""
+        span = self.span = self.reader.span
+        self.x = None if span is None else span[not self.derating.rises]
+        self.target = None if self.x is None else self.curve.at(self.x)
+
+    def told_of(self, cap: float) -> Finding | None:
+        """What there is to tell where it gives this cap; None where it does not limit."""
+        if self.x is not None and cap >= self.full:
+            return None
+        if self.finding is None or self.told != (self.x, cap):
+            quantity, limit = self.derating.input.quantity, self.derating.limit
+            value = "not known" if self.x is None else f"{self.x:.4g} {quantity.unit}"
+            detail = f"{value}: {_at_most(limit, cap)}"
+            self.finding = Finding(self.derating.key, quantity.text, Effect.CAP, detail)
+            self.told = self.x, cap
+        return self.finding
+
+
+class Deratings:
+    """Limits of fields that have ramps: they fall at once and return slowly.
+
+    Most ticks change nothing: what a curve gives is found anew only where its input has changed or
+    its limit is on the way back.
+
+    Attributes:
+        held: each limit as it is now, by a curve's name or that of a drive mode's limit.
+        worst: each curve's input in the last tick; None where it was not known.
+    """
+
+    def __init__(self) -> None:
+        self.held: dict[str, float] = {}
+        self.worst: dict[str, float | None] = {}
+        self._configured: Mapping[str, Curve] | None = None
+        self._readers: dict[str, InputReader] = {}
+        self._curves: dict[str, _CurveNow] = {}
+        self._result: tuple[Caps, Sequence[Finding], bool] = NO_CAPS, (), False
+        self._of_mode: tuple[Mapping[Limit, float] | None, Caps] = None, NO_CAPS
+
+    def tick(self, inputs: LawInputs) -> tuple[Caps, Sequence[Finding]]:
+        """Caps of every curve; a finding of each that limits or whose input is not known."""
+        curves, held = inputs.settings.tuning.curves, self.held
+        changed = inputs.told is not self._result[2]
+        if curves is not self._configured:
+            self._begin(curves)
+            changed = True
+        for reader in self._readers.values():
+            reader.read(inputs.snapshot)
+        for name, one in self._curves.items():
+            span = one.reader.span
+            if span is not None and span is one.span and held.get(name) == one.target:
+                continue
+            changed = True
+            one.look()
+            self.worst[name] = one.x
+            self._hold(name, one.derating.limit, one.target, inputs)
+        if changed:
+            self._result = self._lowest(), self._findings(inputs.told), inputs.told
+        return self._result[:2]
+
+    def _begin(self, curves: Mapping[str, Curve]) -> None:
+        """Curves that a reload took away are forgotten: one that comes again begins anew."""
+        self._configured, self._readers, self._curves = curves, {}, {}
+        self.held = {
+            name: held
+            for name, held in self.held.items()
+            if name in curves or name not in DERATINGS
+        }
+        for name, curve in curves.items():
+            derating = DERATINGS[name]
+            key = derating.input.quantity.key
+            reader = self._readers.setdefault(key, InputReader(derating.input))
+            self._curves[name] = _CurveNow(curve, derating, reader)
+
+    def _lowest(self) -> Caps:
+        lowest: dict[Limit, float] = {}
+        for name, one in self._curves.items():
+            limit = one.derating.limit
+            lowest[limit] = min(self.held[name], lowest.get(limit, _NO_LIMIT))
+        return _ramped(lowest)
+
+    def _findings(self, told: bool) -> Sequence[Finding]:
+        found = [one.told_of(self.held[name]) for name, one in self._curves.items() if told]
+        return [*(one for one in found if one is not None), *self._differences()]
+
+    def _differences(self) -> Sequence[Finding]:
+        """Motors whose temperatures differ: one of two thermometers may be broken."""
+        reader = self._readers.get(_MOTOR_TEMPERATURE)
+        span = None if reader is None else reader.span
+        if span is None or span[1] - span[0] <= _MOTORS_APART_MAX_C:
+            return ()
+        detail = f"differ by {span[1] - span[0]:.0f} °C"
+        cause, subject = "motor_temperature_difference", "motor temperatures"
+        return [Finding(cause, subject, Effect.ALARM, detail)]
+
+    def returned(self, targets: Mapping[Limit, float], inputs: LawInputs) -> Caps:
+        """Caps on the way back to these targets, those of the drive mode."""
+        changed = targets is not self._of_mode[0]
+        for limit, target in targets.items():
+            name = _OF_MODES[limit]
+            if self.held.get(name) != target:
+                self._hold(name, limit, target, inputs)
+                changed = True
+        if changed:
+            held = {limit: self.held[_OF_MODES[limit]] for limit in targets}
+            self._of_mode = targets, _ramped(held)
+        return self._of_mode[1]
+
+    def _hold(self, name: str, limit: Limit, target: float | None, inputs: LawInputs) -> None:
+        """Remember the limit now: at most the target, and in ACTIVE at most on its way back to it.
+
+        Without a target, where the input is not known, it is at most what it was, in every mode.
+        """
+        held, settings = self.held.get(name, _NO_LIMIT), inputs.settings
+        if target is None:
+            held = min(held, _fallback(limit, settings))
+        elif target <= held or not inputs.active:
+            held = target
+        else:
+            held = min(target, held + _return_per_s(limit, settings) * inputs.elapsed_s)
+        self.held[name] = held
+
+
+def _ramped(lowest: Mapping[Limit, float]) -> Caps:
+    caps = Caps(
+        brake_pct=lowest.get("brake_pct", FULL_PCT),
+        power_w=lowest.get("power_limit_w", _NO_LIMIT),
+        speed_rpm=lowest.get("speed_limit_rpm", _NO_LIMIT),
+    )
+    return NO_CAPS if caps == NO_CAPS else caps
+
+
+def _fallback(limit: Limit, settings: Settings) -> float:
+    """The limit where its input is not known."""
+    if limit == "power_limit_w":
+        return settings.derated_power_w
+    return settings.regen_limit_pct if limit == "brake_pct" else _NO_LIMIT
+
+
+def _return_per_s(limit: Limit, settings: Settings) -> float:
+    if limit == "power_limit_w":
+        return settings.power_return_w_per_s
+    if limit == "brake_pct":
+        return settings.brake_return_pct_per_s
+    return settings.speed_return_rpm_per_s
+
+
+def _at_most(limit: Limit, cap: float) -> str:
+    if limit == "power_limit_w":
+        return f"power at most {cap / 1000:.1f} kW"
+    if limit == "brake_pct":
+        return f"brake at most {cap:.0f} %"
+    return "speed not limited" if cap == _NO_LIMIT else f"speed at most {cap:.0f} rpm"
