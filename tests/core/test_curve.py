@@ -12,7 +12,14 @@ FALLING = Curve(((95.0, 14000.0), (110.0, 6000.0), (125.0, 0.0)))
 RISING = Curve(((3.0, 1500.0), (10.0, 5000.0), (25.0, 14000.0)))
 
 
-@pytest.mark.parametrize("curve", [FALLING, RISING])
+# Between these two points the sum of floats is not exactly the second one's.
+INEXACT = (
+    Curve(((0.0, 86.0), (1.0, 23.2), (2.0, 0.0))),
+    Curve(((0.0, 17.3), (1.0, 54.9), (2.0, 60.0))),
+)
+
+
+@pytest.mark.parametrize("curve", [FALLING, RISING, *INEXACT])
 def test_a_point_is_hit_exactly(curve):
     assert [curve.at(x) for x, _ in curve.points] == [y for _, y in curve.points]
 

@@ -259,12 +259,33 @@ def test_a_mode_asked_for_at_full_pedal_waits_for_the_release():
     assert sent(drive).throttle_pct == 60
     assert sent(drive).power_limit_w == 8000
     assert "drive mode sport waits for the pedal's release" in drive.sentence
+    drive.demanded = dataclasses.replace(FULL, throttle_pct=5.0)
+    drive.tick()
+    assert drive.gateway.drive_modes == ("eco", "sport"), "5 % is not released"
     drive.demanded = dataclasses.replace(FULL, throttle_pct=4.9)
     drive.tick()
     assert drive.gateway.drive_modes == ("sport", "sport")
     assert [one.fields for one in drive.events if one.name == "drive_mode_changed"] == [
         {"mode": "sport"}
     ]
+
+
+def test_a_mode_asked_for_waits_for_the_pedal_of_both_controllers():
+    drive = driving(modes=MODES)
+    ask(drive, "sport")
+    released = dataclasses.replace(FULL, throttle_pct=0)
+    drive.demanded = None
+    drive.offer(FULL, controllers=dict(zip(CONTROLLERS, (FULL, released), strict=True)))
+    drive.tick()
+    assert drive.gateway.drive_modes == ("eco", "sport")
+
+
+def test_a_mode_asked_for_is_taken_where_nothing_is_demanded_any_more():
+    drive = driving(modes=MODES)
+    ask(drive, "sport")
+    drive.demanded = None
+    drive.run(400)
+    assert drive.gateway.drive_modes == ("sport", "sport")
 
 
 def test_the_limits_of_a_mode_asked_for_count_from_the_request_on():
@@ -336,6 +357,26 @@ def test_the_throttle_over_speed_follows_the_faster_front_wheel():
     wheels(drive, 65_535)
     drive.run(2000)
     assert sent(drive).throttle_pct == 100
+
+
+@pytest.mark.parametrize("marked", ["WheelSpeedFL", "WheelSpeedFR"])
+def test_a_single_saturated_wheel_is_the_faster_one(marked):
+    drive = driving(modes={"rain": DriveMode(by_speed=curve((0, 30), (65, 95)))})
+    drive.codes[f"ARD2_SteeringWheel.{marked}"] = 65_535
+    drive.run(2000)
+    assert sent(drive).throttle_pct == 95
+
+
+def test_of_several_speeds_between_two_ticks_the_lowest_counts():
+    drive = driving(modes={"rain": DriveMode(by_speed=curve((0, 30), (60, 90)))})
+    wheels(drive, 60_000)
+    drive.run(2000)
+    assert sent(drive).throttle_pct == 90
+    for code, at_ms in ((30_000, 1), (60_000, 2)):
+        wheels(drive, code)
+        drive.receive("ARD2_SteeringWheel", drive.now_ns + at_ms * MS)
+    drive.tick()
+    assert sent(drive).throttle_pct == 60
 
 
 def test_without_a_speed_the_throttle_over_speed_goes_to_its_lowest():

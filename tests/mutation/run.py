@@ -101,7 +101,7 @@ def _survives(module: str, source: str) -> bool:
     changed = Changed(module, source)
     sys.meta_path.insert(0, changed)
     arguments = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--timeout=0"]
-    arguments += ["--assert=plain", "--tb=no"]  # nobody reads why a test failed
+    arguments += ["-m", "not slow", "--assert=plain", "--tb=no"]  # nobody reads why one failed
     for files in (_files(TESTS[module]), _files(WHOLE)):
         # The second run imports its modules anew.
         for name in [name for name in sys.modules if name.startswith("tests.c")]:

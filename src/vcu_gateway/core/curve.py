@@ -20,10 +20,9 @@ class Curve:
         after = bisect_right(points, (x, math.inf))
         if after == 0:
             return points[0][1]
-        (left, y), right = points[after - 1], points[after : after + 1]
-        if not right or x == left:
-            return y
-        ((next_x, next_y),) = right
+        if after == len(points):
+            return points[-1][1]
+        (left, y), (next_x, next_y) = points[after - 1 : after + 1]
         between = y + (next_y - y) * ((x - left) / (next_x - left))
         return min(max(between, min(y, next_y)), max(y, next_y))
 

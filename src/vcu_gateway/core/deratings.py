@@ -11,7 +11,7 @@ from typing import NamedTuple, get_args
 from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps
 from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.curve import Curve
-from vcu_gateway.core.law_inputs import InputReader, LawInputs, Span
+from vcu_gateway.core.law_inputs import InputReader, LawInputs
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.tuning import DERATINGS, Derating, Limit
 
@@ -47,7 +47,7 @@ class _CurveNow:
     def __init__(self, curve: Curve, derating: Derating, reader: InputReader) -> None:
         self.curve, self.derating, self.reader = curve, derating, reader
         self.full = curve.highest
-        self.span: Span | None = None
+        self.span: tuple[float, float] | None = None
         self.x: float | None = None
         self.target: float | None = None
         self.told: tuple[float | None, float] | None = None

@@ -13,8 +13,6 @@ from vcu_gateway.core.tuning import WHEELS, WHEELS_SATURATED_KMH, Input
 RELEASED_PCT = 5.0
 """A demanded throttle below it is released."""
 
-Span = tuple[float, float]
-
 
 class LawInputs(NamedTuple):
     """What the laws know of a tick.
@@ -53,8 +51,8 @@ class InputReader:
 
     def __init__(self, one: Input) -> None:
         self._messages = one.messages
-        self._frames: dict[str, LatestFrame | None] = {}  # None: of several the worst counted
-        self.span: Span | None = None
+        self._frames: dict[str, LatestFrame] = {}
+        self.span: tuple[float, float] | None = None
 
     def read(self, snapshot: Snapshot) -> None:
         """Take in the frames of a tick."""
@@ -69,7 +67,7 @@ class InputReader:
                 return False
         return True
 
-    def _read(self, snapshot: Snapshot) -> Span | None:
+    def _read(self, snapshot: Snapshot) -> tuple[float, float] | None:
         lowest, highest = math.inf, -math.inf
         for message, signals in self._messages:
             for signal in signals:
@@ -77,8 +75,7 @@ class InputReader:
                 if not values:
                     return None
                 lowest, highest = min(lowest, *values), max(highest, *values)
-            frames = snapshot.judged(message)
-            self._frames[message] = frames[0] if len(frames) == 1 else None
+            self._frames[message] = snapshot.judged(message)[0]  # the latest, if it was alone
         return lowest, highest
 
 

@@ -149,7 +149,7 @@ class Snapshot:
         latest = self._latest.get(message)
         return () if latest is None else (latest,)
 
-    def judges_only(self, message: str, frame: LatestFrame | None) -> bool:
+    def judges_only(self, message: str, frame: LatestFrame) -> bool:
         """True where this frame is fresh, still the latest, and was there in the tick before."""
         if message in self._arrived or message not in self._fresh:
             return False
