@@ -13,7 +13,7 @@ import pytest
 
 from tests.config.test_config import LEAVES, one_key
 from tests.core.test_settings import OTHER_VALUES, STRICTER_AND_LOOSER
-from tests.driven import wait_until
+from tests.driven import driven, wait_until
 from vcu_gateway import config as configuration
 from vcu_gateway.client import ConfigRefusedError
 from vcu_gateway.config import core_settings, parse
@@ -122,6 +122,50 @@ def test_while_active_only_stricter_limits_are_taken(fresh):
         fresh.configure("limits: {throttle_slew_pct_per_s: 50}\n")
         assert client.reload()["changed"] == ["limits.throttle_slew_pct_per_s"]
         assert fresh.mode == "active"
+
+
+CURVE = "curves: {{power_limit_w: {{by_motor_temperature_c: [[95, 14000], [110, {}]]}}}}\n"
+MODES = "drive_modes: {{start: {}, modes: {{eco: {{power_limit_w: {}}}, sport: {{}}}}}}\n"
+SLIP = "vehicle: {motor_rpm_per_kmh: 85.3}\nlaws: {slip: {}}\n"
+
+
+@pytest.mark.clock
+def test_while_active_a_curve_that_is_nowhere_higher_is_taken_and_nothing_else_of_the_tuning(fresh):
+    modes = MODES.format("eco", 8000)
+    curve = "curves.power_limit_w.by_motor_temperature_c"
+    fresh.configure(CURVE.format(6000) + modes)
+    with fresh.client() as client:
+        # The modes are new, and their start is read at the start.
+        assert problems(client) == ("drive_modes.start needs a restart",)
+        fresh.configure(CURVE.format(6000))
+        assert client.reload()["changed"] == [curve]
+        with client.demand("driver", hold_s=None):
+            client.arm()
+            fresh.configure(CURVE.format(7000))
+            looser = f"{curve} may only become a curve that is nowhere higher while active"
+            assert problems(client) == (looser,)
+            fresh.configure("")
+            assert problems(client) == (looser,)
+            fresh.configure(CURVE.format(6000) + SLIP)
+            refused = problems(client)
+            assert "laws.slip.allowed_kmh cannot change while active; disarm first" in refused
+            assert all("while active" in one for one in refused)
+            fresh.configure(CURVE.format(0))
+            assert client.reload()["changed"] == [curve]
+            assert fresh.mode == "active"
+
+
+def test_a_drive_mode_changes_in_standby_and_one_in_use_stays(tmp_path):
+    with driven(tmp_path, MODES.format("eco", 8000)) as one:
+        one.until_ready()
+        with one.client() as client:
+            one.configure(MODES.format("eco", 5000))
+            assert client.reload()["changed"] == ["drive_modes.modes.eco.power_limit_w"]
+            one.configure(MODES.format("sport", 5000))
+            assert problems(client) == ("drive_modes.start needs a restart",)
+            client.set_drive_mode("sport")
+            one.configure("drive_modes: {start: eco, modes: {eco: {}}}\n")
+            assert problems(client) == ("drive mode sport is in use",)
 
 
 def test_every_key_is_taken_by_a_running_gateway_or_named_as_needing_a_restart():
