@@ -114,6 +114,35 @@ def test_an_input_that_is_not_known_falls_to_the_derated_power_and_never_rises()
     assert "motor temperature not known: power at most 10.0 kW" in told
 
 
+def test_an_input_that_is_not_known_is_told_though_the_derated_value_is_as_high_as_the_curve():
+    drive = driving(power_limit_w__by_motor_temperature_c=curve((95, 9000), (110, 0)))
+    drive.silent.add("PCU1_Status1")
+    drive.run(4000)
+    told = [str(held.finding) for held in drive.gateway.causes.held]
+    assert "motor temperature not known: power at most 9.0 kW" in told
+
+
+def test_a_curve_that_limits_is_told_from_standby_on():
+    drive = Drive(tuning=Tuning(curves={"power_limit_w.by_motor_temperature_c": HOT}))
+    heat(drive, 110)
+    drive.until(Mode.STANDBY).tick()
+    told = [held.finding for held in drive.gateway.causes.held if held.finding.effect is Effect.CAP]
+    assert [one.detail for one in told] == ["110 °C: power at most 6.0 kW"]
+
+
+def test_a_curve_that_a_reload_takes_away_limits_no_more():
+    drive = driving(modes=MODES, power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 125)
+    drive.run(2000)
+    drive.gateway.requests.disarm(drive.now_ns)
+    settings = drive.gateway.settings
+    without = dataclasses.replace(settings.tuning, curves={})
+    assert drive.gateway.reload(dataclasses.replace(settings, tuning=without)).granted
+    drive.tick()
+    assert drive.gateway._commander.caps["PCU1"].power_w == 8000, "that of the drive mode"
+    assert drive.gateway.curves == ()
+
+
 def test_a_limit_below_the_derated_power_stays_where_its_input_is_lost():
     drive = driving(power_limit_w__by_motor_temperature_c=HOT)
     heat(drive, 110)

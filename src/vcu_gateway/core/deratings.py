@@ -39,10 +39,9 @@ class _CurveNow:
 
     Attributes:
         span: of its input, for which target and x were found; None where that was not known.
-        finding: what was told of it last, of this x and cap.
     """
 
-    __slots__ = ("curve", "derating", "finding", "full", "reader", "span", "target", "told", "x")
+    __slots__ = ("curve", "derating", "full", "reader", "span", "target", "x")
 
     def __init__(self, curve: Curve, derating: Derating, reader: InputReader) -> None:
         self.curve, self.derating, self.reader = curve, derating, reader
@@ -50,8 +49,6 @@ class _CurveNow:
         self.span: tuple[float, float] | None = None
         self.x: float | None = None
         self.target: float | None = None
-        self.told: tuple[float | None, float] | None = None
-        self.finding: Finding | None = None
 
     def look(self) -> None:
         """Find the target of the input that its reader has read."""
@@ -63,13 +60,10 @@ class _CurveNow:
         """What there is to tell where it gives this cap; None where it does not limit."""
         if self.x is not None and cap >= self.full:
             return None
-        if self.finding is None or self.told != (self.x, cap):
-            quantity, limit = self.derating.input.quantity, self.derating.limit
-            value = "not known" if self.x is None else f"{self.x:.4g} {quantity.unit}"
-            detail = f"{value}: {_at_most(limit, cap)}"
-            self.finding = Finding(self.derating.key, quantity.text, Effect.CAP, detail)
-            self.told = self.x, cap
-        return self.finding
+        quantity, limit = self.derating.input.quantity, self.derating.limit
+        value = "not known" if self.x is None else f"{self.x:.4g} {quantity.unit}"
+        detail = f"{value}: {_at_most(limit, cap)}"
+        return Finding(self.derating.key, quantity.text, Effect.CAP, detail)
 
 
 class Deratings:
@@ -94,7 +88,7 @@ class Deratings:
 
     def tick(self, inputs: LawInputs) -> tuple[Caps, Sequence[Finding]]:
         """Caps of every curve; a finding of each that limits or whose input is not known."""
-        curves, held = inputs.settings.tuning.curves, self.held
+        curves = inputs.settings.tuning.curves
         changed = inputs.told is not self._result[2]
         if curves is not self._configured:
             self._begin(curves)
@@ -103,7 +97,7 @@ class Deratings:
             reader.read(inputs.snapshot)
         for name, one in self._curves.items():
             span = one.reader.span
-            if span is not None and span is one.span and held.get(name) == one.target:
+            if span is not None and span is one.span and self.held.get(name) == one.target:
                 continue
             changed = True
             one.look()
