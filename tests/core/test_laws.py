@@ -115,11 +115,97 @@ def test_an_input_that_is_not_known_falls_to_the_derated_power_and_never_rises()
 
 
 def test_an_input_that_is_not_known_is_told_though_the_derated_value_is_as_high_as_the_curve():
-    drive = driving(power_limit_w__by_motor_temperature_c=curve((95, 9000), (110, 0)))
+    settings = {"derated_power_w": 60_000}
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT, settings=settings)
     drive.silent.add("PCU1_Status1")
     drive.run(4000)
     told = [str(held.finding) for held in drive.gateway.causes.held]
-    assert "motor temperature not known: power at most 9.0 kW" in told
+    assert "motor temperature not known: power at most 60.0 kW" in told
+
+
+def test_a_state_of_charge_that_is_not_known_does_not_limit_the_speed():
+    drive = driving(speed_limit_rpm__by_soc_pct=curve((5, 1700), (15, 12_000)))
+    drive.codes["BMS_Status.SOC"] = 120  # out of range
+    drive.run(3000)
+    assert drive.gateway._commander.caps["PCU1"].speed_rpm == 12_000, "never more than it was"
+    told = [str(held.finding) for held in drive.gateway.causes.held]
+    assert "state of charge not known: speed at most 12000 rpm" in told
+
+
+def test_a_curve_that_never_knew_its_input_is_told_as_no_limit():
+    drive = driving()
+    drive.codes["BMS_Status.SOC"] = 120
+    drive.run(1000)
+    settings = drive.gateway.settings
+    curves = {"speed_limit_rpm.by_soc_pct": curve((5, 1700), (15, 12_000))}
+    tuning = dataclasses.replace(settings.tuning, curves=curves)
+    assert drive.gateway.reload(dataclasses.replace(settings, tuning=tuning)).granted
+    drive.tick()
+    told = [str(held.finding) for held in drive.gateway.causes.held]
+    assert "state of charge not known: speed not limited" in told
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "worst", "good", "field", "per_s"),
+    [
+        ("power_limit_w__by_soc_pct", "BMS_Status.SOC", 3, 80, "power_w", 700.0),
+        ("brake_pct__by_soc_pct", "BMS_Status.SOC", 98, 50, "brake_pct", 30.0),
+        ("speed_limit_rpm__by_soc_pct", "BMS_Status.SOC", 5, 80, "speed_rpm", 1500.0),
+    ],
+)
+def test_in_active_a_limit_returns_at_its_own_rate(name, code, worst, good, field, per_s):
+    rates = {
+        "power_return_w_per_s": 700.0,
+        "brake_return_pct_per_s": 30.0,
+        "speed_return_rpm_per_s": 1500.0,
+    }
+    drive = driving(settings=rates, **{name: EXAMPLES[name.replace("__", ".")]})
+    drive.codes[code] = worst
+    drive.run(1000)
+    lowest = getattr(drive.gateway._commander.caps["PCU1"], field)
+    drive.codes[code] = good
+    drive.run(500)
+    before = getattr(drive.gateway._commander.caps["PCU1"], field)
+    drive.run(1000)
+    after = getattr(drive.gateway._commander.caps["PCU1"], field)
+    assert lowest <= before
+    assert after - before == pytest.approx(per_s)
+
+
+def test_what_is_on_its_way_back_goes_on_after_a_reload():
+    drive = driving(modes={"eco": ECO, "sport": SPORT}, power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 125)
+    drive.run(1000)
+    heat(drive, 40)
+    drive.run(600)
+    before = dict(drive.gateway._laws.deratings.held)
+    settings = drive.gateway.settings
+    stricter = {
+        **settings.tuning.curves,
+        "power_limit_w.by_soc_pct": EXAMPLES["power_limit_w.by_soc_pct"],
+    }
+    tuning = dataclasses.replace(settings.tuning, curves=stricter)
+    assert drive.gateway.reload(dataclasses.replace(settings, tuning=tuning)).granted
+    assert drive.gateway.mode is Mode.ACTIVE
+    drive.tick()
+    after = drive.gateway._laws.deratings.held
+    motor = "power_limit_w.by_motor_temperature_c"
+    assert after[motor] == pytest.approx(before[motor] + 50)
+
+
+def test_a_drive_modes_limit_on_its_way_back_goes_on_after_a_reload():
+    drive = driving(modes={"eco": ECO, "sport": SPORT}, demanded=ControllerDemand())
+    ask(drive, "sport")
+    drive.run(100)
+    before_w = drive.gateway._laws.deratings.held["drive_modes.power_limit_w"]
+    settings = drive.gateway.settings
+    tuning = dataclasses.replace(
+        settings.tuning, curves={"power_limit_w.by_motor_temperature_c": HOT}
+    )
+    assert drive.gateway.reload(dataclasses.replace(settings, tuning=tuning)).granted
+    drive.tick()
+    after_w = drive.gateway._laws.deratings.held["drive_modes.power_limit_w"]
+    assert 8000 < before_w < after_w == pytest.approx(before_w + 50)
 
 
 def test_a_curve_that_limits_is_told_from_standby_on():

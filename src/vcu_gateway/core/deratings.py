@@ -84,7 +84,7 @@ class Deratings:
         self._readers: dict[str, InputReader] = {}
         self._curves: dict[str, _CurveNow] = {}
         self._result: tuple[Caps, Sequence[Finding], bool] = NO_CAPS, (), False
-        self._of_mode: tuple[Mapping[Limit, float] | None, Caps] = None, NO_CAPS
+        self._of_mode: Caps | None = None
 
     def tick(self, inputs: LawInputs) -> tuple[Caps, Sequence[Finding]]:
         """Caps of every curve; a finding of each that limits or whose input is not known."""
@@ -144,16 +144,15 @@ class Deratings:
 
     def returned(self, targets: Mapping[Limit, float], inputs: LawInputs) -> Caps:
         """Caps on the way back to these targets, those of the drive mode."""
-        changed = targets is not self._of_mode[0]
+        changed = False
         for limit, target in targets.items():
             name = _OF_MODES[limit]
             if self.held.get(name) != target:
                 self._hold(name, limit, target, inputs)
                 changed = True
-        if changed:
-            held = {limit: self.held[_OF_MODES[limit]] for limit in targets}
-            self._of_mode = targets, _ramped(held)
-        return self._of_mode[1]
+        if changed or self._of_mode is None:
+            self._of_mode = _ramped({limit: self.held[_OF_MODES[limit]] for limit in targets})
+        return self._of_mode
 
     def _hold(self, name: str, limit: Limit, target: float | None, inputs: LawInputs) -> None:
         """Remember the limit now: at most the target, and in ACTIVE at most on its way back to it.
@@ -163,7 +162,7 @@ class Deratings:
         held, settings = self.held.get(name, _NO_LIMIT), inputs.settings
         if target is None:
             held = min(held, _fallback(limit, settings))
-        elif target <= held or not inputs.active:
+        elif not inputs.active:
             held = target
         else:
             held = min(target, held + _return_per_s(limit, settings) * inputs.elapsed_s)
