@@ -385,6 +385,14 @@ def test_a_mode_asked_for_at_full_pedal_waits_for_the_release():
     ]
 
 
+def test_outside_active_a_mode_asked_for_counts_though_the_pedal_is_pressed():
+    drive = standby(tuning=Tuning(start="eco", modes=MODES, motor_rpm_per_kmh=RPM_PER_KMH))
+    drive.demanded = FULL
+    ask(drive, "sport")
+    drive.tick()
+    assert drive.gateway.drive_modes == ("sport", "sport")
+
+
 def test_a_mode_asked_for_waits_for_the_pedal_of_both_controllers():
     drive = driving(modes=MODES)
     ask(drive, "sport")

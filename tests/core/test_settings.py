@@ -76,6 +76,7 @@ def test_the_defaults_are_safety_mds():
             "modes": {},
             "slip": None,
             "motor_rpm_per_kmh": None,
+            "mode_limits": {},
         },
         "direction_change_rpm": 50.0,
         "regen_min_rpm": 100.0,

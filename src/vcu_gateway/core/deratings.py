@@ -84,10 +84,14 @@ class Deratings:
         self._readers: dict[str, InputReader] = {}
         self._curves: dict[str, _CurveNow] = {}
         self._result: tuple[Caps, Sequence[Finding], bool] = NO_CAPS, (), False
-        self._of_mode: Caps | None = None
 
-    def tick(self, inputs: LawInputs) -> tuple[Caps, Sequence[Finding]]:
-        """Caps of every curve; a finding of each that limits or whose input is not known."""
+    def tick(
+        self, inputs: LawInputs, of_modes: Mapping[Limit, float]
+    ) -> tuple[Caps, Sequence[Finding]]:
+        """Caps of every curve and of the drive modes, which return in the same way.
+
+        A finding of each curve that limits or whose input is not known.
+        """
         curves = inputs.settings.tuning.curves
         changed = inputs.told is not self._result[2]
         if curves is not self._configured:
@@ -103,8 +107,12 @@ class Deratings:
             one.look()
             self.worst[name] = one.x
             self._hold(name, one.derating.limit, one.target, inputs)
+        for limit, target in of_modes.items():
+            if self.held.get(_OF_MODES[limit]) != target:
+                changed = True
+                self._hold(_OF_MODES[limit], limit, target, inputs)
         if changed:
-            self._result = self._lowest(), self._findings(inputs.told), inputs.told
+            self._result = self._lowest(of_modes), self._findings(inputs.told), inputs.told
         return self._result[:2]
 
     def _begin(self, curves: Mapping[str, Curve]) -> None:
@@ -121,12 +129,16 @@ class Deratings:
             reader = self._readers.setdefault(key, InputReader(derating.input))
             self._curves[name] = _CurveNow(curve, derating, reader)
 
-    def _lowest(self) -> Caps:
-        lowest: dict[Limit, float] = {}
+    def _lowest(self, of_modes: Mapping[Limit, float]) -> Caps:
+        lowest = {limit: self.held[_OF_MODES[limit]] for limit in of_modes}
         for name, one in self._curves.items():
             limit = one.derating.limit
             lowest[limit] = min(self.held[name], lowest.get(limit, _NO_LIMIT))
-        return _ramped(lowest)
+        return Caps(
+            brake_pct=lowest.get("brake_pct", FULL_PCT),
+            power_w=lowest.get("power_limit_w", _NO_LIMIT),
+            speed_rpm=lowest.get("speed_limit_rpm", _NO_LIMIT),
+        )
 
     def _findings(self, told: bool) -> Sequence[Finding]:
         found = [one.told_of(self.held[name]) for name, one in self._curves.items() if told]
@@ -142,18 +154,6 @@ class Deratings:
         cause, subject = "motor_temperature_difference", "motor temperatures"
         return [Finding(cause, subject, Effect.ALARM, detail)]
 
-    def returned(self, targets: Mapping[Limit, float], inputs: LawInputs) -> Caps:
-        """Caps on the way back to these targets, those of the drive mode."""
-        changed = False
-        for limit, target in targets.items():
-            name = _OF_MODES[limit]
-            if self.held.get(name) != target:
-                self._hold(name, limit, target, inputs)
-                changed = True
-        if changed or self._of_mode is None:
-            self._of_mode = _ramped({limit: self.held[_OF_MODES[limit]] for limit in targets})
-        return self._of_mode
-
     def _hold(self, name: str, limit: Limit, target: float | None, inputs: LawInputs) -> None:
         """Remember the limit now: at most the target, and in ACTIVE at most on its way back to it.
 
@@ -167,15 +167,6 @@ class Deratings:
         else:
             held = min(target, held + _return_per_s(limit, settings) * inputs.elapsed_s)
         self.held[name] = held
-
-
-def _ramped(lowest: Mapping[Limit, float]) -> Caps:
-    caps = Caps(
-        brake_pct=lowest.get("brake_pct", FULL_PCT),
-        power_w=lowest.get("power_limit_w", _NO_LIMIT),
-        speed_rpm=lowest.get("speed_limit_rpm", _NO_LIMIT),
-    )
-    return NO_CAPS if caps == NO_CAPS else caps
 
 
 def _fallback(limit: Limit, settings: Settings) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps
+from vcu_gateway.core.caps import FULL_PCT, Caps
 from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import CONTROLLERS
@@ -42,8 +42,6 @@ class Laws:
         self.deratings = Deratings()
         self.modes = DriveModes(tuning.start, tuning.start)
         self.slip = SlipLaw()
-        self._lowest = NO_CAPS, NO_CAPS, NO_CAPS
-        self._limits_of: tuple[Tuning | None, object, Mapping[Limit, float]] = None, None, {}
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Laws):
@@ -55,17 +53,11 @@ class Laws:
 
     def tick(self, inputs: LawInputs) -> LawResult:
         """The caps of a tick; once a tick, and not at all where nothing is configured."""
-        tuning, changed = inputs.settings.tuning, None
-        limits, findings = self.deratings.tick(inputs)
-        if not tuning.modes and tuning.slip is None:
-            return LawResult(dict.fromkeys(CONTROLLERS, limits), findings, None)
+        tuning = inputs.settings.tuning
+        changed = self.modes.settle(inputs)
+        limits, findings = self.deratings.tick(inputs, self.modes.limits(tuning))
         front = front_speed(inputs.snapshot)
-        if tuning.modes:
-            changed = self.modes.settle(inputs)
-            limits = self._lower(limits, self.deratings.returned(self._ramped(tuning), inputs))
-            caps = self.modes.caps(inputs, front, limits)
-        else:
-            caps = dict.fromkeys(CONTROLLERS, limits)
+        caps = self.modes.caps(inputs, front, limits)
         if tuning.slip is not None:
             throttles, found = self.slip.tick(tuning.slip, inputs, front)
             if found:
@@ -75,19 +67,6 @@ class Laws:
                     for name, one in caps.items()
                 }
         return LawResult(caps, findings, changed)
-
-    def _lower(self, limits: Caps, of_mode: Caps) -> Caps:
-        """The lower of both, found anew where one of them is another one."""
-        if self._lowest[0] is not limits or self._lowest[1] is not of_mode:
-            self._lowest = limits, of_mode, limits.lowest(of_mode)
-        return self._lowest[2]
-
-    def _ramped(self, tuning: Tuning) -> Mapping[Limit, float]:
-        """The drive modes' limits, made anew where a mode or the configuration is another one."""
-        modes = self.modes.current, self.modes.requested
-        if self._limits_of[0] is not tuning or self._limits_of[1] != modes:
-            self._limits_of = tuning, modes, self.modes.ramped(tuning)
-        return self._limits_of[2]
 
 
 @dataclass
@@ -112,24 +91,18 @@ class DriveModes:
         self.current = self.requested
         return self.current
 
-    def ramped(self, tuning: Tuning) -> Mapping[Limit, float]:
+    def limits(self, tuning: Tuning) -> Mapping[Limit, float]:
         """Limits of fields that have ramps: the lower ones of both modes, from the request on."""
-        lowest: dict[Limit, float] = {}
-        for name in {self.current, self.requested}:
-            mode = tuning.modes[name or ""]
-            speed_rpm = (mode.speed_limit_kmh or _NO_LIMIT) * (tuning.motor_rpm_per_kmh or 1.0)
-            limits: dict[Limit, float | None] = {
-                "power_limit_w": mode.power_limit_w,
-                "brake_pct": mode.brake_max_pct,
-                "speed_limit_rpm": speed_rpm,
-            }
-            for limit, own in limits.items():
-                lowest[limit] = min(lowest.get(limit, _NO_LIMIT), _NO_LIMIT if own is None else own)
-        return lowest
+        if self.current is None or self.requested is None:
+            return {}
+        own, asked = tuning.mode_limits[self.current], tuning.mode_limits[self.requested]
+        return own if own is asked else {limit: min(own[limit], asked[limit]) for limit in own}
 
     def caps(self, inputs: LawInputs, front: Front | None, limits: Caps) -> Mapping[str, Caps]:
         """These limits with those of throttle, its rise and the power mode, by controller."""
-        mode = inputs.settings.tuning.modes[self.current or ""]
+        if self.current is None:
+            return dict.fromkeys(CONTROLLERS, limits)
+        mode = inputs.settings.tuning.modes[self.current]
         step_pct = inputs.settings.throttle_slew_pct_per_s * inputs.elapsed_s
         self.by_speed_pct = _over_speed(mode.by_speed, front, self.by_speed_pct, step_pct)
         self.rise_pct_per_s = _over_speed(mode.rise_by_speed, front, self.rise_pct_per_s, step_pct)

@@ -5,6 +5,7 @@ Every input that a curve may have and every pair of limit and input stands once,
 them. What they mean: docs/safety.md, Tuning.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal, NamedTuple
@@ -177,6 +178,15 @@ class DriveMode:
     speed_limit_kmh: float | None = None
     left_by_service: bool = False
 
+    def limits(self, rpm_per_kmh: float) -> Mapping[Limit, float]:
+        """What it limits of the fields that have ramps; inf is no limit."""
+        power_w, speed_kmh = self.power_limit_w, self.speed_limit_kmh
+        return {
+            "power_limit_w": math.inf if power_w is None else power_w,
+            "brake_pct": self.brake_max_pct,
+            "speed_limit_rpm": math.inf if speed_kmh is None else speed_kmh * rpm_per_kmh,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class SlipLimiter:
@@ -201,6 +211,7 @@ class Tuning:
         modes: by name.
         slip: None is off.
         motor_rpm_per_kmh: motor speed for each km/h; None where it is not known.
+        mode_limits: what each mode limits of the fields that have ramps, by its name; made here.
     """
 
     curves: Mapping[str, Curve] = field(default_factory=dict)
@@ -208,6 +219,12 @@ class Tuning:
     modes: Mapping[str, DriveMode] = field(default_factory=dict)
     slip: SlipLimiter | None = None
     motor_rpm_per_kmh: float | None = None
+    mode_limits: Mapping[str, Mapping[Limit, float]] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        rpm_per_kmh = self.motor_rpm_per_kmh or math.inf
+        limits = {name: mode.limits(rpm_per_kmh) for name, mode in self.modes.items()}
+        object.__setattr__(self, "mode_limits", limits)
 
     @property
     def acts(self) -> bool:

@@ -55,8 +55,8 @@ _DERIVED: Mapping[str, frozenset[str]] = {
         "ModeManager": "_period_ns",
         "ListenBeforeTalk": "_listen_ns",
         "OperatorRequests": "terms",
-        "Laws": "_lowest _limits_of",
-        "Deratings": "worst _configured _readers _curves _result _of_mode",
+        "Laws": "",
+        "Deratings": "worst _configured _readers _curves _result",
     }.items()
 }
 """Attributes by class that the codec and the settings give, or that are made again.

@@ -62,7 +62,7 @@ class _CurveSideCounts:
 
     def tick(self, snapshot: Snapshot, active: bool, elapsed_s: float, step_s: float) -> None:
         inputs = LawInputs(snapshot, self.settings, None, active, False, {}, (), elapsed_s)
-        self._deratings.tick(inputs)
+        self._deratings.tick(inputs, {})
         for name, curve in self.curves.items():
             cap = self._deratings.held[name]
             self.lowest[name] = min(cap, self.lowest.get(name, cap))
