@@ -59,11 +59,16 @@ def the_bench(a_real_vcan0, tmp_path_factory, request):
     bench.close()
 
 
+def _sections(request):
+    """What the configuration of a file's tests has besides the defaults."""
+    return getattr(request.module, "SECTIONS", None)
+
+
 @pytest.fixture
-def bench(the_bench):
-    """A gateway with the defaults in STANDBY, all well; afterwards no frame has broken a rule."""
+def bench(the_bench, request):
+    """A gateway of the file's `SECTIONS` in STANDBY, all well; afterwards no frame broke a rule."""
     the_bench.recorder.forget()
-    the_bench.run()
+    the_bench.run(_sections(request))
     the_bench.speeds(0)
     the_bench.standby()
     yield the_bench
@@ -84,13 +89,13 @@ def pytest_pyfunc_call(pyfuncitem):
         except (AssertionError, RefusedError):
             if not (left and bench and bench.disturbed(began)):
                 raise
-            _begin_again(bench, pyfuncitem.funcargs)
+            _begin_again(bench, pyfuncitem.funcargs, _sections(pyfuncitem))
         else:
             return True
     raise AssertionError("unreachable")
 
 
-def _begin_again(bench, fixtures):
+def _begin_again(bench, fixtures, sections):
     bench.repeated += 1
     bench.speed.wait_for_quiet()
     bench.rules.violations.clear()
@@ -99,7 +104,7 @@ def _begin_again(bench, fixtures):
         bench.end()
         bench.vehicle.heal()
     if "bench" in fixtures or "cut_bench" in fixtures:
-        bench.run()
+        bench.run(sections)
         bench.standby()
 
 

@@ -165,11 +165,13 @@ class Rig:
         self.vehicle.speeds(*self.rpm)
 
     def standby(self) -> None:
-        """All well, unarmed, the pedals released; whatever was before."""
+        """All well, unarmed, the pedals released, the drive mode of the start; whatever was."""
         self.vehicle.heal()
         self.vehicle.speeds(*self.rpm)
         deadline = time.monotonic() + PATIENCE_S
         self.demand()
+        if modes := self.gateway.sections.get("drive_modes"):
+            self.client.call("drive_mode.set", mode=modes["start"], level="service")
         while True:
             self.pump()
             why = self.why()

@@ -9,13 +9,13 @@ import pytest
 from tests.oracle import wire
 from tests.oracle.bench import GRACE_S, Bench
 from tests.oracle.recorder import Frame
+from tests.oracle.watching import JITTER_S, on_ramp
 
 FULL = {"throttle_pct": 20, "brake_pct": 40, "power_mode": "turbo", "regen_brake": True}
 BATTERY, LEFT, RIGHT = "BMS_Status", "PCU1_Status1", "PCU2_Status1"
 AT_FULL = wire.Command(
     wire.TURBO, 0, 1, 0, wire.percent(20), wire.percent(40), 12000, 60000, unused=0
 )
-TICK_S, JITTER_S = 0.050, 0.010
 
 
 def drive(bench: Bench) -> None:
@@ -63,30 +63,22 @@ def test_a_stop_or_cut_acts_in_the_first_tick_that_sees_it_and_latches(
     assert any(signal in cause["subject"] for cause in why["blocks"])
 
 
-def steps_down(before: float, after: float, target: float, per_s: float, gap_s: float) -> bool:
-    """One tick along a ramp: its period at most, and no less than the time that passed."""
-    if after == target:
-        return before - after <= per_s * TICK_S * 1.001 + 1
-    least = per_s * (min(gap_s, TICK_S) - JITTER_S) - 1
-    return target < after and least <= before - after <= per_s * TICK_S + 1
-
-
 def follows(before: Frame, frame: Frame, effects: set[str]) -> bool:
     """The command one tick after another while these effects count on FULL."""
     then, now, gap_s = before.command, frame.command, frame.t - before.t
-    mode, regen, on_ramp = wire.TURBO, 1, True
+    mode, regen, steps_down = wire.TURBO, 1, True
     power, brake = 60000, wire.percent(40)
     if "turbo off" in effects:
         mode = wire.NORMAL
     if "power limit" in effects:
         mode, power = wire.ECO, now.power_limit
-        on_ramp &= steps_down(then.power_limit, power, 10000, 60000, gap_s)
+        steps_down &= on_ramp(then.power_limit, power, 10000, 60000, gap_s)
     if "regen limit" in effects:
         brake = now.brake
-        on_ramp &= steps_down(then.brake, brake, wire.percent(20), 100 / 0.39, gap_s)
+        steps_down &= on_ramp(then.brake, brake, wire.percent(20), 100 / 0.39, gap_s)
     if "regen off" in effects:
         regen, brake = 0, 0
-    return on_ramp and now == wire.Command(
+    return steps_down and now == wire.Command(
         mode, 0, regen, 0, wire.percent(20), brake, 12000, power, 0
     )
 

@@ -5,11 +5,21 @@ import time
 from tests.oracle import wire
 from tests.oracle.bench import GRACE_S, Bench
 
-TICK_S = 0.050
+TICK_S, JITTER_S = 0.050, 0.010
 
 
 def of_pcu1(frames: list) -> list:
     return [f for f in frames if f.can_id == wire.PCU1_COMMAND]
+
+
+def on_ramp(before: float, after: float, target: float, per_s: float, gap_s: float) -> bool:
+    """One tick along a ramp: its period at most, and no less than the time that passed."""
+    ahead = 1 if target >= before else -1
+    step = ahead * (after - before)
+    if after == target:
+        return step <= per_s * TICK_S * 1.001 + 1
+    least = per_s * (min(gap_s, TICK_S) - JITTER_S) - 1
+    return ahead * (target - after) > 0 and least <= step <= per_s * TICK_S + 1
 
 
 def settled(bench: Bench, values: dict) -> wire.Command:

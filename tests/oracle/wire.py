@@ -69,7 +69,7 @@ STATUS2_HEALTHY = {
     "MotorSpeed": 0,
 }
 ARD2_HEALTHY = {"SteeringAngle": 0.0, "WheelSpeedFL": 20.0, "WheelSpeedFR": 20.0}
-TEMPERATURES_HEALTHY = {"PackTemperature": 25}
+TEMPERATURES_HEALTHY = {f"PackTemperature{number}": 25 for number in range(1, 6)}
 
 
 def bms_status(values: dict, life: int) -> bytes:
@@ -91,7 +91,7 @@ def bms_status(values: dict, life: int) -> bytes:
 
 
 def bms_temperatures(values: dict) -> bytes:
-    return bytes([values["PackTemperature"] + 50] * 5 + [0, 0, 0])
+    return bytes([values[name] + 50 for name in TEMPERATURES_HEALTHY] + [0, 0, 0])
 
 
 def steering_wheel(values: dict) -> bytes:
