@@ -172,6 +172,27 @@ def test_alarms_are_told_and_change_nothing(bench):
     assert bench.command() == before
 
 
+def test_without_tuning_heat_charge_voltage_and_a_spinning_wheel_change_nothing(bench):
+    drive(bench)
+    before = bench.command()
+    since = time.monotonic()
+    for message, values in (
+        (LEFT, {"MotorTemperature": 255}), (RIGHT, {"ControllerTemperature": 151}),
+        (BATTERY, {"SOC": 99}), (BATTERY, {"SOC": 1}), ("PCU2_Status2", {"BatteryVoltage": 1.0}),
+        ("BMS_Temperatures", {"PackTemperature1": 90, "PackTemperature2": -40}),
+        ("ARD2_SteeringWheel", {"WheelSpeedFL": 1.0, "WheelSpeedFR": 1.0}),
+    ):  # fmt: skip
+        bench.vehicle.set(message, **values)
+        bench.rest(0.06)
+    bench.speeds(2500, 1000)
+    bench.rest(0.2)
+    refused = bench.client.refusal("drive_mode.set", mode="sport")
+    assert refused is not None
+    assert refused.refusal == "no_such_mode"
+    assert {f.command for f in bench.commands(since)} == {before}
+    assert not bench.why()["limits"]
+
+
 def test_a_message_at_its_bounds_of_silence_limits_then_stops(bench):
     drive(bench)
     bench.wait(lambda: time.monotonic() - bench.recorder.of(BATTERY)[-1].t < 0.1, "a frame")
