@@ -457,6 +457,15 @@ def test_arming_waits_until_the_speed_limit_has_come_down():
     assert drive.gateway.requests.arm(drive.now_ns).granted
 
 
+def test_arming_waits_for_the_speed_limit_of_a_mode_asked_for_in_the_same_instant():
+    drive = standby(tuning=Tuning(start="sport", modes=MODES, motor_rpm_per_kmh=RPM_PER_KMH))
+    assert drive.gateway.requests.against_arming(drive.now_ns) == ""
+    ask(drive, "valet")
+    assert drive.gateway.requests.arm(drive.now_ns).sentence == (
+        "the speed limit has not come down to its cap"
+    )
+
+
 def test_a_reload_that_drops_the_mode_in_use_is_refused():
     drive = driving(modes=MODES)
     settings = drive.gateway.settings

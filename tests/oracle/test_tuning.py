@@ -151,7 +151,6 @@ def test_a_speed_limit_over_charge_comes_down_and_stays_where_the_charge_is_unkn
 def test_in_standby_arming_waits_for_the_speed_limit_which_is_quick_at_slow_motors(bench):
     motors(bench, 600)
     asked = ask(bench, "city")
-    bench.ticks(asked + GRACE_S, 1)
     assert bench.client.refusal("arm")
     must_ramp(bench, asked, "speed_limit", 30 * tuned.RPM_PER_KMH)
     asked = ask(bench, "pit")

@@ -268,6 +268,13 @@ class Commander:
         """The lower speed cap of both controllers."""
         return min([one.speed_rpm for one in self.caps.values()])
 
+    def cap_speed(self, cap_rpm: float) -> None:
+        """Arming waits for this cap too, before the next tick finds it."""
+        self.caps = {
+            name: one._replace(speed_rpm=min(one.speed_rpm, cap_rpm))
+            for name, one in self.caps.items()
+        }
+
     def speed_pending(self) -> bool:
         """True where the SpeedLimit has not come down to its cap."""
         for name, last in self.last.items():

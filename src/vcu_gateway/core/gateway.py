@@ -215,6 +215,7 @@ class Gateway:
                 reason = f"drive mode {left} is left at service level"
                 return self.requests.refuse("set_drive_mode", reason)
         self._laws.modes.requested = name
+        self._commander.cap_speed(self.settings.tuning.mode_limits[name]["speed_limit_rpm"])
         return GRANTED
 
     def begin_in_mode(self, name: str) -> None:
