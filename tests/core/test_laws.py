@@ -638,6 +638,21 @@ def test_nothing_is_told_before_standby():
     assert not [held for held in drive.gateway.causes.held if held.finding.effect is Effect.CAP]
 
 
+def test_laws_are_equal_where_they_remember_the_same():
+    """A recording leaves them out where they are as at the start."""
+    fresh = Laws(Tuning())
+    assert fresh == Laws(Tuning())
+    assert (fresh == "laws") is False
+    for change in (
+        lambda one: one.deratings.held.update({"brake_pct.by_soc_pct": 20.0}),
+        lambda one: setattr(one.modes, "requested", "eco"),
+        lambda one: one.slip.cut_ns.update({"PCU1": 1}),
+    ):
+        other = Laws(Tuning())
+        change(other)
+        assert other != fresh
+
+
 def test_without_any_key_there_are_no_laws_and_a_reload_may_add_a_stricter_curve_alone():
     drive = driving()
     settings = drive.gateway.settings
