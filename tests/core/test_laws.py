@@ -628,6 +628,28 @@ def test_outside_active_it_forgets():
     assert drive.gateway._laws.slip.caps_pct == dict.fromkeys(CONTROLLERS, 100.0)
 
 
+def test_a_wheel_whose_cap_has_returned_is_not_told_though_the_other_one_is():
+    drive = slipping(asymmetry_max_pct=30)
+    spin(drive, 38, 20)
+    drive.run(100)
+    spin(drive, 20, 20)
+    drive.run(3500)
+    caps_pct = drive.gateway._laws.slip.caps_pct
+    assert caps_pct["PCU2"] == 100 > caps_pct["PCU1"]
+    told = [
+        held.finding.subject for held in drive.gateway.causes.held if held.absent_since_ns is None
+    ]
+    assert told == ["slip of PCU1"]
+
+
+def test_a_drive_mode_with_a_pedal_map_needs_no_demand_in_standby():
+    drive = standby(tuning=Tuning(start="eco", modes=MODES, motor_rpm_per_kmh=RPM_PER_KMH))
+    drive.demanded = None
+    drive.run(1000)
+    assert drive.gateway.mode is Mode.STANDBY
+    assert drive.gateway._commander.caps["PCU1"].power_w == 8000
+
+
 # Together.
 
 

@@ -93,10 +93,10 @@ class DriveModes:
 
     def limits(self, tuning: Tuning) -> Mapping[Limit, float]:
         """Limits of fields that have ramps: the lower ones of both modes, from the request on."""
-        if self.current is None or self.requested is None:
+        if self.current is None:
             return {}
-        own, asked = tuning.mode_limits[self.current], tuning.mode_limits[self.requested]
-        return own if own is asked else {limit: min(own[limit], asked[limit]) for limit in own}
+        own, asked = tuning.mode_limits[self.current], tuning.mode_limits[self.requested or ""]
+        return {limit: min(own[limit], asked[limit]) for limit in own}
 
     def caps(self, inputs: LawInputs, front: Front | None, limits: Caps) -> Mapping[str, Caps]:
         """These limits with those of throttle, its rise and the power mode, by controller."""
