@@ -146,6 +146,61 @@ def test_a_wrong_curve_is_refused_with_the_place_and_what_to_do(key, value, text
     assert refusals(file_of(key, value)) == [f"gateway.yaml:2: {key}{text}"]
 
 
+POINTS = "[[1, 20], [2, 20]]"
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("power_limit_w.by_motor_temp_c", ["by_motor_temperature_c"]),
+        ("power_limit_w.by_motor_temprature_c", ["by_motor_temperature_c"]),
+        ("power_limit_w.motor_temperature_c", ["by_motor_temperature_c"]),
+        (
+            "brake_pct.by_pack_temperature_c",
+            ["by_pack_temperature_max_c", "by_pack_temperature_min_c"],
+        ),
+        (
+            "power_limit_w.by_temperature_c",
+            [
+                "by_motor_temperature_c",
+                "by_controller_temperature_c",
+                "by_pack_temperature_max_c",
+                "by_pack_temperature_min_c",
+            ],
+        ),
+        ("brake_limit_pct", ["brake_pct"]),
+        ("regen_limit_pct", ["limits.regen_limit_pct"]),
+        (
+            "by_soc_pct",
+            [
+                "curves.power_limit_w.by_soc_pct",
+                "curves.brake_pct.by_soc_pct",
+                "curves.speed_limit_rpm.by_soc_pct",
+            ],
+        ),
+    ],
+)
+def test_a_misspelt_curve_is_answered_with_every_key_that_it_may_mean(key, meant):
+    (refusal,) = refusals(file_of(f"curves.{key}", POINTS))
+    assert re.findall(r'"([^"]+)"', refusal.partition("unknown key; did you mean ")[2]) == meant
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "power_limit_w.by_motor_speed_rpm",
+        "brake_pct.by_motor_temperature_c",
+        "brake_pct.by_motor_temp_c",
+        "speed_limit_rpm.by_pack_temperature_max_c",
+    ],
+)
+def test_a_curve_that_this_limit_has_not_is_never_answered_with_another_one(key):
+    limit = key.partition(".")[0]
+    here = [f"by_{one.input.quantity.key}" for one in DERATINGS.values() if one.limit == limit]
+    (refusal,) = refusals(file_of(f"curves.{key}", POINTS))
+    assert refusal.endswith(f"curves.{key}: unknown key; the keys here are {', '.join(here)}")
+
+
 def test_a_speed_limit_needs_the_geometry_and_at_least_500_rpm():
     text = "drive_modes: {start: eco, modes: {eco: {speed_limit_kmh: 5}}}\n"
     key = "drive_modes.modes.eco.speed_limit_kmh"

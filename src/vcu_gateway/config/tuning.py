@@ -189,6 +189,14 @@ def _derating_type(one: Derating) -> Any:
     return _curve_type(check, x, y, one.rises, example, text)
 
 
+class _LimitSection(Section):
+    alike = tuple({f"by_{one.input.quantity.key}": one for one in DERATINGS.values()})
+
+
+class _CurvesSection(Section):
+    alike = tuple(LIMITS)
+
+
 def _curves_section() -> Any:
     sections: dict[str, Any] = {}
     for limit, quantity in LIMITS.items():
@@ -199,11 +207,11 @@ def _curves_section() -> Any:
         }
         text = f"{quantity.text.capitalize()} in {quantity.unit}, of each motor controller."
         name = f"{quantity.text.capitalize()}CurvesSection"
-        kind = create_model(name, __base__=Section, __module__=__name__, __doc__=text, **own)
+        kind = create_model(name, __base__=_LimitSection, __module__=__name__, __doc__=text, **own)
         sections[limit] = kind, Field(default=kind(), description=text)
     return create_model(
         "CurvesSection",
-        __base__=Section,
+        __base__=_CurvesSection,
         __module__=__name__,
         __doc__="Limits over temperature, charge, voltage and speed; of all the lowest counts.",
         **sections,

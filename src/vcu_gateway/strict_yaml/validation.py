@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from vcu_gateway.errors import did_you_mean
+from vcu_gateway.errors import did_you_mean, nearest
 from vcu_gateway.strict_yaml.file_text import FileProblem, shown
 from vcu_gateway.strict_yaml.file_text import KeyPath as Path
 from vcu_gateway.strict_yaml.parser import YamlDocument
@@ -44,9 +44,12 @@ class Section(BaseModel):
     Attributes:
         removed: keys of earlier versions, each with what to do instead.
         outline: what a file must be that this is the model of.
+        alike: keys made of the same words, here or in other sections: an unknown key is answered
+            with all that it may mean, and with none where what it means is not here.
     """
 
     removed: ClassVar[Mapping[str, str]] = {}
+    alike: ClassVar[tuple[str, ...]] = ()
     outline: ClassVar[str] = "must be a mapping, key: value in each line"
 
     model_config = ConfigDict(
@@ -77,6 +80,7 @@ _UNITS = {
 }
 _KEY = "[key]"
 _MOST_FINDINGS = 500
+_MUCH_ALIKE = 0.7
 _A_LIST = "must be a list, - item in each line"
 _KEY_AND_VALUE = "write `key: value`, with a space after the colon"
 _SWITCH_WORDS = {"yes": "true", "on": "true", "no": "false", "off": "false"}
@@ -250,12 +254,27 @@ def _remedy_for_unknown(path: Path, root: type[Section]) -> str:
         return known.removed[str(key)]
     if ":" in str(key):
         return _KEY_AND_VALUE
-    if near := did_you_mean(str(key), names):
+    alike = known.alike if known else ()
+    if not alike and (near := did_you_mean(str(key), names)):
         return near
-    elsewhere = [place for place in _places(root, "") if place.endswith(f".{key}")]
-    if elsewhere:
-        return f'did you mean "{elsewhere[0]}"?'
+    meant = [name for name in _meant(str(key), alike) if name in names]
+    if not meant and key not in alike:
+        meant = [place for place in _places(root, "") if place.endswith(f".{key}")]
+    if meant:
+        *others, last = (f'"{name}"' for name in meant)
+        return f"did you mean {', '.join(others)}{' or ' if others else ''}{last}?"
     return f"the keys here are {', '.join(names)}"
+
+
+def _meant(key: str, known: tuple[str, ...]) -> list[str]:
+    """The known keys with these words, whole or shortened; else the one that is much like it."""
+    words = key.split("_")
+    if key in known:
+        return [key]
+    if same := [one for one in known if all(f"_{word}" in f"_{one}" for word in words)]:
+        return same
+    near = nearest(key, known, cutoff=_MUCH_ALIKE)
+    return [] if near is None else [near]
 
 
 def _places(model: type[Section], prefix: str) -> Iterator[str]:
