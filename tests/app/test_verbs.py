@@ -238,3 +238,19 @@ def test_a_drive_mode_is_taken_refused_and_left_at_service_level(tmp_path):
         assert kept.stderr == "error: drive mode valet is left at service level\n"
         left = vcu(path, "drive-mode", "eco", "--level", "service")
         assert left.stdout == "eco (others: sport, valet)\n"
+
+
+def test_a_drive_mode_that_waits_says_for_what_and_what_counts_until_then(tmp_path):
+    with driven(tmp_path, TUNED) as one, one.client() as client:
+        one.until_ready()
+        with client.demand("test", hold_s=None) as demand:
+            client.arm()
+            demand.set(throttle_pct=30.0)
+            one.until(lambda: max(one.throttles(), default=0) > 20, "throttle")
+            done = vcu(one.socket_path, "drive-mode", "sport")
+            found = json.loads(vcu(one.socket_path, "drive-mode", "sport", "--json").stdout)
+    assert done.stdout == (
+        "eco; sport waits for the pedal's release, and until then of both modes' limits the lower"
+        " ones count (others: sport, valet)\n"
+    )
+    assert (found["current"], found["requested"]) == ("eco", "sport")

@@ -1,8 +1,14 @@
 """Commands and stop as the API tells them: decided, sent and come back apart."""
 
-from tests.core.simulated_drive import Drive, standby
+import pytest
+
+from tests.core.simulated_drive import Drive, active, standby
 from vcu_gateway.api import openrpc, results
+from vcu_gateway.core import calls
+from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.supervisor import FaultClass
+from vcu_gateway.core.tuning import DriveMode, Tuning
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.server import views
 
@@ -110,3 +116,30 @@ def test_a_reset_ends_the_stop_in_the_answer_that_follows_it():
     assert told(drive)["stop"] is None
     drive.tick()
     assert told(drive)["stop"] is None
+
+
+TUNING = Tuning(start="eco", modes={"eco": DriveMode(), "sport": DriveMode()})
+
+
+@pytest.mark.parametrize(
+    ("begin", "throttle_pct", "mode", "waits"),
+    [
+        (active, 60.0, "sport", True),
+        (active, 5.0, "sport", True),
+        (active, 4.9, "sport", False),
+        (active, None, "sport", False),
+        (active, 60.0, "eco", False),
+        (standby, 60.0, "sport", False),
+    ],
+)
+def test_whether_a_drive_mode_waits_is_told_before_the_tick_that_shows_it(
+    begin, throttle_pct, mode, waits
+):
+    drive = begin(tuning=TUNING)
+    drive.demanded = throttle_pct and ControllerDemand(throttle_pct=throttle_pct)
+    drive.run(250)
+    assert drive.gateway.apply(calls.SetDriveMode(mode, FaultClass.DRIVER, drive.now_ns)).granted
+    assert views.waits_for_release(drive.gateway, drive.now_ns) is waits
+    drive.tick()
+    current, requested = drive.gateway.drive_modes
+    assert (current != requested, requested) == (waits, mode)

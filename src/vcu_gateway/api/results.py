@@ -397,6 +397,9 @@ class Granted(TypedDict):
     granted: Literal[True]
     mode: ModeName
     """The mode when it was granted; `why` says what follows."""
+    waits_for_release: NotRequired[bool]
+    """Only of `drive_mode.set`: the drive mode waits for the pedal's release; else it counts from
+    the next tick on. As it was when it was granted; `tuning.get` says how it is."""
 
 
 class Subscribed(TypedDict):

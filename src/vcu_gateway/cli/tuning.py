@@ -1,6 +1,5 @@
 """Verbs of the tuning: the drive mode, and where the vehicle is on each curve."""
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
@@ -11,7 +10,6 @@ from vcu_gateway.api import results
 from vcu_gateway.cli.operator import api_options, connected, show
 from vcu_gateway.text import table
 
-_A_TICK_S = 0.12  # a request counts in the tick after it
 _NONE = "no curve, drive mode or slip limiter is configured; docs/tuning.md says how"
 
 
@@ -45,7 +43,10 @@ def _mode(mode: results.DriveModeNow) -> str:
     others = ", ".join(name for name in mode["modes"] if name != mode["current"])
     waits = ""
     if mode["requested"] != mode["current"]:
-        waits = f"; {mode['requested']} waits for the pedal's release"
+        waits = (
+            f"; {mode['requested']} waits for the pedal's release, and until then of both modes'"
+            " limits the lower ones count"
+        )
     return f"{mode['current']}{waits} (others: {others or 'none'})"
 
 
@@ -74,13 +75,11 @@ def drive_mode(
     brake and speed count at once.
     """
     with connected(socket_path) as client:
-        if mode is not None:
-            client.set_drive_mode(mode, level)
-            time.sleep(_A_TICK_S)
+        waits = mode is not None and client.set_drive_mode(mode, level)["waits_for_release"]
         found = client.tuning()["drive_mode"]
+    if found is not None and mode is not None and not waits:
+        found["current"] = mode  # from the next tick on
     if found is None:
         show(found, as_json, lambda: "no drive mode is configured; docs/tuning.md says how")
-    elif mode in (None, found["current"]):
-        show(found, as_json, lambda: _mode(found))
     else:
-        show(found, as_json, lambda: f"{mode} is asked for; now {_mode(found)}")
+        show(found, as_json, lambda: _mode(found))

@@ -108,8 +108,10 @@ class CommandHandlers:
 
     def set_drive_mode(self, params: methods.DriveModeParams, caller: Caller) -> results.Granted:
         level = FaultClass(params.level)
-        call = calls.SetDriveMode(params.mode, level, time.monotonic_ns())
-        return self._logged("drive_mode.set", caller, self._gateway.apply(call))
+        call = calls.SetDriveMode(params.mode, level, now_ns := time.monotonic_ns())
+        answer = self._logged("drive_mode.set", caller, self._gateway.apply(call))
+        answer["waits_for_release"] = views.waits_for_release(self._gateway, now_ns)
+        return answer
 
     def _logged(self, what: str, caller: Caller, answer: RequestResult) -> results.Granted:
         """Result as `_granted` makes it, with the peer in the event log."""

@@ -11,6 +11,7 @@ from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import Demand
 from vcu_gateway.core.deratings import CurveState
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.law_inputs import RELEASED_PCT
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.stop import Stop
@@ -216,6 +217,15 @@ def tuning(gateway: Gateway) -> results.TuningNow:
         if settings.slip is None
         else {name: slip_pct[name] for name in _CONTROLLERS},
     }
+
+
+def waits_for_release(gateway: Gateway, now_ns: int) -> bool:
+    """Whether the drive mode that was asked for waits, with the demand as it is now."""
+    current, requested = gateway.drive_modes
+    if current == requested or gateway.mode is not Mode.ACTIVE:
+        return False
+    demanded = gateway.requests.demanded(now_ns) or {}
+    return any(one.throttle_pct >= RELEASED_PCT for one in demanded.values())
 
 
 def _curve(state: CurveState, curve: Curve) -> results.CurveNow:
