@@ -2,14 +2,22 @@
 
 import gzip
 import json
+import re
+from typing import get_args
 
 import pytest
 
 from tests.export.drives import record
-from tests.recording.recorded import WALL_NS
+from tests.recording.recorded import WALL_NS, RecordedDrive
+from vcu_gateway.api import results
+from vcu_gateway.core import calls
+from vcu_gateway.core.curve import Curve
+from vcu_gateway.core.supervisor import FaultClass, Mode
+from vcu_gateway.core.tuning import DriveMode, Tuning
 from vcu_gateway.errors import DataError, MissingInputError
 from vcu_gateway.export.decisions import MODES
 from vcu_gateway.export.formats import tables_of
+from vcu_gateway.export.html_report import page
 from vcu_gateway.export.report_builder import build
 from vcu_gateway.export.source import ReadOptions, Selection, Source, read, title
 from vcu_gateway.time_window import Window, moment
@@ -225,3 +233,63 @@ def test_behind_a_gap_causes_are_known_again(folder):
     path.write_bytes(gzip.compress(lines[0] + gap))
     found = source(folder).decisions
     assert "BMS_Status.CellUndervoltage" in [one.key.subject for one in found.causes]
+
+
+# Tuning.
+
+HOT = Curve(((60.0, 100.0), (90.0, 10.0)))
+TUNED = Tuning(
+    curves={"power_limit_w.by_controller_temperature_c": HOT, "brake_pct.by_soc_pct": HOT},
+    start="eco",
+    modes={"eco": DriveMode(), "sport": DriveMode()},
+)
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    """Some seconds in eco, two in sport, the last of them with hot controllers and an alarm."""
+    drive = RecordedDrive(tmp_path_factory.mktemp("drives") / "tuned", 2 * NS_PER_S, tuning=TUNED)
+    drive.open_link()
+    drive.until(Mode.STANDBY).run(3000)
+    drive.gateway.apply(calls.SetDriveMode("sport", FaultClass.DRIVER, drive.now_ns))
+    drive.run(1000)
+    drive.codes |= {f"PCU{n}_Status1.ControllerTemperature": 140 for n in (1, 2)}
+    drive.codes["BMS_Status.TemperatureImbalance"] = 1
+    drive.run(1000)
+    drive.close()
+    return drive
+
+
+def test_drive_modes_are_a_band_from_where_each_counts(tuned):
+    found = source(tuned.writer.folder)
+    report = build(found, Selection())
+    [band] = [one for one in report.bands if one.title == "drive mode"]
+    eco, sport = band.spans
+    [changed] = [one for one in found.decisions.events if one.name == "drive_mode_changed"]
+    assert (eco.text, sport.text) == ("eco", "sport")
+    assert eco.begin_ns == report.start_ns
+    assert eco.end_ns == sport.begin_ns == changed.wall_ns
+    assert "mode sport" in [one.text for one in report.events if one.name == "drive_mode_changed"]
+    part = source(tuned.writer.folder, Window(begin=moment("5.3 s")))
+    [sport] = next(one for one in build(part, Selection()).bands if one.title == "drive mode").spans
+    assert sport.text == "sport"
+
+
+def test_without_drive_modes_there_is_no_band_of_them(recorded):
+    bands = build(source(recorded.writer.folder), Selection()).bands
+    assert "drive mode" not in [one.title for one in bands]
+
+
+def test_what_a_curve_limits_is_a_band_of_its_key_above_the_alarms(tuned):
+    titles = [one.title for one in build(source(tuned.writer.folder), Selection()).bands]
+    power = titles.index("curves.power_limit_w.by_controller_temperature_c: cap")
+    assert titles.index("curves.brake_pct.by_soc_pct: cap") != power
+    assert power < titles.index("BMS_Status.TemperatureImbalance: alarm")
+
+
+def test_every_effect_has_a_colour_in_the_page(tuned):
+    text = page(build(source(tuned.writer.folder), Selection()))
+    [kinds] = re.findall(r"const KINDS = \{(.*?)\}", text)
+    named = {one.strip(' "') for one in re.findall(r'([\w" ]+):', kinds)}
+    plain = {one for one in get_args(results.EffectName) if f"--{one}: #" in text}
+    assert named | plain == set(get_args(results.EffectName))

@@ -132,7 +132,7 @@ def _causes_at(source: Source) -> Callable[[int, int], str]:
     texts = [
         "; ".join(
             dict.fromkeys(  # two causes may have the same subject and effect
-                f"{span.key.subject}: {span.key.effect}"
+                span.key.title
                 for span in spans
                 if span.began_ns <= edge and (span.ended_ns is None or span.ended_ns > edge)
             )

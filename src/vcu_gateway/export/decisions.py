@@ -58,6 +58,8 @@ class Decisions:
         events: every event, in order.
         whys: stamp and sentence, on change.
         gaps: stamp and sentence of each hole in the recording.
+        drive_modes: stamp and name of each from where it counts, those before the window too; none
+            where there are none.
     """
 
     def __init__(self, window: Window) -> None:
@@ -66,6 +68,7 @@ class Decisions:
         self.events: list[DecidedEvent] = []
         self.whys: list[tuple[int, str]] = []
         self.gaps: list[tuple[int, str]] = []
+        self.drive_modes: list[tuple[int, str]] = []
         self._window = window
         self._causes = CauseSpans()
         self._mode = 0
@@ -94,6 +97,11 @@ class Decisions:
         self._causes.event(event.name, event.fields, event.wall_ns)
         if self._window.holds(event.wall_ns):
             self.events.append(event)
+
+    def drive_mode(self, wall_ns: int, name: str) -> None:
+        """Drive mode that counts from here on."""
+        if not self.drive_modes or self.drive_modes[-1][1] != name:
+            self.drive_modes.append((wall_ns, name))
 
     def gap(self, wall_ns: int, what: str) -> None:
         if self._window.holds(wall_ns):
@@ -194,6 +202,9 @@ class CoreLines:
         with contextlib.suppress(StateError):
             gateway = restore(record.state, self._codec, record.settings)
             self._decisions.stand(self._latest_ns, gateway.causes.held)
+            drive_mode, _ = gateway.drive_modes
+            if drive_mode is not None:
+                self._decisions.drive_mode(self._latest_ns, drive_mode)
 
     def _tick(self, now_ns: int, mode: str | None) -> None:
         self._latest_ns = self._wall_ns(now_ns)
@@ -202,6 +213,8 @@ class CoreLines:
     def _event(self, event: Event) -> None:
         one = DecidedEvent(self._latest_ns, event.name, event.severity, event.fields)
         self._decisions.event(one)
+        if event.name == "drive_mode_changed":
+            self._decisions.drive_mode(self._latest_ns, str(event.fields["mode"]))
 
     def _wall_ns(self, monotonic_ns: int) -> int:
         return monotonic_ns + self._to_wall_ns

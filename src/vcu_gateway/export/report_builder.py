@@ -19,7 +19,9 @@ from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 _MOST_CAUSES = 14
 _MOST_SPANS = 300
-_WORST_FIRST = ("cut", "stop", "power limit", "regen off", "regen limit", "turbo off", "alarm")
+_WORST_FIRST = (
+    *("cut", "stop", "power limit", "regen off", "regen limit", "turbo off", "cap", "alarm"),
+)
 
 
 def mode_band(decisions: Decisions, end_ns: int) -> Iterator[Band]:
@@ -40,6 +42,17 @@ def _of_changes(
         yield Band(title, tuple(spans), what_if)
 
 
+def drive_mode_band(decisions: Decisions, start_ns: int, end_ns: int) -> Iterator[Band]:
+    """Drive modes, each from where it counts; none where there are none."""
+    ends = [*(stamp for stamp, _ in decisions.drive_modes[1:]), end_ns]
+    spans = [
+        Span(max(start_ns, stamp), min(end, end_ns), "", name)
+        for (stamp, name), end in zip(decisions.drive_modes, ends, strict=False)
+    ]
+    if inside := tuple(span for span in spans if span.begin_ns < span.end_ns):
+        yield Band("drive mode", inside)
+
+
 def cause_bands(decisions: Decisions, start_ns: int, end_ns: int) -> list[Band]:
     """A band for each cause, the worst effect first; one for all that had not come yet."""
     waited = [one for one in decisions.causes if one.detail == NEVER_RECEIVED]
@@ -51,7 +64,7 @@ def cause_bands(decisions: Decisions, start_ns: int, end_ns: int) -> list[Band]:
         last_ns = end_ns if one.ended_ns is None else min(one.ended_ns, end_ns)
         text = f"{one.key.subject} {one.detail}".strip()
         span = Span(max(start_ns, one.began_ns), last_ns, one.key.effect, text)
-        causes.setdefault(f"{one.key.subject}: {one.key.effect}", []).append(span)
+        causes.setdefault(one.key.title, []).append(span)
     return [*bands, *_ranked(causes)]
 
 
@@ -123,7 +136,10 @@ def build(
     end_ns = grid.start_ns + grid.buckets * grid.bucket_ns
     lines = {one.key: one for one in signal_lines(source.store.rows.values(), selection, grid)}
     drawn, constant = plots(lines, overlay, grid)
-    bands = [*mode_band(source.decisions, end_ns)]
+    bands = [
+        *mode_band(source.decisions, end_ns),
+        *drive_mode_band(source.decisions, grid.start_ns, end_ns),
+    ]
     if overlay is not None:
         bands += overlay_bands(overlay, end_ns)
     if selection.wants(GATEWAY, "Causes"):

@@ -122,7 +122,7 @@ def _tick_table(decisions: Decisions, selection: Selection) -> Iterator[Table]:
     for span in decisions.causes:
         last = len(times_ns) if span.ended_ns is None else bisect_left(times_ns, span.ended_ns)
         reach = bisect_left(times_ns, span.began_ns), last
-        spans.setdefault(f"{span.key.subject}: {span.key.effect}", []).append(reach)
+        spans.setdefault(span.key.title, []).append(reach)
     for name, reaches in spans.items():
         if selection.wants(GATEWAY, name):
             stands = array("b", bytes(len(times_ns)))

@@ -17,6 +17,12 @@ class CauseKey(NamedTuple):
     def __str__(self) -> str:
         return f"{self.subject} ({self.cause}): {self.effect}"
 
+    @property
+    def title(self) -> str:
+        """Subject and effect; of a curve its key, as several curves are over the same quantity."""
+        curve = self.cause.startswith("curves.")
+        return f"{self.cause if curve else self.subject}: {self.effect}"
+
 
 @dataclass
 class CauseSpan:

@@ -212,7 +212,7 @@
   }
 
   // Bands.
-  const KINDS = { "power limit": "limit", "regen limit": "limit", "regen off": "limit", "turbo off": "limit" };
+  const KINDS = { "power limit": "limit", "regen limit": "limit", "regen off": "limit", "turbo off": "limit", cap: "limit" };
   const ROW = 34, EVENT_ROW = 22;
   function timeline(card) {
     const bands = data.bands;
