@@ -1,6 +1,7 @@
 """The layout: everything important in 80 x 24, more where there is room."""
 
 import copy
+import dataclasses
 import re
 
 import pytest
@@ -14,6 +15,7 @@ from vcu_gateway.watch.source import ViewModel
 
 VIEWS = [
     view_models.driving,
+    view_models.tuned,
     view_models.starting,
     view_models.faulty,
     view_models.unreachable,
@@ -89,6 +91,28 @@ def test_what_one_waits_for_stands_beside_the_mode(width, height):
     assert starting[1].startswith(" STARTING  waiting: another sender of our frames")
 
 
+def test_the_drive_mode_stands_in_the_first_line_and_the_one_that_waits_beside_it():
+    assert "drive mode" not in page(view_models.driving())
+    tuned = view_models.tuned()
+    assert (
+        page(tuned).splitlines()[0].startswith("vcu-gateway  can0 (socketcan) up  drive mode eco ")
+    )
+    waiting = page(view_models.tuned(requested="sport")).splitlines()
+    assert "  drive mode eco, sport waits " in waiting[0]
+    assert any(
+        re.fullmatch(r"wait +drive mode sport waits for the pedal's release", one)
+        for one in waiting
+    )
+    gone = dataclasses.replace(tuned, problem=view_models.unreachable().problem)
+    assert "drive mode" not in page(gone)
+
+
+def test_a_curve_that_limits_is_named_by_what_it_limits_and_not_by_its_key():
+    (row,) = [one for one in page(view_models.tuned()).splitlines() if one.startswith("cap ")]
+    assert row.split("  ")[0] == "cap"
+    assert " motor temperature 101 °C: power at most 10.8 kW   " in row
+
+
 @pytest.mark.parametrize(
     ("mode", "style"),
     [
@@ -133,7 +157,7 @@ def test_what_is_known_of_a_stop_is_shown_whole(stage, sentence, style, width, h
 
 def test_where_the_gateway_is_not_reached_nothing_is_said_of_a_stop():
     gone, stopped = view_models.unreachable(), view_models.faulty()
-    view = ViewModel(stopped.state, stopped.why, stopped.health, gone.problem)
+    view = dataclasses.replace(stopped, problem=gone.problem)
     assert "Stop on the bus" in page(stopped)
     assert "Stop on the bus" not in page(view)
 

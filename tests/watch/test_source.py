@@ -25,6 +25,7 @@ class Gateway:
         self.view = view_models.driving()
         self.requests: list[str] = []
         self.error: dict[str, object] | None = None
+        self.older = False
         self._connections: list[socket.socket] = []
         self._listener = socket.socket(socket.AF_UNIX)
         self._listener.bind(str(path))
@@ -57,7 +58,10 @@ class Gateway:
         if self.error is not None:
             return {"error": self.error}
         view = self.view
+        if method == "tuning.get" and self.older:
+            return {"error": {"code": -32601, "message": "there is no method tuning.get"}}
         results = {"state.get": view.state, "why": view.why, "health": view.health}
+        results |= {"tuning.get": view.tuning}
         return {"result": results.get(method, {"granted": True, "mode": "standby"})}
 
 
@@ -90,6 +94,14 @@ def seen(source: GatewaySource, wanted: Callable[[ViewModel], object]) -> ViewMo
 def test_state_why_and_health_are_what_the_gateway_says(path):
     with gateway(path) as made, GatewaySource(path) as source:
         assert seen(source, lambda view: view.state) == made.view
+
+
+def test_an_older_gateway_without_tuning_is_shown_without_it(path):
+    with gateway(path) as made:
+        made.older = True
+        with GatewaySource(path) as source:
+            view = seen(source, lambda view: view.state)
+    assert (view.tuning, view.problem) == (None, None)
 
 
 def test_new_values_arrive(path):

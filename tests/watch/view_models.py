@@ -108,7 +108,7 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
             tick_ns += gateway.settings.period_ns
     latest = LastTick.explained(gateway, result, result.snapshot.now_ns)
     state = views.state(gateway, latest, result.snapshot.now_ns)
-    return ViewModel(state, views.why(latest.why), HEALTH)
+    return ViewModel(state, views.why(latest.why), HEALTH, views.tuning(gateway))
 
 
 def driving() -> ViewModel:
@@ -119,6 +119,25 @@ def driving() -> ViewModel:
 def limited() -> ViewModel:
     """Under way with a battery that is nearly empty."""
     return copy.deepcopy(_driven(8.0, soc_pct=14.0))
+
+
+def tuned(current: str = "eco", requested: str = "eco") -> ViewModel:
+    """Under way in a drive mode, with a curve that limits."""
+    view = driving()
+    assert view.tuning is not None
+    assert view.why is not None
+    view.tuning["drive_mode"] = {
+        "current": current,
+        "requested": requested,
+        "modes": ["eco", "sport"],
+        "left_by_service": [],
+    }
+    detail = "101 °C: power at most 10.8 kW"
+    key = "curves.power_limit_w.by_motor_temperature_c"
+    view.why["limits"] = [cause("cap", cause=key, subject="motor temperature", detail=detail)]
+    if requested != current:
+        view.why["waits"] = [f"drive mode {requested} waits for the pedal's release"]
+    return view
 
 
 def starting() -> ViewModel:
@@ -215,7 +234,7 @@ def unreachable() -> ViewModel:
         "/run/vcu-gateway/control.sock: Connection refused; is the gateway running?",
         datetime(2026, 5, 4, 14, 3, 11),
     )
-    return ViewModel(gone.state, gone.why, gone.health, problem)
+    return ViewModel(gone.state, gone.why, gone.health, gone.tuning, problem)
 
 
 class Scripted:

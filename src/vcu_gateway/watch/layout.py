@@ -24,6 +24,7 @@ _SINCE_COLUMNS = 13
 _EFFECT_STYLES = {"stop": "red", "cut": "bold red", "alarm": "yellow"}
 _LIMIT_STYLE = "yellow"
 _CODE = "code"  # says nothing that the signal's name and code do not
+_CAP = "cap"  # its cause is a key of the configuration, and its detail says what it limits
 TALL_LINES = 32
 """From here on there is room for more than the needed."""
 
@@ -35,9 +36,9 @@ _PANEL_LINES = 13
 
 
 def title_line(title: str, view: ViewModel, width: int, paused: bool = False) -> Text:
-    """Title, bus and process; whether the view is paused."""
+    """Title, bus, drive mode and process; whether the view is paused."""
     right = Text("PAUSED, space resumes", "reverse bold") if paused else _process(view)
-    left = line(Text(title, "bold"), _bus(view))
+    left = line(Text(title, "bold"), _bus(view), _drive_mode(view))
     return line(cell(left, width - right.cell_len - 1), " ", right)
 
 
@@ -46,6 +47,14 @@ def _bus(view: ViewModel) -> str:
         return ""
     link = view.health["link"]
     return f"  {link['channel']} ({link['interface']}) {link['state']}"
+
+
+def _drive_mode(view: ViewModel) -> str:
+    mode = view.tuning["drive_mode"] if view.tuning is not None and view.problem is None else None
+    if mode is None:
+        return ""
+    waits = "" if mode["requested"] == mode["current"] else f", {mode['requested']} waits"
+    return f"  drive mode {mode['current']}{waits}"
 
 
 def _process(view: ViewModel) -> Text:
@@ -123,7 +132,7 @@ def _cause(cause: Cause, width: int) -> Text:
     effect = cause["effect"]
     text = f"{cause['subject']} {cause['detail']}".rstrip()
     word = cause["cause"].replace("_", " ")
-    if word not in (*text.split(), _CODE):
+    if effect != _CAP and word not in (*text.split(), _CODE):
         text = f"{text}, {word}"
     since = narrow_duration(cause["since_ms"]) + ("" if cause["stands"] else " (gone)")
     return _row(effect, _EFFECT_STYLES.get(effect, _LIMIT_STYLE), text, since, width)

@@ -7,12 +7,12 @@ import time
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self, cast
 
 from pydantic import TypeAdapter, ValidationError
 
-from vcu_gateway.api.results import Health, State, Why
-from vcu_gateway.client import Client, ClientError
+from vcu_gateway.api.results import Health, State, TuningNow, Why
+from vcu_gateway.client import ApiError, Client, ClientError
 
 _STATE_PERIOD_S = 0.2
 _REST_PERIOD_S = 0.5
@@ -31,12 +31,14 @@ class ViewModel:
     """Latest results of the gateway; None before the first.
 
     Attributes:
+        tuning: None where the gateway is too old to tell it, too.
         problem: None while the gateway answers; else the rest are its last results.
     """
 
     state: State | None = None
     why: Why | None = None
     health: Health | None = None
+    tuning: TuningNow | None = None
     problem: SourceProblem | None = None
 
 
@@ -114,12 +116,19 @@ class GatewaySource:
             return dataclasses.replace(before, state=state)
         why, health = _checked(Why, client.why()), _checked(Health, client.health())
         self._rest_due_s = now_s + _REST_PERIOD_S
-        return ViewModel(state, why, health)
+        return ViewModel(state, why, health, _tuning(client))
 
     def _mark_unreachable(self, sentence: str) -> None:
         before = self._view.problem
         since = datetime.now().astimezone() if before is None else before.since
         self._view = dataclasses.replace(self._view, problem=SourceProblem(sentence, since))
+
+
+def _tuning(client: Client) -> TuningNow | None:
+    try:
+        return cast(TuningNow, _checked(TuningNow, client.tuning()))
+    except ApiError:
+        return None
 
 
 def _checked(result_type: Any, result: Any) -> Any:
