@@ -144,6 +144,9 @@ class Vehicle:
         asked = self._controllers.get(name, VALUES) if self.mode == "active" else VALUES
         return {**VALUES, **asked, "power_cut": False, "frame": None}
 
+    def _tuning_get(self, params: Mapping[str, Any], connection: int) -> Any:
+        return {"drive_mode": None, "curves": [], "slip_throttle_max_pct": None}
+
     def _why(self, params: Mapping[str, Any], connection: int) -> Any:
         return {"sentence": f"{self.mode}; arm", "mode": self.mode, "next_step": "arm"}
 

@@ -17,7 +17,7 @@ from tests.core.simulated_drive import (
     in_mode,
     standby,
 )
-from tests.monitoring.program import STARTED_S, Program, Scrape, driven
+from tests.monitoring.program import MOTOR, STARTED_S, TUNED, Program, Scrape, driven
 from tests.recorder.told import STATUS
 from vcu_gateway import __version__, exporter
 from vcu_gateway.api.errors import ErrorCode
@@ -255,6 +255,40 @@ def test_the_limits_are_those_of_the_configuration():
     assert scrape.value("limit_power_watts") == 60_000
     assert scrape.value("limit_derated_power_watts") == 10_000
     assert scrape.value("limit_regen_ratio") == 0.2
+
+
+def test_the_drive_mode_is_1_and_the_one_that_waits_is_told_apart():
+    program = Program(active(tuning=TUNED))
+    program.drive.demanded = ControllerDemand(throttle_pct=30)
+    program.run(200)
+    assert program.scrape().by("drive_mode", "mode") == {"eco": 1, "sport": 0}
+    assert program.scrape().by("drive_mode_waits", "mode") == {"eco": 0, "sport": 0}
+    call = calls.SetDriveMode("sport", FaultClass.DRIVER, program.drive.now_ns)
+    program.drive.gateway.apply(call)
+    program.run(200)
+    assert program.scrape().by("drive_mode", "mode") == {"eco": 1, "sport": 0}
+    assert program.scrape().by("drive_mode_waits", "mode") == {"eco": 0, "sport": 1}
+    program.drive.demanded = ControllerDemand()
+    program.run(50)
+    assert program.scrape().by("drive_mode", "mode") == {"eco": 0, "sport": 1}
+    assert program.scrape().by("drive_mode_waits", "mode") == {"eco": 0, "sport": 0}
+
+
+def test_a_curve_has_its_limit_now_and_whether_its_input_is_known():
+    program = Program(active(tuning=TUNED)).run(100)
+    assert program.scrape().value("curve_cap", curve=MOTOR, unit="W") == 60_000
+    assert program.scrape().value("curve_input_known", curve=MOTOR) == 1
+    program.drive.codes |= {f"PCU{n}_Status1.MotorTemperature": 110 for n in (1, 2)}
+    program.run(600)
+    assert program.scrape().value("curve_cap", curve=MOTOR, unit="W") == 6000
+    program.drive.silent = {"PCU1_Status1"}
+    program.run(2000)
+    assert program.scrape().value("curve_input_known", curve=MOTOR) == 0
+
+
+def test_without_tuning_nothing_is_said_of_drive_modes_and_curves():
+    names = exposed_names(Program(active()).run(100).scrape())
+    assert not [name for name in names if "drive_mode" in name or "curve" in name]
 
 
 def test_only_good_signals_are_shown():

@@ -34,10 +34,10 @@ def reader(fake, reports):
 
 def test_readings_ask_over_one_connection_and_for_the_configuration_once(fake, reader):
     for _ in range(3):
-        assert None not in reader.read()[:4]
+        assert None not in reader.read()[:5]
     assert fake.accepted == 1
-    assert fake.methods() == ["health", "state.get", "why", "config.get"] + (
-        ["health", "state.get", "why"] * 2
+    assert fake.methods() == ["health", "state.get", "why", "config.get", "tuning.get"] + (
+        ["health", "state.get", "why", "tuning.get"] * 2
     )
 
 
@@ -59,7 +59,7 @@ def test_a_gateway_that_is_gone_and_back_is_reported_once_each(fake, reader, rep
 def test_a_connection_that_broke_is_opened_again(fake, reader):
     reader.read()
     fake.hang_up()
-    assert None not in reader.read()[:4]
+    assert None not in reader.read()[:5]
     assert fake.accepted == 2
 
 
@@ -81,6 +81,7 @@ def test_an_older_gateway_is_answered_with_what_there_is():
     assert samples["vcu_gateway_mode"][("standby",)] == 1
     assert samples["vcu_gateway_tick_lateness_seconds"] == {}
     assert samples["vcu_gateway_demand_throttle_ratio"] == {}
+    assert samples["vcu_gateway_drive_mode"] == {}
 
 
 def test_a_gateway_that_does_not_answer_costs_the_time_limit_and_no_more(fake, reader, reports):
@@ -99,7 +100,7 @@ def test_what_comes_too_late_is_absent_and_the_rest_is_there(fake, reader):
     assert (reading.health is not None, reading.state is not None) == (True, True)
     assert (reading.why, reading.config) == (None, None)
     fake.faults.late.pop("why").set()
-    assert None not in reader.read()[:4]
+    assert None not in reader.read()[:5]
 
 
 def test_readings_that_wait_for_each_other_are_one(fake, reader):

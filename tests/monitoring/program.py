@@ -14,8 +14,10 @@ from vcu_gateway.bus.connection import BusConnection, BusSettings
 from vcu_gateway.config import Config
 from vcu_gateway.core import calls
 from vcu_gateway.core.causes import Effect
+from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
 from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.tuning import DriveMode, Tuning
 from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.exporter import GatewayAnswers, prometheus
@@ -24,6 +26,12 @@ from vcu_gateway.server import views
 from vcu_gateway.server.queries import RunFacts, health
 
 Labels = frozenset[tuple[str, str]]
+MOTOR = "curves.power_limit_w.by_motor_temperature_c"
+TUNED = Tuning(
+    curves={"power_limit_w.by_motor_temperature_c": Curve(((95.0, 60_000.0), (110.0, 6000.0)))},
+    start="eco",
+    modes={"eco": DriveMode(), "sport": DriveMode()},
+)
 STARTED_S = 1_700_000_000.0
 
 
@@ -116,6 +124,7 @@ class Program:
         if latest is not None:
             answers["state"] = views.state(self.drive.gateway, latest, now_ns)
             answers["why"] = views.why(latest.why)
+            answers["tuning"] = views.tuning(self.drive.gateway)
         answered = GatewayAnswers(**json.loads(json.dumps(answers, allow_nan=False)))
         return answered._replace(recorder=self.recorder, recorder_age_s=self.recorder_age_s)
 
@@ -125,7 +134,7 @@ class Program:
 
 def driven() -> Program:
     """A program to which everything has happened: no family is without a sample."""
-    drive = active()
+    drive = active(tuning=TUNED)
     drive.demanded = ControllerDemand(throttle_pct=30, power_mode=PowerMode.NORMAL)
     drive.codes = {"BMS_Status.CellOvervoltage": 1, "BMS_Temperatures.PackTemperature5": 255}
     drive.silent = {"IMU_Attitude"}
@@ -133,7 +142,9 @@ def driven() -> Program:
     drive.codes |= {
         "ARD2_SteeringWheel.WheelSpeedFL": 30_000,
         "PCU1_Status1.MotorReverse": 1,
+        "PCU1_Status1.MotorTemperature": 0,
         "PCU1_Status1.Throttle": 0,
+        "PCU2_Status1.MotorTemperature": 90,
         "PCU2_Status1.Throttle": 0,
     }
     program.run(1200)

@@ -11,7 +11,7 @@ import yaml
 
 from tests.core.simulated_drive import active
 from tests.monitoring.paths import ALERTS, DASHBOARD, MONITORING
-from tests.monitoring.program import Program, driven
+from tests.monitoring.program import MOTOR, TUNED, Program, driven
 
 CACHED = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "vcu-gateway/promtool"
 EVERY_S = 5
@@ -54,7 +54,7 @@ def rising(each: float) -> str:
 def healthy() -> Series:
     """Every series of a gateway that drives well, as a scrape shows it."""
     series = {name("up"): constant(1)}
-    for (metric, labels), value in Program(active()).run(1000).scrape().samples.items():
+    for (metric, labels), value in Program(active(tuning=TUNED)).run(1000).scrape().samples.items():
         series[name(metric, **dict(labels))] = constant(value)
     ticks = round(EVERY_S / 0.05)
     series[gateway("ticks_total")] = rising(ticks)
@@ -83,6 +83,15 @@ FIRES: dict[str, tuple[Series, set[str]]] = {
     "VcuGatewayStopNotConfirmed": ({gateway("stop_stage", stage="on the bus"): step()}, set()),
     "VcuGatewayControllerDisobeys": ({cause("echo_direction", "stop"): step("_")}, set()),
     "VcuGatewaySpeedImplausible": ({cause("speed_step", "alarm"): step("_")}, set()),
+    "VcuGatewayCurveInputUnknown": (
+        {gateway("curve_input_known", curve=MOTOR): step("1", "0")},
+        set(),
+    ),
+    "VcuGatewayMotorTemperaturesDiffer": (
+        {cause("motor_temperature_difference", "alarm"): step("_")},
+        set(),
+    ),
+    "VcuGatewayDriveModeWaits": ({gateway("drive_mode_waits", mode="sport"): step()}, set()),
     "VcuGatewayForeignSender": (
         {gateway("frames_foreign_total", controller="PCU1"): step()},
         set(),
@@ -133,6 +142,12 @@ QUIET: dict[str, Series] = {
     "a message that is stale for 10 s": {
         gateway("message_stale", message="BMS_Status"): f"0+0x142 1+0x1 0+0x{STEPS - 144}"
     },
+    "a curve whose input is not known for 30 s": {
+        gateway("curve_input_known", curve=MOTOR): f"1+0x139 0+0x5 1+0x{STEPS - 146}"
+    },
+    "a drive mode that waits for 30 s": {
+        gateway("drive_mode_waits", mode="sport"): f"0+0x139 1+0x5 0+0x{STEPS - 146}"
+    },
     "a stop that is confirmed within 10 s": {
         gateway("stop_stage", stage="on the bus"): f"0+0x142 1+0x1 0+0x{STEPS - 144}",
         gateway("stop_stage", stage="cut"): f"0+0x144 1+0x{STEPS - 145}",
@@ -169,6 +184,7 @@ def test_what_is_broken_is_part_of_what_is_healthy():
         gateway("frames_blocked_total", rule="unarmed"),  # comes with the first
         cause("echo_direction", "stop"),
         cause("speed_step", "alarm"),
+        cause("motor_temperature_difference", "alarm"),
         gateway("frames_dropped_total"),  # only where the bus is a SocketCAN interface
     }
     for series in [one for one, _ in FIRES.values()] + list(QUIET.values()):

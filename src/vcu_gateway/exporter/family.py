@@ -25,6 +25,7 @@ class GatewayAnswers(NamedTuple):
         health: None where the gateway does not answer; then all others are None, too.
         state, why: None before the first tick, too.
         config: configuration in effect; None where the gateway does not tell it.
+        tuning: drive mode and curves; None likewise.
         recorder: what the recorder told last, however long ago; None where there is none, or its
             file may not be read. The gateway need not answer for that.
         recorder_age_s: how long ago; None likewise.
@@ -34,6 +35,7 @@ class GatewayAnswers(NamedTuple):
     state: results.State | None = None
     why: results.Why | None = None
     config: results.ConfigInEffect | None = None
+    tuning: results.TuningNow | None = None
     recorder: RecorderStatus | None = None
     recorder_age_s: float | None = None
 
@@ -86,6 +88,7 @@ class GatewayReader:
             self._call_if_answered(calls.state(None), deadline_s),
             self._call_if_answered(calls.why(), deadline_s),
             self._config_in_effect(health.get("config_digest"), deadline_s),
+            self._call_if_answered(calls.tuning(), deadline_s),
         )
 
     def _with_recorder(self, answers: GatewayAnswers) -> GatewayAnswers:
@@ -180,6 +183,11 @@ def of_state(read: Callable[[results.State], Samples]) -> Callable[[GatewayAnswe
 def of_why(read: Callable[[results.Why], Samples]) -> Callable[[GatewayAnswers], Samples]:
     """Samples of `why`; none before the first tick."""
     return lambda reading: {} if reading.why is None else read(reading.why)
+
+
+def of_tuning(read: Callable[[results.TuningNow], Samples]) -> Callable[[GatewayAnswers], Samples]:
+    """Samples of the tuning; none where the gateway does not tell it."""
+    return lambda reading: {} if reading.tuning is None else read(reading.tuning)
 
 
 def one(value: float | None) -> Samples:

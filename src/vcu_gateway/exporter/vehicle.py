@@ -12,6 +12,7 @@ from vcu_gateway.exporter.family import (
     by,
     gauge,
     of_state,
+    of_tuning,
     of_why,
     one,
     states,
@@ -111,6 +112,31 @@ def _signals(state: results.State) -> Samples:
     }
 
 
+def _drive_mode(tuning: results.TuningNow) -> Samples:
+    mode = tuning["drive_mode"]
+    return {} if mode is None else states(mode["modes"], [mode["current"]])
+
+
+def _drive_mode_waits(tuning: results.TuningNow) -> Samples:
+    mode = tuning["drive_mode"]
+    if mode is None:
+        return {}
+    waits = mode["requested"] != mode["current"]
+    return states(mode["modes"], [mode["requested"]] if waits else [])
+
+
+def _curve_caps(tuning: results.TuningNow) -> Samples:
+    return {
+        (one["key"], one["cap_unit"]): one["cap"]
+        for one in tuning["curves"]
+        if one["cap"] is not None
+    }
+
+
+def _curve_input_known(tuning: results.TuningNow) -> Samples:
+    return by({one["key"]: float(one["x"] is not None) for one in tuning["curves"]})
+
+
 FAMILIES: tuple[Family, ...] = (
     gauge(
         "mode",
@@ -191,6 +217,34 @@ FAMILIES: tuple[Family, ...] = (
         "Configured brake under the effect `regen limit`, 0 to 1.",
         "regen_limit_pct",
         _PCT,
+    ),
+    gauge(
+        "drive_mode",
+        "1 for the drive mode whose pedal map counts, 0 for the others; absent where there are"
+        " none.",
+        of_tuning(_drive_mode),
+        "mode",
+    ),
+    gauge(
+        "drive_mode_waits",
+        "1 for the drive mode that was asked for and waits for the pedal's release, 0 for the"
+        " others; absent where there are none.",
+        of_tuning(_drive_mode_waits),
+        "mode",
+    ),
+    gauge(
+        "curve_cap",
+        "Limit that each curve gives now, in its unit; absent where it gives none.",
+        of_tuning(_curve_caps),
+        "curve",
+        "unit",
+    ),
+    gauge(
+        "curve_input_known",
+        "1 where the input of each curve is known, 0 where a message is stale or a signal out of"
+        " range; absent where there are no curves.",
+        of_tuning(_curve_input_known),
+        "curve",
     ),
     gauge(
         "signal",
