@@ -403,7 +403,7 @@ def test_what_was_sent_confirmed_foreign_unsent_and_blocked_is_counted():
     }
     assert scrape.of("vcu_gateway_frames_blocked_total") == {}
     program.drive.gateway.transmitter.gate.check(
-        0, 0, bytes(8), armed=False, demanded=(0, 0, 0), speeds_rpm=(0.0, 0.0), now_ns=0
+        0, 0, bytes(8), armed=False, demanded=None, speeds_rpm=(0.0, 0.0), now_ns=0
     )
     assert program.scrape().by("frames_blocked_total", "rule") == {"identifier": 1}
 

@@ -157,7 +157,7 @@ def driven() -> Program:
         0,
         bytes(8),
         armed=False,
-        demanded=(0, 0, 0),
+        demanded=None,
         speeds_rpm=(None, None),
         now_ns=drive.now_ns,
     )
