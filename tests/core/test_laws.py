@@ -571,6 +571,15 @@ def test_a_wheel_beyond_what_is_allowed_is_cut_by_half_at_once_and_the_other_fol
     assert "limited by slip of PCU1: throttle at most 50 %" in drive.sentence
 
 
+def test_a_cut_is_a_share_of_the_throttle_that_was_sent():
+    drive = slipping()
+    drive.demanded = dataclasses.replace(FULL, throttle_pct=40)
+    drive.run(1000)
+    spin(drive, 38, 38)
+    drive.run(100)
+    assert sent(drive).throttle_pct == pytest.approx(20, abs=0.2)
+
+
 def test_the_next_cut_waits_and_the_lowest_throttle_stays():
     drive = slipping()
     spin(drive, 38, 38)
