@@ -14,6 +14,7 @@ from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.why import Explanation
 from vcu_gateway.simulator.nodes import NodeFrame, Nodes
 from vcu_gateway.simulator.scenario import Scenario
+from vcu_gateway.simulator.vehicle import Vehicle
 
 S_NS = 1_000_000_000
 START_NS = 5 * S_NS
@@ -52,8 +53,17 @@ Asked = ControllerDemand | Callable[[float], ControllerDemand]
 """The same all the time, or what is asked at a time, s after the start."""
 
 
+Watch = Callable[[float, Vehicle], None]
+"""Called before each tick with its time, s after the start; it may change the vehicle."""
+
+
 def drive(
-    codec: Codec, scenario: Scenario, seconds: float, asked: Asked = CRUISE, **settings: Any
+    codec: Codec,
+    scenario: Scenario,
+    seconds: float,
+    asked: Asked = CRUISE,
+    watch: Watch = lambda *_: None,
+    **settings: Any,
 ) -> Drive:
     """Let a gateway drive the vehicle that the scenario breaks, as it is asked."""
     now_ns, end_ns = START_NS, START_NS + round(seconds * S_NS)
@@ -80,6 +90,7 @@ def drive(
         if now_ns == tick_ns:
             if not isinstance(asked, ControllerDemand):
                 _ask(gateway, asked(at_s), now_ns)
+            watch(at_s, nodes.vehicle)
             done.ticks.append(_tick(gateway, nodes, now_ns, at_s))
             tick_ns += gateway.settings.period_ns
     return done
