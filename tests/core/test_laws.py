@@ -603,10 +603,11 @@ def test_without_slip_the_throttle_returns_at_its_rate():
     assert sent(drive).throttle_pct == pytest.approx(before_pct + 10)
 
 
-def test_a_saturated_front_wheel_only_releases():
+@pytest.mark.parametrize("codes", [(65_535, 65_535), (65_535, 60_000), (60_000, 65_535)])
+def test_a_saturated_front_wheel_only_releases(codes):
     drive = driving(slip=SLIP, rpm_per_kmh=50.0)
     assert sent(drive).throttle_pct < 100
-    wheels(drive, 65_535)
+    wheels(drive, *codes)
     drive.turn(4500)  # 90 km/h, more than is allowed at 65.535
     drive.run(15_000)
     assert sent(drive).throttle_pct == 100
