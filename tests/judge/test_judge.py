@@ -326,6 +326,23 @@ def test_the_verdict_sees_what_is_broken(recorded, records, tmp_path, what):
     assert kept.tick > 0
 
 
+def judged_from(records: Records, settings: Settings, first: int) -> DriveVerdict:
+    """From this tick on, as where a recording begins in the middle."""
+    judge = JudgedRecords(settings, DEFAULT_ALIASES)
+    judge.begin(settings, first)
+    place = [at for at, one in enumerate(records) if isinstance(one, TickRecord)][first]
+    for record in records[place:]:
+        judge.note(record)
+    return judge.verdict()
+
+
+def test_regeneration_where_a_recording_begins_in_the_middle_is_no_violation(records):
+    every = [one for one in records["ordinary"] if isinstance(one, TickRecord)]
+    first = [place for place, one in enumerate(every) if one.frames and one.frames[0].data[0] & 32]
+    verdict = judged_from(records["ordinary"], Settings(), first[1])
+    assert verdict.holds, verdict.violations
+
+
 def test_an_expired_demand_ends_the_drive(records):
     mutated = [
         record

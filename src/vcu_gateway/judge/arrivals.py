@@ -243,6 +243,10 @@ class Arrivals:
             return None
         return [wire.speed_rpm(frame.data) for name in _STATUS2 for frame in self.judged(name)]
 
+    @property
+    def speeds_came(self) -> bool:
+        return all(map(self.came, _STATUS2))
+
     def note_sent(self, controller: str, data: bytes, at_ns: int) -> None:
         if self._first_sent_ns is None:
             self._first_sent_ns = at_ns

@@ -237,6 +237,8 @@ class Judge:
 
     def _note_regeneration(self, speeds: list[int] | None) -> None:
         least_rpm = self.limits.regen_min_rpm
+        if not self._complete and not self._arrivals.speeds_came:
+            return  # they may have come before this recording
         needed_rpm = least_rpm if self._regenerates else least_rpm + _REGEN_RETURN_RPM
         fast = speeds is not None and all(needed_rpm <= rpm <= _SPEED_HIGHEST_RPM for rpm in speeds)
         self._regenerates = fast or least_rpm == 0
