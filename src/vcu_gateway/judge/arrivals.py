@@ -20,7 +20,8 @@ _FUTURE_NS = 20 * MS
 _PRIORITY_BIT = 26
 _STATUS1 = tuple(f"{name}_Status1" for name in CONTROLLERS)
 _STATUS2 = tuple(f"{name}_Status2" for name in CONTROLLERS)
-_JUDGED = frozenset({"BMS_Status", *_STATUS1, *_STATUS2})
+_FOR_TUNING = ("ARD2_SteeringWheel", "BMS_Temperatures")
+_JUDGED = frozenset({"BMS_Status", *_STATUS1, *_STATUS2, *_FOR_TUNING})
 
 
 class BusFrame(Protocol):

@@ -4,14 +4,18 @@ The gate's rules and the invariants of docs/safety.md, on bytes. A rule yields i
 what was seen; `broken` runs all of them on one frame, `FramePairs` those on both frames of a tick.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.judge.causes import CUT, POWER_LIMIT, REGEN_LIMIT, REGEN_OFF, STOP, TURBO_OFF
 from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
+from vcu_gateway.judge.tuning_rules import TuningCaps
 from vcu_gateway.judge.wire import (
     CONTROLLERS,
+    HIGHEST_RAW,
     LENGTH,
+    MOTOR_HIGHEST_RPM,
     MS,
     PERCENT_PER_BIT,
     REVERSE,
@@ -20,7 +24,6 @@ from vcu_gateway.judge.wire import (
 )
 
 _FULL_PCT = 100.0
-_HIGHEST_RAW = 255
 
 
 class LimitRamps:
@@ -37,21 +40,23 @@ class LimitRamps:
     def move(
         self,
         effects: set[str],
+        caps: TuningCaps,
         limits: VerdictLimits,
         told: dict[str, bytes],
         elapsed_s: float,
     ) -> None:
         """One tick; `told` are the commands that left last, a falling limit starts from them."""
-        power_w, brake_pct = limits.power_limit_max_w, _FULL_PCT
+        power_w = min(limits.power_limit_max_w, caps.power_w)
+        brake_pct = min(_FULL_PCT, caps.brake_pct)
         if POWER_LIMIT in effects:
             power_w = min(limits.derated_power_w, power_w)
         if REGEN_LIMIT in effects:
-            brake_pct = limits.regen_limit_pct
+            brake_pct = min(limits.regen_limit_pct, brake_pct)
         power_step_w = limits.power_slew_w_per_s * elapsed_s
         brake_step_pct = limits.regen_slew_pct_per_s * elapsed_s
         for name in CONTROLLERS:
             data = told.get(name, bytes(8))
-            told_pct = _FULL_PCT if data[2] == _HIGHEST_RAW else data[2] * PERCENT_PER_BIT
+            told_pct = _FULL_PCT if data[2] == HIGHEST_RAW else data[2] * PERCENT_PER_BIT
             told_w = data[6] | data[7] << 8
             self.power_w[name] = _moved(self.power_w[name], told_w, power_w, power_step_w)
             self.brake_pct[name] = _moved(self.brake_pct[name], told_pct, brake_pct, brake_step_pct)
@@ -116,6 +121,7 @@ _ROUNDING = 1.0
 _HALF_BIT = 0.51
 _CONFLICT_THROTTLE_PCT, _CONFLICT_BRAKE_PCT = 25.2, 5.2
 _ECO, _TURBO = 0, 2
+_APART_STEPS = 4
 _NS_PER_S = 1_000_000_000
 
 Broken = Iterator[tuple[str, str]]
@@ -126,9 +132,10 @@ class TickFacts(NamedTuple):
     """What the judge knows at a tick.
 
     Attributes:
-        active: the recorded mode is ACTIVE.
+        mode: the recorded one; active: it is ACTIVE.
         effects: every effect that counts.
-        slow: both motors are known to turn below the change speed.
+        caps: what tuning allows.
+        speeds_rpm: every known speed of both motors; None where one is not known.
         regenerates: both are known to turn fast enough.
         released: the throttle of the last command to each controller was below 5 %.
         cut: a CUT stands or is latched.
@@ -137,9 +144,10 @@ class TickFacts(NamedTuple):
     """
 
     limits: VerdictLimits
-    active: bool
+    mode: str
     effects: set[str]
-    slow: bool
+    caps: TuningCaps
+    speeds_rpm: list[int] | None
     regenerates: bool
     released: bool
     cut: bool
@@ -147,6 +155,16 @@ class TickFacts(NamedTuple):
     ramps: LimitRamps
     elapsed_ns: int
     now_ns: int
+
+    @property
+    def active(self) -> bool:
+        return self.mode == "active"
+
+    @property
+    def slow(self) -> bool:
+        """Both motors are known to turn below the change speed."""
+        speeds_rpm, limit_rpm = self.speeds_rpm, self.limits.direction_change_rpm
+        return speeds_rpm is not None and all(rpm < limit_rpm for rpm in speeds_rpm)
 
 
 class SentBefore(NamedTuple):
@@ -179,6 +197,7 @@ def broken(one: Judged, facts: TickFacts) -> Broken:
     yield from _power_mode(one, facts)
     yield from _throttle(one, facts)
     yield from _ramps(one, facts)
+    yield from _tuning(one, facts)
     if one.demanded is not None:
         yield from _as_demanded(one, one.demanded)
 
@@ -212,17 +231,37 @@ def _speed_limit(one: Judged, facts: TickFacts) -> Broken:
     elif facts.active and one.demanded is not None:
         asked_rpm = max(one.demanded.speed_limit_rpm, _SPEED_LIMIT_MIN_RPM)
         highest_rpm = lowest_rpm = min(asked_rpm, highest_rpm)
-    if limits.speed_capped:
-        lowest_rpm = _SPEED_LIMIT_MIN_RPM
     if one.before is not None:
         step_rpm = limits.speed_slew_rpm_per_s * facts.elapsed_ns / _NS_PER_S
         falls_to_rpm = one.before.command.speed_limit_rpm - step_rpm
         highest_rpm, lowest_rpm = max(highest_rpm, falls_to_rpm), max(lowest_rpm, falls_to_rpm)
+    if facts.mode in ("standby", "active") and limits.holds_speed:
+        capped_rpm, least_rpm = _capped_speed(one, facts)
+        lowest_rpm = min(lowest_rpm, least_rpm)
+        if rpm > capped_rpm + _ROUNDING:
+            yield "I1 SpeedLimit", f"{rpm} rpm, at most {capped_rpm:.0f}"
     rounding_rpm = _ROUNDING if highest_rpm != limits.speed_limit_max_rpm else 0
     if rpm > highest_rpm + rounding_rpm or rpm < _SPEED_LIMIT_MIN_RPM:
         yield "gate SpeedLimit", f"{rpm} rpm, not {lowest_rpm:.0f} to {highest_rpm:.0f}"
     elif rpm < lowest_rpm - _ROUNDING:
         yield "gate SpeedLimit slew", f"{rpm} rpm, at least {lowest_rpm:.0f}"
+
+
+def _capped_speed(one: Judged, facts: TickFacts) -> tuple[float, float]:
+    """Most that tuning allows on the way down to its cap, and least that it may come down to."""
+    limits, cap_rpm = facts.limits, facts.caps.speed_rpm
+    if one.before is None:
+        return math.inf, _SPEED_LIMIT_MIN_RPM
+    slew = limits.speed_slew_rpm_per_s
+    surely = maybe = min(slew, limits.speed_fall_rpm_per_s)
+    if not facts.active:
+        # The judge doubts the speed of a motor that the core may believe.
+        if facts.speeds_rpm is None:
+            maybe = slew
+        elif max(facts.speeds_rpm) < min(cap_rpm, MOTOR_HIGHEST_RPM + 1):
+            surely = maybe = slew
+    elapsed_s, before_rpm = facts.elapsed_ns / _NS_PER_S, one.before.command.speed_limit_rpm
+    return max(cap_rpm, before_rpm - surely * elapsed_s), before_rpm - maybe * elapsed_s
 
 
 def _direction(one: Judged, before: SentBefore, facts: TickFacts) -> Broken:
@@ -279,7 +318,8 @@ def _throttle(one: Judged, facts: TickFacts) -> Broken:
     if one.before is None:
         return
     elapsed_ns = min(max(facts.now_ns - one.before.at_ns, 0), facts.limits.period_ns)
-    earned_pct = facts.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
+    rise_pct_per_s = min(facts.limits.throttle_slew_pct_per_s, facts.caps.rise_pct_per_s)
+    earned_pct = rise_pct_per_s * elapsed_ns / _NS_PER_S
     then = one.before.command.throttle_raw
     if raw > then + earned_pct / PERCENT_PER_BIT + _ROUNDING + 1e-6:
         rise = f"from {then * PERCENT_PER_BIT:.1f} to {raw * PERCENT_PER_BIT:.1f} %"
@@ -294,6 +334,43 @@ def _ramps(one: Judged, facts: TickFacts) -> Broken:
     brake_pct = facts.ramps.brake_pct[one.controller]
     if one.command.brake_raw * PERCENT_PER_BIT > brake_pct + PERCENT_PER_BIT:
         yield "I1 Brake", f"{_seen(one.command)}, at most {brake_pct:.1f} %"
+
+
+def _tuning(one: Judged, facts: TickFacts) -> Broken:
+    command, caps, ramps = one.command, facts.caps, facts.ramps
+    if _rank(command.power_mode) > _rank(caps.power_mode):
+        yield "PowerMode of the drive mode", f"{command.power_mode}, at most {caps.power_mode}"
+    throttle_pct = caps.throttle_pct[one.controller]
+    if command.throttle_raw > throttle_pct / PERCENT_PER_BIT + _HALF_BIT:
+        yield "I1 Throttle", f"{_seen(command)}, at most {throttle_pct:.1f} %"
+    if one.before is None:
+        return
+    # From the frame after the first code of 0 on: a limit of less than half a bit may be behind it.
+    before, name = one.before.command, one.controller
+    if not (caps.power_w or ramps.power_w[name] or before.power_limit_w) and command.throttle_raw:
+        yield "no throttle where a cap of power is 0", _seen(command)
+    if not (caps.brake_pct or ramps.brake_pct[name] or before.brake_raw) and command.regenerates:
+        yield "I10 regeneration", "where a cap of Brake is 0"
+
+
+def asymmetry(
+    sent: SentFrames,
+    before: Mapping[str, SentBefore],
+    demands: Mapping[str, JudgedDemand | None],
+    limits: VerdictLimits,
+) -> Broken:
+    """Throttles of equal demands that drift apart."""
+    first, second = (demands.get(name) for name in CONTROLLERS)
+    whole = all(name in sent and len(sent[name].data) == LENGTH for name in CONTROLLERS)
+    if first is None or first != second or not whole or len(before) != len(CONTROLLERS):
+        return
+    apart = abs(sent["PCU1"].data[1] - sent["PCU2"].data[1])
+    then = abs(before["PCU1"].command.throttle_raw - before["PCU2"].command.throttle_raw)
+    most_pct = 0.0 if limits.slip is None else limits.slip["asymmetry_max_pct"]
+    most_pct += _APART_STEPS * limits.throttle_slew_pct_per_s * limits.period_ns / _NS_PER_S
+    if apart > max(then, most_pct / PERCENT_PER_BIT + _ROUNDING):
+        seen = f"throttles {apart * PERCENT_PER_BIT:.1f} % apart, at most {most_pct:.1f} %"
+        yield "gate asymmetry", seen
 
 
 def _as_demanded(one: Judged, demanded: JudgedDemand) -> Broken:

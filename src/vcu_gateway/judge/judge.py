@@ -34,14 +34,15 @@ from vcu_gateway.judge.command_rules import (
     TickFacts,
 )
 from vcu_gateway.judge.demands import GrantedDemand, GrantedDemands
-from vcu_gateway.judge.limits import VerdictLimits
+from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
 from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
 from vcu_gateway.judge.result import Findings, Reactions
-from vcu_gateway.judge.wire import LENGTH, MS
+from vcu_gateway.judge.tuning_rules import TuningCaps, TuningRules, TuningTick
+from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MOTOR_HIGHEST_RPM, MS
 
 _REGEN_RETURN_RPM = 50
-_SPEED_HIGHEST_RPM = 6_000
 _LATE_PERIODS = 4
+_MOST = bytes.fromhex("00FFFF00FFFFFFFF")
 
 
 class Judge:
@@ -69,7 +70,11 @@ class Judge:
         self._ramps = LimitRamps(limits)
         self._reactions = Reactions(findings)
         self._before: dict[str, SentBefore] = {}
+        self._tuning = TuningRules(limits, complete=complete)
+        self._caps = TuningCaps()
         self._told: dict[str, bytes] = {}
+        if not complete:
+            self._told = dict.fromkeys(CONTROLLERS, _MOST)  # it may have been anything
         self._last_ns: int | None = None
         self._pairs = FramePairs(complete=complete)
         self._regenerates = not complete
@@ -127,6 +132,10 @@ class Judge:
             reason = "the throttle was not 0 for 200 ms"
         elif self._turns(demands):
             reason = "a change of direction is pending"
+        elif any(
+            one.command.speed_limit_rpm > self._caps.speed_rpm + 1 for one in self._before.values()
+        ):
+            reason = f"SpeedLimit has not come down to {self._caps.speed_rpm:.0f} rpm"
         self.requests.armed(self._tick, now_ns, reason)
 
     def _turns(self, demands: GrantedDemands) -> bool:
@@ -148,8 +157,17 @@ class Judge:
     def disarmed(self) -> None:
         self.requests.left_active()
 
+    def drive_mode_asked(self, name: str, now_ns: int, *, service: bool) -> None:
+        against = self._tuning.ask(name, self.limits, service=service)
+        if against:
+            self._broken("drive mode", now_ns, against)
+
+    def begun_in_drive_mode(self, name: str) -> None:
+        self._tuning.begin_in(name, self.limits)
+
     def reload(self, limits: VerdictLimits) -> None:
         self.limits = self._arrivals.limits = limits
+        self._tuning.reload(limits)
 
     def end(self) -> None:
         self._reactions.settle()
@@ -170,10 +188,13 @@ class Judge:
             demand_fresh=not self._demands.known or self._demands.fresh(now_ns),
         )
         was_active = self.requests.mode == "active"
+        drives_on = was_active and self.requests.may_be_active and mode == "active"
         self.requests.tick(self._tick, now_ns, mode, causes)
-        facts = self._facts(now_ns, mode, elapsed_ns)
+        facts = self._facts(now_ns, mode, elapsed_ns, drives_on=drives_on)
         disturbed = self._bus.is_lost or causes.foreign
         for rule, seen in self._pairs.broken(sent, self.limits, now_ns, disturbed=disturbed):
+            self._broken(rule, now_ns, seen)
+        for rule, seen in command_rules.asymmetry(sent, self._before, self._demanded, self.limits):
             self._broken(rule, now_ns, seen)
         for controller, frame in sent.items():
             self._judge_frame(controller, frame, facts)
@@ -205,19 +226,36 @@ class Judge:
             found.append(Seen(CUT, "emergency stop", asked_ns, span_ns=span_ns))
         return found
 
-    def _facts(self, now_ns: int, mode: str, elapsed_ns: int) -> TickFacts:
-        limits, active = self.limits, mode == "active"
+    @property
+    def _demanded(self) -> dict[str, JudgedDemand | None]:
+        demands = self._demands
+        return {name: demands.of(name) if demands.known else None for name in CONTROLLERS}
+
+    def _facts(self, now_ns: int, mode: str, elapsed_ns: int, *, drives_on: bool) -> TickFacts:
+        limits, effects = self.limits, self._held.effects
         counted_ns = min(max(elapsed_ns, 0), limits.period_ns)
         speeds = self._arrivals.speeds_rpm(now_ns)
         self._note_regeneration(speeds)
+        sent_raw = {name: one.command.throttle_raw for name, one in self._before.items()}
+        self._caps = self._tuning.tick(
+            TuningTick(
+                limits=limits,
+                arrivals=self._arrivals,
+                demands=self._demands,
+                sent_raw=sent_raw,
+                now_ns=now_ns,
+                elapsed_s=counted_ns / 1e9,
+                began_active=drives_on,
+            )
+        )
         if mode in ("standby", "active"):
-            self._ramps.move(self._held.effects, limits, self._told, counted_ns / 1e9)
-        slow = speeds is not None and all(rpm < limits.direction_change_rpm for rpm in speeds)
+            self._ramps.move(effects, self._caps, limits, self._told, counted_ns / 1e9)
         return TickFacts(
             limits=limits,
-            active=active,
-            effects=self._held.effects,
-            slow=slow,
+            mode=mode,
+            effects=effects,
+            caps=self._caps,
+            speeds_rpm=speeds,
             regenerates=self._regenerates,
             released=all(one.command.released for one in self._before.values()),
             cut=self.requests.cut_latched,
@@ -240,7 +278,7 @@ class Judge:
         if not self._complete and not self._arrivals.speeds_came:
             return  # they may have come before this recording
         needed_rpm = least_rpm if self._regenerates else least_rpm + _REGEN_RETURN_RPM
-        fast = speeds is not None and all(needed_rpm <= rpm <= _SPEED_HIGHEST_RPM for rpm in speeds)
+        fast = speeds is not None and all(needed_rpm <= rpm <= MOTOR_HIGHEST_RPM for rpm in speeds)
         self._regenerates = fast or least_rpm == 0
 
     def _judge_frame(self, controller: str, frame: SentFrame, facts: TickFacts) -> None:
@@ -253,8 +291,7 @@ class Judge:
         if before is not None and 2 * (facts.now_ns - before.at_ns) < self.limits.period_ns:
             gap_ms = (facts.now_ns - before.at_ns) / MS
             self._broken("I4 half a period apart", facts.now_ns, f"{gap_ms:.1f} ms after the last")
-        demanded = self._demands.of(controller) if self._demands.known else None
-        judged = Judged(controller, command, before, demanded)
+        judged = Judged(controller, command, before, self._demanded[controller])
         for rule, seen in command_rules.broken(judged, facts):
             self._broken(rule, facts.now_ns, f"{controller}: {seen}")
 

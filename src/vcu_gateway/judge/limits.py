@@ -1,9 +1,9 @@
 """Configured values that a drive is held against; docs/safety.md says what they mean."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from vcu_gateway.judge.wire import MS
 
@@ -40,6 +40,13 @@ JudgedDemands = Mapping[str, JudgedDemand]
 """Demand of each controller, by name."""
 
 
+Points = Sequence[Sequence[float]]
+"""Curve as [x, y] of each of its points."""
+
+ModeKeys = Mapping[str, Any]
+"""Drive mode, by the keys below its name."""
+
+
 @dataclass(frozen=True)
 class VerdictLimits:
     """Configuration as far as docs/safety.md has it.
@@ -48,7 +55,7 @@ class VerdictLimits:
         stale_after_ms, late_after_ms: by message, where the configuration says otherwise.
         aliases: further identifiers of messages.
         bench_demand: static demand of a test bench; None on a vehicle.
-        speed_capped: a curve or a drive mode may have SpeedLimit below what is demanded.
+        tuning: curves, drive modes and laws by whole keys, as a recording has them; may be empty.
     """
 
     period_ms: float
@@ -73,7 +80,11 @@ class VerdictLimits:
     late_after_ms: Mapping[str, int]
     aliases: Mapping[int, str]
     bench_demand: JudgedDemands | None
-    speed_capped: bool = False
+    power_return_w_per_s: float
+    brake_return_pct_per_s: float
+    speed_fall_rpm_per_s: float
+    speed_return_rpm_per_s: float
+    tuning: Mapping[str, Any]
 
     @cached_property
     def stale_ns(self) -> Mapping[str, int]:
@@ -88,3 +99,46 @@ class VerdictLimits:
     @cached_property
     def period_ns(self) -> int:
         return round(self.period_ms * MS)
+
+    @cached_property
+    def curves(self) -> Mapping[str, Points]:
+        """Curves by their keys below `curves`, such as power_limit_w.by_soc_pct."""
+        return self._below("curves.")
+
+    @cached_property
+    def drive_modes(self) -> Mapping[str, ModeKeys]:
+        """Drive modes by name."""
+        modes: dict[str, dict[str, Any]] = {}
+        for key, value in self._below("drive_modes.modes.").items():
+            name, _, own = key.partition(".")
+            modes.setdefault(name, {})[own] = value
+        return modes
+
+    @property
+    def start_drive_mode(self) -> str | None:
+        return self.tuning.get("drive_modes.start")
+
+    @property
+    def motor_rpm_per_kmh(self) -> float | None:
+        return self.tuning.get("vehicle.motor_rpm_per_kmh")
+
+    @cached_property
+    def slip(self) -> Mapping[str, float] | None:
+        """Settings of the slip limiter by their keys; None where it is off."""
+        return self._below("laws.slip.") or None
+
+    @property
+    def slip_wait_ns(self) -> int:
+        return 0 if self.slip is None else round(self.slip["wait_ms"] * MS)
+
+    @cached_property
+    def holds_speed(self) -> bool:
+        """A curve or a drive mode may hold SpeedLimit below what is demanded."""
+        curves = any(key.startswith("speed_limit_rpm.") for key in self.curves)
+        return curves or any(
+            mode["speed_limit_kmh"] is not None for mode in self.drive_modes.values()
+        )
+
+    def _below(self, prefix: str) -> dict[str, Any]:
+        keys = [key for key in self.tuning if key.startswith(prefix)]
+        return {key.removeprefix(prefix): self.tuning[key] for key in keys}

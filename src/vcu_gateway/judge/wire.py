@@ -6,6 +6,9 @@ from typing import NamedTuple
 MS = 1_000_000
 CONTROLLERS = ("PCU1", "PCU2")
 PERCENT_PER_BIT = 0.39
+HIGHEST_RAW = 255
+POWER_MODES = ("eco", "normal", "turbo", "safety")
+"""PowerMode's names by their codes."""
 SAFETY_MODE = 3
 LENGTH = 8
 _RELEASED_RAW = 12
@@ -32,6 +35,44 @@ _COMMAND_BY_KEY = {can_id & MATCH: name for name, can_id in COMMAND_IDS.items()}
 # PF 8 on page 0 and the receiver; the last byte is the sender.
 _COMMANDED = {0x0008A7, 0x0008A8, 0x0008FF}
 REVERSE, _REGEN, _CUT, _UNUSED = 0x10, 0x20, 0x80, 0x43
+
+
+class Quantity(NamedTuple):
+    """Signals that are received: where they stand, and what their codes mean.
+
+    Attributes:
+        places: first byte of each signal in each message; of `width` bytes, little-endian.
+        highest_raw: what is above it is out of range.
+    """
+
+    messages: tuple[str, ...]
+    places: tuple[int, ...]
+    width: int
+    highest_raw: int
+    per_bit: float = 1.0
+    offset: float = 0.0
+
+    def raws(self, data: bytes) -> list[int]:
+        """Codes of its signals in one frame."""
+        return [int.from_bytes(data[at : at + self.width], "little") for at in self.places]
+
+
+_STATUS1 = tuple(f"{name}_Status1" for name in CONTROLLERS)
+_STATUS2 = tuple(f"{name}_Status2" for name in CONTROLLERS)
+_PACKS = Quantity(("BMS_Temperatures",), (0, 1, 2, 3, 4), 1, 250, offset=-50.0)
+MOTOR_HIGHEST_RPM = 6_000
+MOTOR_SPEED = Quantity(_STATUS2, (6,), 2, MOTOR_HIGHEST_RPM)
+WHEEL_SPEEDS = Quantity(("ARD2_SteeringWheel",), (2, 4), 2, 65_535)
+INPUTS: Mapping[str, Quantity] = {
+    "motor_temperature_c": Quantity(_STATUS1, (7,), 1, 255),
+    "controller_temperature_c": Quantity(_STATUS1, (6,), 1, 150),
+    "pack_temperature_max_c": _PACKS,
+    "pack_temperature_min_c": _PACKS,
+    "soc_pct": Quantity(("BMS_Status",), (4,), 1, 100),
+    "battery_voltage_v": Quantity(_STATUS2, (0,), 2, 65_534, per_bit=1 / 128),
+    "motor_speed_rpm": MOTOR_SPEED,
+}
+"""Inputs of curves, as keys name them (docs/safety.md, Tuning)."""
 
 
 class CommandBytes(NamedTuple):

@@ -23,6 +23,7 @@ from vcu_gateway.judge import (
     SentFrame,
     VerdictLimits,
 )
+from vcu_gateway.recording.call_text import settings_json
 from vcu_gateway.recording.core_lines import (
     Checkpoint,
     CoreRecord,
@@ -46,10 +47,7 @@ def limits_of(settings: Settings, aliases: Mapping[int, str]) -> VerdictLimits:
     values["bench_demand"] = (
         None if bench is None else dict.fromkeys(CONTROLLERS, _demand_of(bench))
     )
-    tuning = settings.tuning
-    values["speed_capped"] = any(name.startswith("speed_limit") for name in tuning.curves) or any(
-        mode.speed_limit_kmh is not None for mode in tuning.modes.values()
-    )
+    values["tuning"] = settings_json(settings).get("tuning", {})
     return VerdictLimits(**values, period_ms=settings.period_ns / 1e6, aliases=aliases)
 
 
@@ -198,6 +196,10 @@ def _link_opened(judge: Judge, one: calls.OpenLink) -> None:
     judge.link_opened(one.now_ns, up=not off)
 
 
+def _drive_mode_asked(judge: Judge, one: calls.SetDriveMode) -> None:
+    judge.drive_mode_asked(one.mode, one.now_ns, service=one.level is FaultClass.SERVICE)
+
+
 def _begun(judge: Judge, one: calls.BeginFrom) -> None:
     if one.cut_reason is not None:
         judge.requests.cut_latched = True
@@ -217,6 +219,8 @@ _GRANTED: Mapping[type[CoreCall[object]], Callable[[Judge, Any], None]] = {
     calls.ChangeCarrier: lambda judge, one: judge.carrier(
         one.carrier.present, one.carrier.since_ns
     ),
+    calls.SetDriveMode: _drive_mode_asked,
+    calls.BeginInMode: lambda judge, one: judge.begun_in_drive_mode(one.mode),
     calls.BeginFrom: _begun,
     calls.NoteRestartState: lambda judge, one: judge.restart_state(kept=one.failure is None),
 }
