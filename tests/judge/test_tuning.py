@@ -200,9 +200,9 @@ class Worse(NamedTuple):
     seen: str
     width: int = 1
 
-    def put(self, data: bytes) -> bytes:
+    def put(self, data: bytes | bytearray) -> bytes:
         field = self.value.to_bytes(self.width, "little")
-        return data[: self.at] + field + data[self.at + self.width :]
+        return bytes(data[: self.at]) + field + bytes(data[self.at + self.width :])
 
 
 IDS = {name: can_id for can_id, name in RECEIVED_IDS.items()}
@@ -283,6 +283,8 @@ def test_a_mode_that_only_service_leaves_is_not_left_by_the_driver():
     records = golden(MODES)
     for place in requests(records):
         record = records[place]
+        assert isinstance(record, InputRecord)
+        assert isinstance(record.input, calls.SetDriveMode)
         if record.input.level is FaultClass.SERVICE:
             asked = record.input._replace(level=FaultClass.DRIVER)
             records[place] = record._replace(input=asked)

@@ -248,6 +248,10 @@ class Arrivals:
     def speeds_came(self) -> bool:
         return all(map(self.came, _STATUS2))
 
+    def is_doubted(self, controller: str) -> bool:
+        """The motor's speed was not believed at some time since the last tick."""
+        return controller in self.speed_unknown or bool(self.doubted[controller])
+
     def note_sent(self, controller: str, data: bytes, at_ns: int) -> None:
         if self._first_sent_ns is None:
             self._first_sent_ns = at_ns

@@ -190,7 +190,7 @@ class TuningRules:
             return full
         if speed_kmh is None:
             step = tick.limits.throttle_slew_pct_per_s * tick.elapsed_s
-            value = max(min(y for _, y in points), before - step)
+            value: float = max(min(y for _, y in points), before - step)
         else:
             value = value_at(points, speed_kmh)
         self._over_speed[field] = value
@@ -227,7 +227,7 @@ def _of_mode(mode: ModeKeys, field: str, limits: VerdictLimits) -> float:
         power_w = mode["power_limit_w"]
         return math.inf if power_w is None else float(power_w)
     speed_kmh, rpm_per_kmh = mode["speed_limit_kmh"], limits.motor_rpm_per_kmh
-    return math.inf if speed_kmh is None or rpm_per_kmh is None else speed_kmh * rpm_per_kmh
+    return math.inf if speed_kmh is None or rpm_per_kmh is None else float(speed_kmh) * rpm_per_kmh
 
 
 def _wheels(tick: TuningTick) -> list[list[int]]:
@@ -266,7 +266,9 @@ class _SlipCap:
         saturated = any(_SATURATED_RAW in raws for raws in _wheels(tick))
         over_kmh = _over_kmh(name, front_kmh, tick)
         slips = over_kmh is not None and over_kmh > _NEAR_KMH
-        near = over_kmh is not None and (abs(over_kmh) <= _NEAR_KMH or (slips and saturated))
+        # The specification does not say whether a speed that jumped counts as known.
+        near = over_kmh is not None and abs(over_kmh) <= _NEAR_KMH
+        near = near or (slips and (saturated or tick.arrivals.is_doubted(name)))
         if self.certain_ns is None:
             # The core may know a speed that came before this recording.
             self._unsure(tick.now_ns + wait_ns + tick.limits.stale_ns[_WHEELS])
