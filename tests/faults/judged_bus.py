@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.judge.command_rules import Judged, LimitRamps, SentBefore, TickFacts, broken
+from vcu_gateway.judge.tuning_rules import TuningCaps
 from vcu_gateway.judge.wire import COMMAND_IDS, MS, RECEIVED_IDS, command_bytes, speed_rpm
 from vcu_gateway.replay.judged import limits_of
 
@@ -120,11 +121,13 @@ class _Bus:
 
     def _facts(self, at_ns: int, until_ns: int) -> TickFacts:
         lasts = [command_bytes(frame.data) for frame in self.last_tick.values()]
+        active = self.modes is None or _may_be_active(self.modes, at_ns, until_ns)
         return TickFacts(
             limits=LIMITS,
-            active=self.modes is None or _may_be_active(self.modes, at_ns, until_ns),
+            mode="active" if active else "standby",
             effects=set(),
-            slow=self._slow(at_ns),
+            caps=TuningCaps(),
+            speeds_rpm=self._speeds_rpm(at_ns),
             regenerates=True,
             released=all(one.released for one in lasts),
             cut=False,
@@ -134,12 +137,12 @@ class _Bus:
             now_ns=at_ns,
         )
 
-    def _slow(self, at_ns: int) -> bool:
+    def _speeds_rpm(self, at_ns: int) -> list[int] | None:
         oldest_ns = at_ns - LIMITS.stale_ns["PCU1_Status2"] - TOLD_LATE_NS
         known = [self.speeds.get(can_id, (0, 0)) for can_id in STATUS2]
-        return all(
-            stamp_ns >= oldest_ns and rpm < LIMITS.direction_change_rpm for stamp_ns, rpm in known
-        )
+        if any(stamp_ns < oldest_ns for stamp_ns, _ in known):
+            return None
+        return [rpm for _, rpm in known]
 
 
 def _is_command(frame) -> bool:
