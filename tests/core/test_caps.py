@@ -22,12 +22,18 @@ FIELDS = ("throttle_pct", "brake_pct", "power_limit_w", "speed_limit_rpm", "rege
 
 
 def test_the_lower_cap_of_each_field_counts():
-    one = Caps(throttle_pct=10, power_w=500, power_mode=PowerMode.TURBO)
+    one = Caps(throttle_pct=10, throttle_rise_pct_per_s=40, power_w=500, power_mode=PowerMode.TURBO)
     other = Caps(throttle_pct=20, brake_pct=3, speed_rpm=600, power_mode=PowerMode.ECO)
     assert one.lowest(other) == Caps(
-        throttle_pct=10, brake_pct=3, power_w=500, speed_rpm=600, power_mode=PowerMode.ECO
+        throttle_pct=10,
+        throttle_rise_pct_per_s=40,
+        brake_pct=3,
+        power_w=500,
+        speed_rpm=600,
+        power_mode=PowerMode.ECO,
     )
-    assert one.lowest(NO_CAPS) == one
+    assert one.lowest(NO_CAPS) == NO_CAPS.lowest(one) == one
+    assert (NO_CAPS.throttle_pct, NO_CAPS.brake_pct) == (100, 100)
 
 
 def test_of_power_modes_safety_allows_least():
@@ -41,6 +47,7 @@ def test_of_power_modes_safety_allows_least():
         ([Effect.ALARM], NO_CAPS),
         ([Effect.CAP], NO_CAPS),
         ([Effect.TURBO_OFF], Caps(power_mode=PowerMode.NORMAL)),
+        (list(Effect), Caps(brake_pct=0.0, power_w=10_000, power_mode=PowerMode.ECO)),
         ([Effect.POWER_LIMIT], Caps(power_w=10_000, power_mode=PowerMode.ECO)),
         ([Effect.POWER_LIMIT, Effect.TURBO_OFF], Caps(power_w=10_000, power_mode=PowerMode.ECO)),
         ([Effect.REGEN_LIMIT], Caps(brake_pct=20.0)),

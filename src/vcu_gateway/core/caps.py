@@ -35,8 +35,6 @@ class Caps(NamedTuple):
 
     def lowest(self, other: "Caps") -> "Caps":
         """The lower cap of both, field by field."""
-        if other is NO_CAPS or self is NO_CAPS:
-            return self if other is NO_CAPS else other
         return Caps(
             min(self.throttle_pct, other.throttle_pct),
             min(self.throttle_rise_pct_per_s, other.throttle_rise_pct_per_s),
