@@ -134,7 +134,7 @@ def test_the_default_configuration_gives_the_default_settings() -> None:
 
 def test_every_setting_that_has_a_key_is_that_key_of_its_section() -> None:
     fields = {field.name for field in dataclasses.fields(Settings)}
-    assert fields - KEYS.keys() == {"period_ns", "bench_demand", "tuning"}
+    assert fields - KEYS.keys() == {"period_ns", "bench_demand", "tuning", "pedals"}
     sections = Config.model_fields
     for name, key in KEYS.items():
         assert name in sections[key.section].annotation.model_fields

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.core.simulated_drive import MS, NOW_NS, PERIOD_NS, PROTOCOL, RECEIVED, rule_inputs
 from vcu_gateway.core.link import LinkState, LinkStatus
+from vcu_gateway.core.pedal_frames import PedalObservation
 from vcu_gateway.core.plausibility import Observed, ThrottleExcess
 from vcu_gateway.core.rules import RULES, RuleInputs, findings
 from vcu_gateway.core.settings import Settings
@@ -46,6 +47,7 @@ KINDS = {
     "emergency_stop": OF_THE_GATEWAY - {AT},
     "gate_blocked": OF_THE_GATEWAY - {AT},
     "restart_state": OF_THE_GATEWAY - {AT},
+    "pedals": OF_THE_GATEWAY | {UNKNOWN},  # test_pedal_frames.py has the frames
 }
 
 
@@ -350,10 +352,20 @@ TICK_ROWS = [
     row("restart_state", BEYOND, "restart state ALARM", restart_state_failure="No space"),
 ]
 
+PEDAL_ROWS = [
+    row("pedals", HEALTHY),
+    row("pedals", AT, pedals=PedalObservation("Pedals", 2, "checksum wrong", {})),
+    row("pedals", BEYOND, "Pedals ALARM", pedals=PedalObservation("Pedals", 3, "", {})),
+    row(
+        "pedals", UNKNOWN, "Pedals.Throttle1 ALARM, Pedals.Brake ALARM",
+        pedals=PedalObservation("Pedals", 0, "", {"Throttle1": "not known", "Brake": "at 111 %"}),
+    ),
+]  # fmt: skip
+
 ROWS = [
     *BATTERY_ROWS, *CONTROLLER_ROWS, *LATE_ROWS, *LIFE_ROWS, *STALE_ROWS, *RANGE_ROWS,
     *ECHO_ROWS, *PLAUSIBILITY_ROWS, *SENDING_ROWS,
-    *LINK_ROWS, *TICK_ROWS,
+    *LINK_ROWS, *TICK_ROWS, *PEDAL_ROWS,
 ]  # fmt: skip
 
 
@@ -407,6 +419,7 @@ FACTS = st.fixed_dictionaries(
         "emergency_stop": st.booleans(),
         "blocked_by_gate": st.just("length"),
         "restart_state_failure": st.sampled_from(["", "No space"]),
+        "pedals": st.just(PedalObservation("Pedals", 3, "", {})),
         "observed": st.builds(Observed, wheels_apart_ns=st.sampled_from([None, 1_000 * MS])),
         "codes": st.just({"BMS_Status.CellUndervoltage": 2}),
         "never": st.just(["BMS_Temperatures"]),

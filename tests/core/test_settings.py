@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from vcu_gateway.core.can_pedals import CanPedals, PedalTrack
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.settings import REQUIRED_MESSAGES, RESTART_ONLY, Settings, changed, loosened
 
@@ -45,6 +46,7 @@ OTHER_VALUES = {
     "priorities": {"driver": 1},
     "bench_demand": ControllerDemand(),
     "auto_arm": True,
+    "pedals": CanPedals("Pedals", PedalTrack("Throttle", 0, 1)),
 }
 
 
@@ -78,6 +80,7 @@ def test_the_defaults_are_safety_mds():
             "motor_rpm_per_kmh": None,
             "mode_limits": {},
         },
+        "pedals": None,
         "direction_change_rpm": 50.0,
         "regen_min_rpm": 100.0,
         "echo_below_max_pct": 15.0,
@@ -145,5 +148,6 @@ def test_what_is_read_once_at_the_start_needs_a_restart():
         "wheel_speed_difference_max_kmh",
         "bench_demand",
         "auto_arm",
+        "pedals",
         "drive_modes.start",
     }

@@ -33,6 +33,8 @@ TESTS = {
     "plausibility": ["plausibility", "motor_speeds"],
     "causes": ["causes", "coded_signals", "rules"],
     "pedals": ["pedals"],
+    "can_pedals": ["pedal_frames"],
+    "pedal_frames": ["pedal_frames"],
     "supervisor": ["supervisor"],
     "demand": ["demand"],
     "link": ["link"],

@@ -13,14 +13,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.core.pedal_node import CODEC as PEDAL_CODEC
+from tests.core.pedal_node import PEDALS, driving, pressed
 from tests.core.simulated_drive import CODEC, MS, Drive, active, in_mode
 from tests.recording.graphs import DifferenceError, compare
 from vcu_gateway.core import calls
+from vcu_gateway.core.can_pedals import CanPedals, PedalTrack
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
+from vcu_gateway.core.pedal_frames import PedalFrames
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.core.tuning import Tuning
@@ -115,6 +119,37 @@ def test_a_state_from_before_the_restart_state_is_read_as_one_that_was_kept():
     assert restored(failed).requests.restart_state_failure == "No space"
 
 
+def test_pedals_on_can_go_on_from_a_state_as_they_did():
+    """With frames that came since the tick, a run of bad ones, and a pedal that is not believed."""
+    drive = driving(40)
+    drive.feet |= {"Throttle2": 0}
+    drive.run(200)
+    drive.pedal(drive.now_ns + MS, flip=1)
+    twin = drive.twin()
+    twin.gateway = restore(
+        through_json(state_of(drive.gateway)), PEDAL_CODEC, drive.gateway.settings
+    )
+    compare(drive.gateway, twin.gateway, left_out=MADE_AGAIN)
+    for one in (drive, twin):
+        one.feet = pressed(0)
+    for _ in range(30):
+        assert drive.sentence == twin.sentence
+        assert drive.tick()[1:] == twin.tick()[1:]
+    assert drive.gateway.counters == twin.gateway.counters
+
+
+def test_without_pedals_on_can_a_state_says_nothing_of_them():
+    assert "edal_" not in json.dumps(state_of(busy_drive().gateway))
+
+
+def test_a_state_from_before_the_pedals_begins_them_anew():
+    drive = active()
+    settings = replace(drive.gateway.settings, pedals=PEDALS)
+    gateway = restore(through_json(state_of(drive.gateway)), PEDAL_CODEC, settings)
+    assert gateway.requests.pedal_frames == PedalFrames(PEDALS, PEDAL_CODEC)
+    assert gateway.requests.pedal_frames.silent(drive.now_ns)
+
+
 def test_a_state_holds_no_number_that_json_does_not_have():
     text = json.dumps(state_of(Drive().gateway), allow_nan=False)
     assert '{"float": "-inf"}' in text
@@ -138,6 +173,7 @@ def test_what_the_settings_give_is_not_in_the_state(name):
 
 
 OTHER: dict[str, Any] = {
+    "pedals": CanPedals("IMU_Attitude", PedalTrack("AttitudeX", 0, 50)),
     "stale_after_ms": {"BMS_Status": 777},
     "late_after_ms": {"BMS_Status": 555},
     "transmit_priority": 3,

@@ -244,6 +244,11 @@ class DemandArbiter:
         """True once a source made a demand: the bench demand counts no more."""
         return self.current is not None and self.current.ttl_ms is not None
 
+    @property
+    def made_ns(self) -> int:
+        """When the last demand taken was made; 0 before the first."""
+        return self._made_ns
+
     def age_ns(self, now_ns: int) -> int | None:
         """Time since the demand was made; None without one and for the bench demand."""
         if self.current is None or self.current.ttl_ms is None:

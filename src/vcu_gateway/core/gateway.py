@@ -18,7 +18,7 @@ Every call that changes the core is a value of core/calls.py, and `apply` makes 
 A tick decides in these steps, all of them on one snapshot:
 
 1. A tick that comes too late in ACTIVE latches a fault before anything else of it counts.
-2. `InputCollector`: snapshot, link, echoes of own frames, what plausibility remembers.
+2. `InputCollector`: snapshot, link, own echoes, memory of plausibility; pedals on CAN are demands.
 3. Rules give findings, and so do `Laws`, with caps, where curves, drive modes or a slip limiter are
    configured; `Causes` holds each until it was absent for `clear_hold_ms`.
 4. Every cause that blocks is a stimulus of the supervisor; so are an expired demand, a missing
@@ -54,6 +54,7 @@ from vcu_gateway.core.mode_manager import (
     echoed_directions,
 )
 from vcu_gateway.core.operator_requests import LISTENING, OperatorRequests, reload_refusal
+from vcu_gateway.core.pedal_frames import PedalFrames
 from vcu_gateway.core.plausibility import RegenerationInterlock
 from vcu_gateway.core.receive import OWN_NODE, FrameCounters, Receiver
 from vcu_gateway.core.rules import InputCollector
@@ -67,11 +68,7 @@ from vcu_gateway.units import NS_PER_MS
 
 
 class TickResult(NamedTuple):
-    """Decisions of one tick, all of them from one snapshot.
-
-    Attributes:
-        frames: one for each controller; none while listening before talking.
-    """
+    """Decisions of one tick, from one snapshot; no `frames` while listening before talking."""
 
     snapshot: Snapshot
     mode: Mode
@@ -106,14 +103,15 @@ class Gateway:
         }
         late_after_ns = {name: d.late_after_ns for name, d in deadlines.items()}
         stale_after_ns = {name: d.stale_after_ns for name, d in deadlines.items()}
-        self.receiver = Receiver(codec, stale_after_ns, now_ns)
+        self.receiver = Receiver(codec, stale_after_ns, now_ns, settings.pedals)
         self.transmitter = Transmitter(codec, settings)
         self._collector = InputCollector(self.receiver, self.transmitter.history, late_after_ns)
-        self._modes = ModeManager(settings, now_ns)
-        self.supervisor, self.causes = self._modes.supervisor, self._modes.causes
+        modes = self._modes = ModeManager(settings, now_ns)
+        self.supervisor, self.causes = modes.supervisor, modes.causes
         self._commander = Commander(settings)
         self._listening = ListenBeforeTalk(now_ns, settings.listen_before_talk_ms)
-        self.requests = OperatorRequests(settings, self._modes, self._commander, self._listening)
+        pedals = PedalFrames(settings.pedals, codec)
+        self.requests = OperatorRequests(settings, modes, self._commander, self._listening, pedals)
         self._regeneration = RegenerationInterlock()
         self._speeds = plausibility.UNKNOWN
         self._laws = Laws(settings.tuning)
@@ -261,7 +259,7 @@ class Gateway:
     @property
     def counters(self) -> FrameCounters:
         """Counts so far, copied."""
-        return self.receiver.counters(self.transmitter.gate.blocked)
+        return self.receiver.counters(self.transmitter.gate.blocked, self.requests.pedal_frames)
 
     @property
     def command_groups(self) -> Mapping[int, tuple[str, ...]]:
@@ -295,6 +293,9 @@ class Gateway:
         emergency_stop, requests.emergency_stop_requested = requests.emergency_stop_requested, False
         failure = requests.restart_state_failure if self.mode is Mode.ACTIVE else None
         inputs = self._collector.collect(snapshot, settings, late_ns, emergency_stop, failure)
+        if settings.pedals is not None:
+            frames = self.receiver.take_pedal_frames()
+            inputs = inputs._replace(pedals=requests.take_pedal_frames(frames, now_ns))
         if inputs.foreign_sender is not None or inputs.link.state is LinkState.LOST:
             self._listening.again(now_ns)  # without a bus no other sender is heard
         talking = self._listening.over or self._listening.update(now_ns)

@@ -5,6 +5,7 @@ in ACTIVE has latched its fault before a request ends the drive in another way.
 """
 
 import dataclasses
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from vcu_gateway.core.causes import BLOCKING, Causes, Event, Severity
@@ -20,7 +21,14 @@ from vcu_gateway.core.demand import (
     directions_differ,
     refused,
 )
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.mode_manager import ListenBeforeTalk, ModeManager
+from vcu_gateway.core.pedal_frames import (
+    PEDALS_SOURCE,
+    PedalDemand,
+    PedalFrames,
+    PedalObservation,
+)
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 from vcu_gateway.units import NS_PER_MS
@@ -65,6 +73,7 @@ class OperatorRequests:
     Attributes:
         arbiter: takes demands and knows the one that counts.
         terms: the settings in effect; they say what a demand has to be.
+        pedal_frames: demands of pedals on CAN.
         emergency_stop_requested: since the last tick.
         terminating: the gateway is to send safe frames and end.
         restarts: unexpected restarts of this gateway in this drive.
@@ -77,7 +86,9 @@ class OperatorRequests:
         modes: ModeManager,
         commander: Commander,
         listening: ListenBeforeTalk,
+        pedal_frames: PedalFrames,
     ) -> None:
+        self.pedal_frames = pedal_frames
         self.arbiter = DemandArbiter(settings.bench_demand)
         self.terms = settings
         self.emergency_stop_requested = False
@@ -91,6 +102,15 @@ class OperatorRequests:
     def offer(self, demand: Demand, now_ns: int) -> RequestResult:
         """Take a demand of a source, or refuse it."""
         self._modes.judge_lateness(now_ns)
+        return self._of_pedals(demand.source) or self._take(demand, now_ns)
+
+    def _of_pedals(self, source: str) -> RequestResult | None:
+        """Refusal of a source that has the pedals' name while they are on CAN."""
+        if source != PEDALS_SOURCE or self.terms.pedals is None:
+            return None
+        return refused(Refusal.NAME_RESERVED, f"{source} are the configured pedals on CAN")
+
+    def _take(self, demand: Demand, now_ns: int, *, known: bool = True) -> RequestResult:
         before = self.arbiter.current
         if not self.arbiter.fresh(now_ns):
             # It expired between two ticks: a new one does not continue the drive.
@@ -98,10 +118,10 @@ class OperatorRequests:
             self._commander.pedals.interrupted()
         result = self.arbiter.offer(demand, self.terms, now_ns)
         if result.granted:
-            self._judge(demand, before, now_ns)
+            self._judge(demand, before, now_ns, known=known)
         return result
 
-    def _judge(self, demand: Demand, before: Demand | None, now_ns: int) -> None:
+    def _judge(self, demand: Demand, before: Demand | None, now_ns: int, *, known: bool) -> None:
         """A granted demand counts from now on, also where another follows before the tick."""
         pedals = self._commander.pedals
         if before is None or before.source != demand.source:
@@ -109,12 +129,38 @@ class OperatorRequests:
             if self._modes.supervisor.mode is Mode.ACTIVE:
                 pedals.taken_over()
         made_ns = now_ns if demand.made_ns is None else demand.made_ns
-        pedals.judge(demand.controllers, made_ns, now_ns)
+        pedals.judge(demand.controllers, made_ns, now_ns, known=known)
+
+    def take_pedal_frames(self, frames: Iterable[Frame], now_ns: int) -> PedalObservation | None:
+        """Take each frame of the pedals since the tick before as a demand; what is odd of them."""
+        for frame in frames:
+            demand = self.pedal_frames.demand_of(frame, now_ns)
+            if demand is not None:
+                self._take_pedals(demand)
+        if self.pedal_frames.silent(now_ns):
+            self.arbiter.end(PEDALS_SOURCE)
+        return self.pedal_frames.observe(now_ns)
+
+    def _take_pedals(self, one: PedalDemand) -> None:
+        """Offer a demand of the pedals, at the time when its frame came.
+
+        Frames are read right before the tick, so that `arm` may have been granted meanwhile.
+        """
+        if one.resumed:
+            self.arbiter.end(PEDALS_SOURCE)
+        ttl_ms = self.pedal_frames.ttl_ms(self.terms.period_ns)
+        demand = Demand(PEDALS_SOURCE, one.sequence, ttl_ms, one.controllers, one.made_ns)
+        at_ns = max(one.made_ns, self.arbiter.made_ns)
+        granted = self._take(demand, at_ns, known=one.known).granted
+        pressed = self._commander.pedals.zero_for_ns(at_ns) is None
+        if granted and pressed and one.made_ns < self._modes.supervisor.since_ns:
+            reason = "the pedals were not released before arming"
+            self._modes.apply(Stimulus.DISARM, at_ns, reason)
 
     def end_demand(self, source: str, now_ns: int) -> RequestResult:
         """End the owner's demand, and the drive with it; refused for any other source."""
         self._modes.judge_lateness(now_ns)
-        result = self.arbiter.end(source)
+        result = self._of_pedals(source) or self.arbiter.end(source)
         if result.granted:
             self._modes.apply(Stimulus.DEMAND_EXPIRED, now_ns, f"{source} ended its demand")
         return result

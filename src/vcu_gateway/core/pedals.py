@@ -23,6 +23,7 @@ class ThrottleHold(Enum):
     OVERRIDE = "brake over throttle"
     TRACKS = "the pedal's tracks differ"
     TAKEN_OVER = "another source took over"
+    SIGNAL = "a pedal is not to be believed"
 
 
 class _PedalState(NamedTuple):
@@ -40,6 +41,12 @@ class _PedalState(NamedTuple):
     differs: bool
     released: bool
     track2_released: bool
+
+
+_NOT_KNOWN = _PedalState(
+    drives=True, overrides=False, differs=False, released=False, track2_released=False
+)
+"""Pedals that are not to be believed: they may be anywhere."""
 
 
 class Pedals:
@@ -61,9 +68,18 @@ class Pedals:
         self._zero_since_ns: int | None = None
         self._judged: tuple[ControllerDemands, _PedalState] | None = None
 
-    def judge(self, demanded: ControllerDemands, made_ns: int, now_ns: int) -> None:
-        """Take a demand that was made then and is granted now."""
+    def judge(
+        self, demanded: ControllerDemands, made_ns: int, now_ns: int, *, known: bool = True
+    ) -> None:
+        """Take a demand that was made then and is granted now.
+
+        One whose pedals are not `known` releases nothing, and holds the tick that follows.
+        """
         self._note_directions(demanded)
+        if not known:
+            self._this_interval.add(ThrottleHold.SIGNAL)
+            differs = self._differ_since_ns is not None
+            self._judged = demanded, _NOT_KNOWN._replace(differs=differs)
         state = self._state_of(demanded)
         self._judge_zero(state, now_ns)
         self._judge_tracks(state, made_ns, now_ns)

@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core import commands, j1939
+from vcu_gateway.core.can_pedals import CanPedals
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkMonitor
-from vcu_gateway.core.state import Store
+from vcu_gateway.core.pedal_frames import PedalFault, PedalFrames
+from vcu_gateway.core.state import MOST_ARRIVALS, Store
 
 OWN_NODE = "VCU"
 
@@ -20,7 +22,7 @@ class FrameCounters(NamedTuple):
     """Frames since the start that are no messages, or of which not all counts.
 
     Attributes:
-        rejected: not decoded, by reason.
+        rejected: not decoded, or no demand of the pedals, by reason.
         out_of_order: older than the frame of their message before them.
         unjudged: too many of one message for a tick to judge.
         confirmed: own commands that came back because they had left, by controller.
@@ -28,7 +30,7 @@ class FrameCounters(NamedTuple):
         blocked_by_gate: own commands that never left, by the rule that they broke.
     """
 
-    rejected: Mapping[Reason, int]
+    rejected: Mapping[Reason | PedalFault, int]
     out_of_order: int
     unjudged: int
     confirmed: Mapping[str, int]
@@ -45,10 +47,17 @@ class Receiver:
         echoes: the last of the confirmed, by controller.
         command_groups: controllers by the `j1939.group_key` of what commands them.
         foreign_id: identifier of the last foreign command.
+        pedal_frames: those of the pedals since they were last taken.
         monitor: state of the link, from error frames and from what the shell knows.
     """
 
-    def __init__(self, codec: Codec, stale_after_ns: Mapping[str, int], now_ns: int) -> None:
+    def __init__(
+        self,
+        codec: Codec,
+        stale_after_ns: Mapping[str, int],
+        now_ns: int,
+        pedals: CanPedals | None = None,
+    ) -> None:
         self._codec = codec
         self.store = Store(codec.protocol.received_by(OWN_NODE), stale_after_ns)
         self._controller_of = {commands.message_name(name): name for name in CONTROLLERS}
@@ -64,6 +73,8 @@ class Receiver:
         self.foreign_count = 0
         self.foreign_id: int | None = None
         self.monitor = LinkMonitor(now_ns)
+        self._pedals_message = None if pedals is None else pedals.message
+        self.pedal_frames: list[Frame] = []
 
     def receive(self, frame: Frame) -> None:
         """Take in one frame; one that is not decoded is counted and changes no message."""
@@ -75,7 +86,14 @@ class Receiver:
         if name in self._controller_of:
             self._receive_command(self._controller_of[name], frame)
             return
+        if name == self._pedals_message and len(self.pedal_frames) < MOST_ARRIVALS:
+            self.pedal_frames.append(frame)
         self.store.put(name, found.decode(frame.data), frame.arrival_ns)
+
+    def take_pedal_frames(self) -> list[Frame]:
+        """Frames of the pedals since the last call, as they came."""
+        taken, self.pedal_frames = self.pedal_frames, []
+        return taken
 
     def _reject(self, reason: Reason, frame: Frame) -> None:
         self.rejected[reason] += 1
@@ -96,9 +114,11 @@ class Receiver:
             self.foreign_commands[controller] += 1
             self.foreign_count += 1
 
-    def counters(self, blocked_by_gate: Mapping[str, int]) -> FrameCounters:
+    def counters(
+        self, blocked_by_gate: Mapping[str, int], pedal_frames: PedalFrames
+    ) -> FrameCounters:
         return FrameCounters(
-            rejected=dict(self.rejected),
+            rejected={**self.rejected, **pedal_frames.rejected},
             out_of_order=self.store.out_of_order,
             unjudged=self.store.unjudged,
             confirmed=dict(self.confirmed),

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from vcu_gateway.core.causes import BATTERY_STATUS, CONTROLLER_STATUS, CodedSignals, Effect, Finding
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.link import LinkState, LinkStatus
+from vcu_gateway.core.pedal_frames import PedalObservation
 from vcu_gateway.core.plausibility import (
     NO_DEVIATION,
     WHEELS_MESSAGE,
@@ -39,6 +40,7 @@ class RuleInputs(NamedTuple):
         emergency_stop: requested since the last tick.
         blocked_by_gate: what the gate blocked in the last tick.
         restart_state_failure: why the restart state could not be kept in ACTIVE.
+        pedals: what there is to tell of pedals on CAN; None where all is well.
     """
 
     snapshot: Snapshot
@@ -56,6 +58,7 @@ class RuleInputs(NamedTuple):
     emergency_stop: bool
     blocked_by_gate: str | None
     restart_state_failure: str | None
+    pedals: PedalObservation | None = None
 
 
 class InputCollector:
@@ -119,6 +122,7 @@ _UNCONFIRMED_MAX_TICKS = 3
 _LATE_MAX_PERIODS = 4
 _LIFE_LIMIT_REPEATS = 1
 _LIFE_STOP_REPEATS = 2
+_BAD_PEDAL_FRAMES = 3
 
 EMERGENCY_STOP = Finding("emergency_stop", "emergency stop", Effect.CUT, "requested")
 
@@ -322,6 +326,21 @@ def restart_state(inputs: RuleInputs) -> Sequence[Finding]:
     return [Finding("restart_state", "restart state", Effect.ALARM, f"not kept ({failure})")]
 
 
+def pedals(inputs: RuleInputs) -> Sequence[Finding]:
+    """Pedals on CAN that are not believed, or frames of them in a row that are no demand."""
+    one = inputs.pedals
+    if one is None:
+        return ()
+    found = [
+        Finding("pedal_signal", f"{one.message}.{signal}", Effect.ALARM, detail)
+        for signal, detail in one.doubts.items()
+    ]
+    if one.bad_frames >= _BAD_PEDAL_FRAMES:
+        detail = f"{one.bad}, {one.bad_frames} frames in a row"
+        found.append(Finding("pedal_frame", one.message, Effect.ALARM, detail))
+    return found
+
+
 def _milliseconds(duration_ns: int) -> str:
     return f"{duration_ns // NS_PER_MS} ms"
 
@@ -349,6 +368,7 @@ _OF_THE_GATEWAY: tuple[Rule, ...] = (
     emergency_stop,
     gate_blocked,
     restart_state,
+    pedals,
 )
 
 RULES: tuple[Rule, ...] = (*_OF_MESSAGES, *_OF_DEVIATIONS, *_OF_THE_GATEWAY)
@@ -379,4 +399,5 @@ def _is_odd(inputs: RuleInputs) -> bool:
         or inputs.emergency_stop
         or inputs.blocked_by_gate is not None
         or inputs.restart_state_failure is not None
+        or inputs.pedals is not None
     )

@@ -14,6 +14,7 @@ from typing import Annotated, get_type_hints
 from annotated_types import Interval, Len, MinLen
 
 from vcu_gateway.core import tuning as tuning_module
+from vcu_gateway.core.can_pedals import CanPedals
 from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.tuning import Tuning
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
@@ -58,6 +59,7 @@ class Settings:
     Attributes:
         period_ns: of the command frames; in no file.
         tuning: curves, drive modes and laws; their keys are those of core/tuning.py.
+        pedals: pedals on CAN; None without them.
         bench_demand: static demand for both controllers on a test bench; None on a vehicle.
     """
 
@@ -323,6 +325,7 @@ class Settings:
     ] = False
 
     tuning: Tuning = field(default_factory=Tuning)
+    pedals: CanPedals | None = None
 
     bench_demand: ControllerDemand | None = None
     auto_arm: Annotated[

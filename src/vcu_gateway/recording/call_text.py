@@ -14,7 +14,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
-from vcu_gateway.core import calls, tuning
+from vcu_gateway.core import calls, can_pedals, tuning
+from vcu_gateway.core.can_pedals import CanPedals
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
@@ -31,7 +32,7 @@ _NOT_FINITE = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 _SETTINGS = tuple(item.name for item in fields(Settings))
 _DEFAULTS = Settings()
 _LATER = (
-    *("tuning", "power_return_w_per_s", "brake_return_pct_per_s"),
+    *("tuning", "pedals", "power_return_w_per_s", "brake_return_pct_per_s"),
     *("speed_fall_rpm_per_s", "speed_return_rpm_per_s"),
 )
 """Settings that came later: left out at their defaults, so a drive without them is as before."""
@@ -49,6 +50,7 @@ def settings_json(settings: Settings) -> dict[str, Any]:
     values["bench_demand"] = None if bench is None else controller_json(bench)
     own = tuning.values(settings.tuning)
     values["tuning"] = {key: _tuning_json(value) for key, value in own.items()}
+    values["pedals"] = None if settings.pedals is None else can_pedals.values(settings.pedals)
     for name in _LATER:
         if getattr(settings, name) == getattr(_DEFAULTS, name):
             del values[name]
@@ -71,8 +73,8 @@ def settings_of(values: Any) -> Settings:
 
 
 def _setting(name: str, value: Any) -> Any:
-    if name == "bench_demand":
-        return None if value is None else controller_of(value)
+    if name in _OR_NONE:
+        return None if value is None else _OR_NONE[name](value)
     if name == "tuning":
         return _tuning_of(value)
     default = getattr(_DEFAULTS, name)
@@ -94,6 +96,13 @@ def _tuning_of(value: Any) -> Tuning:
         raise ValueError(f"the tuning cannot be read: {error}") from error
 
 
+def _pedals_of(value: Any) -> CanPedals:
+    try:
+        return can_pedals.of_values(value)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"the pedals cannot be read: {error}") from error
+
+
 def controller_json(demand: ControllerDemand) -> dict[str, Any]:
     """Demand of one controller; the power mode by its name."""
     return asdict(demand) | {"power_mode": demand.power_mode.name.lower()}
@@ -103,6 +112,12 @@ def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
     """Demand of what `controller_json` gave, or of a part; ValueError, KeyError or TypeError."""
     numbers = {name: number_of(value) for name, value in values.items() if name != "power_mode"}
     return ControllerDemand(**numbers, power_mode=PowerMode[values["power_mode"].upper()])
+
+
+_OR_NONE: Mapping[str, Callable[[Any], Any]] = {
+    "bench_demand": controller_of,
+    "pedals": _pedals_of,
+}
 
 
 def demand_text(demand: Demand, now_ns: int) -> str:

@@ -37,14 +37,17 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import NOT_CAPPED
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.laws import Laws
+from vcu_gateway.core.pedal_frames import PedalFrames
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.tuning import Tuning
 
 _DERIVED: Mapping[str, frozenset[str]] = {
     name: frozenset(attributes.split())
     for name, attributes in {
         "Gateway": "settings _stop_watch",
-        "Receiver": "_codec _controller_of command_groups echoes",
+        "Receiver": "_codec _controller_of _pedals_message command_groups echoes",
+        "PedalFrames": "_expiry_ns _pedals _reader",
         "Store": "_specs _stale_after_ns _pickers _indexes",
         # What arrived before the last tick is looked at in that tick alone.
         "Snapshot": "_specs _indexes _pickers _arrived",
@@ -65,7 +68,11 @@ What is known of a stop is among these: it decides nothing, and the frames that 
 """
 
 _LATER: Mapping[str, Mapping[str, Any]] = {
-    "OperatorRequests": {"restart_state_failure": None},
+    "OperatorRequests": {
+        "restart_state_failure": None,
+        "pedal_frames": PedalFrames(None, Codec(ProtocolSpec((), {}))),
+    },
+    "Receiver": {"pedal_frames": []},
     "Gateway": {"_laws": Laws(Tuning())},
     "Commander": {"caps": NOT_CAPPED},
 }
