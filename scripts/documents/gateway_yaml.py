@@ -10,7 +10,7 @@ Generated from the model, for people who write a configuration:
       speed_limit_max_rpm: 12000
 
 A key whose default is null is commented out and shows its example, and so are the whole sections of
-the tuning and of the test bench.
+the tuning, of the pedals and of the test bench.
 """
 
 import json
@@ -30,7 +30,7 @@ from vcu_gateway.strict_yaml import parser, validation
 _COLUMNS = 97
 _INDENT = "  "
 _CURVE = "by_"
-_COMMENTED_OUT = (*TUNING_SECTIONS, "bench")
+_COMMENTED_OUT = (*TUNING_SECTIONS, "pedals", "bench")
 _UNQUOTED = re.compile(r"[A-Za-z/]")  # what begins otherwise is not text to every reader of YAML
 
 _HEAD = """\
@@ -86,18 +86,35 @@ def _comment(words: str, indent: str) -> list[str]:
 
 
 def _keys(
-    name: str, section: type[BaseModel], indent: str = "", *, commented_out: bool = False
+    name: str,
+    section: type[BaseModel],
+    indent: str = "",
+    *,
+    commented_out: bool = False,
+    example: Mapping[str, Any] | None = None,
 ) -> list[str]:
-    """A section's name and its keys below it, the sections within it last."""
+    """A section's name and its keys below it, the sections within it last.
+
+    `example` has the values of a section whose keys are shown with others than their own examples.
+    """
     fields = section.model_fields.items()
     ordered = sorted(fields, key=lambda item: validation.section_of(item[1]) is not None)
-    blocks = [_key(key, field, section, indent + _INDENT, commented_out) for key, field in ordered]
+    own = example or {}
+    blocks = [
+        _key(key, field, section, indent + _INDENT, commented_out, own.get(key))
+        for key, field in ordered
+    ]
     lines = [line for block in blocks for line in ("", *block)]
     return [f"{indent}{name}:", *lines[1:]]
 
 
 def _key(
-    name: str, field: FieldInfo, section: type[BaseModel], indent: str, commented_out: bool
+    name: str,
+    field: FieldInfo,
+    section: type[BaseModel],
+    indent: str,
+    commented_out: bool,
+    given: Any,
 ) -> list[str]:
     default = None if field.is_required() else _json_default(name, section)
     comment = _comment(field.description or "", indent)
@@ -105,10 +122,10 @@ def _key(
     if within is None or default is None:
         facts = "; ".join(_facts(name, field, default))
         comment += _comment(f"{facts[0].upper()}{facts[1:]}.", indent)
+    (example,) = [given] if given is not None else field.examples or [None]
     if within:
-        return comment + _keys(name, within, indent, commented_out=commented_out)
+        return comment + _keys(name, within, indent, commented_out=commented_out, example=example)
     if default is None or (commented_out and field.examples):
-        (example,) = field.examples or [None]
         mark = "" if field.is_required() or commented_out else "#"
         return [*comment, f"{indent}{mark}{name}: {_flow(example)}"]
     return comment + _assignment(name, default, indent)
@@ -126,9 +143,13 @@ def _facts(name: str, field: FieldInfo, default: Any) -> Iterator[str]:
     if (unit := validation.unit(name)) and not name.startswith(_CURVE):
         yield f"unit {unit}"
     if field.is_required():
-        yield "required; must be true"
+        yield "required"
+    else:
+        yield f"default {_flow(default)}"
+    extra = field.json_schema_extra
+    if isinstance(extra, dict) and extra.get("const") is True:
+        yield "must be true"
         return
-    yield f"default {_flow(default)}"
     if words := _choices(field.annotation):
         yield f"one of {', '.join(words)}"
     yield from _ranges(field)

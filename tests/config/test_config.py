@@ -99,7 +99,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 def uncommented(text: str) -> str:
     """The example with every commented-out key put in."""
-    pattern = r"^( *)#(?=$| {2,}(?:#|[a-z_]+:)|[a-z_]+:)"
+    pattern = r"^( *)#(?=$| {2,}(?:#|[a-z_]+2?:)|[a-z_]+:)"
     return re.sub(pattern, r"\1", text, flags=re.MULTILINE)
 
 
@@ -108,7 +108,7 @@ def key_facts() -> Iterator[tuple[str, str]]:
     parents: list[tuple[int, str]] = []
     comment = ""
     for line in uncommented(EXAMPLE.read_text()).splitlines():
-        if match := re.fullmatch(r"( *)([a-z_]+):.*", line):
+        if match := re.fullmatch(r"( *)([a-z_]+2?):.*", line):
             indent, name = len(match[1]), match[2]
             parents = [parent for parent in parents if parent[0] < indent]
             parents.append((indent, name))
@@ -126,6 +126,15 @@ UNITS = {"rpm_per_kmh": "rpm per km/h", "kmh": "km/h",
          "pct_per_s": "%/s", "w_per_s": "W/s"}  # fmt: skip
 
 
+REQUIRED = {
+    "demand": {"bench_use_only"},
+    "can": {"message", "throttle"},
+    "checksum": {"signal", "kind"},
+    **{key: {"signal", "released", "pressed"} for key in ("throttle", "throttle_track2", "brake")},
+}
+"""Keys without a default, by the section that has them."""
+
+
 def model_keys(part: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
     """Every key below a part of the JSON Schema, with its entry."""
     definitions = schema()["$defs"]
@@ -136,10 +145,20 @@ def model_keys(part: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, di
             yield from model_keys(definitions[reference.split("/")[-1]], f"{prefix}{name}.")
 
 
+PEDALS = (
+    "pedals: {can: {message: Pedals, single_track_bench_use_only: true, throttle: {signal: Throttle"
+    ", released: 1, pressed: 2}}}\n"
+)
+
+
 def default_of(name: str) -> Any:
     value: Any = Config()
     if name.startswith("bench.demand."):
         value = parse("bench: {demand: {bench_use_only: true}}", "gateway.yaml")
+    if name == "pedals.can.single_track_bench_use_only":
+        return None
+    if name.startswith("pedals.can."):
+        value = parse(PEDALS, "gateway.yaml")
     if name.startswith("laws.slip."):
         value = parse("vehicle: {motor_rpm_per_kmh: 85}\nlaws: {slip: {}}", "gateway.yaml")
     for key in name.split("."):
@@ -155,6 +174,8 @@ def one_key(name: str, value: Any) -> str:
         content["bench_use_only"] = True
     for section in reversed(sections):
         content = {section: content}
+    if name.startswith("pedals.can."):
+        content["pedals"]["can"] |= yaml.safe_load(PEDALS)["pedals"]["can"] | {key: value}
     if name.startswith("laws.slip."):
         content["vehicle"] = {"motor_rpm_per_kmh": 85}
     return str(yaml.safe_dump(content))
@@ -185,8 +206,9 @@ def test_the_example_loads_with_every_commented_key_put_in(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("name", LEAVES)
 def test_every_comment_in_the_example_states_the_default(name: str) -> None:
-    if name == "bench.demand.bench_use_only":
-        assert FACTS[name] == "Required; must be true."
+    if "Required" in FACTS[name]:
+        *_, section, key = name.split(".")
+        assert key in REQUIRED[section]
         return
     stated = re.search(r"[Dd]efault (\{.*?\}|[^;]*?)(?:;|\.$)", FACTS[name])
     assert stated, FACTS[name]
@@ -230,6 +252,7 @@ def test_every_number_has_its_range_and_unit_in_the_example(name: str, entries) 
     assert FACTS[name].startswith(f"Unit {unit}; ") is (unit is not None)
     is_number = bool(kinds & {"integer", "number", "object"}) and "string" not in kinds
     is_number = is_number and name not in ("drive_modes.modes", "laws.slip")
+    is_number = is_number and not name.endswith((".released", ".pressed"))  # of any signal
     assert ("minimum" in FACTS[name]) is is_number
 
 
@@ -339,7 +362,7 @@ _PLAIN = "write the plain number, without quotes, unit or leading zeros"
 _COLON = "write `key: value`, with a space after the colon"
 _SECTIONS = (
     "the keys here are bus, protocol, freshness, vehicle, limits, curves, drive_modes, laws,"
-    " safety, demand, api, recorder, bench, log"
+    " safety, demand, pedals, api, recorder, bench, log"
 )
 _AT_LEAST = "write at least one section, such as `bus:` with `channel: can0` below it"
 _EXPORTER = (

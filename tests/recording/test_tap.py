@@ -23,7 +23,10 @@ READING: dict[type, set[str]] = {
     # `fit_laws` belongs to `reload`, and to a core that is restored.
     Gateway: {"apply", "snapshot", "safe_frames", "why", "reasons", "stop", "fit_laws"},
     # `refuse` emits an event, for the core alone: `reload` and its like call it.
-    OperatorRequests: {"refuse", "against_arming", "against_resetting", "demanded"},
+    # `take_pedal_frames` is the tick's own: a replay makes the same demands of the same frames.
+    OperatorRequests: {
+        *("refuse", "against_arming", "against_resetting", "demanded", "take_pedal_frames"),
+    },
 }
 
 

@@ -11,6 +11,7 @@ import pwd
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from vcu_gateway.config import pedals
 from vcu_gateway.config.load import core_settings, load
 from vcu_gateway.config.model import IDENTIFIER_KEYS, Config
 from vcu_gateway.config.tuning import without_effect
@@ -34,6 +35,7 @@ def check_against(config: Config, protocol: ProtocolSpec) -> list[Problem]:
         *_freshness(config, protocol),
         *_patience(config, protocol),
         *_required(config, protocol),
+        *pedals.check_message(config.pedals, protocol, ttl_max_ms=config.demand.ttl_max_ms),
     ]
     return problems(found, config.source.file, config.source.lines, IDENTIFIER_KEYS)
 
@@ -153,9 +155,12 @@ def _unknown(
 
 
 def check_effect(config: Config) -> list[Problem]:
-    """Values that are allowed, and have no effect beside another one; they prevent no start."""
+    """Values that are allowed, and lack an effect or a watch; they prevent no start."""
     source = config.source
-    hints = without_effect(core_settings(config).tuning, _highest(config))
+    hints = [
+        *without_effect(core_settings(config).tuning, _highest(config)),
+        *pedals.hints(config.pedals),
+    ]
     found = problems(hints, source.file, source.lines, IDENTIFIER_KEYS)
     return [*_derating_without_effect(config), *found]
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from vcu_gateway.config import pedals
 from vcu_gateway.config.model import IDENTIFIER_KEYS, BenchDemandSection, Config, ConfigSource
 from vcu_gateway.config.tuning import TUNING_SECTIONS, contradictions, tuning_of
 from vcu_gateway.core.demand import ControllerDemand, PowerMode
@@ -79,6 +80,8 @@ def _contradictions(config: Config) -> Iterator[FileProblem]:
         what = f"must be at most {longest_ms} ms, not {ttl_ms}"
         yield FileProblem(("demand", "ttl_default_ms"), what, "demand.ttl_max_ms says so")
     yield from contradictions(config.vehicle, config.drive_modes, config.laws)
+    required = config.demand.second_track_required
+    yield from pedals.contradictions(config.pedals, second_track_required=required)
     dbc = config.protocol.dbc
     if dbc is not None and not os.path.isfile(dbc):
         yield FileProblem(("protocol", "dbc"), f"no file can be found at {dbc}")
@@ -95,8 +98,14 @@ _DIGEST_CHARACTERS = 16
 
 
 def effective(config: Config) -> dict[str, Any]:
-    """Effective values as JSON has them; identifiers as 0x and 8 digits."""
-    return config.model_dump(mode="json")
+    """Effective values as JSON has them; identifiers as 0x and 8 digits.
+
+    Pedals are there where some are configured: without, text and digest are as before them.
+    """
+    values = config.model_dump(mode="json")
+    if config.pedals.can is None:
+        del values["pedals"]
+    return values
 
 
 def yaml_text(config: Config, dbc: str | None = None) -> str:
@@ -155,6 +164,7 @@ def core_settings(config: Config) -> Settings:
     return Settings(
         **values,
         tuning=tuning_of({name: getattr(config, name) for name in TUNING_SECTIONS}),
+        pedals=pedals.pedals_of(config.pedals),
         bench_demand=None if demand is None else _bench_demand(demand),
     )
 

@@ -18,6 +18,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
+from vcu_gateway.config.pedals import PedalsSection
 from vcu_gateway.config.tuning import (
     CurvesSection,
     DriveModesSection,
@@ -311,6 +312,7 @@ class Config(Section):
     laws: LawsSection = LawsSection()
     safety: SafetySection = SafetySection()
     demand: DemandSection = DemandSection()
+    pedals: PedalsSection = PedalsSection()
     api: ApiSection = ApiSection()
     recorder: RecorderSection = RecorderSection()
     bench: BenchSection = BenchSection()

@@ -51,7 +51,7 @@ _Point = tuple[float, float]
 _Points = tuple[_Point, ...]
 
 
-def _refused(index: int, what: str, remedy: str = "") -> Exception:
+def refused_point(index: int, what: str, remedy: str = "") -> Exception:
     return refusal(what, remedy, place=(PointIndex(index),), complete=True)
 
 
@@ -86,17 +86,17 @@ def checked_points(
 
 def _point(index: int, given: Any, x: Quantity, y: Quantity) -> _Point:
     if not isinstance(given, list | tuple):
-        raise _refused(index, f"must be [x, y], not {shown(given)}")
+        raise refused_point(index, f"must be [x, y], not {shown(given)}")
     if len(given) != 2:
-        raise _refused(index, f"must be [x, y], not {len(given)} numbers")
+        raise refused_point(index, f"must be [x, y], not {len(given)} numbers")
     for number in given:
         if type(number) not in (int, float) or not math.isfinite(number):
             what = f"must be two numbers in {x.unit} and {y.unit}, not {shown(number)}"
-            raise _refused(index, what, "write the plain number")
+            raise refused_point(index, what, "write the plain number")
     for name, number, axis in (("x", given[0], x), ("y", given[1], y)):
         if not axis.lowest <= number <= axis.highest:
             span = f"{_text(axis.lowest)} to {_text(axis.highest)} {axis.unit}"
-            raise _refused(index, f"{name} must be {span}, not {_text(number)}")
+            raise refused_point(index, f"{name} must be {span}, not {_text(number)}")
     return float(given[0]), float(given[1])
 
 
@@ -108,12 +108,12 @@ def _check_step(
             f"{_text(point[0])} {x.unit} must lie at least {_text(x.step)} {x.unit} above the point"
             f" before, {_text(before[0])} {x.unit}"
         )
-        raise _refused(index, what, "x rises from point to point")
+        raise refused_point(index, what, "x rises from point to point")
     if point[1] < before[1] if rises else point[1] > before[1]:
         word = next(one for one in _WORDS if x.text.endswith(one))
         values = f"{_text(point[1])} {y.unit} after {_text(before[1])} {y.unit}"
         what = f"must not {'fall' if rises else 'rise'} with the {word}: {values}"
-        raise _refused(index, what, f"{y.text} {why}" if why else "")
+        raise refused_point(index, what, f"{y.text} {why}" if why else "")
 
 
 def _check_slope(
@@ -126,14 +126,14 @@ def _check_slope(
             f"steeper, {y.text} and {x.text.split()[-1]} chase each other. Write it up to what a"
             " motor really takes, as limits.power_limit_max_w"
         )
-        raise _refused(index, what, remedy)
+        raise refused_point(index, what, remedy)
 
 
 def _text(number: float) -> str:
     return f"{number:.10g}"
 
 
-def _curve_type(
+def curve_type(
     check: Callable[[Any], _Points], x: Quantity, y: Quantity, rises: bool, example: Any, text: str
 ) -> Any:
     """Type and default of a curve's key: None, or points that this check takes."""
@@ -186,7 +186,7 @@ def _derating_type(one: Derating) -> Any:
     def check(value: Any) -> _Points:
         return checked_points(value, x, y, rises=one.rises, why=one.why, steepest=one.steepest)
 
-    return _curve_type(check, x, y, one.rises, example, text)
+    return curve_type(check, x, y, one.rises, example, text)
 
 
 class _LimitSection(Section):
@@ -237,13 +237,13 @@ class VehicleSection(Section):
 def _pedal_map(value: Any) -> _Points:
     points = checked_points(value, PEDAL, _THROTTLE, rises=True)
     if points[0] != (0.0, 0.0):
-        raise _refused(0, "must be [0, 0]", "a released pedal asks for nothing")
+        raise refused_point(0, "must be [0, 0]", "a released pedal asks for nothing")
     for index, (pedal, throttle) in enumerate(points):
         if throttle > pedal:
             what = f"a pedal of {_text(pedal)} % gives {_text(throttle)} %, more than is asked"
-            raise _refused(index, what, f"at most {_text(pedal)}")
+            raise refused_point(index, what, f"at most {_text(pedal)}")
     if points[-1][0] != PEDAL.highest:
-        raise _refused(len(points) - 1, "the last point must be at a pedal of 100 %")
+        raise refused_point(len(points) - 1, "the last point must be at a pedal of 100 %")
     return points
 
 
@@ -256,12 +256,12 @@ _ThrottleSection = create_model(
     __base__=Section,
     __module__=__name__,
     __doc__="Throttle in % of a drive mode; of both curves the lower one counts.",
-    by_pedal_pct=_curve_type(
+    by_pedal_pct=curve_type(
         _pedal_map, PEDAL, _THROTTLE, True, [[0, 0], [40, 20], [80, 55], [100, 80]],
         "Throttle over the demanded one, from [0, 0] to 100 % and never above it; without it as"
         " demanded. Live, but not while active.",
     ),
-    by_speed_kmh=_curve_type(
+    by_speed_kmh=curve_type(
         _over_speed(_THROTTLE_OVER_SPEED), SPEED, _THROTTLE_OVER_SPEED, True,
         [[0, 30], [30, 60], [60, 100]],
         f"Throttle over the speed: {_axes(SPEED, _THROTTLE_OVER_SPEED, True)}; live, but not while"
@@ -273,7 +273,7 @@ _RiseSection = create_model(
     __base__=Section,
     __module__=__name__,
     __doc__="Steepest rise of the throttle; never above limits.throttle_slew_pct_per_s.",
-    by_speed_kmh=_curve_type(
+    by_speed_kmh=curve_type(
         _over_speed(_RISE), SPEED, _RISE, True, [[0, 20], [40, 60]],
         f"Rise over the speed: {_axes(SPEED, _RISE, True)}; live, but not while active.",
     ),

@@ -294,8 +294,8 @@ class Gateway:
         failure = requests.restart_state_failure if self.mode is Mode.ACTIVE else None
         inputs = self._collector.collect(snapshot, settings, late_ns, emergency_stop, failure)
         if settings.pedals is not None:
-            frames = self.receiver.take_pedal_frames()
-            inputs = inputs._replace(pedals=requests.take_pedal_frames(frames, now_ns))
+            pedals = requests.take_pedal_frames(self.receiver.take_pedal_frames(), now_ns)
+            inputs = inputs._replace(pedals=pedals)
         if inputs.foreign_sender is not None or inputs.link.state is LinkState.LOST:
             self._listening.again(now_ns)  # without a bus no other sender is heard
         talking = self._listening.over or self._listening.update(now_ns)

@@ -17,7 +17,7 @@ from vcu_gateway.strict_yaml import file_text, parser
 
 SET = "--set"
 _EXAMPLE = "write section.key=value, such as limits.throttle_slew_pct_per_s=50"
-_USED_SECTIONS = {key.section for key in KEYS.values()} | {"bench", *TUNING_SECTIONS}
+_USED_SECTIONS = {key.section for key in KEYS.values()} | {"bench", "pedals", *TUNING_SECTIONS}
 _MOST_PROBLEMS = 5
 
 
