@@ -1,4 +1,4 @@
-"""Write docs/protocol.md, config/gateway.yaml, docs/api.md's generated part and pictures again.
+"""Write docs/protocol.md, config/gateway.yaml, part of docs/api.md, pictures and example DBCs.
 
 usage: python -m scripts.documents [--check], in the source tree, with the Python of .venv. With
 --check nothing is written: exit 1 where a file is not what the program says.
@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from scripts.documents import api_page, gateway_yaml, protocol_page, tuning_picture
+from scripts.documents import api_page, gateway_yaml, pedals_dbc, protocol_page, tuning_picture
 
 from vcu_gateway.api import openrpc
 from vcu_gateway.cli.generate import differences
@@ -42,6 +42,8 @@ def _stale() -> Iterator[tuple[str, tuple[Path, str]]]:
         ("docs/protocol.md", protocol_page.write(defined)),
         ("docs/api.md", api_page.within(api, openrpc.document())),
         ("config/gateway.yaml", gateway_yaml.text()),
+        ("config/examples/pedals.dbc", pedals_dbc.own_node(defined)),
+        ("config/examples/pedals-eec2.dbc", pedals_dbc.eec2(defined)),
         ("docs/pictures/tuning.svg", tuning_picture.svg(TREE / "config/examples/tuning.yaml")),
     ):
         path = TREE / name

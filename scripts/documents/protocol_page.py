@@ -112,7 +112,8 @@ def _own_definition() -> Iterator[str]:
     yield (
         "`protocol.dbc` in the configuration names a DBC that has more messages or "
         "signals than the packaged one. It may change nothing of what that one has: "
-        "the simulator and this page would not know."
+        "the simulator and this page would not know. How a message is added to it: "
+        "[pedals.md](pedals.md#the-dbc)."
     )
     yield ""
     yield (

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -15,11 +16,15 @@ from vcu_gateway.config import (
     schema,
     yaml_text,
 )
+from vcu_gateway.config.checks import startable
+from vcu_gateway.core.can_pedals import PedalReader
+from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import PowerMode
 from vcu_gateway.core.settings import RESTART_ONLY, changed
 from vcu_gateway.daemon import reload
 from vcu_gateway.errors import ConfigError
+from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.recording.call_text import settings_json, settings_of
 
 LINES = {
@@ -100,6 +105,44 @@ def test_the_section_comes_back_from_text_and_recording():
 def test_recorded_pedals_that_are_none_are_refused(pedals):
     with pytest.raises(ValueError, match="the pedals cannot be read"):
         settings_of({"pedals": pedals})
+
+
+EXAMPLES = Path(__file__).parents[2] / "config" / "examples"
+
+
+@pytest.mark.parametrize(
+    ("name", "message", "told"),
+    [
+        ("pedals", "Pedals_Position", []),
+        (
+            "pedals-eec2",
+            "EEC2",
+            [
+                "pedals.can: has no brake: brake over throttle is not watched",
+                "pedals.can: has no counter: a node that repeats its last frame is believed",
+                (
+                    "pedals.can.throttle_track2: has the ends of throttle: only the node can see a"
+                    " short between them"
+                ),
+            ],
+        ),
+    ],
+)
+def test_an_example_starts_with_its_own_dbc_the_packaged_one_and_a_message(name, message, told):
+    config, protocol = startable(EXAMPLES / f"{name}.yaml", on_this_machine=False)
+    names = [one.name for one in protocol.messages]
+    assert names == [*(one.name for one in dbc.load(packaged("vcu.dbc")).messages), message]
+    assert core_settings(config).pedals.message == message
+    assert [problem.what for problem in check_effect(config)] == told
+
+
+def test_the_error_codes_of_eec2_are_not_known():
+    config, protocol = startable(EXAMPLES / "pedals-eec2.yaml", on_this_machine=False)
+    reader = PedalReader(core_settings(config).pedals, Codec(protocol).by_name["EEC2"])
+    for raw, doubted in ((0, False), (250, False), (251, True), (0xFE, True), (0xFF, True)):
+        reading = reader.read(reader.decode(bytes([0, raw, 0, 0, 125, 0, 0, 0])))
+        assert ("AccelPedalPos1" in reading.doubts) is doubted
+    assert reading.track2_pct == 50
 
 
 CAN = "pedals.can."

@@ -45,6 +45,8 @@ FROM_THE_TREE = {
     ),
     "usr/share/vcu-gateway/examples/bench-vcan0.yaml": "config/bench-vcan0.yaml",
     "usr/share/vcu-gateway/examples/tuning.yaml": "config/examples/tuning.yaml",
+    "usr/share/vcu-gateway/examples/pedals.yaml": "config/examples/pedals.yaml",
+    "usr/share/vcu-gateway/examples/pedals.dbc": "config/examples/pedals.dbc",
     "usr/share/vcu-gateway/examples/scenarios/bms-silent.yaml": "config/scenarios/bms-silent.yaml",
     "usr/share/doc/vcu-gateway/README.md": "README.md",
     "usr/share/doc/vcu-gateway/SECURITY.md": "SECURITY.md",
