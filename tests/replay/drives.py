@@ -23,8 +23,13 @@ from vcu_gateway.simulator.nodes import VehicleFault
 MS = 1_000_000
 BEGIN_NS = 5_000_000 * MS
 WALL_NS = 1_795_000_000_000_000_000
-DBC_TEXT = packaged("vcu.dbc").read_text(encoding="utf-8")
-CODEC = Codec(with_aliases(dbc.load(packaged("vcu.dbc")), DEFAULT_ALIASES))
+
+
+def _codec(path: Path) -> Codec:
+    return Codec(with_aliases(dbc.load(path), DEFAULT_ALIASES))
+
+
+CODEC = _codec(packaged("vcu.dbc"))
 
 
 class SimulatedDrive:
@@ -40,12 +45,15 @@ class SimulatedDrive:
         config: str = "",
         segment_s: float = 60.0,
         faults: Sequence[VehicleFault] = (),
+        dbc_path: Path | None = None,
     ) -> None:
+        path = dbc_path or packaged("vcu.dbc")
+        codec = CODEC if dbc_path is None else _codec(path)
         parsed = configuration.parse(config or "bus: {channel: can0}\n", "config.yaml")
         settings = configuration.core_settings(parsed)
         self.now_ns, self.tap = BEGIN_NS, Tap()
-        self.gateway = TappedGateway(CODEC, settings, self.now_ns, self.tap)
-        self.nodes = simulator.build(CODEC, self.now_ns, faults=faults)
+        self.gateway = TappedGateway(codec, settings, self.now_ns, self.tap)
+        self.nodes = simulator.build(codec, self.now_ns, faults=faults)
         self.demanded: ControllerDemand | None = ControllerDemand()
         self.taken, self.silent = True, set[str]()
         self.change: Callable[[str, bytes], bytes] = lambda name, data: data
@@ -58,7 +66,7 @@ class SimulatedDrive:
             settings=settings,
             config=config or "bus: {channel: can0}\n",
             config_digest=configuration.digest(parsed),
-            dbc=DBC_TEXT,
+            dbc=path.read_text(encoding="utf-8"),
             dbc_digest="",
         )
         self.writer = DriveWriter(

@@ -9,14 +9,15 @@ commands.
 Closed loop: the simulated vehicle answers, and the recorded demands drive.
 
 Requests, demands and ticks come when they were recorded; every frame comes from the simulator. It
-knows nothing of what was wrong with the recorded vehicle.
+knows nothing of what was wrong with the recorded vehicle. Frames of pedals on CAN are the driver's.
 """
 
 import json
+from collections.abc import Sequence
 
 from vcu_gateway import simulator
 from vcu_gateway.core import calls
-from vcu_gateway.core.codec import Codec
+from vcu_gateway.core.codec import Codec, MessageCodec
 from vcu_gateway.core.demand import ControllerDemands, RequestResult
 from vcu_gateway.core.gateway import CoreCall, Gateway, TickResult
 from vcu_gateway.core.j1939 import Frame
@@ -192,14 +193,26 @@ class _Loop:
     def __init__(self, codec: Codec, record: Checkpoint, settings: Settings) -> None:
         self.gateway: Gateway = begun(record, codec, settings)
         self._nodes = simulator.build(codec, record.now_ns)
+        self._find = codec.find
+        self._pedals = None if settings.pedals is None else settings.pedals.message
+
+    def move_pedals(self, frames: Sequence[Frame]) -> None:
+        """The driver's feet, where they are on CAN; of all recorded frames those alone count."""
+        for frame in frames if self._pedals is not None else ():
+            found = self._find(frame)
+            if isinstance(found, MessageCodec) and found.spec.name == self._pedals:
+                self.gateway.receive(frame)
 
     def tick(self, now_ns: int) -> TickResult:
         """Let the vehicle go on until now, and decide."""
         nodes, receive = self._nodes, self.gateway.receive
         while (due_ns := nodes.next_due_ns()) <= now_ns:
             for one in nodes.due(due_ns):
-                receive(Frame(one.can_id, one.data, due_ns))
+                if one.message != self._pedals:
+                    receive(Frame(one.can_id, one.data, due_ns))
         result = self.gateway.tick(now_ns)
+        if self._pedals is not None and (demanded := self.gateway.requests.demanded(now_ns)):
+            self.press_brake(demanded)
         for frame in result.frames:
             self.gateway.sent(frame, True, now_ns)
             nodes.receive(frame.can_id, frame.data, now_ns)
@@ -247,6 +260,9 @@ class ClosedLoop:
         if not self._loops:
             if isinstance(record, Checkpoint):
                 self._begin(record)
+        elif isinstance(record, FrameRun):
+            for loop in self._loops:
+                loop.move_pedals(record.frames)
         elif isinstance(record, InputRecord):
             self._input(record.input)
         elif isinstance(record, TickRecord):
