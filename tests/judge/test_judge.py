@@ -409,8 +409,8 @@ def test_frames_that_the_bus_did_not_take_are_not_what_the_next_ones_follow(reco
 def test_a_drive_that_breaks_a_rule_is_exit_1_with_the_rule(recorded, monkeypatch):
     """The replay is equal, and what it is equal to is wrong."""
 
-    def stricter(settings, aliases):
-        return replace(limits_of(settings, aliases), throttle_slew_pct_per_s=50.0)
+    def stricter(*given):
+        return replace(limits_of(*given), throttle_slew_pct_per_s=50.0)
 
     monkeypatch.setattr("vcu_gateway.replay.judged.limits_of", stricter)
     ran = replay(recorded["ordinary"])

@@ -75,10 +75,12 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return one.end()
 
 
-def test_a_drive_with_pedals_is_replayed_to_the_byte(drive):
-    found = replay(drive, "--json").values["replay"]
-    assert found["equal"]
-    assert found["ticks"] > 180
+def test_a_drive_with_pedals_is_replayed_to_the_byte_and_its_verdict_holds(drive):
+    ran = replay(drive, "--json")
+    assert ran.values["replay"]["equal"]
+    assert ran.values["replay"]["ticks"] > 180
+    assert ran.values["verdict"]["violations"] == []
+    assert ran.code == 0
 
 
 def test_a_replay_from_its_middle_begins_with_what_was_remembered(drive, tmp_path):

@@ -7,7 +7,13 @@ keep the core, the drive's readers and the configuration out.
 from vcu_gateway.judge.command_rules import SentFrame
 from vcu_gateway.judge.demands import GrantedDemand
 from vcu_gateway.judge.judge import Judge
-from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
+from vcu_gateway.judge.limits import (
+    JudgedDemand,
+    JudgedPedals,
+    JudgedSignal,
+    JudgedTrack,
+    VerdictLimits,
+)
 from vcu_gateway.judge.result import DriveVerdict, Findings, ReactionTime, Violation
 
 __all__ = [
@@ -16,6 +22,9 @@ __all__ = [
     "GrantedDemand",
     "Judge",
     "JudgedDemand",
+    "JudgedPedals",
+    "JudgedSignal",
+    "JudgedTrack",
     "ReactionTime",
     "SentFrame",
     "VerdictLimits",

@@ -56,6 +56,14 @@ class GrantedDemands:
         self.known = True
         self._judge(demand.controllers, demand.made_ns, now_ns)
 
+    def doubted(self, demand: GrantedDemand) -> None:
+        """Take a demand of pedals that are not believed: it releases nothing, and holds a tick."""
+        self.current = self._judged = demand
+        self.known = True
+        self._note_directions(demand.controllers)
+        self._released_since_ns = None
+        self._this_interval.add("a pedal is not believed")
+
     def ended(self) -> None:
         if self.current is not None:
             self.current = self.current._replace(made_ns=-(10**18), ttl_ms=0)
@@ -63,6 +71,9 @@ class GrantedDemands:
     def fresh(self, now_ns: int) -> bool:
         """True while there is a demand that counts."""
         return self.current is not None and self.current.fresh(now_ns)
+
+    def is_owner(self, source: str) -> bool:
+        return self.current is not None and self.current.source == source
 
     def of(self, controller: str) -> JudgedDemand | None:
         """What is demanded of a controller, fresh or not."""

@@ -36,6 +36,7 @@ from vcu_gateway.judge.command_rules import (
 from vcu_gateway.judge.demands import GrantedDemand, GrantedDemands
 from vcu_gateway.judge.limits import JudgedDemand, VerdictLimits
 from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
+from vcu_gateway.judge.pedal_frames import PEDALS, PedalsDemand, PedalsReading
 from vcu_gateway.judge.result import Findings, Reactions
 from vcu_gateway.judge.tuning_rules import TuningCaps, TuningRules, TuningTick
 from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MOTOR_HIGHEST_RPM, MS
@@ -65,6 +66,7 @@ class Judge:
         self._arrivals = Arrivals(limits, complete=complete)
         self._bus = BusState()
         self._demands = GrantedDemands(limits.bench_demand, known=complete)
+        self._pedals = None if limits.pedals is None else PedalsReading(limits.pedals)
         self._unconfirmed = Unconfirmed()
         self._held = HeldEffects()
         self._ramps = LimitRamps(limits)
@@ -80,6 +82,7 @@ class Judge:
         self._regenerates = not complete
         self._complete = complete
         self._emergency = False
+        self._armed_ns: int | None = None
         self._restart_state_kept = True
         self._tick = tick
 
@@ -87,6 +90,9 @@ class Judge:
 
     def frames(self, frames: Iterable[BusFrame]) -> None:
         """Take in frames in the order in which they came."""
+        if self._pedals is not None:
+            frames = list(frames)
+            self._pedals.collect(frames)
         for frame in self._arrivals.receive(frames):
             if frame.error:
                 self._bus.error_frame(frame.can_id, bytes(frame.data), frame.arrival_ns)
@@ -137,6 +143,7 @@ class Judge:
         ):
             reason = f"SpeedLimit has not come down to {self._caps.speed_rpm:.0f} rpm"
         self.requests.armed(self._tick, now_ns, reason)
+        self._armed_ns = now_ns
 
     def _turns(self, demands: GrantedDemands) -> bool:
         demanded = [(one.command, demands.of(name)) for name, one in self._before.items()]
@@ -178,6 +185,8 @@ class Judge:
         """Judge a tick: the mode it told and the command of each controller."""
         elapsed_ns = self.limits.period_ns if self._last_ns is None else now_ns - self._last_ns
         late_ns = max(0, elapsed_ns - self.limits.period_ns)
+        if self._pedals is not None:
+            self._take_pedals(self._pedals, now_ns)
         found = list(self._found(now_ns, late_ns))
         new = self._held.update(found, self.limits.clear_hold_ms, now_ns)
         causes = TickCauses(
@@ -202,6 +211,32 @@ class Judge:
             self._tick, now_ns, late_ns, sent, [*new] if was_active else _cuts(new)
         )
         self._end_tick(now_ns, sent)
+
+    def _take_pedals(self, pedals: PedalsReading, now_ns: int) -> None:
+        """Frames of the pedals since the last tick; another owner's fresh demand counts first."""
+        demands, limits = self._demands, self.limits
+        for one in pedals.demands(now_ns, limits.period_ms):
+            owner = demands.current
+            at_ns = one.demand.made_ns if owner is None else max(one.demand.made_ns, owner.made_ns)
+            if one.resumed and demands.is_owner(PEDALS):
+                demands.ended()
+            self.offered(at_ns)
+            outranks = limits.pedals is not None and owner and limits.pedals.outranks(owner.source)
+            if demands.fresh(at_ns) and not demands.is_owner(PEDALS) and not outranks:
+                continue
+            self._take_one(one, at_ns)
+        if pedals.silent(now_ns) and demands.is_owner(PEDALS):
+            demands.ended()
+
+    def _take_one(self, one: PedalsDemand, at_ns: int) -> None:
+        if one.known:
+            self.demand(one.demand, at_ns)
+        else:
+            self._demands.doubted(one.demand)
+        armed_ns = self._armed_ns
+        pressed = self._demands.released_for_ns(at_ns) is None
+        if armed_ns is not None and pressed and at_ns < armed_ns:
+            self.requests.left_active()
 
     def _found(self, now_ns: int, late_ns: int) -> list[Seen]:
         arrivals = self._arrivals

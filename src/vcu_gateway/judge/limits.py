@@ -47,6 +47,68 @@ ModeKeys = Mapping[str, Any]
 """Drive mode, by the keys below its name."""
 
 
+class JudgedSignal(NamedTuple):
+    """Signal as the recorded DBC lays it out.
+
+    Attributes:
+        positions: its bits in the frame, the least significant first.
+        lowest, highest: codes of its range; others, and `saturated`, are not known.
+    """
+
+    positions: tuple[int, ...]
+    signed: bool
+    factor: float
+    offset: float
+    lowest: int
+    highest: int
+    saturated: int | None
+
+    def raw(self, bits: int) -> int:
+        code = sum((bits >> place & 1) << weight for weight, place in enumerate(self.positions))
+        negative = self.signed and code >> len(self.positions) - 1
+        return code - (1 << len(self.positions)) if negative else code
+
+    def known_raw(self, bits: int) -> int | None:
+        code = self.raw(bits)
+        return code if self.lowest <= code <= self.highest and code != self.saturated else None
+
+
+class JudgedTrack(NamedTuple):
+    """Pedal's signal and both ends of its travel."""
+
+    signal: JudgedSignal
+    released: float
+    pressed: float
+
+
+class JudgedPedals(NamedTuple):
+    """Pedals on CAN.
+
+    Attributes:
+        checksum: its byte and its kind.
+        coast: points of travel (%) and Brake (%); empty without.
+        priorities: of sources.
+    """
+
+    can_id: int
+    period_ms: int
+    throttle: JudgedTrack
+    track2: JudgedTrack | None
+    brake: JudgedTrack | None
+    counter: JudgedSignal | None
+    checksum: tuple[int, str] | None
+    reverse: JudgedSignal | None
+    power_mode: int
+    regen_brake: bool
+    dead_zone_pct: float
+    coast: tuple[tuple[float, float], ...]
+    priorities: Mapping[str, int]
+
+    def outranks(self, source: str) -> bool:
+        """The pedals take the demand over from this source while that one's is fresh."""
+        return self.priorities.get("pedals", 0) > self.priorities.get(source, 0)
+
+
 @dataclass(frozen=True)
 class VerdictLimits:
     """Configuration as far as docs/safety.md has it.
@@ -56,6 +118,7 @@ class VerdictLimits:
         aliases: further identifiers of messages.
         bench_demand: static demand of a test bench; None on a vehicle.
         tuning: curves, drive modes and laws by whole keys, as a recording has them; may be empty.
+        pedals: pedals on CAN; None without them.
     """
 
     period_ms: float
@@ -85,6 +148,7 @@ class VerdictLimits:
     speed_fall_rpm_per_s: float
     speed_return_rpm_per_s: float
     tuning: Mapping[str, Any]
+    pedals: JudgedPedals | None = None
 
     @cached_property
     def stale_ns(self) -> Mapping[str, int]:

@@ -202,7 +202,7 @@ class _DriveReplay:
             raise DataError(Problem(what, self._drive.place, remedy)) from error
 
     def _verdict(self) -> DriveVerdict:
-        judged = JudgedRecords(self._drive.info.settings, self._protocol.aliases)
+        judged = JudgedRecords(self._drive.info.settings, self._protocol.aliases, self._protocol)
         with self._telling_where():
             for record in self._records():
                 judged.note(record)

@@ -8,11 +8,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from vcu_gateway.core import calls
+from vcu_gateway.core.can_pedals import CanPedals, PedalTrack
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand
 from vcu_gateway.core.gateway import CoreCall
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.judge import (
     DriveVerdict,
@@ -20,6 +22,9 @@ from vcu_gateway.judge import (
     GrantedDemand,
     Judge,
     JudgedDemand,
+    JudgedPedals,
+    JudgedSignal,
+    JudgedTrack,
     SentFrame,
     VerdictLimits,
 )
@@ -39,16 +44,60 @@ _NOT_JUDGED = (
 )
 
 
-def limits_of(settings: Settings, aliases: Mapping[int, str]) -> VerdictLimits:
+def limits_of(
+    settings: Settings, aliases: Mapping[int, str], protocol: ProtocolSpec | None = None
+) -> VerdictLimits:
+    """Limits of the verdict; pedals on CAN need the DBC's layout of their message."""
     names = {one.name for one in dataclasses.fields(VerdictLimits)}
-    names &= {one.name for one in dataclasses.fields(settings)}
+    names &= {one.name for one in dataclasses.fields(settings)} - {"pedals"}
     values: dict[str, Any] = {name: getattr(settings, name) for name in names}
     bench = settings.bench_demand
     values["bench_demand"] = (
         None if bench is None else dict.fromkeys(CONTROLLERS, _demand_of(bench))
     )
     values["tuning"] = settings_json(settings).get("tuning", {})
+    if settings.pedals is not None and protocol is not None:
+        message = protocol.message(settings.pedals.message)
+        values["pedals"] = _pedals_of(settings.pedals, message, settings.priorities)
     return VerdictLimits(**values, period_ms=settings.period_ns / 1e6, aliases=aliases)
+
+
+def _pedals_of(
+    pedals: CanPedals, message: MessageSpec, priorities: Mapping[str, int]
+) -> JudgedPedals:
+    def signal(name: str) -> JudgedSignal:
+        one = message.signal(name)
+        return JudgedSignal(
+            one.bit_positions(), one.signed, one.factor, one.offset,
+            one.raw_minimum, one.raw_maximum, one.saturated_raw,
+        )  # fmt: skip
+
+    def or_none(name: str | None) -> JudgedSignal | None:
+        return None if name is None else signal(name)
+
+    def track(one: PedalTrack) -> JudgedTrack:
+        return JudgedTrack(signal(one.signal), one.released, one.pressed)
+
+    second, brake, curve = pedals.throttle_track2, pedals.brake, pedals.coast_brake
+    checksum: tuple[int, str] | None = None
+    if pedals.checksum is not None:
+        place = min(message.signal(pedals.checksum.signal).bit_positions())
+        checksum = place // 8, pedals.checksum.kind
+    return JudgedPedals(
+        can_id=message.can_id,
+        period_ms=message.period_ms or 0,
+        throttle=track(pedals.throttle),
+        track2=None if second is None else track(second),
+        brake=None if brake is None else track(brake),
+        counter=or_none(pedals.counter),
+        checksum=checksum,
+        reverse=or_none(pedals.reverse),
+        power_mode=pedals.power_mode.value,
+        regen_brake=pedals.regen_brake,
+        dead_zone_pct=pedals.dead_zone_pct,
+        coast=() if curve is None else curve.points,
+        priorities=priorities,
+    )
 
 
 def _demand_of(one: ControllerDemand) -> JudgedDemand:
@@ -71,9 +120,12 @@ class JudgedRecords:
         findings: violations and reaction times so far.
     """
 
-    def __init__(self, settings: Settings, aliases: Mapping[int, str]) -> None:
+    def __init__(
+        self, settings: Settings, aliases: Mapping[int, str], protocol: ProtocolSpec | None = None
+    ) -> None:
         self.findings = Findings()
         self._aliases = aliases
+        self._protocol = protocol
         self._settings = settings
         self._judge: Judge | None = None
         self._pending: tuple[int, str] | None = None
@@ -87,7 +139,7 @@ class JudgedRecords:
     def begin(self, settings: Settings, tick: int) -> Judge:
         """A stretch begins, with the gateway's start where `tick` is 0."""
         self.end()
-        limits = limits_of(settings, self._aliases)
+        limits = limits_of(settings, self._aliases, self._protocol)
         judge = Judge(limits, self.findings, complete=tick == 0, tick=tick)
         if settings.auto_arm and settings.bench_demand is not None:
             judge.requests.bench()
@@ -159,7 +211,7 @@ class JudgedRecords:
             if record.answer is not None and not record.answer.granted:
                 return
             if isinstance(one, calls.ReloadSettings):
-                judge.reload(limits_of(one.settings, self._aliases))
+                judge.reload(limits_of(one.settings, self._aliases, self._protocol))
             elif tell := _GRANTED.get(type(one)):
                 tell(judge, one)
 
