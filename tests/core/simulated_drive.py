@@ -226,7 +226,7 @@ class Drive:
     def reset(self, level: FaultClass = FaultClass.SERVICE) -> RequestResult:
         return self.gateway.apply(calls.Reset(level, self.now_ns))
 
-    def twin(self) -> "Drive":
+    def twin(self) -> Self:
         """A copy that goes its own way; only the protocol is shared."""
         shared = {id(one): one for one in (CODEC, PROTOCOL, *PROTOCOL.messages)}
         return deepcopy(self, shared)

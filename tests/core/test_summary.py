@@ -68,7 +68,8 @@ def words_of(finding: Finding) -> str:
 
 def test_the_rows_of_the_rules_have_every_effect_and_every_subject():
     assert {one.effect for one in FINDINGS} == set(Effect) - {Effect.CAP}
-    subjects = {one.subject for one in FINDINGS}
+    # Pedals on CAN have the names of the vehicle's own DBC, and only raise an alarm.
+    subjects = {one.subject for one in FINDINGS if not one.cause.startswith("pedal_")}
     used = {one if one in WORDS else one.partition("_")[0] for one in subjects}
     assert used == set(WORDS)
 

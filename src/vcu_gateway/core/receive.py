@@ -117,8 +117,10 @@ class Receiver:
     def counters(
         self, blocked_by_gate: Mapping[str, int], pedal_frames: PedalFrames
     ) -> FrameCounters:
+        rejected: dict[Reason | PedalFault, int] = dict(self.rejected.items())
+        rejected.update(pedal_frames.rejected.items())
         return FrameCounters(
-            rejected={**self.rejected, **pedal_frames.rejected},
+            rejected=rejected,
             out_of_order=self.store.out_of_order,
             unjudged=self.store.unjudged,
             confirmed=dict(self.confirmed),
