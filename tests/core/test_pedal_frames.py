@@ -15,7 +15,7 @@ from vcu_gateway.core.can_pedals import (
     of_values,
     values,
 )
-from vcu_gateway.core.codec import compile_message
+from vcu_gateway.core.codec import Codec, compile_message
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode, Refusal
 from vcu_gateway.core.j1939 import Frame
@@ -257,6 +257,28 @@ def test_a_latch_outlasts_a_silence_which_begins_the_second_anew(node):
     assert node.sends().known
 
 
+def test_one_track_alone_is_latched_and_released_as_two_are():
+    node = latched(Node(CanPedals("Pedals_Position", PEDALS.throttle)))
+    assert node.sends(Throttle1=0).controllers["PCU1"].throttle_track2_pct is None
+    for _ in range(51):
+        demand = node.sends()
+    assert demand.known
+    assert demand.controllers["PCU1"].throttle_track2_pct is None
+
+
+def test_a_direction_that_was_never_known_is_forwards(node):
+    assert not node.sends(ReverseSwitch=2).controllers["PCU1"].motor_reverse
+
+
+def test_frames_that_remember_the_same_are_equal():
+    one, other = Node(), Node()
+    assert one.frames == other.frames
+    assert one.frames != one
+    assert [one.sends().sequence, one.sends().sequence] == [1, 2]
+    assert one.frames != other.frames
+    assert one.frames.observe(0) is None
+
+
 # Frames that are no demand.
 
 
@@ -356,6 +378,14 @@ def test_silence_is_counted_from_the_last_frame_that_was_a_demand(node, beyond_n
     assert node.sends(40 * MS + beyond_ns).resumed is silent
 
 
+def test_a_message_of_another_period_expires_by_it():
+    message = replace(POSITION, period_ms=50)
+    frames = PedalFrames(PEDALS, Codec(replace(CODEC.protocol, messages=(message,))))
+    assert frames.demand_of(Frame(message.can_id, frame_data(1), NOW_NS), NOW_NS) is not None
+    assert [frames.silent(NOW_NS + 150 * MS + beyond_ns) for beyond_ns in (0, 1)] == [False, True]
+    assert frames.ttl_ms(50 * MS) == 200
+
+
 def test_without_a_demand_there_is_silence(node):
     assert node.frames.silent(0)
     assert node.sends().resumed
@@ -439,7 +469,7 @@ def test_a_frame_that_is_not_believed_holds_the_tick_whatever_follows_it():
     assert drive.mode is Mode.ACTIVE
 
 
-def test_throttle_is_0_while_a_pedal_is_not_believed_and_until_its_release_after_100_ms():
+def test_after_100_ms_without_belief_throttle_is_0_until_both_tracks_were_released():
     drive = driving(50)
     drive.feet = pressed(50) | {"Throttle2": 0}
     drive.run(200)

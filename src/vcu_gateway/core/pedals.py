@@ -43,10 +43,9 @@ class _PedalState(NamedTuple):
     track2_released: bool
 
 
-_NOT_KNOWN = _PedalState(
-    drives=True, overrides=False, differs=False, released=False, track2_released=False
-)
-"""Pedals that are not to be believed: they may be anywhere."""
+def _not_known(differs: bool) -> _PedalState:
+    """Pedals that are not to be believed: they may be anywhere."""
+    return _PedalState(True, False, differs, False, False)
 
 
 class Pedals:
@@ -78,8 +77,7 @@ class Pedals:
         self._note_directions(demanded)
         if not known:
             self._this_interval.add(ThrottleHold.SIGNAL)
-            differs = self._differ_since_ns is not None
-            self._judged = demanded, _NOT_KNOWN._replace(differs=differs)
+            self._judged = demanded, _not_known(self._differ_since_ns is not None)
         state = self._state_of(demanded)
         self._judge_zero(state, now_ns)
         self._judge_tracks(state, made_ns, now_ns)
