@@ -20,7 +20,7 @@ from vcu_gateway.judge.wire import (
     PERCENT_PER_BIT,
     POWER_MODES,
     WHEEL_SPEEDS,
-    Quantity,
+    ReceivedSignals,
 )
 
 _FULL_PCT, _RELEASED_PCT = 100.0, 5.0
@@ -209,7 +209,7 @@ class TuningRules:
         return {name: one.pct for name, one in caps.items()}
 
 
-def _values(one: Quantity, arrivals: Arrivals, now_ns: int) -> list[float] | None:
+def _values(one: ReceivedSignals, arrivals: Arrivals, now_ns: int) -> list[float] | None:
     """Every value since the tick before; None where the input is not known."""
     if any(arrivals.stale(name, now_ns) for name in one.messages):
         return None

@@ -37,7 +37,7 @@ _COMMANDED = {0x0008A7, 0x0008A8, 0x0008FF}
 REVERSE, _REGEN, _CUT, _UNUSED = 0x10, 0x20, 0x80, 0x43
 
 
-class Quantity(NamedTuple):
+class ReceivedSignals(NamedTuple):
     """Signals that are received: where they stand, and what their codes mean.
 
     Attributes:
@@ -59,17 +59,17 @@ class Quantity(NamedTuple):
 
 _STATUS1 = tuple(f"{name}_Status1" for name in CONTROLLERS)
 _STATUS2 = tuple(f"{name}_Status2" for name in CONTROLLERS)
-_PACKS = Quantity(("BMS_Temperatures",), (0, 1, 2, 3, 4), 1, 250, offset=-50.0)
+_PACKS = ReceivedSignals(("BMS_Temperatures",), (0, 1, 2, 3, 4), 1, 250, offset=-50.0)
 MOTOR_HIGHEST_RPM = 6_000
-MOTOR_SPEED = Quantity(_STATUS2, (6,), 2, MOTOR_HIGHEST_RPM)
-WHEEL_SPEEDS = Quantity(("ARD2_SteeringWheel",), (2, 4), 2, 65_535)
-INPUTS: Mapping[str, Quantity] = {
-    "motor_temperature_c": Quantity(_STATUS1, (7,), 1, 255),
-    "controller_temperature_c": Quantity(_STATUS1, (6,), 1, 150),
+MOTOR_SPEED = ReceivedSignals(_STATUS2, (6,), 2, MOTOR_HIGHEST_RPM)
+WHEEL_SPEEDS = ReceivedSignals(("ARD2_SteeringWheel",), (2, 4), 2, 65_535)
+INPUTS: Mapping[str, ReceivedSignals] = {
+    "motor_temperature_c": ReceivedSignals(_STATUS1, (7,), 1, 255),
+    "controller_temperature_c": ReceivedSignals(_STATUS1, (6,), 1, 150),
     "pack_temperature_max_c": _PACKS,
     "pack_temperature_min_c": _PACKS,
-    "soc_pct": Quantity(("BMS_Status",), (4,), 1, 100),
-    "battery_voltage_v": Quantity(_STATUS2, (0,), 2, 65_534, per_bit=1 / 128),
+    "soc_pct": ReceivedSignals(("BMS_Status",), (4,), 1, 100),
+    "battery_voltage_v": ReceivedSignals(_STATUS2, (0,), 2, 65_534, per_bit=1 / 128),
     "motor_speed_rpm": MOTOR_SPEED,
 }
 """Inputs of curves, as keys name them (docs/safety.md, Tuning)."""
