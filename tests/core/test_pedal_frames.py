@@ -674,3 +674,9 @@ def test_a_static_demand_of_a_bench_stays_the_owner():
     drive = PedalDrive(bench_demand=ControllerDemand(throttle_pct=10))
     drive.run(300)
     assert drive.gateway.requests.arbiter.current.source == "bench"
+
+
+def test_without_pedals_in_the_configuration_no_frame_is_a_demand():
+    gateway = Drive().gateway
+    frame = Frame(0x18FF0001, bytes(8), NOW_NS)
+    assert gateway.requests.pedal_frames.demand_of(frame, NOW_NS) is None
