@@ -267,7 +267,7 @@ test-realtime: $(TESTED) test-guests
 		--env VCU_REQUIRE_REALTIME=1 -- $(IN_GUEST) tests/controller/test_realtime.py
 
 # What each runs after the README's commands; together they prove every Python that is claimed.
-SYSTEMS_ci := bookworm:smoke noble:smoke trixie:quick forky:smoke
+SYSTEMS_ci := bookworm:smoke noble:smoke trixie:smoke forky:smoke
 SYSTEMS_nightly := bookworm:whole noble:quick trixie:whole forky:quick
 SYSTEMS := $(SYSTEMS_$(LEVEL))
 test-systems: $(TESTED)  ## the README's commands in clean systems, or SYSTEMS="trixie:whole"; with them, every Python
