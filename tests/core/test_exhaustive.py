@@ -269,6 +269,7 @@ ACTIVE_ALONE = [
 ]
 
 
+@pytest.mark.timeout(400)  # 65,536 words: a minute of a processor that others want too
 @pytest.mark.parametrize("prepared", ACTIVE_ALONE, indirect=True)
 def test_every_word_of_the_battery_has_its_effects_and_no_others(prepared):
     for byte6, byte7 in product(range(256), repeat=2):

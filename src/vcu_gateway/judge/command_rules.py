@@ -368,7 +368,7 @@ def asymmetry(
     then = abs(before["PCU1"].command.throttle_raw - before["PCU2"].command.throttle_raw)
     most_pct = 0.0 if limits.slip is None else limits.slip["asymmetry_max_pct"]
     most_pct += _APART_STEPS * limits.throttle_slew_pct_per_s * limits.period_ns / _NS_PER_S
-    if apart > max(then, most_pct / PERCENT_PER_BIT + _ROUNDING):
+    if apart > max(then, most_pct / PERCENT_PER_BIT) + _ROUNDING:
         seen = f"throttles {apart * PERCENT_PER_BIT:.1f} % apart, at most {most_pct:.1f} %"
         yield "gate asymmetry", seen
 
