@@ -578,6 +578,12 @@ def test_a_safe_frame_needs_no_demand(gate, safe):
     assert_passes(gate, data, demanded=None)
 
 
+def test_power_modes_of_two_frames_are_the_same_or_not():
+    eco, turbo = frame(0x00, throttle=10), frame(0x08, throttle=10)
+    assert gate_module.same_power_mode(eco, eco)
+    assert not gate_module.same_power_mode(eco, turbo)
+
+
 def test_without_a_demand_nothing_but_a_safe_frame_passes(gate):
     assert_blocked(gate, "not_demanded", frame(throttle=0), demanded=None)
 

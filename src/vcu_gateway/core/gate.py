@@ -242,6 +242,11 @@ class Gate:
         return sent.data[1] + earned_pct / _PERCENT_PER_BIT + 1
 
 
+def same_power_mode(one: bytes, other: bytes) -> bool:
+    """Whether two command frames have the same PowerMode; only then their throttles compare."""
+    return (one[0] ^ other[0]) & _MODE_MASK == 0
+
+
 def _mode_rank(data: bytes) -> int:
     return _RISING.index(data[0] & _MODE_MASK)
 

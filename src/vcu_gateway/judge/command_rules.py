@@ -364,6 +364,8 @@ def asymmetry(
     whole = all(name in sent and len(sent[name].data) == LENGTH for name in CONTROLLERS)
     if first is None or first != second or not whole or len(before) != len(CONTROLLERS):
         return
+    if (sent["PCU1"].data[0] ^ sent["PCU2"].data[0]) & 0x0C:
+        return  # one PowerMode may wait for the release
     apart = abs(sent["PCU1"].data[1] - sent["PCU2"].data[1])
     then = abs(before["PCU1"].command.throttle_raw - before["PCU2"].command.throttle_raw)
     most_pct = 0.0 if limits.slip is None else limits.slip["asymmetry_max_pct"]
