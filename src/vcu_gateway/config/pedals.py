@@ -88,6 +88,7 @@ class CanPedalsSection(Section):
         le=10,
         description="Travel at either end that asks for 0 and for 100 %.",
     )
+    # A type that is made from a table, as those of config/tuning.py.
     coast_brake_pct: _COAST_TYPE = _COAST_FIELD  # type: ignore[valid-type]
     single_track_bench_use_only: Confirmation | None = Field(
         default=None,

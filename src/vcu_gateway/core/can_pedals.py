@@ -12,7 +12,6 @@ from typing import Any, Literal, NamedTuple
 from vcu_gateway.core.codec import Decoded, MessageCodec
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import PowerMode
-from vcu_gateway.core.spec import MessageSpec
 
 _BEYOND_MAX_PCT = 10.0
 _ROUNDING_PCT = 1e-9  # a value at the very limit is not beyond it
@@ -101,16 +100,18 @@ class PedalReader:
         self._checksum_byte: int | None = None
         if pedals.checksum is not None:
             self._checksum_byte = codec.spec.signal(pedals.checksum.signal).start_bit // 8
-        self._next_counter = _following(codec.spec, pedals.counter)
+        self._counter = None if pedals.counter is None else codec.spec.signal(pedals.counter)
 
     def counter(self, decoded: Decoded) -> int | None:
         """Counter of a frame; None where the message has none."""
-        name = self._pedals.counter
-        return None if name is None else decoded.raws[self._indexes[name]]
+        return None if self._counter is None else decoded.raws[self._indexes[self._counter.name]]
 
     def follows(self, counter: int | None, before: int | None) -> bool:
         """Whether this counter is the next one; nothing is held against the first."""
-        return counter is None or before is None or counter == self._next_counter(before)
+        if self._counter is None or before is None:
+            return True
+        wraps = before >= self._counter.raw_maximum
+        return counter == (self._counter.raw_minimum if wraps else before + 1)
 
     def checksum_holds(self, data: bytes | bytearray) -> bool:
         byte, checksum = self._checksum_byte, self._pedals.checksum
@@ -163,23 +164,6 @@ class PedalReader:
             return raw == 1
         doubts[name] = f"code {raw} is neither forwards nor reverse"
         return None
-
-
-class _Following:
-    """The counter behind another one, in the range of its signal."""
-
-    def __init__(self, lowest: int, highest: int) -> None:
-        self._lowest, self._highest = lowest, highest
-
-    def __call__(self, before: int) -> int:
-        return self._lowest if before >= self._highest else before + 1
-
-
-def _following(spec: MessageSpec, counter: str | None) -> _Following:
-    if counter is None:
-        return _Following(0, 0)
-    signal = spec.signal(counter)
-    return _Following(signal.raw_minimum, signal.raw_maximum)
 
 
 def _crc_table() -> bytes:
