@@ -286,6 +286,26 @@ def test_power_mode_safety_of_one_controller_ends_with_released_throttle_of_both
     assert modes(drive) == [PowerMode.ECO] * 2
 
 
+def test_a_controller_whose_power_mode_waits_in_safety_stays_behind_and_no_frame_is_blocked():
+    drive = active()
+    drive.demanded = None
+    parked = replace(PUSHED, power_mode=PowerMode.SAFETY)
+    for _ in range(6):
+        drive.offer(PUSHED, controllers={"PCU1": PUSHED, "PCU2": parked})
+        drive.tick()
+    drive.demanded = replace(PUSHED, throttle_pct=100)
+    drive.run(1000)
+    assert throttles(drive)[0] > 200
+    assert throttles(drive)[1] == 0
+    assert modes(drive)[1] == PowerMode.SAFETY
+    assert drive.gateway.transmitter.gate.blocked == {}
+    drive.demanded = replace(PUSHED, throttle_pct=0)
+    drive.run(200)
+    drive.demanded = PUSHED
+    drive.run(2000)
+    assert len(set(throttles(drive))) == 1
+
+
 def test_power_mode_does_not_rise_with_throttle_where_a_limit_ends():
     drive = active()
     drive.demanded = replace(PUSHED, power_mode=PowerMode.TURBO)

@@ -578,12 +578,6 @@ def test_a_safe_frame_needs_no_demand(gate, safe):
     assert_passes(gate, data, demanded=None)
 
 
-def test_power_modes_of_two_frames_are_the_same_or_not():
-    eco, turbo = frame(0x00, throttle=10), frame(0x08, throttle=10)
-    assert gate_module.same_power_mode(eco, eco)
-    assert not gate_module.same_power_mode(eco, turbo)
-
-
 def test_without_a_demand_nothing_but_a_safe_frame_passes(gate):
     assert_blocked(gate, "not_demanded", frame(throttle=0), demanded=None)
 
@@ -592,6 +586,11 @@ def test_without_a_demand_nothing_but_a_safe_frame_passes(gate):
 
 STEP_PCT = 5.0
 APART_RAW = int(4 * STEP_PCT / 0.39) + 1  # four steps of the slew, rounded
+
+
+def check_both(gate, throttles, *, first=(0x04, 0x04), demanded_alike=True):
+    data = [frame(byte, throttle=raw) for byte, raw in zip(first, throttles, strict=True)]
+    return gate.check_both(*data, demanded_alike=demanded_alike)
 
 
 def sent_apart(*throttles_raw) -> Gate:
@@ -603,25 +602,34 @@ def sent_apart(*throttles_raw) -> Gate:
 
 @pytest.mark.parametrize("throttles", [(100, 100 + APART_RAW), (100 + APART_RAW, 100), (9, 9)])
 def test_throttles_of_equal_demands_may_be_four_steps_apart(throttles):
-    assert sent_apart(0, 0).check_both(throttles, demanded_alike=True) is None
+    assert check_both(sent_apart(0, 0), throttles) is None
 
 
 @pytest.mark.parametrize("throttles", [(100, 101 + APART_RAW), (101 + APART_RAW, 100), (0, 255)])
 def test_throttles_of_equal_demands_that_are_further_apart_are_blocked(throttles):
     gate = sent_apart(0, 0)
-    assert gate.check_both(throttles, demanded_alike=True) == "asymmetry"
+    assert check_both(gate, throttles) == "asymmetry"
     assert gate.blocked == {"asymmetry": 1}
-    assert gate.check_both(throttles, demanded_alike=False) is None
+    assert check_both(gate, throttles, demanded_alike=False) is None
 
 
 def test_throttles_may_stay_as_far_apart_as_they_were_sent():
     gate = sent_apart(0, 200)
-    assert gate.check_both((10, 211), demanded_alike=True) is None
-    assert gate.check_both((10, 212), demanded_alike=True) == "asymmetry"
+    assert check_both(gate, (10, 211)) is None
+    assert check_both(gate, (10, 212)) == "asymmetry"
+
+
+@pytest.mark.parametrize("first", [(0x0C, 0x04), (0x04, 0x0C)])
+def test_a_controller_in_safety_is_left_behind(first):
+    assert check_both(sent_apart(0, 0), (0, 255), first=first) is None
+
+
+def test_in_other_power_modes_that_differ_throttles_stay_together():
+    assert check_both(sent_apart(0, 0), (0, 255), first=(0x00, 0x08)) == "asymmetry"
 
 
 def test_a_slip_limiter_may_have_them_further_apart():
     slip = replace(LIMITS, tuning=Tuning(slip=SlipLimiter(asymmetry_max_pct=20)))
     gate = Gate(IDS, slip)
-    assert gate.check_both((0, APART_RAW + 51), demanded_alike=True) is None
-    assert gate.check_both((0, APART_RAW + 52), demanded_alike=True) == "asymmetry"
+    assert check_both(gate, (0, APART_RAW + 51)) is None
+    assert check_both(gate, (0, APART_RAW + 52)) == "asymmetry"

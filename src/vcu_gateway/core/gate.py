@@ -114,14 +114,17 @@ class Gate:
         why = self._fault(can_id == own_id, data, armed, demanded, speeds_rpm, sent, now_ns)
         return None if why is None else self._counted(why)
 
-    def check_both(self, throttles_raw: tuple[int, ...], demanded_alike: bool) -> str | None:
+    def check_both(self, first: bytes, second: bytes, demanded_alike: bool) -> str | None:
         """As `check`, of the throttles of one tick's frames together.
 
         Where the demands are alike the difference is within its limit, or does not grow: after
-        different demands one of them may have to come up first.
+        different demands one of them may have to come up first. A PowerMode that waits for the
+        pedal's release holds the throttle of its controller at 0 in SAFETY.
         """
-        apart_raw = max(throttles_raw) - min(throttles_raw) - _ROUNDING
+        apart_raw = abs(first[1] - second[1]) - _ROUNDING
         if apart_raw <= 0 or not demanded_alike:
+            return None
+        if _MODE_SAFETY in (first[0] & _MODE_MASK, second[0] & _MODE_MASK):
             return None
         limits, sent = self.limits, [one.data[1] for one in self._sent.values()]
         step_pct = limits.throttle_slew_pct_per_s * limits.period_ns / _NS_PER_S
@@ -240,11 +243,6 @@ class Gate:
         earned_pct = self.limits.throttle_slew_pct_per_s * elapsed_ns / _NS_PER_S
         # Codes are rounded to the nearest: half a bit up now, half a bit down before.
         return sent.data[1] + earned_pct / _PERCENT_PER_BIT + 1
-
-
-def same_power_mode(one: bytes, other: bytes) -> bool:
-    """Whether two command frames have the same PowerMode; only then their throttles compare."""
-    return (one[0] ^ other[0]) & _MODE_MASK == 0
 
 
 def _mode_rank(data: bytes) -> int:

@@ -8,7 +8,7 @@ from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemands
-from vcu_gateway.core.gate import Gate, same_power_mode
+from vcu_gateway.core.gate import Gate
 from vcu_gateway.core.settings import Settings
 
 
@@ -93,11 +93,8 @@ class Transmitter:
             fault = fault or broken
         if fault or demanded is None or frames[0].data == frames[-1].data:
             return fault
-        throttles_raw = tuple([frame.data[self._throttle_byte] for frame in frames])
         alike = demanded[CONTROLLERS[0]] == demanded[CONTROLLERS[1]]
-        # A PowerMode that waits for the pedal's release may hold one of them at 0.
-        alike = alike and same_power_mode(frames[0].data, frames[-1].data)
-        return self.gate.check_both(throttles_raw, alike)
+        return self.gate.check_both(frames[0].data, frames[-1].data, alike)
 
     def note_sent(self, frame: OutFrame, now_ns: int) -> None:
         throttle_pct = frame.data[self._throttle_byte] * self._throttle.factor

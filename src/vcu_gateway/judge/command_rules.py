@@ -122,6 +122,7 @@ _HALF_BIT = 0.51
 _CONFLICT_THROTTLE_PCT, _CONFLICT_BRAKE_PCT = 25.2, 5.2
 _ECO, _TURBO = 0, 2
 _APART_STEPS = 4
+_SAFETY_BITS = 0x0C
 _NS_PER_S = 1_000_000_000
 
 Broken = Iterator[tuple[str, str]]
@@ -364,8 +365,8 @@ def asymmetry(
     whole = all(name in sent and len(sent[name].data) == LENGTH for name in CONTROLLERS)
     if first is None or first != second or not whole or len(before) != len(CONTROLLERS):
         return
-    if (sent["PCU1"].data[0] ^ sent["PCU2"].data[0]) & 0x0C:
-        return  # one PowerMode may wait for the release
+    if any(sent[name].data[0] & _SAFETY_BITS == _SAFETY_BITS for name in CONTROLLERS):
+        return  # it is held at 0 until its PowerMode may rise
     apart = abs(sent["PCU1"].data[1] - sent["PCU2"].data[1])
     then = abs(before["PCU1"].command.throttle_raw - before["PCU2"].command.throttle_raw)
     most_pct = 0.0 if limits.slip is None else limits.slip["asymmetry_max_pct"]
