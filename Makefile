@@ -120,11 +120,14 @@ test-exhaustive: $(TESTED)
 	$(PYTEST) $(EXHAUSTIVE)
 
 # What judges durations; at night, when it runs alone, each of ten stops in every attack.
+ifeq ($(LEVEL),nightly)
+test-clock: export VCU_PRESSES := 10
+endif
 test-clock: $(TESTED)
 	$(NEEDS) compiler terminal
 	$(BIN)/pytest -q -m '$(SELECTED) and clock' tests $(NO_BUS) $(NO_BROWSER) --ignore=tests/packaging
 ifeq ($(LEVEL),nightly)
-	VCU_PRESSES=10 $(BIN)/pytest -q -m 'not slow' tests/server/test_attacks.py tests/web/test_attacks.py
+	$(BIN)/pytest -q -m 'not slow' tests/server/test_attacks.py tests/web/test_attacks.py
 endif
 
 SERVING := tests/api tests/server tests/client tests/app

@@ -65,9 +65,9 @@ def judge(times_ms: list[float], skipped: int) -> None:
 
 
 def kinds(all_kinds: Iterable[str], usual: Collection[str]) -> list[Any]:
-    """Every kind of attack; those that are not the usual ones are CI's: each takes 8 s."""
+    """Every kind of attack; the unusual ones are for the night, when nothing else takes time."""
     return [
-        kind if kind in usual else pytest.param(kind, marks=pytest.mark.ci) for kind in all_kinds
+        kind if kind in usual else pytest.param(kind, marks=pytest.mark.slow) for kind in all_kinds
     ]
 
 

@@ -108,7 +108,9 @@ def test_a_whole_tuned_drive(drive: Drive, figures: list[str]):
         limits = [one["cause"] for one in client.why()["limits"]]
         assert "curves.power_limit_w.by_motor_temperature_c" in limits
         after = [one for one in drive.recording.commands() if one.stamp_ns > asked_ns]
-        assert {one.data[1] for one in after} <= {103}
+        # Where the machine stood still the motors stop, and that releases the pedal.
+        held = itertools.takewhile(lambda one: one.data[1], after)
+        assert {one.data[1] for one in held} == {103}
 
     # Let go: the mode that was asked for counts.
     for worker in drive.stand.workers:
