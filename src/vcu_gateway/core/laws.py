@@ -56,7 +56,7 @@ class Laws:
         tuning = inputs.settings.tuning
         changed = self.modes.settle(inputs)
         limits, findings = self.deratings.tick(inputs, self.modes.limits(tuning))
-        front = front_speed(inputs.snapshot)
+        front = front_speed(inputs.snapshot) if self._reads_speed(tuning) else None
         caps = self.modes.caps(inputs, front, limits)
         if tuning.slip is not None:
             throttles, found = self.slip.tick(tuning.slip, inputs, front)
@@ -67,6 +67,12 @@ class Laws:
                     for name, one in caps.items()
                 }
         return LawResult(caps, findings, changed)
+
+    def _reads_speed(self, tuning: Tuning) -> bool:
+        if tuning.slip is not None:
+            return True
+        mode = tuning.modes.get(self.modes.current or "")
+        return mode is not None and not (mode.by_speed is None and mode.rise_by_speed is None)
 
 
 @dataclass
