@@ -74,16 +74,21 @@ class Deratings:
 
     Attributes:
         held: each limit as it is now, by a curve's name or that of a drive mode's limit.
-        worst: each curve's input in the last tick; None where it was not known.
     """
 
     def __init__(self) -> None:
         self.held: dict[str, float] = {}
-        self.worst: dict[str, float | None] = {}
         self._configured: Mapping[str, Curve] | None = None
         self._readers: dict[str, InputReader] = {}
         self._curves: dict[str, _CurveNow] = {}
+        self._of_modes: Mapping[Limit, float] = {}
+        self._on_the_way = False
         self._result: tuple[Caps, Sequence[Finding], bool] = NO_CAPS, (), False
+
+    @property
+    def worst(self) -> dict[str, float | None]:
+        """Each curve's input in the last tick; None where it was not known. From any thread."""
+        return {name: one.x for name, one in self._curves.items()}
 
     def tick(
         self, inputs: LawInputs, of_modes: Mapping[Limit, float]
@@ -93,41 +98,40 @@ class Deratings:
         A finding of each curve that limits or whose input is not known.
         """
         curves = inputs.settings.tuning.curves
-        changed = inputs.told is not self._result[2]
+        moved = self._on_the_way or of_modes is not self._of_modes
         if curves is not self._configured:
             self._begin(curves)
-            changed = True
+            moved = True
         for reader in self._readers.values():
-            reader.read(inputs.snapshot)
-        for name, one in self._curves.items():
-            span = one.reader.span
-            if span is not None and span is one.span and self.held.get(name) == one.target:
-                continue
-            changed = True
-            one.look()
-            self.worst[name] = one.x
-            self._hold(name, one.derating.limit, one.target, inputs)
-        for limit, target in of_modes.items():
-            if self.held.get(_OF_MODES[limit]) != target:
-                changed = True
+            if reader.read(inputs.snapshot):
+                moved = True
+        if moved or inputs.told is not self._result[2]:
+            self._of_modes, self._on_the_way = of_modes, False
+            for name, one in self._curves.items():
+                span = one.reader.span
+                if span is None or span is not one.span or self.held.get(name) != one.target:
+                    one.look()
+                    self._hold(name, one.derating.limit, one.target, inputs)
+            for limit, target in of_modes.items():
                 self._hold(_OF_MODES[limit], limit, target, inputs)
-        if changed:
             self._result = self._lowest(of_modes), self._findings(inputs.told), inputs.told
         return self._result[:2]
 
     def _begin(self, curves: Mapping[str, Curve]) -> None:
         """Curves that a reload took away are forgotten: one that comes again begins anew."""
-        self._configured, self._readers, self._curves = curves, {}, {}
+        self._configured, self._readers = curves, {}
         self.held = {
             name: held
             for name, held in self.held.items()
             if name in curves or name not in DERATINGS
         }
+        made = {}
         for name, curve in curves.items():
             derating = DERATINGS[name]
             key = derating.input.quantity.key
             reader = self._readers.setdefault(key, InputReader(derating.input))
-            self._curves[name] = _CurveNow(curve, derating, reader)
+            made[name] = _CurveNow(curve, derating, reader)
+        self._curves = made
 
     def _lowest(self, of_modes: Mapping[Limit, float]) -> Caps:
         lowest = {limit: self.held[_OF_MODES[limit]] for limit in of_modes}
@@ -167,6 +171,7 @@ class Deratings:
         else:
             held = min(target, held + _return_per_s(limit, settings) * inputs.elapsed_s)
         self.held[name] = held
+        self._on_the_way = self._on_the_way or held != target
 
 
 def _fallback(limit: Limit, settings: Settings) -> float:

@@ -190,7 +190,7 @@ class Gateway:
     @property
     def curves(self) -> tuple[CurveState, ...]:
         """Every configured curve as it was in the last tick; from any thread."""
-        worst, held = self._laws.deratings.worst.copy(), self._laws.deratings.held.copy()
+        worst, held = self._laws.deratings.worst, self._laws.deratings.held.copy()
         return tuple(
             CurveState(name, worst.get(name), held.get(name))
             for name in self.settings.tuning.curves

@@ -54,12 +54,15 @@ class InputReader:
         self._frames: dict[str, LatestFrame] = {}
         self.span: tuple[float, float] | None = None
 
-    def read(self, snapshot: Snapshot) -> None:
-        """Take in the frames of a tick."""
-        if self.span is None or not self._unchanged(snapshot):
-            span = self._read(snapshot)
-            if span != self.span:
-                self.span = span
+    def read(self, snapshot: Snapshot) -> bool:
+        """Take in the frames of a tick; True where the span is another one or not known."""
+        if self.span is not None and self._unchanged(snapshot):
+            return False
+        span = self._read(snapshot)
+        if span is not None and span == self.span:
+            return False
+        self.span = span
+        return True
 
     def _unchanged(self, snapshot: Snapshot) -> bool:
         for message, frame in self._frames.items():  # noqa: SIM110 - in every tick

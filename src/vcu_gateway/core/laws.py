@@ -20,6 +20,7 @@ from vcu_gateway.units import NS_PER_MS
 
 SLIP_KEY = "laws.slip"
 _NO_LIMIT = math.inf
+_NO_MODES: Mapping[Limit, float] = {}
 _UNCUT_PCT: Mapping[str, float] = dict.fromkeys(CONTROLLERS, FULL_PCT)
 
 
@@ -100,8 +101,10 @@ class DriveModes:
     def limits(self, tuning: Tuning) -> Mapping[Limit, float]:
         """Limits of fields that have ramps: the lower ones of both modes, from the request on."""
         if self.current is None:
-            return {}
+            return _NO_MODES
         own, asked = tuning.mode_limits[self.current], tuning.mode_limits[self.requested or ""]
+        if own is asked:
+            return own
         return {limit: min(own[limit], asked[limit]) for limit in own}
 
     def caps(self, inputs: LawInputs, front: Front | None, limits: Caps) -> Mapping[str, Caps]:

@@ -59,7 +59,7 @@ _DERIVED: Mapping[str, frozenset[str]] = {
         "ListenBeforeTalk": "_listen_ns",
         "OperatorRequests": "terms",
         "Laws": "",
-        "Deratings": "worst _configured _readers _curves _result",
+        "Deratings": "_configured _readers _curves _of_modes _on_the_way _result",
     }.items()
 }
 """Attributes by class that the codec and the settings give, or that are made again.
