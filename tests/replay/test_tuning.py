@@ -47,7 +47,10 @@ def test_the_table_and_the_page_have_the_curves(drive, tmp_path):
     ran = replay(drive, "--set", f"{MOTOR}@110=3000", "--html", page)
     assert "power_limit_w.by_motor_temperature_c" in ran.out
     assert "6000 W -> 3000 W" in ran.out
-    assert page.read_text().count("<svg class='curve'") == 3
+    text = page.read_text()
+    assert text.count("<svg class='curve'") == 3
+    assert ">25 °C<" in text, "the first place of the drive"
+    assert ">125 °C<" in text, "the last point of the curve"
 
 
 @pytest.mark.parametrize(

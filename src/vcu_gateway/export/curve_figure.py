@@ -36,8 +36,8 @@ class CurveFigure(NamedTuple):
             lines.append(scale.line(self.after, "after"))
         labels = [
             _label(_LEFT, 12, self.title, "title"),
-            _label(_LEFT, _HEIGHT - 4, f"{scale.left:g} {self.x_unit}"),
-            _label(_WIDTH - _RIGHT, _HEIGHT - 4, f"{scale.right:g} {self.x_unit}", "end"),
+            _label(_LEFT, _HEIGHT - 4, f"{scale.first:g} {self.x_unit}"),
+            _label(_WIDTH - _RIGHT, _HEIGHT - 4, f"{scale.last:g} {self.x_unit}", "end"),
             _label(_WIDTH - _RIGHT, 12, f"{scale.top:g} {self.y_unit}", "end"),
         ]
         used = scale.bars(self.seconds_at)
@@ -48,26 +48,33 @@ class CurveFigure(NamedTuple):
 
 
 class _Scale(NamedTuple):
-    left: float
-    right: float
+    """Lowest and highest x that is shown, and the highest y; the lowest is 0."""
+
+    first: float
+    last: float
     top: float
+
+    @property
+    def margin(self) -> float:
+        """Width in x of the level ends on both sides."""
+        return (self.last - self.first) / 20 or 1.0
 
     @classmethod
     def of(cls, figure: CurveFigure) -> "_Scale":
         points = [*figure.before, *figure.after]
         xs = [x for x, _ in (*points, *figure.seconds_at)] or [0.0]
-        left, right = min(xs), max(xs)
-        margin = (right - left) / 20 or 1.0
-        return cls(left - margin, right + margin, max((y for _, y in points), default=1.0) or 1.0)
+        return cls(min(xs), max(xs), max((y for _, y in points), default=1.0) or 1.0)
 
     def at(self, x: float, y: float) -> str:
-        across = (x - self.left) / (self.right - self.left) * (_WIDTH - _LEFT - _RIGHT) + _LEFT
+        share = (x - self.first + self.margin) / (self.last - self.first + 2 * self.margin)
+        across = share * (_WIDTH - _LEFT - _RIGHT) + _LEFT
         up = _HEIGHT - _BOTTOM - y / self.top * (_HEIGHT - _TOP - _BOTTOM)
         return f"{across:.1f},{up:.1f}"
 
     def line(self, points: Points, kind: str) -> str:
         """Level beyond its ends, as the curve is."""
-        ends = (self.left, points[0][1]), *points, (self.right, points[-1][1])
+        left, right = self.first - self.margin, self.last + self.margin
+        ends = (left, points[0][1]), *points, (right, points[-1][1])
         places = " ".join(self.at(x, y) for x, y in ends)
         return f"<polyline class='{kind}' points='{places}'/>"
 

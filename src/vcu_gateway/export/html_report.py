@@ -162,6 +162,12 @@ def _body(report: Report) -> Iterator[str]:
         yield f"<details><summary>{text(name)}</summary><pre>{text(contents)}</pre></details>"
 
 
+_CURVES = (
+    "Solid: the curve of the what-if; dashed: as recorded, where it differs."
+    " Marks below, at 0: where the drive was, darker the longer."
+)
+
+
 def _overlay(overlay: Overlay) -> Iterator[str]:
     text = html.escape
     yield f"<section class='whatif'><p class='name'>What if</p><h2>{text(overlay.headline)}</h2>"
@@ -171,6 +177,7 @@ def _overlay(overlay: Overlay) -> Iterator[str]:
         yield from _table(overlay.columns, overlay.rows)
     if overlay.curves:
         yield "<div class='curves'>" + "".join(one.svg() for one in overlay.curves) + "</div>"
+        yield f"<p class='name'>{_CURVES}</p>"
     yield "</section>"
 
 
