@@ -53,6 +53,8 @@ FROM_THE_TREE = {
     "usr/share/doc/vcu-gateway/docs/safety.md": "docs/safety.md",
     "usr/share/doc/vcu-gateway/docs/examples/control_loop.py": "docs/examples/control_loop.py",
     "{site}/vcu_gateway/data/gateway.yaml": "config/gateway.yaml",
+    "{site}/vcu_gateway/data/pedals.yaml": "config/examples/pedals.yaml",
+    "{site}/vcu_gateway/data/pedals.dbc": "config/examples/pedals.dbc",
     "{site}/vcu_gateway/data/vcu.dbc": "dbc/vcu.dbc",
     "{site}/vcu_gateway/data/vcu.yaml": "dbc/vcu.yaml",
 }

@@ -61,11 +61,14 @@ def drive(
     codec: Codec,
     scenario: Scenario,
     seconds: float,
-    asked: Asked = CRUISE,
+    asked: Asked | None = CRUISE,
     watch: Watch = lambda *_: None,
     **settings: Any,
 ) -> Drive:
-    """Let a gateway drive the vehicle that the scenario breaks, as it is asked."""
+    """Let a gateway drive the vehicle that the scenario breaks, as it is asked.
+
+    Asked for None, it is armed once, and the pedals of its settings drive.
+    """
     now_ns, end_ns = START_NS, START_NS + round(seconds * S_NS)
     bench = asked if isinstance(asked, ControllerDemand) else None
     settings |= {"bench_demand": bench, "auto_arm": bench is not None}
@@ -79,6 +82,8 @@ def drive(
         soc_pct=start.soc_pct,
         battery_resistance_ohm=start.battery_resistance_ohm,
         faults=faults,
+        pedals=gateway.settings.pedals,
+        foot=scenario.foot,
     )
     tick_ns = now_ns + 7_000_000  # on no grid of the vehicle's
     while now_ns < end_ns:
@@ -88,7 +93,9 @@ def drive(
             done.heard.append((at_s, frame))
             gateway.receive(Frame(frame.can_id, frame.data, now_ns))
         if now_ns == tick_ns:
-            if not isinstance(asked, ControllerDemand):
+            if asked is None:
+                _arm_once(gateway, done, now_ns)
+            elif not isinstance(asked, ControllerDemand):
                 _ask(gateway, asked(at_s), now_ns)
             watch(at_s, nodes.vehicle)
             done.ticks.append(_tick(gateway, nodes, now_ns, at_s))
@@ -100,6 +107,15 @@ def _ask(gateway: Gateway, asked: ControllerDemand, now_ns: int) -> None:
     """Make a demand as a driver does, and arm where that can be."""
     demand = Demand("driver", now_ns, 200, dict.fromkeys(CONTROLLERS, asked))
     assert gateway.apply(calls.Offer(demand, now_ns)).granted
+    _arm(gateway, now_ns)
+
+
+def _arm_once(gateway: Gateway, done: Drive, now_ns: int) -> None:
+    if all(tick.mode is not Mode.ACTIVE for tick in done.ticks):
+        _arm(gateway, now_ns)
+
+
+def _arm(gateway: Gateway, now_ns: int) -> None:
     if gateway.supervisor.mode is Mode.STANDBY and not gateway.requests.against_arming(now_ns):
         gateway.apply(calls.Arm(now_ns))
 

@@ -10,8 +10,10 @@ import click
 
 from vcu_gateway import simulator
 from vcu_gateway.cli.options import stopped_by_signals
+from vcu_gateway.config import core_settings, of_values
+from vcu_gateway.config import load as load_config
+from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.simulator.play import CommandListener, Played, open_bus, open_log, play
 from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 from vcu_gateway.simulator.scenario import load as load_scenario
@@ -35,6 +37,14 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
 @click.command("simulate", help=_HELP)
 @click.option("--interface", default="socketcan", show_default=True, help="python-can's name.")
 @click.option("--channel", default="vcan0", show_default=True, help="Which bus of it.")
+@click.option(
+    "-c",
+    "--config",
+    "config_path",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="The gateway's configuration, for its protocol and its pedals on CAN.",
+)
 @click.option(
     "--duration",
     "duration_s",
@@ -73,6 +83,7 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
 def simulate(
     interface: str,
     channel: str,
+    config_path: Path | None,
     duration_s: float | None,
     scenario_path: Path | None,
     soc_pct: float | None,
@@ -82,10 +93,12 @@ def simulate(
 ) -> None:
     # What python-can logs of a failure comes as our error as well.
     logging.getLogger("can").addHandler(logging.NullHandler())
-    codec = Codec(dbc.load(packaged("vcu.dbc")))
+    config = of_values({}, "simulate") if config_path is None else load_config(config_path)
+    codec, pedals = Codec(load_protocol(config)), core_settings(config).pedals
     scenario = Scenario(ScenarioStart(), ())
     if scenario_path is not None:
         scenario = load_scenario(scenario_path, codec.protocol)
+        scenario.check_pedals(pedals is not None, str(scenario_path))
     start, start_ns = scenario.start, time.monotonic_ns()
     nodes = simulator.build(
         codec,
@@ -95,6 +108,8 @@ def simulate(
         battery_resistance_ohm=start.battery_resistance_ohm,
         seed=seed,
         faults=scenario.faults(codec, start_ns, _note),
+        pedals=pedals,
+        foot=scenario.foot,
     )
     with (
         stopped_by_signals() as stop,

@@ -11,5 +11,5 @@ DEFAULT_ALIASES: Mapping[int, str] = MappingProxyType({0x08F02DE2: "IMU_Attitude
 
 
 def packaged(name: str) -> Path:
-    """A file that ships with the program: vcu.dbc, vcu.yaml or gateway.yaml."""
+    """A file that ships with the program, such as vcu.dbc."""
     return _DATA / name

@@ -34,37 +34,66 @@ def corrupted(flip_bits: int, seed: int) -> Transform:
     def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
         bits = len(frame.data) * _BYTE_BITS
         flips = sum(1 << position for position in chance.sample(range(bits), min(flip_bits, bits)))
-        return (_with_number(frame, _number(frame.data) ^ flips),)
+        return (frame._replace(data=_as_long(frame.data, _number(frame.data) ^ flips)),)
 
     return transform
 
 
 def recoded(signal: SignalSpec, code_of: Callable[[int], int]) -> Transform:
-    """The frame with one signal at another code, by the code that it has."""
+    """The frame with one signal at another code, by the code that it has.
+
+    What is wrong is the node's reading: a checksum is that of the other code, unless it is itself
+    the signal.
+    """
+    read, written = _bits_of(signal)
+
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
+        code = code_of(read(frame.data))
+        data = frame.seal(written(frame.data, code))
+        return (frame._replace(data=written(data, code)),)
+
+    return transform
+
+
+def swapped(one: SignalSpec, other: SignalSpec) -> Transform:
+    """The frame with the codes of two signals in each other's place."""
+    (read_one, write_one), (read_other, write_other) = _bits_of(one), _bits_of(other)
+
+    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
+        data = write_one(frame.data, read_other(frame.data))
+        data = write_other(data, read_one(frame.data))
+        return (frame._replace(data=frame.seal(data)),)
+
+    return transform
+
+
+def _bits_of(
+    signal: SignalSpec,
+) -> tuple[Callable[[bytes], int], Callable[[bytes, int], bytes]]:
+    """Functions that read a signal's code from a frame's data, and write it into them."""
     positions = tuple(enumerate(signal.bit_positions()))
     mask = sum(1 << bit for _, bit in positions)
 
-    def transform(frame: NodeFrame) -> Iterable[NodeFrame]:
-        number = _number(frame.data)
+    def read(data: bytes) -> int:
+        number = _number(data)
         raw = sum((number >> bit & 1) << i for i, bit in positions)
-        if raw > signal.raw_highest:
-            raw -= 1 << signal.length_bits
-        code = code_of(raw)
-        bits = sum((code >> i & 1) << bit for i, bit in positions)
-        return (_with_number(frame, number & ~mask | bits),)
+        return raw - (1 << signal.length_bits) if raw > signal.raw_highest else raw
 
-    return transform
+    def written(data: bytes, code: int) -> bytes:
+        bits = sum((code >> i & 1) << bit for i, bit in positions)
+        return _as_long(data, _number(data) & ~mask | bits)
+
+    return read, written
 
 
 def _number(data: bytes) -> int:
     return int.from_bytes(data, "little")
 
 
-def _with_number(frame: NodeFrame, number: int) -> NodeFrame:
-    """The frame with these bits, as far as it is long."""
-    length = len(frame.data)
-    data = (number & (1 << length * _BYTE_BITS) - 1).to_bytes(length, "little")
-    return frame._replace(data=data)
+def _as_long(data: bytes, number: int) -> bytes:
+    """These bits, as far as a frame is long."""
+    length = len(data)
+    return (number & (1 << length * _BYTE_BITS) - 1).to_bytes(length, "little")
 
 
 def only(messages: Collection[str], transform: Transform) -> Transform:

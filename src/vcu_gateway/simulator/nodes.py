@@ -15,6 +15,7 @@ from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.simulator.motor import voltage_level
+from vcu_gateway.simulator.pedals import PedalNode
 from vcu_gateway.simulator.vehicle import LEFT, RIGHT, Vehicle
 from vcu_gateway.units import NS_PER_MS
 
@@ -152,6 +153,10 @@ ANSWER_DELAY_NS = 1_000_000
 _PHASE_NS = 1_000_000
 
 
+def _unsealed(data: bytes) -> bytes:
+    return data
+
+
 class NodeFrame(NamedTuple):
     """A frame to send.
 
@@ -159,12 +164,14 @@ class NodeFrame(NamedTuple):
         can_id: 29-bit identifier; data: eight bytes, unless a transform made it others.
         message: its name in the protocol.
         due_ns: when it leaves.
+        seal: what its node does last: a checksum, where the message has one.
     """
 
     can_id: int
     data: bytes
     message: str
     due_ns: int
+    seal: Callable[[bytes], bytes] = _unsealed
 
 
 Transform = Callable[[NodeFrame], Iterable[NodeFrame]]
@@ -194,16 +201,17 @@ class _Sender:
 
     codec: MessageCodec
     source: Source
+    seal: Callable[[bytes], bytes] = _unsealed
     count: int = 0
 
     def frame(self, due_ns: int) -> NodeFrame:
-        data = self.codec.encode(self.source(self.count))
+        data = self.seal(self.codec.encode(self.source(self.count)))
         self.count += 1
-        return NodeFrame(self.codec.spec.can_id, data, self.codec.spec.name, due_ns)
+        return NodeFrame(self.codec.spec.can_id, data, self.codec.spec.name, due_ns, self.seal)
 
 
 class Nodes:
-    """BMS, IMU, ARD2 and both motor controllers.
+    """BMS, IMU, ARD2 and both motor controllers, and a pedal node where there is one.
 
     Cyclic messages leave on fixed grids with the protocol's periods; a grid point missed by
     more than half a period is skipped. A controller's Status2 answers each command and is
@@ -219,6 +227,7 @@ class Nodes:
         vehicle: Vehicle,
         noise: random.Random,
         faults: Sequence[VehicleFault] = (),
+        pedals: PedalNode | None = None,
     ) -> None:
         """Start the grids at vehicle.start_ns; each frame passes the faults in turn."""
         self._codec = codec
@@ -226,6 +235,10 @@ class Nodes:
         self._faults = tuple(faults)
         self._transforms = tuple(fault.transform for fault in faults)
         self._senders = _senders(codec, sources(vehicle, noise))
+        if pedals is not None:
+            foot = self._senders[pedals.message]
+            foot.source = lambda count: pedals.values(vehicle.elapsed_s, count)
+            foot.seal = pedals.seal
         self._controllers = {message_name(name): name for name in vehicle.motors}
         answers = {_answer(controller) for controller in vehicle.motors}
         self._grids = _grids(

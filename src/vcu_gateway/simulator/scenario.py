@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import message_name
+from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import CONTROLLERS, PowerMode
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
@@ -21,6 +22,7 @@ from vcu_gateway.errors import ConfigError, Problem, did_you_mean
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.faults import Fault, FaultInterval, ForeignNode, Report
 from vcu_gateway.simulator.nodes import Transform
+from vcu_gateway.simulator.pedals import Foot
 from vcu_gateway.simulator.vehicle import RESISTANCE_OHM, Vehicle
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.file_text import FileProblem, KeyPath, problems, shown
@@ -255,6 +257,28 @@ class Freeze(Step):
         return _recoded(self.signal, spec, lambda raw: kept.setdefault(self.signal, raw))
 
 
+class Swap(Step):
+    """Two signals of a message are in each other's place, as with wires that are mixed up."""
+
+    signal: SignalName = Field(description="MESSAGE.SIGNAL, such as Pedals_Position.Throttle1.")
+    with_signal: SignalName = Field(description="The other one; its codes must fit both.")
+
+    @field_validator("with_signal")
+    @classmethod
+    def _alike(cls, other: str, info: ValidationInfo) -> str:
+        if "signal" in info.data:
+            one, protocol = info.data["signal"], protocol_of(info)
+            if one.partition(".")[0] != other.partition(".")[0] or one == other:
+                raise refusal(f"must be another signal of {one.partition('.')[0]}")
+            if signal_spec(one, protocol).length_bits != signal_spec(other, protocol).length_bits:
+                raise refusal(f"must have as many bits as {one}")
+        return other
+
+    def broken(self, codec: Codec) -> Fault:
+        specs = [signal_spec(name, codec.protocol) for name in (self.signal, self.with_signal)]
+        return Fault(faults.only([self.signal.partition(".")[0]], faults.swapped(*specs)))
+
+
 class _ControllerStep(Step):
     """A fault of one controller or both."""
 
@@ -335,6 +359,7 @@ FAULTS: Mapping[str, type[Step]] = {
     "set": Set,
     "shift": Shift,
     "freeze": Freeze,
+    "swap": Swap,
     "wrong_direction": WrongDirection,
     "ignore_commands": IgnoreCommands,
     "slippery": Slippery,
@@ -357,25 +382,58 @@ class ScenarioStart(Section):
     )
 
 
+def _over_time(points: list[list[float]]) -> list[list[float]]:
+    for index, point in enumerate(points):
+        place = (index,)
+        if len(point) != _PAIR:
+            raise refusal("must be [seconds, %]", "such as [4, 30]", place=place)
+        if index and point[0] <= points[index - 1][0]:
+            raise refusal("must be later than the point before", place=place)
+        if point[0] < 0 or not 0 <= point[1] <= _ALL_PCT:
+            raise refusal("must be a time from 0 on and 0 to 100 %", place=place)
+    if len(points) < _PAIR:
+        raise refusal("must have two points or more", "such as [[4, 0], [5, 30]]")
+    return points
+
+
+_PAIR, _ALL_PCT = 2, 100
+_Travel = Annotated[list[list[float]], AfterValidator(_over_time)]
+
+
+class FootSection(Section):
+    """What the foot does: travel of a pedal over time, linear between the points."""
+
+    throttle_pct: _Travel = Field(default=[[0, 0], [1, 0]], description="Seconds and %.")
+    brake_pct: _Travel = Field(default=[[0, 0], [1, 0]], description="Seconds and %.")
+
+
 class _File(Section):
     """Scenario as it is written; its steps are validated one by one."""
 
     start: ScenarioStart = ScenarioStart()
+    foot: FootSection | None = None
     steps: list[Any] = Field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Start of the vehicle and the faults in time."""
+    """Start of the vehicle, what a foot does on its pedals, and the faults in time."""
 
     start: ScenarioStart
     steps: tuple[Step, ...]
+    foot: Foot | None = None
 
     def faults(
         self, codec: Codec, start_ns: int, report: Report = lambda _: None
     ) -> list[FaultInterval]:
         """Faults for `Nodes`; `report` is called when each step begins and ends."""
         return [step.interval(codec, start_ns, report) for step in self.steps]
+
+    def check_pedals(self, there_are: bool, where: str) -> None:
+        """ConfigError where a foot has no pedals to press; `where` is the scenario's file."""
+        if self.foot is not None and not there_are:
+            remedy = "take a configuration with them (-c), such as config/examples/pedals.yaml"
+            raise ConfigError(Problem("foot needs the pedals of pedals.can", where, remedy))
 
 
 def load(path: Path, protocol: ProtocolSpec) -> Scenario:
@@ -399,7 +457,17 @@ def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
         steps += [step] if step else []
     if outline is None or found:
         raise ConfigError(*problems(found, where, read.lines))
-    return Scenario(outline.start, tuple(steps))
+    return Scenario(outline.start, tuple(steps), _foot(outline.foot))
+
+
+def _foot(section: FootSection | None) -> Foot | None:
+    if section is None:
+        return None
+    return Foot(_curve(section.throttle_pct), _curve(section.brake_pct))
+
+
+def _curve(points: list[list[float]]) -> Curve:
+    return Curve(tuple((at_s, travel_pct) for at_s, travel_pct in points))
 
 
 def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[FileProblem]]:

@@ -202,6 +202,11 @@ class Vehicle:
             self._step(self._stepped_ns)
 
     @property
+    def elapsed_s(self) -> float:
+        """Time since the start."""
+        return (self._stepped_ns - self.start_ns) / NS_PER_S
+
+    @property
     def lateral_acceleration_m_s2(self) -> float:
         """Positive in a left turn."""
         return self.speed_m_s * math.radians(self.yaw_rate_deg_s)
