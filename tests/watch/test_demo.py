@@ -258,6 +258,7 @@ def test_it_drives_a_configuration_through_a_scenario_and_keeps_what_happened(fo
     ("option", "text", "said"),
     [
         ("--scenario", "steps:\n  - {at_s: 1, fault: silense}\n", "bad.yaml:2: "),
+        ("--scenario", "foot: {brake_pct: [[0, 0], [1, 9]]}\n", "bad.yaml: foot needs the pedals"),
         ("-c", "bus: {}\nlimits: {speed_limit_max_rpm: -1}\n", "bad.yaml:2: limits.speed"),
         ("-c", "freshness: {stale_after_ms: {BMS: 1}}\n", 'bad.yaml:1: .* no message "BMS"'),
         ("--scenario", None, "bad.yaml: there is no such file"),
@@ -301,6 +302,41 @@ def test_the_demand_is_the_configurations_else_the_demos_or_nobodys(tmp_path):
     assert demanded(config_path=bench, throttle_pct=9.0) == (9, "eco", 12000, False)
     for path in (None, bench, limits):
         assert demanded(config_path=path, has_demand=False) is None
+
+
+def test_pedals_are_those_of_the_file_else_of_the_example_and_the_foot_presses_as_asked(tmp_path):
+    (tmp_path / "limits.yaml").write_text("limits: {speed_limit_max_rpm: 900}\n")
+    (tmp_path / "foot.yaml").write_text("foot: {throttle_pct: [[0, 0], [2, 70]]}\n")
+    limits, foot = str(tmp_path / "limits.yaml"), str(tmp_path / "foot.yaml")
+
+    def pressed(**options: Any) -> tuple[tuple[float, float], ...]:
+        config, _, scenario = loaded(has_pedals=True, **options)
+        assert config.bench.demand is None
+        return () if scenario.foot is None else scenario.foot.throttle_pct.points
+
+    assert pressed() == ((5, 0), (6, 30))
+    assert pressed(throttle_pct=50.0) == ((5, 0), (6, 50))
+    assert pressed(scenario_path=foot) == ((0, 0), (2, 70))
+    assert pressed(has_demand=False) == ()
+    with pytest.raises(GatewayError, match=r"limits\.yaml: has no pedals\.can, and --pedals needs"):
+        loaded(has_pedals=True, config_path=limits)
+
+
+@pytest.mark.ci
+def test_with_pedals_it_arms_once_and_a_foot_drives(folder):
+    (folder / "foot.yaml").write_text("foot: {throttle_pct: [[0, 0], [5, 0], [5.1, 43]]}\n")
+    process = demo("--pedals", "--scenario", folder / "foot.yaml")
+    with Client(socket_named(process)) as client:
+        until(lambda: client.why()["mode"] == "active")
+        until(lambda: client.state()["commands"]["PCU1"]["throttle_pct"] > 40)
+        assert client.why()["demand"]["source"] == "pedals"
+        client.disarm()
+        until(lambda: client.why()["mode"] == "standby")
+        time.sleep(1)
+        assert client.why()["mode"] == "standby"
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=WAIT_S)
+    assert (process.returncode, errors) == (0, "")
 
 
 def test_the_batterys_speed_is_the_options_else_the_scenarios_else_twenty(tmp_path):

@@ -86,6 +86,12 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     help="What breaks, and when: docs/simulator.md.",
 )
 @click.option(
+    "--pedals",
+    "has_pedals",
+    is_flag=True,
+    help="Drive with a pedal node on CAN: that of -c FILE, else of config/examples/pedals.yaml.",
+)
+@click.option(
     "--battery-speedup",
     type=click.FloatRange(0, 10_000),
     show_default="the scenario's, else 20",
@@ -139,6 +145,7 @@ class _GivenOptions(NamedTuple):
     no_demand: bool
     config_path: Path | None
     scenario_path: Path | None
+    has_pedals: bool
     battery_speedup: float | None
     socket_path: Path | None
     folder: Path | None
@@ -160,6 +167,7 @@ def _wanted(given: _GivenOptions) -> DemoOptions:
         given.duration_s,
         config_path=_text(given.config_path),
         scenario_path=_text(given.scenario_path),
+        has_pedals=given.has_pedals,
     )
 
 

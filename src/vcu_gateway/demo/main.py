@@ -6,13 +6,17 @@ scenario, and a summary as the last. It ends with its stdin, with SIGTERM, or wh
 over.
 """
 
+import contextlib
 import json
 import sys
 import threading
 import time
 
+from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.app import Application
+from vcu_gateway.client import Client, RefusedError
+from vcu_gateway.core.can_pedals import CanPedals
 from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.daemon import log
@@ -22,6 +26,8 @@ from vcu_gateway.demo.process import NOTE, READY, DemoOptions
 from vcu_gateway.errors import GatewayError, Problem, UnavailableError
 from vcu_gateway.simulator.play import open_bus, play
 from vcu_gateway.simulator.scenario import Scenario
+
+_ARM_EVERY_S = 0.2
 
 
 def main() -> None:
@@ -47,8 +53,11 @@ def run(wanted: DemoOptions) -> None:
         if api_failures:
             remedy = "--socket PATH gives this demo another one"
             raise UnavailableError(Problem(str(api_failures[0].fields["reason"]), "", remedy))
-        vehicle = _vehicle(wanted, Codec(protocol), scenario, stop)
+        pedals = configuration.core_settings(config).pedals
+        vehicle = _vehicle(wanted, Codec(protocol), scenario, pedals, stop)
         threading.Thread(target=_end_with_stdin, args=(loop,), daemon=True).start()
+        if pedals is not None and wanted.has_demand:
+            threading.Thread(target=_arm, args=(wanted.socket_path,), daemon=True).start()
         _say(READY)
         vehicle.start()
         try:
@@ -66,7 +75,11 @@ def _note_api_failure(event: Event, failures: list[Event]) -> None:
 
 
 def _vehicle(
-    wanted: DemoOptions, codec: Codec, scenario: Scenario, stop: threading.Event
+    wanted: DemoOptions,
+    codec: Codec,
+    scenario: Scenario,
+    pedals: CanPedals | None,
+    stop: threading.Event,
 ) -> threading.Thread:
     start_ns = time.monotonic_ns()
     nodes = simulator.build(
@@ -74,6 +87,8 @@ def _vehicle(
         start_ns,
         **scenario.start.model_dump(),
         faults=scenario.faults(codec, start_ns, lambda sentence: _say(NOTE + sentence)),
+        pedals=pedals,
+        foot=scenario.foot,
     )
     bus = open_bus(wanted.interface, wanted.channel, nodes.command_ids)
 
@@ -82,6 +97,16 @@ def _vehicle(
             play(bus, nodes, stop=stop)
 
     return threading.Thread(target=run_vehicle, name="vehicle")
+
+
+def _arm(socket_path: str) -> None:
+    """Arm once, as soon as that can be: pedals do not, and nobody else is there."""
+    with Client(socket_path) as client:
+        while True:
+            with contextlib.suppress(RefusedError):
+                client.arm()
+                return
+            time.sleep(_ARM_EVERY_S)
 
 
 def _end_with_stdin(loop: TickLoop) -> None:

@@ -17,11 +17,14 @@ from vcu_gateway import config as configuration
 from vcu_gateway.config import BenchDemandSection, BenchSection, Config
 from vcu_gateway.config.checks import check_protocol, load_protocol
 from vcu_gateway.config.model import ApiSection
+from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import ConfigError, GatewayError, Problem, UnavailableError
+from vcu_gateway.protocol import packaged
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.recorder_status import STATUS_PATH
 from vcu_gateway.simulator import scenario
+from vcu_gateway.simulator.pedals import Foot
 from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 
 _PATIENCE_S = 10.0
@@ -119,13 +122,14 @@ class DemoOptions(NamedTuple):
 
     Attributes:
         socket_path: where its API listens.
-        throttle_pct: None is the configuration's, else 30.
+        throttle_pct: None is the configuration's, else 30; with pedals travel of the foot.
         has_demand: False leaves the demand to another program.
         battery_speedup: factor of the battery's charge and discharge; None is the scenario's,
             else 20.
         duration_s: None is until its stdin ends.
         recorder_socket: of a recorder to hand over to; None: nothing is recorded.
         config_path, scenario_path: files; None: there is none.
+        has_pedals: a pedal node drives; without a configuration that of the example.
     """
 
     interface: str
@@ -138,6 +142,7 @@ class DemoOptions(NamedTuple):
     recorder_socket: str | None = None
     config_path: str | None = None
     scenario_path: str | None = None
+    has_pedals: bool = False
 
 
 class DemoProcess:
@@ -222,6 +227,7 @@ def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
 
 
 _THROTTLE_PCT = 30.0
+_PRESSES_S = 5.0  # once it is armed
 _BATTERY_SPEEDUP = 20.0  # a person waits, and wants to see it drain
 
 
@@ -232,13 +238,12 @@ def load(wanted: DemoOptions) -> tuple[Config, ProtocolSpec, Scenario]:
     check_protocol(config, protocol)
     if problems := configuration.check_against(config, protocol):
         raise ConfigError(*problems)
-    return config, protocol, _scenario(wanted, protocol)
+    return config, protocol, _scenario(wanted, config, protocol)
 
 
 def _config(wanted: DemoOptions) -> Config:
     """All that the file says, but for the bus, the sockets and who may use them."""
-    path = wanted.config_path
-    file = configuration.of_values({}, "demo") if path is None else configuration.load(Path(path))
+    file = _file(wanted)
     bus = {"interface": wanted.interface, "channel": wanted.channel}
     api = {"socket_path": wanted.socket_path, "socket_mode": "0600"}
     recorder = {"socket_path": wanted.recorder_socket}
@@ -252,10 +257,21 @@ def _config(wanted: DemoOptions) -> Config:
     )
 
 
+def _file(wanted: DemoOptions) -> Config:
+    path = wanted.config_path
+    if wanted.has_pedals and path is None:
+        return configuration.load(packaged("pedals.yaml"))
+    file = configuration.of_values({}, "demo") if path is None else configuration.load(Path(path))
+    if wanted.has_pedals and file.pedals.can is None:
+        remedy = "config/examples/pedals.yaml has some; without -c they are those"
+        raise ConfigError(Problem("has no pedals.can, and --pedals needs it", str(path), remedy))
+    return file
+
+
 def _bench(wanted: DemoOptions, file: Config) -> BenchSection:
     """The file's demand where it has one, with another throttle where that was asked for."""
     bench, throttle_pct = file.bench, wanted.throttle_pct
-    if not wanted.has_demand:
+    if not wanted.has_demand or file.pedals.can is not None:
         return bench.model_copy(update={"demand": None})
     demand = bench.demand
     if demand is None:
@@ -271,12 +287,18 @@ def _bench(wanted: DemoOptions, file: Config) -> BenchSection:
     return bench.model_copy(update={"demand": demand})
 
 
-def _scenario(wanted: DemoOptions, protocol: ProtocolSpec) -> Scenario:
-    """The file's; the option wins over its battery_speedup."""
+def _scenario(wanted: DemoOptions, config: Config, protocol: ProtocolSpec) -> Scenario:
+    """The file's; the options win over its battery_speedup and its foot."""
     path, speedup = wanted.scenario_path, wanted.battery_speedup
     found = Scenario(ScenarioStart(battery_speedup=_BATTERY_SPEEDUP), ())
     if path is not None:
         found = scenario.load(Path(path), protocol)
+        found.check_pedals(config.pedals.can is not None, path)
+    drives = config.pedals.can is not None and wanted.has_demand
+    if drives and (found.foot is None or wanted.throttle_pct is not None):
+        throttle_pct = _THROTTLE_PCT if wanted.throttle_pct is None else wanted.throttle_pct
+        foot = Foot(Curve(((_PRESSES_S, 0.0), (_PRESSES_S + 1, throttle_pct))))
+        found = dataclasses.replace(found, foot=foot)
     if speedup is None:
         return found
     start = found.start.model_copy(update={"battery_speedup": speedup})
