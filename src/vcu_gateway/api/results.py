@@ -271,7 +271,7 @@ class FrameCounts(TypedDict):
     received: int
     """Frames that the kernel handed over."""
     rejected: dict[str, int]
-    """Not decoded, by reason."""
+    """Not decoded, or no demand of the pedals, by reason."""
     out_of_order: int
     """Older than the one before them; judged, and not kept."""
     unjudged: int

@@ -108,7 +108,9 @@ def _process(name: str, text: str, key: str = "", kind: Kind = "gauge") -> Famil
 
 FAMILIES: tuple[Family, ...] = (
     _frames("received", "Frames that the kernel handed over, own ones that came back included."),
-    _frames("rejected", "Received frames not decoded, by reason.", "reason"),
+    _frames(
+        "rejected", "Received frames not decoded, or no demand of the pedals, by reason.", "reason"
+    ),
     _frames(
         "out_of_order",
         "Received frames older than the one of their kind before them; judged, not kept.",
