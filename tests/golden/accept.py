@@ -90,7 +90,7 @@ def _recorded_otherwise(name: str) -> bool:
         shutil.rmtree(old, ignore_errors=True)
         old.parent.mkdir(exist_ok=True)
         shutil.move(new, old)
-        link_dbc(old)
+        link_dbc(old, DRIVES[name])
         return True
 
 

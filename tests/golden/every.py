@@ -2,6 +2,7 @@
 
 from tests.golden import (  # noqa: F401 - each adds its own
     drives_bus,
+    drives_can_pedals,
     drives_lifecycle,
     drives_pedals,
     drives_requests,

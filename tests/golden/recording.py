@@ -5,18 +5,15 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.core.simulated_drive import CODEC
 from tests.golden.scripts import GoldenDrive
 from tests.golden.simulate import begun, settings_of
 from tests.recording.drive_writer import DriveWriter
 from vcu_gateway.core.schedule import ClockPair
-from vcu_gateway.protocol import packaged
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.members import Member, read_members
 from vcu_gateway.recording.tap import Hello, Tap, TappedGateway
 from vcu_gateway.units import NS_PER_S
 
-DBC = Path(__file__).parents[2] / "dbc" / "vcu.dbc"
 CHANNEL = "can0"
 FOLDER = Path(__file__).parent / "drives"
 WALL_NS = 1_763_920_000 * NS_PER_S
@@ -28,19 +25,19 @@ VERSIONS = dict.fromkeys(("gateway", "python", "kernel", "machine"), "golden")
 
 def record(golden: GoldenDrive, parent: Path) -> Path:
     """Drive it, and record it in a folder of its name; the folder."""
-    gateway = TappedGateway(CODEC, settings_of(golden), golden.start_ns, Tap())
+    gateway = TappedGateway(golden.codec, settings_of(golden), golden.start_ns, Tap())
     folder, hello = parent / golden.name, _hello(golden)
     writer = DriveWriter(folder, hello, gateway, golden.start_ns, SEGMENT_NS)
     drive = begun(golden, gateway)
     drive.after_tick = lambda result: writer.after_tick(result.snapshot.now_ns)
     golden.script(drive)
     writer.close(drive.now_ns)
-    link_dbc(folder)
+    link_dbc(folder, golden)
     return folder
 
 
 def _hello(golden: GoldenDrive) -> dict:
-    dbc = packaged("vcu.dbc").read_text(encoding="utf-8")
+    dbc = golden.dbc.read_text(encoding="utf-8")
     hello = Hello(
         run=hashlib.sha256(golden.name.encode()).hexdigest()[:32],
         boot="",
@@ -59,11 +56,11 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def link_dbc(folder: Path) -> None:
-    """One definition for all of them: that of the program."""
+def link_dbc(folder: Path, golden: GoldenDrive) -> None:
+    """One definition for all of them: that of the program, or of an example."""
     path = folder / layout.DBC_FILE
     path.unlink()
-    path.symlink_to(os.path.relpath(DBC, folder))
+    path.symlink_to(os.path.relpath(golden.dbc, folder))
 
 
 def contents(folder: Path) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-from tests.core.simulated_drive import CODEC
 from tests.golden.recording import FOLDER
 from tests.golden.scripts import GoldenDrive
 from vcu_gateway.core.gateway import Gateway
@@ -52,8 +51,8 @@ def replay(golden: GoldenDrive, to_the_end: bool = True) -> Replayed:
     """
     try:
         drive = open_drive(FOLDER / golden.name)
-        gateway = Gateway(CODEC, drive.info.settings, golden.start_ns)
-        check = EqualityCheck(CODEC, gateway)
+        gateway = Gateway(golden.codec, drive.info.settings, golden.start_ns)
+        check = EqualityCheck(golden.codec, gateway)
         for record in drive.runs():
             check.note(record)
             if check.is_different and not to_the_end:

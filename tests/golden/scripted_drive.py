@@ -11,6 +11,7 @@ from typing import Any
 from tests.core.simulated_drive import CODEC, MS, data
 from vcu_gateway import simulator
 from vcu_gateway.core import calls
+from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, Demand, PowerMode, RequestResult
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.j1939 import Frame
@@ -18,6 +19,7 @@ from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.nodes import NodeFrame, VehicleFault
+from vcu_gateway.simulator.pedals import Foot
 from vcu_gateway.simulator.scenario import FAULTS, PROTOCOL
 from vcu_gateway.simulator.vehicle import Vehicle
 
@@ -37,7 +39,8 @@ QUIET: Step = {"fault": "silence", "of": "IMU"}
 class ChangingFault:
     """What is broken about the vehicle now; the script changes it."""
 
-    def __init__(self) -> None:
+    def __init__(self, codec: Codec) -> None:
+        self._codec = codec
         self._broken: list[faults.Fault] = []
 
     def next_due_ns(self) -> int:
@@ -49,7 +52,7 @@ class ChangingFault:
     def change(self, vehicle: Vehicle, steps: Iterable[Step]) -> None:
         for fault in self._broken:
             fault.change(vehicle, False)
-        self._broken = [_fault(step) for step in steps]
+        self._broken = [_fault(step, self._codec) for step in steps]
         for fault in self._broken:
             fault.change(vehicle, True)
 
@@ -60,10 +63,20 @@ class ChangingFault:
         return frames
 
 
-def _fault(step: Step) -> faults.Fault:
-    context = {PROTOCOL: CODEC.protocol}
+def _fault(step: Step, codec: Codec) -> faults.Fault:
+    context = {PROTOCOL: codec.protocol}
     model = FAULTS[step["fault"]].model_validate({"at_s": 0, **step}, context=context)
-    return model.broken(CODEC)
+    return model.broken(codec)
+
+
+class Pressed:
+    """Travel of a pedal (%), whatever time it is; the script changes it."""
+
+    def __init__(self) -> None:
+        self.pct = 0.0
+
+    def at(self, _: float) -> float:
+        return self.pct
 
 
 class ScriptedDrive:
@@ -75,6 +88,7 @@ class ScriptedDrive:
         ttl_ms: of these demands; source: whose they are.
         accepted: the bus takes our frames, of the controllers `taken`; echo: they come back.
         connected: frames of the vehicle reach the gateway.
+        throttle, brake: what the foot presses, where there are pedals on CAN.
         after_tick: called when a tick's frames were sent, as the gateway's observer is.
     """
 
@@ -86,6 +100,7 @@ class ScriptedDrive:
         quiet: bool = True,
         soc_pct: float = 80.0,
         faults: Iterable[VehicleFault] = (),
+        codec: Codec = CODEC,
     ) -> None:
         self.gateway = gateway
         self.start_ns = self.now_ns = start_ns
@@ -97,9 +112,16 @@ class ScriptedDrive:
         self.result: TickResult | None = None
         self.after_tick: Callable[[TickResult], None] = lambda result: None
         self._quiet = [QUIET] if quiet else []
-        self._fault = ChangingFault()
-        every = [self._fault, *faults]
-        self.nodes = simulator.build(CODEC, start_ns, soc_pct=soc_pct, faults=every)
+        self._fault = ChangingFault(codec)
+        self.throttle, self.brake = Pressed(), Pressed()
+        self.nodes = simulator.build(
+            codec,
+            start_ns,
+            soc_pct=soc_pct,
+            faults=[self._fault, *faults],
+            pedals=gateway.settings.pedals,
+            foot=Foot(self.throttle, self.brake),  # type: ignore[arg-type] - no curve
+        )
         self.tick_ns = start_ns + TICK_PHASE_NS
         self._echoes: list[Frame] = []
         self.sequence = 0

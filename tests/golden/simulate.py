@@ -31,7 +31,8 @@ def begun(golden: GoldenDrive, gateway: TappedGateway) -> ScriptedDrive:
             "soc_pct": scenario.start.soc_pct,
             "faults": scenario.faults(CODEC, golden.start_ns),
         }
-    drive = ScriptedDrive(gateway, golden.start_ns, quiet=golden.quiet, **more)
+    more |= {"quiet": golden.quiet, "codec": golden.codec}
+    drive = ScriptedDrive(gateway, golden.start_ns, **more)
     ticks = itertools.count()
 
     def note(result: TickResult) -> None:
@@ -45,7 +46,7 @@ def begun(golden: GoldenDrive, gateway: TappedGateway) -> ScriptedDrive:
 
 def core_text(golden: GoldenDrive) -> str:
     """The core lines of a drive, without a checkpoint."""
-    gateway = TappedGateway(CODEC, settings_of(golden), golden.start_ns, Tap())
+    gateway = TappedGateway(golden.codec, settings_of(golden), golden.start_ns, Tap())
     drive = begun(golden, gateway)
     golden.script(drive)
     frames, calls = gateway.tap.take()
