@@ -120,7 +120,7 @@ class ScriptedDrive:
             soc_pct=soc_pct,
             faults=[self._fault, *faults],
             pedals=gateway.settings.pedals,
-            foot=Foot(self.throttle, self.brake),  # type: ignore[arg-type] - no curve
+            foot=Foot(self.throttle, self.brake),  # type: ignore[arg-type]
         )
         self.tick_ns = start_ns + TICK_PHASE_NS
         self._echoes: list[Frame] = []

@@ -22,12 +22,11 @@ BREAKS_S = 7.0
 DRIVEN_PCT = 40.0
 
 
-def driven(fault: str = "", foot: str = PRESS, **pedals) -> Drive:
+def driven(fault: str = "", foot: str = PRESS) -> Drive:
     """Ten seconds; the foot presses at 4 s, and something breaks at 7 s."""
     step = f"steps: [{{at_s: {BREAKS_S}, {fault}}}]" if fault else ""
     scenario = parse(f"{foot}\n{step}", "a scenario", CODEC.protocol)
-    settings = {"pedals": dataclasses.replace(PEDALS, **pedals)}
-    return drive(CODEC, scenario, 10, None, **settings)
+    return drive(CODEC, scenario, 10, None, pedals=PEDALS)
 
 
 def throttle_pct(done: Drive, at_s: float) -> float:
