@@ -95,6 +95,18 @@ def test_a_limit_returns_at_its_own_rate_while_active():
     assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
 
 
+def test_a_limit_returns_beside_one_that_stays():
+    modes = {"eco": DriveMode(power_limit_w=50_000)}
+    drive = driving(modes=modes, power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 110)
+    drive.run(2000)
+    heat(drive, 40)
+    drive.run(500)
+    before_w = sent(drive).power_limit_w
+    drive.run(1000)
+    assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
+
+
 def test_outside_active_a_limit_is_what_its_curve_says():
     drive = driving(power_limit_w__by_motor_temperature_c=HOT)
     heat(drive, 110)
@@ -526,14 +538,17 @@ def test_without_a_speed_the_throttle_over_speed_goes_to_its_lowest():
     assert sent(drive).throttle_pct == 30
 
 
-def test_the_throttle_rises_as_the_mode_says():
+@pytest.mark.parametrize(("kmh", "rise_pct"), [(0, 20), (20, 40)])
+def test_the_throttle_rises_as_the_mode_says(kmh, rise_pct):
     drive = driving(
         modes={"rain": DriveMode(rise_by_speed=curve((0, 20), (40, 60)))},
         demanded=ControllerDemand(power_mode=PowerMode.TURBO),
     )
+    wheels(drive, kmh * 1000)
+    drive.run(1000)
     drive.demanded = FULL
     drive.run(1000)
-    assert sent(drive).throttle_pct == pytest.approx(20)
+    assert sent(drive).throttle_pct == pytest.approx(rise_pct)
 
 
 # Slip.

@@ -55,11 +55,11 @@ class InputReader:
         self.span: tuple[float, float] | None = None
 
     def read(self, snapshot: Snapshot) -> bool:
-        """Take in the frames of a tick; True where the span is another one or not known."""
+        """Take in the frames of a tick; True where the span is another one."""
         if self.span is not None and self._unchanged(snapshot):
             return False
         span = self._read(snapshot)
-        if span is not None and span == self.span:
+        if span == self.span:
             return False
         self.span = span
         return True

@@ -1,10 +1,13 @@
 """Pedal node: what a foot does, as the configured message of the vehicle's own DBC says it."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from pydantic import AfterValidator, Field
 
 from vcu_gateway.core.can_pedals import CanPedals, PedalTrack, checksum_of
 from vcu_gateway.core.codec import MessageCodec
 from vcu_gateway.core.curve import Curve
+from vcu_gateway.strict_yaml.validation import Section, refusal
 
 _RELEASED = Curve(((0.0, 0.0), (1.0, 0.0)))
 
@@ -14,6 +17,40 @@ class Foot(NamedTuple):
 
     throttle_pct: Curve = _RELEASED
     brake_pct: Curve = _RELEASED
+
+
+def _over_time(points: list[list[float]]) -> list[list[float]]:
+    for index, point in enumerate(points):
+        place = (index,)
+        if len(point) != _PAIR:
+            raise refusal("must be [seconds, %]", "such as [4, 30]", place=place)
+        if index and point[0] <= points[index - 1][0]:
+            raise refusal("must be later than the point before", place=place)
+        if point[0] < 0 or not 0 <= point[1] <= _ALL_PCT:
+            raise refusal("must be a time from 0 on and 0 to 100 %", place=place)
+    if len(points) < _PAIR:
+        raise refusal("must have two points or more", "such as [[4, 0], [5, 30]]")
+    return points
+
+
+_PAIR, _ALL_PCT = 2, 100
+_Travel = Annotated[list[list[float]], AfterValidator(_over_time)]
+
+
+class FootSection(Section):
+    """What the foot does: travel of a pedal over time, linear between the points."""
+
+    throttle_pct: _Travel = Field(default=[[0, 0], [1, 0]], description="Seconds and %.")
+    brake_pct: _Travel = Field(default=[[0, 0], [1, 0]], description="Seconds and %.")
+
+    @property
+    def foot(self) -> Foot:
+        """The simulator's foot of it."""
+        return Foot(_curve(self.throttle_pct), _curve(self.brake_pct))
+
+
+def _curve(points: list[list[float]]) -> Curve:
+    return Curve(tuple((at_s, travel_pct) for at_s, travel_pct in points))
 
 
 class PedalNode:

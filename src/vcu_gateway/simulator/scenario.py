@@ -13,7 +13,6 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import message_name
-from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import CONTROLLERS, PowerMode
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.spec import ProtocolSpec, SignalSpec
@@ -22,7 +21,7 @@ from vcu_gateway.errors import ConfigError, Problem, did_you_mean
 from vcu_gateway.simulator import faults
 from vcu_gateway.simulator.faults import Fault, FaultInterval, ForeignNode, Report
 from vcu_gateway.simulator.nodes import Transform
-from vcu_gateway.simulator.pedals import Foot
+from vcu_gateway.simulator.pedals import Foot, FootSection
 from vcu_gateway.simulator.vehicle import RESISTANCE_OHM, Vehicle
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.file_text import FileProblem, KeyPath, problems, shown
@@ -382,31 +381,6 @@ class ScenarioStart(Section):
     )
 
 
-def _over_time(points: list[list[float]]) -> list[list[float]]:
-    for index, point in enumerate(points):
-        place = (index,)
-        if len(point) != _PAIR:
-            raise refusal("must be [seconds, %]", "such as [4, 30]", place=place)
-        if index and point[0] <= points[index - 1][0]:
-            raise refusal("must be later than the point before", place=place)
-        if point[0] < 0 or not 0 <= point[1] <= _ALL_PCT:
-            raise refusal("must be a time from 0 on and 0 to 100 %", place=place)
-    if len(points) < _PAIR:
-        raise refusal("must have two points or more", "such as [[4, 0], [5, 30]]")
-    return points
-
-
-_PAIR, _ALL_PCT = 2, 100
-_Travel = Annotated[list[list[float]], AfterValidator(_over_time)]
-
-
-class FootSection(Section):
-    """What the foot does: travel of a pedal over time, linear between the points."""
-
-    throttle_pct: _Travel = Field(default=[[0, 0], [1, 0]], description="Seconds and %.")
-    brake_pct: _Travel = Field(default=[[0, 0], [1, 0]], description="Seconds and %.")
-
-
 class _File(Section):
     """Scenario as it is written; its steps are validated one by one."""
 
@@ -457,17 +431,7 @@ def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
         steps += [step] if step else []
     if outline is None or found:
         raise ConfigError(*problems(found, where, read.lines))
-    return Scenario(outline.start, tuple(steps), _foot(outline.foot))
-
-
-def _foot(section: FootSection | None) -> Foot | None:
-    if section is None:
-        return None
-    return Foot(_curve(section.throttle_pct), _curve(section.brake_pct))
-
-
-def _curve(points: list[list[float]]) -> Curve:
-    return Curve(tuple((at_s, travel_pct) for at_s, travel_pct in points))
+    return Scenario(outline.start, tuple(steps), outline.foot and outline.foot.foot)
 
 
 def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[FileProblem]]:
