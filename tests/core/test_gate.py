@@ -572,6 +572,10 @@ def test_more_than_is_demanded_is_blocked(gate, data, demanded):
     assert_blocked(gate, "not_demanded", data, demanded=Asked(*demanded))
 
 
+def test_half_a_bit_of_rounding_is_not_more_than_is_demanded(gate):
+    assert_passes(gate, frame(throttle=2), demanded=Asked(0.585, 100.0, 60_000.0))
+
+
 @pytest.mark.parametrize("safe", SAFE_FRAMES[:2])
 def test_a_safe_frame_needs_no_demand(gate, safe):
     data = safe if safe is ZERO_TORQUE else ZERO_TORQUE
@@ -617,6 +621,7 @@ def test_throttles_may_stay_as_far_apart_as_they_were_sent():
     gate = sent_apart(0, 200)
     assert check_both(gate, (10, 211)) is None
     assert check_both(gate, (10, 212)) == "asymmetry"
+    assert check_both(sent_apart(100, 100), (100, 101 + APART_RAW)) == "asymmetry"
 
 
 @pytest.mark.parametrize("first", [(0x0C, 0x04), (0x04, 0x0C)])

@@ -324,8 +324,55 @@ def test_a_brake_of_0_by_a_curve_takes_the_regeneration_too():
     drive = driving(demanded, brake_pct__by_soc_pct=EXAMPLES["brake_pct.by_soc_pct"])
     assert sent(drive).regen_brake
     drive.codes["BMS_Status.SOC"] = 98
-    drive.run(3000)
-    assert (sent(drive).brake_pct, sent(drive).regen_brake) == (0, False)
+    drive.run(500)
+    while sent(drive).brake_pct > 0:
+        assert sent(drive).regen_brake
+        drive.tick()
+    assert not sent(drive).regen_brake
+
+
+@pytest.mark.parametrize(("power_w", "brake_pct"), [(0.0, 0.0), (0.5, 0.195)])
+def test_a_limit_that_the_frame_rounds_to_0_is_0(power_w, brake_pct):
+    drive = driving(power_limit_w__by_motor_temperature_c=curve((95, power_w), (110, power_w)))
+    assert drive.result.frames[0].data[6:8] == b"\0\0"
+    assert sent(drive).throttle_pct == 0
+    demanded = dataclasses.replace(BRAKING, regen_brake=True)
+    drive = driving(demanded, brake_pct__by_soc_pct=curve((0, brake_pct), (100, brake_pct)))
+    assert drive.result.frames[0].data[2] == 0
+    assert not sent(drive).regen_brake
+
+
+@pytest.mark.parametrize("level", ["CellUndervoltage", "CellOvervoltage"])
+def test_beside_a_curve_that_leaves_all_a_limit_of_0_by_a_cause_is_as_without_it(level):
+    settings = {"derated_power_w": 0, "regen_limit_pct": 0}
+    demanded = dataclasses.replace(FULL, brake_pct=3, regen_brake=True)
+    curves = {
+        "power_limit_w__by_motor_temperature_c": HOT,
+        "brake_pct__by_soc_pct": curve((90, 100), (98, 0)),
+    }
+    frames = []
+    for some in ({}, curves):
+        drive = driving(demanded, settings=settings, **some)
+        drive.codes[f"BMS_Status.{level}"] = 1
+        drive.run(4000)
+        frames.append(drive.result.frames[0].data)
+    assert frames[0] == frames[1]
+
+
+def test_below_the_least_speed_nothing_regenerates_beside_a_curve():
+    demanded = dataclasses.replace(BRAKING, regen_brake=True)
+    drive = driving(demanded, brake_pct__by_soc_pct=EXAMPLES["brake_pct.by_soc_pct"])
+    drive.turn(0)
+    drive.run(500)
+    assert not sent(drive).regen_brake
+
+
+def test_the_smallest_limits_that_are_not_0_take_nothing_else():
+    drive = driving(power_limit_w__by_motor_temperature_c=curve((95, 1), (110, 1)))
+    assert (sent(drive).power_limit_w, sent(drive).throttle_pct) == (1, 100)
+    demanded = dataclasses.replace(BRAKING, regen_brake=True)
+    drive = driving(demanded, brake_pct__by_soc_pct=curve((0, 1), (100, 1)))
+    assert (sent(drive).brake_pct, sent(drive).regen_brake) == (1, True)
 
 
 def test_motors_whose_temperatures_differ_by_more_than_40_degrees_are_told():

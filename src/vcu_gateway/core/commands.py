@@ -208,9 +208,9 @@ class Commander:
         if own.throttle_rise_pct_per_s < settings.throttle_slew_pct_per_s:
             rise_pct = own.throttle_rise_pct_per_s * self._elapsed_s
             throttle_max_pct = min(throttle_max_pct, self.last[name].throttle_pct + rise_pct)
-        if own.power_w < _ZERO_W and ramps.power_w < _ZERO_W:
+        if own.power_w <= _ZERO_W and ramps.power_w <= _ZERO_W:
             throttle_max_pct = 0.0  # a controller may read a power limit of 0 as none
-        brake_is_off = own.brake_pct < _ZERO_PCT and ramps.brake_pct < _ZERO_PCT
+        brake_is_off = own.brake_pct <= _ZERO_PCT and ramps.brake_pct <= _ZERO_PCT
         speed_rpm = self._capped_rpm(name, speed_rpm, _speed_fall(settings))
         return min(throttle_max_pct, own.throttle_pct), speed_rpm, brake_is_off
 
