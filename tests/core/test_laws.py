@@ -96,14 +96,18 @@ def test_a_limit_returns_at_its_own_rate_while_active():
 
 
 def test_a_limit_returns_beside_one_that_stays():
-    modes = {"eco": DriveMode(power_limit_w=50_000)}
-    drive = driving(modes=modes, power_limit_w__by_motor_temperature_c=HOT)
+    drive = driving(
+        power_limit_w__by_motor_temperature_c=HOT,
+        power_limit_w__by_controller_temperature_c=HOT,
+    )
     heat(drive, 110)
     drive.run(2000)
     heat(drive, 40)
     drive.run(500)
     before_w = sent(drive).power_limit_w
-    drive.run(1000)
+    for celsius in (30, 40):
+        drive.codes["PCU1_Status1.ControllerTemperature"] = celsius
+        drive.run(500)
     assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
 
 

@@ -106,16 +106,20 @@ class Deratings:
             if reader.read(inputs.snapshot):
                 moved = True
         if moved or inputs.told is not self._result[2]:
-            self._of_modes, self._on_the_way = of_modes, False
-            for name, one in self._curves.items():
-                span = one.reader.span
-                if span is None or span is not one.span or self.held.get(name) != one.target:
-                    one.look()
-                    self._hold(name, one.derating.limit, one.target, inputs)
-            for limit, target in of_modes.items():
-                self._hold(_OF_MODES[limit], limit, target, inputs)
-            self._result = self._lowest(of_modes), self._findings(inputs.told), inputs.told
+            self._find(inputs, of_modes)
         return self._result[:2]
+
+    def _find(self, inputs: LawInputs, of_modes: Mapping[Limit, float]) -> None:
+        self._of_modes, self._on_the_way = of_modes, False
+        for name, one in self._curves.items():
+            span = one.reader.span
+            if span is None or span is not one.span or self.held.get(name) != one.target:
+                one.look()
+                self._hold(name, one.derating.limit, one.target, inputs)
+        for limit, target in of_modes.items():
+            if self.held.get(_OF_MODES[limit]) != target:
+                self._hold(_OF_MODES[limit], limit, target, inputs)
+        self._result = self._lowest(of_modes), self._findings(inputs.told), inputs.told
 
     def _begin(self, curves: Mapping[str, Curve]) -> None:
         """Curves that a reload took away are forgotten: one that comes again begins anew."""
