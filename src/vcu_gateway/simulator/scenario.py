@@ -431,7 +431,8 @@ def parse(contents: str, where: str, protocol: ProtocolSpec) -> Scenario:
         steps += [step] if step else []
     if outline is None or found:
         raise ConfigError(*problems(found, where, read.lines))
-    return Scenario(outline.start, tuple(steps), outline.foot and outline.foot.foot)
+    foot = None if outline.foot is None else outline.foot.foot
+    return Scenario(outline.start, tuple(steps), foot)
 
 
 def _step(value: Any, at: KeyPath, protocol: ProtocolSpec) -> tuple[Step | None, list[FileProblem]]:
