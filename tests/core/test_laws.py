@@ -369,6 +369,7 @@ def test_below_the_least_speed_nothing_regenerates_beside_a_curve():
     drive.turn(0)
     drive.run(500)
     assert not sent(drive).regen_brake
+    assert drive.gateway.mode is Mode.ACTIVE, "and not because the gate blocked it"
 
 
 def test_the_smallest_limits_that_are_not_0_take_nothing_else():

@@ -120,6 +120,7 @@ class ScriptedDrive:
             soc_pct=soc_pct,
             faults=[self._fault, *faults],
             pedals=gateway.settings.pedals,
+            # No curves over time: a script presses and lets go while it runs.
             foot=Foot(self.throttle, self.brake),  # type: ignore[arg-type]
         )
         self.tick_ns = start_ns + TICK_PHASE_NS

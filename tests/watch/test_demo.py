@@ -332,7 +332,7 @@ def test_with_pedals_it_arms_once_and_a_foot_drives(folder):
         assert client.why()["demand"]["source"] == "pedals"
         client.disarm()
         until(lambda: client.why()["mode"] == "standby")
-        time.sleep(1)
+        time.sleep(1)  # five times as long as arming again would take
         assert client.why()["mode"] == "standby"
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=WAIT_S)

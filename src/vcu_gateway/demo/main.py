@@ -103,10 +103,12 @@ def _arm(socket_path: str) -> None:
     """Arm once, as soon as that can be: pedals do not, and nobody else is there."""
     with Client(socket_path) as client:
         while True:
-            with contextlib.suppress(RefusedError):
-                client.arm()
-                return
-            time.sleep(_ARM_EVERY_S)
+            why = client.why()
+            if why["mode"] == "standby" and not why["blocks"]:  # else a refusal would be an event
+                with contextlib.suppress(RefusedError):
+                    client.arm()
+                    return
+            time.sleep(_ARM_EVERY_S)  # nothing tells when arming is possible
 
 
 def _end_with_stdin(loop: TickLoop) -> None:
