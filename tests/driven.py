@@ -13,7 +13,7 @@ from tests.unrecorded import unrecorded
 from vcu_gateway import config as configuration
 from vcu_gateway import simulator
 from vcu_gateway.app import Application
-from vcu_gateway.client import Client
+from vcu_gateway.client import Client, RefusedError
 from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.why import Explanation
@@ -105,6 +105,15 @@ class Driven:
             if frame.arbitration_id in self.nodes.command_ids:
                 heard.add(frame.data[1])
         return heard
+
+
+def armed(client: Client) -> bool:
+    """Not yet where a machine that stood still cost the gateway a message."""
+    try:
+        client.arm()
+    except RefusedError:
+        return False
+    return True
 
 
 @contextlib.contextmanager

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.driven import wait_until
+from tests.driven import armed, wait_until
 from tests.processors import started_on
-from vcu_gateway.client import Client, DemandOwner, RefusedError
+from vcu_gateway.client import Client, DemandOwner
 
 SHARES = (0.5, 0.9, 0.99)
 CLIENTS = 50
@@ -88,15 +88,6 @@ def ticking(tmp_path: Path) -> Iterator[Ticking]:
             process.kill()
 
 
-def armed(client: Client) -> bool:
-    """Not yet where a machine that stood still cost the gateway a message."""
-    try:
-        client.arm()
-    except RefusedError:
-        return False
-    return True
-
-
 def told(name: str, percentiles_us: list[float]) -> str:
     shares = zip(SHARES, percentiles_us, strict=True)
     return f"{name}: " + ", ".join(f"{share:.0%} of the ticks {us:.0f} us" for share, us in shares)
@@ -112,6 +103,7 @@ def still_drives(ticking: Ticking) -> bool:
     return ticking.owner.last_answer is not None and ticking.owner.last_answer["mode"] == "active"
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_a_flood_makes_the_ticks_no_later_than_any_busy_process_does(ticking: Ticking, capsys):
     for _ in range(ROUNDS):

@@ -191,7 +191,7 @@ def test_the_packaged_example_is_the_one_in_the_repository() -> None:
 
 
 def test_the_example_lists_every_key_of_the_model_and_no_other() -> None:
-    assert set(FACTS) == {name for name, _ in model_keys(schema())}
+    assert set(FACTS) == ENTRIES.keys()
 
 
 def test_the_example_loads_with_every_commented_key_put_in(tmp_path: Path) -> None:
@@ -236,15 +236,13 @@ def test_every_comment_in_the_example_states_the_range(name: str) -> None:
         assert (errors(one_key(name, wrap(number))) == []) is allowed, number
 
 
-@pytest.fixture(scope="module")
-def entries() -> dict[str, Any]:
-    """What the schema says of each key."""
-    return dict(model_keys(schema()))
+ENTRIES = dict(model_keys(schema()))
+"""What the schema says of each key."""
 
 
 @pytest.mark.parametrize("name", LEAVES)
-def test_every_number_has_its_range_and_unit_in_the_example(name: str, entries) -> None:
-    entry = entries[name]
+def test_every_number_has_its_range_and_unit_in_the_example(name: str) -> None:
+    entry = ENTRIES[name]
     kinds = {entry.get("type")} | {kind.get("type") for kind in entry.get("anyOf", [])}
     unit = next((text for end, text in UNITS.items() if name.endswith(f"_{end}")), None)
     if ".by_" in name:  # a curve: its comment has both units and ranges
@@ -257,8 +255,8 @@ def test_every_number_has_its_range_and_unit_in_the_example(name: str, entries) 
 
 
 @pytest.mark.parametrize("name", LEAVES)
-def test_every_choice_is_listed_in_the_example(name: str, entries) -> None:
-    entry = entries[name]
+def test_every_choice_is_listed_in_the_example(name: str) -> None:
+    entry = ENTRIES[name]
     choices = ["true", "false"] if entry.get("type") == "boolean" else entry.get("enum", [])
     if choices and "const" not in entry:
         assert re.search(rf"; one of {', '.join(choices)}(?:\.$|; live,)", FACTS[name])
@@ -267,7 +265,7 @@ def test_every_choice_is_listed_in_the_example(name: str, entries) -> None:
 def test_every_key_of_the_model_has_a_description() -> None:
     without = {
         name
-        for name, entry in model_keys(schema())
+        for name, entry in ENTRIES.items()
         if not (entry.get("description") or "$ref" in entry)  # a section has its own
     }
     assert without <= schema()["properties"].keys()

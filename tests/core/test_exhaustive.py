@@ -282,6 +282,7 @@ def test_every_word_of_the_battery_has_its_effects_and_no_others(prepared):
 GOOD_BEFORE_AND_AFTER = ((0, 1), (1, 0), (1, 1))
 
 
+@pytest.mark.ci
 def test_every_word_has_its_effects_though_good_frames_come_in_the_same_tick(driving):
     for case, (byte6, byte7) in enumerate(product(range(256), repeat=2)):
         if (byte6 >> 4 & 3) != (byte6 + byte7 + byte7 // 4) % 4:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -49,6 +50,7 @@ def explained(drive, before=None):
     return LastTick.explained(drive.gateway, drive.result, drive.now_ns, before)
 
 
+@pytest.mark.ci
 @given(
     st.sampled_from([*BEGUN.values(), BENCH]),
     st.lists(st.tuples(st.sampled_from(sorted(CHANGES)), st.integers(0, 30)), max_size=12),

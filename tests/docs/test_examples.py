@@ -90,6 +90,7 @@ def test_the_page_has_a_line_for_each_program_with_the_interpreter_of_the_readme
         assert line_of(name).startswith(f".venv/bin/python docs/examples/{name} ")
 
 
+@pytest.mark.ci
 def test_the_control_loop_drives_the_demo(clone):
     code, said = clone.outcome(line_of("control_loop"))
     assert code == 0, said
@@ -99,12 +100,12 @@ def test_the_control_loop_drives_the_demo(clone):
 def test_the_logger_writes_what_the_demos_vehicle_says(clone):
     program = clone.typed(line_of("logger"))
     written = clone.folder / "battery.csv"
-    until(lambda: written.exists() and written.read_text().count("\n") > 3)
+    until(lambda: written.exists() and written.read_text().count("\n") > 10)
     program.send_signal(signal.SIGINT)
     _, errors = program.communicate(timeout=WAIT_S)
     assert (program.returncode, errors) == (0, "interrupted\n")
-    head, first = written.read_text().splitlines()[:2]
-    row = dict(zip(head.split(","), first.split(","), strict=True))
+    head, *_, last = written.read_text().splitlines()  # the first rows may come before a frame
+    row = dict(zip(head.split(","), last.split(","), strict=True))
     assert 40 < float(row["BMS_Status.PackVoltage"]) < 100
 
 

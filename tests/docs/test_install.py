@@ -126,6 +126,7 @@ def test_both_pages_have_commands_that_are_run_here():
     assert {words(line)[0] for line in READ_LINES} == set(READING) - {"reload"}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("line", sorted(set(READ_LINES)))
 def test_a_command_that_reads_answers(driven, line):
     allowed = {0, 1} if words(line)[0] == "doctor" else {0}  # 1: this machine is no vehicle's
@@ -198,6 +199,7 @@ def turning(driven: Driven) -> Iterator[subprocess.Popen[str]]:
         driver.kill()
 
 
+@pytest.mark.clock
 def test_ctrl_c_releases_the_throttle(driven):
     with turning(driven) as driver:
         driver.send_signal(signal.SIGINT)
@@ -206,6 +208,7 @@ def test_ctrl_c_releases_the_throttle(driven):
         driven.until_mode("standby")
 
 
+@pytest.mark.clock
 def test_the_trial_of_the_emergency_stop_goes_as_the_page_says(driven):
     with turning(driven):
         says(driven, "vcu-gateway estop")
@@ -223,6 +226,7 @@ def test_the_trial_of_the_emergency_stop_goes_as_the_page_says(driven):
     driven.until_mode("standby")
 
 
+@pytest.mark.ci
 def test_a_checked_configuration_says_what_the_page_says(driven):
     assert "valid" in says(driven, "vcu-gateway check-config")
     assert "no static demand" in says(driven, "vcu-gateway check-config")
@@ -286,7 +290,7 @@ def test_the_files_of_the_source_tree_that_the_page_installs_are_there():
     (block,) = (block for block in blocks(INSTALL, "sh") if "systemd/sysusers.conf" in block)
     named = re.findall(r"\b((?:systemd|config)/\S+|requirements\.lock)", block)
     named = [name for name in named if not name.endswith("/")]
-    assert len(named) == 10
+    assert len(named) == 12
     for name in named:
         assert (ROOT / name).is_file(), name
 
@@ -311,6 +315,7 @@ def test_every_path_that_a_unit_needs_is_in_the_table_of_places():
         "vcu-gateway-recorder.service",
         "vcu-gateway-recorder.socket",
         "vcu-gateway-web.service",
+        "vcu-gateway-pedals.service",
     ):
         unit = (ROOT / "systemd" / name).read_text().replace("%i", "can1")
         for found in re.findall(r"(?<=[= :])/(?:etc|run|var/lib|usr/lib)/vcu-gateway[\w-]*", unit):

@@ -40,6 +40,7 @@ def run(line: str, folder: Path, code: int = 0) -> str:
     return done.stdout + done.stderr
 
 
+@pytest.mark.ci
 @pytest.mark.clock  # the verdict of a replay judges how soon the gateway reacted
 def test_three_commands_lead_from_the_demo_to_a_what_if_report(folder: Path):
     demo, replay, what_if = LINES

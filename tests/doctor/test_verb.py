@@ -79,6 +79,7 @@ def test_json_is_one_object_of_the_documented_shape(config):
         assert all(isinstance(value, str) for value in finding.values())
 
 
+@pytest.mark.ci
 def test_there_is_no_colour_but_on_a_terminal(config):
     assert "\x1b" not in doctor("-c", str(config)).stdout
     assert b"\x1b[32mok" in on_a_terminal(config)

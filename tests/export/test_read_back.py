@@ -12,7 +12,7 @@ from tests.export.logs import START_NS, by_cantools, random_frames, write_log
 from tests.export_libraries import PATIENCE_S, ROOT, export_folder, with_export_libraries
 
 __all__ = ["export_folder"]
-pytestmark = pytest.mark.timeout(PATIENCE_S)
+pytestmark = [pytest.mark.ci, pytest.mark.timeout(PATIENCE_S)]
 
 FRAMES = random_frames(2600)
 # Each prints JSON: attachments, and of each message stamps (ns) and columns, floats as hex.

@@ -24,6 +24,7 @@ def test_nothing_else_lies_beside_it():
     assert {path.name for path in UPLOT.iterdir()} == set(SHA256)
 
 
+@pytest.mark.ci
 def test_its_licence_and_version_go_with_it():
     assert "MIT License" in (UPLOT / "LICENSE").read_text()
     assert "uPlot (v1.6.32)" in (UPLOT / "uPlot.iife.min.js").read_text()[:200]

@@ -43,6 +43,7 @@ def _tapped(monkeypatch):
     monkeypatch.setattr(test_invariants, "Gateway", gateway)
 
 
+@pytest.mark.ci
 def test_the_verdict_has_nothing_against_any_drive_of_the_gateway():
     run_state_machine_as_test(
         JudgedMachine,

@@ -212,6 +212,7 @@ def test_promtool_reads_every_expression_of_the_dashboard(promtool, tmp_path):
     assert f"SUCCESS: {len(rules)} rules found" in promtool("check", "rules", path)
 
 
+@pytest.mark.ci
 @pytest.mark.timeout(300)
 def test_each_alert_fires_for_what_it_is_for_and_nothing_else_does(promtool, tmp_path):
     tests = [_unit(alert, series, {alert} | more) for alert, (series, more) in FIRES.items()]

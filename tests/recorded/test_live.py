@@ -236,10 +236,11 @@ def stalls_unnoticed(one: Breaking, disk: Path) -> bool:
 
 
 # That much memory holds what a disk does not take, a disk that stalls shows, too.
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("memory", "fits"),
     [
-        pytest.param("32M", True, id="much memory", marks=pytest.mark.ci),
+        pytest.param("32M", True, id="much memory"),
         pytest.param("16k", False, id="little memory"),
     ],
 )

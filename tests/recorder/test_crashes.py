@@ -50,6 +50,7 @@ def test_a_second_recorder_does_not_write_into_the_same_folder(recorder):
     assert "another recorder writes into" in second.errors
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_a_latched_fault_is_on_the_disk_at_once_and_what_follows_it(recorder, gateway, tmp_path):
     disk = FaultyDisk(tmp_path, tmp_path / "recordings")

@@ -74,6 +74,7 @@ def test_an_incident_holds_what_it_held_when_the_recorder_is_killed(recorder, ga
     assert [line for line in lines_of(incident) if "events" in line]
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_what_comes_while_an_incident_is_open_joins_it(recorder, gateway, tmp_path):
     process = recorder(*SHORT)

@@ -26,6 +26,7 @@ def long_drive(vehicle, segments):
         vehicle.drive(0.3, frames=SEGMENT_FRAMES // 6)
 
 
+@pytest.mark.ci
 @pytest.mark.clock  # a segment has its seconds, too
 def test_the_oldest_segments_go_above_the_budget(recorder, gateway, tmp_path):
     budget = 400_000

@@ -162,6 +162,7 @@ def cases() -> Iterator[Any]:
             yield pytest.param(what, verb, marks=mark if verb == chosen else pytest.mark.slow)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(("what", "verb"), list(cases()))
 def test_a_file_made_by_hand_is_an_error_and_no_crash(recorded, tmp_path, what, verb):
     drive = tmp_path / layout.DRIVES / "drive"

@@ -53,6 +53,7 @@ def decoded(folder: Path, path: Path) -> list[dict]:
     return [{"message": one["message"], "signals": one["signals"]} for one in frames]
 
 
+@pytest.mark.ci
 def test_decode_reads_mf4_where_asammdf_is_installed(export_folder, tmp_path):
     messages = dbc.load(packaged("vcu.dbc")).messages
     identifiers = [str(message.can_id) for message in messages * 3]

@@ -78,6 +78,7 @@ class RecordedMachine(GatewayMachine):
             gateway.receive(frame)
 
 
+@pytest.mark.ci
 @pytest.mark.timeout(3600)
 def test_a_recorded_core_is_restored_at_every_tick_whatever_happens():
     COUNTS.clear()

@@ -146,6 +146,7 @@ def drives(recorded: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) 
     return recorded | {name: make(folder / name) for name, make in made.items()}
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("assignment", EXPECTED)
 def test_each_key_shows_what_it_changes(drives, assignment):
     name, expected = EXPECTED[assignment]

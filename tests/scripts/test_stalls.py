@@ -106,6 +106,7 @@ def test_what_failed_while_it_did_not_has_failed_at_once(run):
     assert any("taken again" not in run(wrong) for _ in range(5))
 
 
+@pytest.mark.ci
 def test_what_hangs_is_ended_each_time(run):
     said = run("""
 @pytest.mark.timeout(1)

@@ -76,6 +76,7 @@ def test_generated_files_are_not_among_those_to_edit_for_a_limit(tree: Path) -> 
     assert columns(tree)["files that name one limit"] == ["2"]
 
 
+@pytest.mark.ci
 def test_two_trees_stand_side_by_side(tree: Path) -> None:
     counted = columns(tree, REPOSITORY)
     assert counted[""] == [str(tree), str(REPOSITORY)]

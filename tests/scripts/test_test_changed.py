@@ -1,6 +1,7 @@
 """scripts/test-changed: that it finds what a change reaches, runs it, and knows all there is."""
 
 import ast
+import functools
 import importlib.machinery
 import importlib.util
 import itertools
@@ -33,6 +34,7 @@ changed = load()
 IMPORTS = changed.Imports(REPOSITORY, [])
 
 
+@functools.cache
 def reached(*paths: str):
     return changed.Reached(list(paths), IMPORTS)
 
@@ -70,6 +72,7 @@ def test_every_verb_is_in_the_map_or_runs_all():
     assert modules == {*changed.PROGRAMS, "run"}
 
 
+@pytest.mark.ci
 def test_every_package_runs_tests_of_its_own_or_all():
     for package in sorted((REPOSITORY / "src" / "vcu_gateway").iterdir()):
         if not (package / "__init__.py").is_file():
@@ -86,6 +89,7 @@ def test_a_test_that_changed_is_run_or_its_step_is():
         assert found.tests == {test} or found.why_all or found.steps == {changed.step_of(test)}
 
 
+@pytest.mark.ci
 def test_every_test_is_reached_by_a_module_or_a_file_outside_the_tests():
     missed = set(IMPORTS.tests)
     for path in (path for path in tracked() if not path.startswith("tests/")):
@@ -126,6 +130,7 @@ def started() -> Iterator[tuple[str, str]]:
                         yield module, verb
 
 
+@pytest.mark.ci
 def test_every_test_that_starts_a_verb_is_reached_by_it():
     pairs = list(started())
     assert len(pairs) > 10
@@ -263,6 +268,7 @@ def test_nothing_changed_is_said_and_right(folder):
     assert (done.returncode, done.stdout) == (0, "nothing changed since the last commit\n")
 
 
+@pytest.mark.ci
 def test_what_is_not_committed_is_run_by_imports_and_by_programs(folder):
     (folder / TABLE).write_text("WIDTH = 2  # two\n")
     done = run(folder)
@@ -275,6 +281,7 @@ def test_what_is_not_committed_is_run_by_imports_and_by_programs(folder):
     assert not made(folder)
 
 
+@pytest.mark.ci
 def test_a_test_that_fails_is_shown_and_fails_it(folder):
     (folder / TABLE).write_text("WIDTH = 3\n")
     done = run(folder)
@@ -283,6 +290,7 @@ def test_a_test_that_fails_is_shown_and_fails_it(folder):
     assert re.search(r"2 test files; failed: tests\n$", done.stdout)
 
 
+@pytest.mark.ci
 def test_a_module_that_is_no_more_reaches_those_that_import_it(folder):
     (folder / TABLE).unlink()
     done = run(folder)

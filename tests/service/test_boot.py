@@ -4,11 +4,15 @@ import contextlib
 import subprocess
 from collections.abc import Iterator
 
+import pytest
+
 from tests.faults.driving import QUIET
 from tests.service.conftest import Booted
 from tests.service.driver import Driver
 from tests.service.unit import NAME, PATIENCE_S, Unit
 from tests.vcan.conftest import Stand, ip, program, wait_until
+
+pytestmark = pytest.mark.ci
 
 
 @contextlib.contextmanager

@@ -11,6 +11,8 @@ from tests.service.conftest import configure
 from tests.service.driver import Driver
 from tests.service.unit import CONFIG, NAME, Unit, systemctl
 
+pytestmark = pytest.mark.ci
+
 RESTART_S = 0.2  # RestartSec=
 GOOD, WRONG, STRICTER = (f"power_limit_max_w: {watts}" for watts in (60000, 99000, 40000))
 

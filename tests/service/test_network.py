@@ -14,6 +14,8 @@ from tests.service.unit import PATIENCE_S, systemctl
 from tests.vcan.conftest import wait_until
 from vcu_gateway.bus import netlink
 
+pytestmark = pytest.mark.ci
+
 SHIPPED = Path("/usr/share/vcu-gateway/network")
 IN_EFFECT = Path("/etc/systemd/network")
 

@@ -29,7 +29,7 @@ PYTHON = os.path.realpath("/usr/bin/python3")
 PACKAGED = HOME / f"lib/{Path(PYTHON).name}/site-packages/vcu_gateway/data/gateway.yaml"
 PATIENCE_S = 120.0
 
-pytestmark = pytest.mark.timeout(1200)
+pytestmark = [pytest.mark.timeout(1200), pytest.mark.ci]
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -176,7 +176,6 @@ def demanding() -> Iterator[None]:
             process.terminate()
 
 
-@pytest.mark.ci  # the guest has installed it before it booted
 def test_it_installs_without_a_network_enabled_and_not_started(first):
     assert installed() == ("install ok installed", "1")
     assert apt("check").returncode == 0
@@ -276,7 +275,6 @@ def armed() -> bool:
     return mode == "active"
 
 
-@pytest.mark.ci
 def test_nothing_changes_while_it_is_active_and_once_disarmed_it_upgrades_what_runs(healthy):
     for change in (
         ["install", os.environ["VCU_DEB_NEXT"]],
@@ -337,6 +335,7 @@ NOTES_OF_SYSTEMD = {
     "/var/lib/systemd/deb-systemd-helper-enabled/multi-user.target.wants/vcu-gateway.service",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-exporter.service.dsh-also",
+    "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-pedals.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-recorder.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-web.service.dsh-also",
     "/var/lib/systemd/deb-systemd-helper-enabled/vcu-gateway-recorder.socket.dsh-also",
@@ -353,7 +352,6 @@ NOTES_OF_SYSTEMD = {
 }
 
 
-@pytest.mark.ci
 def test_purging_leaves_nothing_but_the_users(running, recording):
     remove("purge")
     assert not RECORDINGS.exists()

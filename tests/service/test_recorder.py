@@ -218,6 +218,7 @@ def gone_on(gateway: Gateway, recording: RecordingPath) -> bool:
     return any(path.stat().st_size for segment in found for path in segment.paths)
 
 
+@pytest.mark.ci
 def test_killed_it_comes_back_and_goes_on_with_the_drive(
     gateway: Gateway, recording: RecordingPath
 ):
@@ -230,6 +231,7 @@ def test_killed_it_comes_back_and_goes_on_with_the_drive(
     assert found.gaps.frames > 0
 
 
+@pytest.mark.ci
 def test_stopping_the_socket_stops_it_for_good_and_the_drive_says_so(
     gateway: Gateway, recording: RecordingPath
 ):
@@ -244,6 +246,7 @@ def test_stopping_the_socket_stops_it_for_good_and_the_drive_says_so(
     assert systemctl("start", SOCKET).returncode == 0
 
 
+@pytest.mark.ci
 def test_the_gateway_runs_on_without_it(service: Unit):
     systemctl("stop", SOCKET)
     assert service.show("ActiveState") == "active"

@@ -10,6 +10,8 @@ import pytest
 from tests.service.conftest import fresh
 from tests.service.unit import drop_in
 
+pytestmark = pytest.mark.ci
+
 PROBE = Path("/usr/local/lib/probe.py")  # where the service, too, can see it
 STATE = Path("/var/lib/vcu-gateway")
 REPORT = STATE / "probe.json"

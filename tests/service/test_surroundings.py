@@ -9,6 +9,8 @@ import pytest
 from tests.service.driver import Driver, gaps_ms
 from tests.service.unit import Unit, systemctl
 
+pytestmark = pytest.mark.ci
+
 JOURNALD = [
     f"systemd-journald{part}"
     for part in (".socket", "-dev-log.socket", "-audit.socket", ".service")
@@ -52,7 +54,6 @@ def strange_service(unit: Unit, vehicle: None) -> Iterator[Unit]:
         systemctl("unset-environment", *STRANGE)
 
 
-@pytest.mark.ci
 def test_f83_language_and_time_zone_have_no_effect(strange_service: Unit, driver: Driver):
     driver.drive()
     with open(f"/proc/{strange_service.pid}/environ") as environment:

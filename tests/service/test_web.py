@@ -20,6 +20,8 @@ import pytest
 from tests.service.unit import PATIENCE_S, Unit, drop_in, systemctl
 from tests.vcan.conftest import wait_until
 
+pytestmark = pytest.mark.ci
+
 SERVICE = "vcu-gateway-web.service"
 URL = "http://127.0.0.1:9465"
 MOST_EXPOSED = 1.5
@@ -106,7 +108,6 @@ def test_whoever_is_on_the_machine_looks_and_stops_and_no_more(steady: Unit, pag
     assert json.loads(body)["granted"] is True
 
 
-@pytest.mark.ci
 def test_its_rights_are_none_until_the_configuration_gives_some(steady: Unit, page: None):
     with restarted_with("--local-role service"):
         wait_until(answers, "the page", PATIENCE_S)
@@ -125,7 +126,6 @@ def test_killed_it_is_back_at_once_and_the_gateway_goes_on(steady: Unit, page: N
     assert steady.number("NRestarts") == 0
 
 
-@pytest.mark.ci
 def test_an_address_on_a_network_without_tls_does_not_start(page: None):
     with restarted_with("--listen 0.0.0.0:9465"):
         wait_until(lambda: show("ActiveState") == "failed", journal(), PATIENCE_S)

@@ -209,6 +209,7 @@ def test_every_frame_of_an_eventful_drive_decodes_with_all_signals_good() -> Non
     assert seen == {message.name for message in SPOKEN}
 
 
+@pytest.mark.ci
 @given(
     st.lists(
         st.tuples(

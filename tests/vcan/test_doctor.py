@@ -25,6 +25,8 @@ from vcu_gateway.client import Client, ClientError
 from vcu_gateway.core import j1939
 from vcu_gateway.protocol import dbc, packaged
 
+pytestmark = pytest.mark.ci
+
 BENCH = """
 bench: {auto_arm: true, demand: {bench_use_only: true, throttle_pct: 20}}
 limits: {speed_limit_max_rpm: 3000}

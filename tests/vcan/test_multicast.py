@@ -43,6 +43,7 @@ def started(stand: Stand) -> Process:
     return stand.start("gateway", *program("run", "-c", str(stand.config_path)))
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("network")
 def test_it_drives_among_its_own_frames_and_stops_for_those_of_another_sender(stand: Stand):
     gateway = started(stand)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.vcan.conftest import COMMANDS, PATIENCE_S, Recorded, Stand, ended_after, wait_until
-from tests.vcan.test_api import Drive
+from tests.vcan.test_api import Drive, begin
 from vcu_gateway.client import Client, ConfigRefusedError
 
 HOT_W, STRICTER_W, DERATED_W = 6000, 5000, 4000
@@ -43,13 +43,7 @@ def power_w(frame: Recorded) -> int:
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drive]:
     with ended_after(Stand(tmp_path_factory.mktemp("tuned"), forking=True)) as stand:
-        recording = stand.record()
-        gateway = stand.gateway(config(HOT_W))
-        wait_until(lambda: "link_open" in gateway.err.read_text(), "the gateway")
-        stand.vehicle(SCENARIO)
-        one = Drive(stand, recording, gateway)
-        one.until_ready()
-        yield one
+        yield begin(stand, config(HOT_W), SCENARIO)
 
 
 def until_power(drive: Drive, watts: int) -> None:

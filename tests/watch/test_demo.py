@@ -27,6 +27,7 @@ from vcu_gateway.recording.folder import RecordingFolder
 from vcu_gateway.simulator.scenario import Scenario
 
 WAIT_S = 60.0
+PRESSED = ((5.0, 0), (5.1, 43), (9.9, 43), (10.0, 0))  # s, % of the travel
 SCENARIOS = ROOT / "config" / "scenarios"
 
 
@@ -122,6 +123,7 @@ def test_the_gateway_does_not_outlive_a_view_that_is_killed(folder):
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.ci
 def test_a_reader_that_goes_away_ends_it_quietly(folder):
     done = subprocess.run(
         f"{VCU_GATEWAY} demo | head -1",
@@ -178,6 +180,7 @@ def test_a_child_that_stands_still_is_killed_and_reported_as_a_bug(folder, monke
     assert is_gone(pid)
 
 
+@pytest.mark.ci
 def test_a_recorded_demo_is_whole_and_says_what_to_do_next(folder):
     process = demo("--duration", "4", "--record", str(folder / "kept"))
     said, _ = process.communicate(timeout=WAIT_S)
@@ -206,6 +209,7 @@ def test_a_demo_that_is_not_recorded_hands_nothing_to_a_recorder_of_the_machine(
         assert client.config()["values"]["recorder"]["socket_path"] is None
 
 
+@pytest.mark.ci
 def test_the_socket_is_the_same_each_time_and_a_second_demo_does_not_take_it(folder, monkeypatch):
     named = folder / f"vcu-gateway-demo-{os.geteuid()}.sock"
     assert default_socket() == named
@@ -222,6 +226,7 @@ def test_the_socket_is_the_same_each_time_and_a_second_demo_does_not_take_it(fol
     assert list(folder.iterdir()) == []
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_it_drives_a_configuration_through_a_scenario_and_keeps_what_happened(folder):
     config, scenario, kept = folder / "own.yaml", folder / "scenario.yaml", folder / "kept"
@@ -312,10 +317,13 @@ def test_pedals_are_those_of_the_file_else_of_the_example_and_the_foot_presses_a
     def pressed(**options: Any) -> tuple[tuple[float, float], ...]:
         config, _, scenario = loaded(has_pedals=True, **options)
         assert config.bench.demand is None
-        return () if scenario.foot is None else scenario.foot.throttle_pct.points
+        return () if scenario.foot is None else scenario.foot.throttle_pct.points[:5]
 
-    assert pressed() == ((5, 0), (6, 30))
-    assert pressed(throttle_pct=50.0) == ((5, 0), (6, 50))
+    assert pressed() == ((5, 0), (6, 30), (29, 30), (30, 0), (35, 0))
+    assert pressed(throttle_pct=50.0) == ((5, 0), (6, 50), (29, 50), (30, 0), (35, 0))
+    _, _, scenario = loaded(has_pedals=True)
+    assert scenario.foot is not None
+    assert scenario.foot.throttle_pct.at(7200) == 30, "it stays pressed after the last round"
     assert pressed(scenario_path=foot) == ((0, 0), (2, 70))
     assert pressed(has_demand=False) == ()
     with pytest.raises(GatewayError, match=r"limits\.yaml: has no pedals\.can, and --pedals needs"):
@@ -323,8 +331,11 @@ def test_pedals_are_those_of_the_file_else_of_the_example_and_the_foot_presses_a
 
 
 @pytest.mark.ci
+@pytest.mark.clock  # it drives once: a gateway without a processor ends the drive for good
 def test_with_pedals_it_arms_once_and_a_foot_drives(folder):
-    (folder / "foot.yaml").write_text("foot: {throttle_pct: [[0, 0], [5, 0], [5.1, 43]]}\n")
+    # Arming may take longer than 5 s, and needs a pedal that is released.
+    foot = [[at_s + part_s, pct] for at_s in range(0, 60, 10) for part_s, pct in PRESSED]
+    (folder / "foot.yaml").write_text(f"foot: {{throttle_pct: {foot}}}\n")
     process = demo("--pedals", "--scenario", folder / "foot.yaml")
     with Client(socket_named(process)) as client:
         until(lambda: client.why()["mode"] == "active")

@@ -75,6 +75,7 @@ def test_in_a_window_there_are_colours_but_with_no_color_there_is_none():
             shell.until(r"^exit=0")
 
 
+@pytest.mark.ci
 def test_with_no_color_not_one_byte_of_colour_is_written():
     with terminal(f"{SCRIPTED} faulty", {"NO_COLOR": "1"}) as view:
         view.until(rb"\? help")
@@ -110,6 +111,7 @@ def test_a_key_ends_it_in_order(keys):
         assert re.search(LEFT, view.output, re.DOTALL)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("is_told", [True, False])
 def test_it_ends_with_the_terminal_told_by_the_kernel_or_not(is_told):
     with terminal(f"{SCRIPTED} driving moving", controls=is_told) as view:

@@ -149,6 +149,7 @@ def test_nothing_keeps_out_a_screen_reader_or_a_keyboard(browser, web, colours, 
                 page.screenshot(path=PICTURES / f"{view}-{width}-light.png")
 
 
+@pytest.mark.ci
 def test_numbers_do_not_jump_while_the_vehicle_drives(gateway, context, web):
     page, _ = opened(context, web.url)
     until_driving(gateway, page)
@@ -290,6 +291,7 @@ TAKE_EACH = """async ([sections, variants]) => {
 }"""
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("stopped")
 def test_every_field_of_another_shape_fails_nothing_in_the_browser(context, web):
     web.act("estop")
@@ -376,6 +378,7 @@ def test_a_stalled_stream_is_old_within_half_a_second_and_comes_back(context, we
         assert page.title() == "vcu-gateway"
 
 
+@pytest.mark.ci
 def test_what_waited_in_a_buffer_is_not_live_however_steadily_it_comes(context, web):
     with proxied(web.port) as proxy:
         page, _ = opened(context, proxy.url)

@@ -216,6 +216,7 @@ def test_a_drive_comes_out_the_same_and_with_another_configuration_not(tmp_path,
     assert other["same"] is False
 
 
+@pytest.mark.ci
 def test_a_browser_replays_and_asks_what_if(tmp_path, gateway, driven):
     options = ("--local-role", "operator", "--recordings", str(driven))
     with (

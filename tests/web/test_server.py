@@ -493,6 +493,7 @@ def test_a_browser_that_does_not_read_misses_updates_and_costs_no_memory(web):
         assert resident_kb() - before_kb < 4000
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_a_slow_network_gets_fewer_states_and_none_that_waited_long(web):
     ages_ms = []
@@ -511,6 +512,7 @@ def test_a_slow_network_gets_fewer_states_and_none_that_waited_long(web):
     assert statistics.median(ages_ms[5:]) < 1000
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_a_flood_of_requests_keeps_no_stop_out_and_makes_no_tick_late(gateway, web, tmp_path):
     os.setpriority(os.PRIO_PROCESS, web.process.pid, 10)  # as the unit has it
@@ -543,6 +545,7 @@ def flooding(web: WebProcess) -> Iterator[list[int]]:
         answered.append(int(output))
 
 
+@pytest.mark.ci
 def test_the_server_needs_little(web):
     with web.stream() as stream:
         stream.until("state")

@@ -97,6 +97,7 @@ def test_a_controller_that_ignores_the_stop_is_an_alarm_until_it_obeys(gateway, 
     )
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("stopped")
 def test_the_alarms_sound_can_be_silenced_for_a_while_and_comes_back(gateway, context, web):
     page, _ = opened(context, web.url)
@@ -203,6 +204,7 @@ def test_a_stop_that_nobody_answers_says_to_use_the_contactor_and_goes_on(gatewa
     until_stage(page, "cut")
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("stopped")
 def test_an_answer_that_comes_after_two_seconds_still_counts(gateway, context, web):
     with proxied(web.port) as proxy:
@@ -246,6 +248,7 @@ def test_a_stop_of_nobody_is_asked_for_at_a_sign_in_that_follows_at_once(gateway
     until_stage(page, "cut")
 
 
+@pytest.mark.ci
 def test_a_stop_of_nobody_ends_and_a_later_sign_in_does_not_ask_for_it(gateway, context, guarded):
     page = context.new_page()
     page.goto(guarded.url)

@@ -241,6 +241,7 @@ class Hogged(NamedTuple):
         )
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_f58_a_thread_that_never_yields_leaves_the_cadence(tmp_path, seen: Seen):
     """Worse than anything in the program: it computes without a pause, in this very process."""
@@ -513,6 +514,7 @@ def no_descriptors() -> Iterator[None]:
             os.close(one)
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_f66_without_descriptors_the_bus_goes_on_and_the_api_recovers(tmp_path, seen: Seen):
     with bystander(tmp_path) as other, driven(tmp_path) as whole, moving(whole) as driver:

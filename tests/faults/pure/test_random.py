@@ -13,7 +13,7 @@ from vcu_gateway.core.supervisor import Mode
 @pytest.mark.parametrize(
     "frames",
     [
-        pytest.param(200_000),
+        pytest.param(200_000, marks=pytest.mark.ci),
         pytest.param(10_000_000, marks=[pytest.mark.slow, pytest.mark.timeout(3600)]),
     ],
 )

@@ -78,6 +78,7 @@ def test_f57_a_late_tick_skips_what_was_missed_and_earns_one_period_at_most(peri
     seen(f"{periods} late: {periods} skipped, throttle {before} to {after}, {drive.mode.value}")
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_f59_a_full_collection_finds_nothing_to_walk_and_a_forced_pause_is_a_late_tick(
     tmp_path, seen: Seen
@@ -257,6 +258,7 @@ PLACES = {
 }
 
 
+@pytest.mark.ci
 @pytest.mark.clock
 def test_f83_language_and_time_zone_change_neither_words_nor_stamps(tmp_path, seen: Seen):
     config = tmp_path / "gateway.yaml"

@@ -195,6 +195,7 @@ def since(frames: list[Recorded], at_ns: int) -> list[Recorded]:
     return [frame for frame in frames if frame.can_id in COMMANDS and frame.stamp_ns > at_ns]
 
 
+@pytest.mark.ci
 def test_f51_a_process_stopped_for_ever_is_silent_and_can_be_ended(road: Road, seen: Seen):
     one = road.driving()
     os.kill(pid_of(one), signal.SIGSTOP)
@@ -389,6 +390,7 @@ def test_f58_a_busy_machine_with_little_memory_costs_ticks_at_most_and_no_invari
     assert found[-1].good, "not only what the machine took"
 
 
+@pytest.mark.ci
 def test_f67_without_memory_the_process_ends_and_the_next_start_is_unarmed(road: Road, seen: Seen):
     one = road.driving()
     pid = pid_of(one)
