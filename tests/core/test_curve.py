@@ -1,5 +1,6 @@
 """Curves: linear between their points, level beyond, compared at the points of both."""
 
+import math
 import random
 
 import pytest
@@ -29,6 +30,18 @@ def test_a_point_is_hit_exactly(curve):
 )
 def test_between_its_points_it_is_linear_and_level_beyond(x, y):
     assert FALLING.at(x) == pytest.approx(y, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        ((-7.0, 53.3), (3.0, 10.19)),  # the sum of floats is 10.189999999999998
+        ((-36.0, 8.45), (-6.0, 45.4)),  # and 45.400000000000006
+    ],
+)
+def test_just_before_a_point_it_is_not_beyond_it(points):
+    curve = Curve(points)
+    assert curve.at(math.nextafter(points[1][0], -math.inf)) == points[1][1]
 
 
 def test_lowest_and_highest_are_those_of_its_points():

@@ -277,19 +277,41 @@ def test_a_motor_speed_out_of_range_is_not_known_and_the_brake_falls_to_its_dera
     assert "motor speed not known: brake at most 20 %" in drive.sentence
 
 
+def signals_of(derating):
+    return [(message, one) for message, signals in derating.input.messages for one in signals]
+
+
+def set_to(drive: Drive, message: str, signal: str, value: float) -> None:
+    """Have every frame of the message carry this physical value from now on."""
+    specs = {one.name: one for one in drive.gateway.snapshot(drive.now_ns).messages}
+    spec = specs[message].signal(signal)
+    drive.codes[f"{message}.{signal}"] = round((value - spec.offset) / spec.factor)
+
+
+@pytest.mark.parametrize("name", DERATINGS)
+def test_of_the_signals_of_an_input_the_worst_counts(name):
+    derating, one = DERATINGS[name], EXAMPLES[name]
+    drive = driving(**{name.replace(".", "__"): one})
+    worst, good = one.points[0][0], one.points[-1][0]
+    if not derating.rises:
+        worst, good = good, worst
+    signals = signals_of(derating)
+    for bad in signals:
+        for one_signal in signals:
+            message, signal = one_signal
+            set_to(drive, message, signal, worst if one_signal == bad else good)
+        drive.run(2000)
+        assert drive.gateway.curves[0].x == pytest.approx(worst, abs=0.01), bad
+
+
 @pytest.mark.parametrize("name", DERATINGS)
 def test_each_curve_gives_its_lowest_value_at_its_worst_input(name):
     derating, one = DERATINGS[name], EXAMPLES[name]
     demanded = BRAKING if derating.limit == "brake_pct" else FULL
     drive = driving(demanded, **{name.replace(".", "__"): one})
     worst = one.points[0][0] if derating.rises else one.points[-1][0]
-    for message, signals in derating.input.messages:
-        for signal in signals:
-            spec = next(
-                m for m in drive.gateway.snapshot(drive.now_ns).messages if m.name == message
-            )
-            raw = round((worst - spec.signal(signal).offset) / spec.signal(signal).factor)
-            drive.codes[f"{message}.{signal}"] = raw
+    for message, signal in signals_of(derating):
+        set_to(drive, message, signal, worst)
     drive.run(30_000)
     field = {"power_limit_w": "power_limit_w", "brake_pct": "brake_pct"}.get(
         derating.limit, "speed_limit_rpm"
@@ -299,18 +321,33 @@ def test_each_curve_gives_its_lowest_value_at_its_worst_input(name):
     assert derating.key in held
 
 
-def test_of_several_frames_between_two_ticks_the_worst_counts():
+@pytest.mark.parametrize("stamped", [[(125, 1), (40, 2)], [(40, 2), (125, 1)]], ids=str)
+def test_of_several_frames_between_two_ticks_the_worst_counts(stamped):
     drive = driving(power_limit_w__by_motor_temperature_c=HOT)
-    heat(drive, 125)
-    drive.receive("PCU1_Status1", drive.now_ns + 1 * MS)
+    for celsius, at_ms in stamped:
+        heat(drive, celsius)
+        drive.receive("PCU1_Status1", drive.now_ns + at_ms * MS)
     heat(drive, 40)
-    drive.receive("PCU1_Status1", drive.now_ns + 2 * MS)
     drive.tick()
     (curve,) = drive.gateway.curves
     assert (curve.x, curve.cap) == (125.0, 0.0)
     drive.tick()
     (curve,) = drive.gateway.curves
     assert curve.x == 40.0, "of the tick after them only the latest"
+
+
+def test_a_frame_older_than_the_latest_counts_in_its_tick_alone():
+    drive = driving(power_limit_w__by_pack_temperature_max_c=curve((45, 14_000), (60, 0)))
+    usual_c = drive.gateway.curves[0].x
+    drive.receive("BMS_Temperatures", drive.now_ns + 1 * MS)
+    drive.tick()
+    drive.codes["BMS_Temperatures.PackTemperature1"] = 105
+    drive.receive("BMS_Temperatures", drive.now_ns - 51 * MS)
+    del drive.codes["BMS_Temperatures.PackTemperature1"]
+    drive.tick()
+    assert drive.gateway.curves[0].x == 55
+    drive.tick()
+    assert drive.gateway.curves[0].x == usual_c
 
 
 def test_a_power_limit_of_0_by_a_curve_takes_the_throttle_too():
@@ -475,6 +512,40 @@ def test_a_mode_asked_for_is_taken_where_nothing_is_demanded_any_more():
     assert drive.gateway.drive_modes == ("sport", "sport")
 
 
+def test_a_mode_counts_in_its_tick_though_nothing_else_has_changed():
+    tame = DriveMode(power_mode_max=PowerMode.ECO)
+    released = dataclasses.replace(FULL, throttle_pct=0)
+    drive = driving(released, modes={"tame": tame, "sport": SPORT})
+    assert sent(drive).power_mode is PowerMode.ECO
+    ask(drive, "sport")
+    drive.tick()
+    assert sent(drive).power_mode is PowerMode.TURBO
+
+
+def test_a_mode_that_a_reload_changed_counts_though_nothing_else_has_changed():
+    released = dataclasses.replace(FULL, throttle_pct=0)
+    drive = driving(released, modes={"tame": DriveMode(power_mode_max=PowerMode.NORMAL)})
+    drive.gateway.requests.disarm(drive.now_ns)
+    drive.tick()
+    settings = drive.gateway.settings
+    modes = {"tame": DriveMode(power_mode_max=PowerMode.ECO)}
+    tuning = dataclasses.replace(settings.tuning, modes=modes)
+    assert drive.gateway.reload(dataclasses.replace(settings, tuning=tuning)).granted
+    assert drive.arm().granted
+    drive.tick()
+    assert sent(drive).power_mode is PowerMode.ECO
+
+
+@pytest.mark.parametrize("mode", [ECO, DriveMode(by_speed=curve((0, 30), (60, 90)))])
+def test_caps_are_found_anew_only_where_something_has_changed(mode):
+    drive = driving(modes={"eco": mode})
+    wheels(drive, 20_000)
+    drive.run(200)
+    before = drive.gateway._commander.caps
+    drive.tick()
+    assert drive.gateway._commander.caps is before
+
+
 def test_the_limits_of_a_mode_asked_for_count_from_the_request_on():
     drive = driving(modes={"sport": SPORT, "eco": ECO})
     assert sent(drive).power_limit_w == 60_000
@@ -521,6 +592,19 @@ def test_arming_waits_until_the_speed_limit_has_come_down():
     assert drive.gateway.requests.arm(drive.now_ns).granted
 
 
+@pytest.mark.parametrize(("turning_rpm", "fall_rpm_per_s"), [(0, 4000), (1499, 4000), (1500, 500)])
+def test_in_standby_a_speed_limit_comes_down_slowly_where_the_motors_turn_faster_than_it(
+    turning_rpm, fall_rpm_per_s
+):
+    drive = standby(tuning=Tuning(start="sport", modes=MODES, motor_rpm_per_kmh=RPM_PER_KMH))
+    drive.turn(turning_rpm)
+    drive.run(200)
+    ask(drive, "valet")
+    before_rpm = sent(drive).speed_limit_rpm
+    drive.tick()
+    assert before_rpm - sent(drive).speed_limit_rpm == fall_rpm_per_s / 20
+
+
 def test_arming_waits_for_the_speed_limit_of_a_mode_asked_for_in_the_same_instant():
     drive = standby(tuning=Tuning(start="sport", modes=MODES, motor_rpm_per_kmh=RPM_PER_KMH))
     assert drive.gateway.requests.against_arming(drive.now_ns) == ""
@@ -563,12 +647,13 @@ def test_a_single_saturated_wheel_is_the_faster_one(marked):
     assert sent(drive).throttle_pct == 95
 
 
-def test_of_several_speeds_between_two_ticks_the_lowest_counts():
+@pytest.mark.parametrize("codes", [(30_000, 60_000), (60_000, 30_000)], ids=str)
+def test_of_several_speeds_between_two_ticks_the_lowest_counts(codes):
     drive = driving(modes={"rain": DriveMode(by_speed=curve((0, 30), (60, 90)))})
     wheels(drive, 60_000)
     drive.run(2000)
     assert sent(drive).throttle_pct == 90
-    for code, at_ms in ((30_000, 1), (60_000, 2)):
+    for at_ms, code in enumerate(codes, 1):
         wheels(drive, code)
         drive.receive("ARD2_SteeringWheel", drive.now_ns + at_ms * MS)
     drive.tick()
@@ -601,6 +686,25 @@ def test_the_throttle_rises_as_the_mode_says(kmh, rise_pct):
     drive.demanded = FULL
     drive.run(1000)
     assert sent(drive).throttle_pct == pytest.approx(rise_pct)
+
+
+@pytest.mark.parametrize(
+    "rain",
+    [
+        DriveMode(by_speed=curve((0, 30), (60, 90))),
+        DriveMode(rise_by_speed=curve((0, 20), (40, 60))),
+    ],
+    ids=["most", "rise"],
+)
+def test_a_mode_without_a_curve_over_speed_has_none_of_the_mode_before(rain):
+    drive = driving(modes={"rain": rain, "dry": DriveMode()})
+    drive.run(1000)
+    drive.demanded = dataclasses.replace(FULL, throttle_pct=0)
+    ask(drive, "dry")
+    drive.run(200)
+    drive.demanded = FULL
+    drive.run(1100)
+    assert sent(drive).throttle_pct == 100
 
 
 # Slip.

@@ -6,7 +6,7 @@ Module-level constants and tables are mutated too: the core's limits and transit
 import ast
 import copy
 import difflib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from typing import Any, NamedTuple
 
 _COMPARISONS = {
@@ -60,12 +60,14 @@ class _Change(NamedTuple):
     scope: str
 
 
-def mutants(source: str) -> Iterator[Mutant]:
-    """Every mutant of this source, each of which differs from it."""
+def mutants(source: str, scopes: Set[str] | None = None) -> Iterator[Mutant]:
+    """Every mutant of this source, each of which differs from it; of these scopes alone."""
     tree = ast.parse(source)
     original = ast.unparse(tree)
     seen = set()
     for change in _changes(tree, (), "module", 1):
+        if scopes is not None and change.scope not in scopes:
+            continue
         text = ast.unparse(_changed(tree, change.path, change.replacement))
         if text == original or text in seen:
             continue

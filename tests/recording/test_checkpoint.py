@@ -31,7 +31,7 @@ from vcu_gateway.core.tuning import Tuning
 from vcu_gateway.recording.checkpoint import StateError, restore, state_of
 
 # Decides nothing; the frames that follow a checkpoint tell it anew.
-MADE_AGAIN = ("_arrived", "taken", "echoes", "_stop_watch")
+MADE_AGAIN = ("_arrived", "taken", "echoes", "_stop_watch", "_last")
 BUS_OFF, RESTARTED = 0x040, 0x100
 
 

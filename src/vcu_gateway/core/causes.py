@@ -128,26 +128,26 @@ class Causes:
 
     def note(self, finding: Finding, now_ns: int) -> list[Event]:
         """Take in one finding, also between two ticks; an event where its cause began."""
-        before = self._held.get(finding.key)
+        key = finding.key
+        before = self._held.get(key)
         if before is None:
-            self._held[finding.key] = HeldCause(finding, now_ns, now_ns)
+            self._held[key] = HeldCause(finding, now_ns, now_ns)
             return [_event("cause_began", finding)]
-        # A lower code of the same signal does not end what stays until restart.
-        stays = before.finding.until_restart or finding.until_restart
-        if stays is not finding.until_restart:
-            finding = replace(finding, until_restart=stays)
-        self._held[finding.key] = HeldCause(finding, before.since_ns, now_ns)
+        if before.finding.until_restart and not finding.until_restart:
+            # A lower code of the same signal does not end what stays until restart.
+            finding = replace(finding, until_restart=True)
+        self._held[key] = HeldCause(finding, before.since_ns, now_ns)
         return []
 
     def effects(self) -> frozenset[Effect]:
         if not self._held:
             return _NO_EFFECTS
-        return frozenset(held.finding.effect for held in self._held.values())
+        return frozenset([held.finding.effect for held in self._held.values()])
 
     def having(self, effects: frozenset[Effect]) -> tuple[HeldCause, ...]:
         if not self._held:
             return ()
-        return tuple(held for held in self._held.values() if held.finding.effect in effects)
+        return tuple([held for held in self._held.values() if held.finding.effect in effects])
 
 
 def _event(name: str, finding: Finding) -> Event:

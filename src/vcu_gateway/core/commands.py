@@ -145,9 +145,10 @@ class Commander:
         self._move_ramps(self._allowed(effects, settings), effects, settings)
         commands = self.zero_torque(settings, power_cut=False)
         fall_rpm_per_s = settings.speed_slew_rpm_per_s if below_cap else _speed_fall(settings)
-        for name, command in commands.items() if self.caps is not NOT_CAPPED else ():
-            speed_rpm = self._capped_rpm(name, command.speed_limit_rpm, fall_rpm_per_s)
-            commands[name] = command._replace(speed_limit_rpm=speed_rpm)
+        for name, command in commands.items():
+            if self.caps[name].speed_rpm < command.speed_limit_rpm:
+                speed_rpm = self._capped_rpm(name, command.speed_limit_rpm, fall_rpm_per_s)
+                commands[name] = command._replace(speed_limit_rpm=speed_rpm)
         if demanded is not None and slow and self._standing() and not _differ(demanded, settings):
             commands = {
                 name: command._replace(motor_reverse=demanded[name].motor_reverse)
@@ -211,7 +212,8 @@ class Commander:
         if own.power_w <= _ZERO_W and ramps.power_w <= _ZERO_W:
             throttle_max_pct = 0.0  # a controller may read a power limit of 0 as none
         brake_is_off = own.brake_pct <= _ZERO_PCT and ramps.brake_pct <= _ZERO_PCT
-        speed_rpm = self._capped_rpm(name, speed_rpm, _speed_fall(settings))
+        if own.speed_rpm < speed_rpm:
+            speed_rpm = self._capped_rpm(name, speed_rpm, _speed_fall(settings))
         return min(throttle_max_pct, own.throttle_pct), speed_rpm, brake_is_off
 
     def _granted(
@@ -255,11 +257,8 @@ class Commander:
         return max(target_rpm, sent_rpm - settings.speed_slew_rpm_per_s * self._elapsed_s)
 
     def _capped_rpm(self, name: str, limit_rpm: float, fall_rpm_per_s: float) -> float:
-        """SpeedLimit within its cap, to which it falls from the one sent last."""
-        cap_rpm = self.caps[name].speed_rpm
-        if cap_rpm >= limit_rpm:
-            return limit_rpm
-        cap_rpm = max(_SPEED_LIMIT_MIN_RPM, cap_rpm)
+        """SpeedLimit within a lower cap, to which it falls from the one sent last."""
+        cap_rpm = max(_SPEED_LIMIT_MIN_RPM, self.caps[name].speed_rpm)
         sent_rpm = self._sent_speed_limit_rpm.get(name, limit_rpm)
         return min(limit_rpm, max(cap_rpm, sent_rpm - fall_rpm_per_s * self._elapsed_s))
 

@@ -24,7 +24,8 @@ class Curve:
             return points[-1][1]
         (left, y), (next_x, next_y) = points[after - 1 : after + 1]
         between = y + (next_y - y) * ((x - left) / (next_x - left))
-        return min(max(between, min(y, next_y)), max(y, next_y))
+        lowest, highest = (y, next_y) if y < next_y else (next_y, y)
+        return lowest if between < lowest else min(between, highest)
 
     @property
     def lowest(self) -> float:

@@ -5,7 +5,7 @@ the same way.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, get_args
 
 from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps
@@ -13,6 +13,7 @@ from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.law_inputs import InputReader, LawInputs
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.state import LatestFrame, Snapshot
 from vcu_gateway.core.tuning import DERATINGS, Derating, Limit
 
 _MOTOR_TEMPERATURE = "motor_temperature_c"
@@ -39,31 +40,37 @@ class _CurveNow:
 
     Attributes:
         span: of its input, for which target and x were found; None where that was not known.
+        finding: what there is to tell of it; None where it does not limit.
     """
 
-    __slots__ = ("curve", "derating", "full", "reader", "span", "target", "x")
+    __slots__ = (
+        *("curve", "derating", "end", "finding", "full", "key", "limit", "reader", "span"),
+        *("target", "x"),
+    )
 
     def __init__(self, curve: Curve, derating: Derating, reader: InputReader) -> None:
         self.curve, self.derating, self.reader = curve, derating, reader
-        self.full = curve.highest
+        self.key, self.limit, self.full = derating.key, derating.limit, curve.highest
+        self.end = 0 if derating.rises else 1  # of the span, that counts
         self.span: tuple[float, float] | None = None
         self.x: float | None = None
         self.target: float | None = None
+        self.finding: Finding | None = None
 
     def look(self) -> None:
         """Find the target of the input that its reader has read."""
         span = self.span = self.reader.span
-        self.x = None if span is None else span[not self.derating.rises]
+        self.x = None if span is None else span[self.end]
         self.target = None if self.x is None else self.curve.at(self.x)
 
     def told_of(self, cap: float) -> Finding | None:
         """What there is to tell where it gives this cap; None where it does not limit."""
         if self.x is not None and cap >= self.full:
             return None
-        quantity, limit = self.derating.input.quantity, self.derating.limit
+        quantity = self.derating.input.quantity
         value = "not known" if self.x is None else f"{self.x:.4g} {quantity.unit}"
-        detail = f"{value}: {_at_most(limit, cap)}"
-        return Finding(self.derating.key, quantity.text, Effect.CAP, detail)
+        detail = f"{value}: {_at_most(self.limit, cap)}"
+        return Finding(self.key, quantity.text, Effect.CAP, detail)
 
 
 class Deratings:
@@ -80,6 +87,8 @@ class Deratings:
         self.held: dict[str, float] = {}
         self._configured: Mapping[str, Curve] | None = None
         self._readers: dict[str, InputReader] = {}
+        self._reading: dict[str, list[InputReader]] = {}
+        self._judged: dict[str, LatestFrame | None] = {}
         self._curves: dict[str, _CurveNow] = {}
         self._of_modes: Mapping[Limit, float] = {}
         self._on_the_way = False
@@ -100,14 +109,24 @@ class Deratings:
         curves = inputs.settings.tuning.curves
         moved = self._on_the_way or of_modes is not self._of_modes
         if curves is not self._configured:
-            self._begin(curves)
+            self._begin(curves, inputs.snapshot)
             moved = True
-        for reader in self._readers.values():
-            if reader.read(inputs.snapshot):
-                moved = True
+        if changed := inputs.snapshot.changed(self._judged):
+            moved = self._read(changed, inputs.snapshot) or moved
         if moved or inputs.told is not self._result[2]:
             self._find(inputs, of_modes)
         return self._result[:2]
+
+    def _read(self, changed: Iterable[str], snapshot: Snapshot) -> bool:
+        """Read the inputs of these messages; True where one is another one."""
+        readers: set[InputReader] = set()
+        for message in changed:  # in most ticks: a comprehension is a call more
+            readers.update(self._reading[message])
+        moved = False
+        for reader in readers:
+            if reader.read(snapshot):
+                moved = True
+        return moved
 
     def _find(self, inputs: LawInputs, of_modes: Mapping[Limit, float]) -> None:
         self._of_modes, self._on_the_way = of_modes, False
@@ -115,13 +134,14 @@ class Deratings:
             span = one.reader.span
             if span is None or span is not one.span or self.held.get(name) != one.target:
                 one.look()
-                self._hold(name, one.derating.limit, one.target, inputs)
+                self._hold(name, one.limit, one.target, inputs)
+                one.finding = one.told_of(self.held[name])
         for limit, target in of_modes.items():
             if self.held.get(_OF_MODES[limit]) != target:
                 self._hold(_OF_MODES[limit], limit, target, inputs)
         self._result = self._lowest(of_modes), self._findings(inputs.told), inputs.told
 
-    def _begin(self, curves: Mapping[str, Curve]) -> None:
+    def _begin(self, curves: Mapping[str, Curve], snapshot: Snapshot) -> None:
         """Curves that a reload took away are forgotten: one that comes again begins anew."""
         self._configured, self._readers = curves, {}
         self.held = {
@@ -133,15 +153,21 @@ class Deratings:
         for name, curve in curves.items():
             derating = DERATINGS[name]
             key = derating.input.quantity.key
-            reader = self._readers.setdefault(key, InputReader(derating.input))
+            reader = self._readers.setdefault(key, InputReader(derating.input, snapshot))
             made[name] = _CurveNow(curve, derating, reader)
         self._curves = made
+        self._reading = {}
+        for reader in self._readers.values():
+            for message in reader.messages:
+                self._reading.setdefault(message, []).append(reader)
+        self._judged = dict.fromkeys(self._reading)
 
     def _lowest(self, of_modes: Mapping[Limit, float]) -> Caps:
         lowest = {limit: self.held[_OF_MODES[limit]] for limit in of_modes}
         for name, one in self._curves.items():
-            limit = one.derating.limit
-            lowest[limit] = min(self.held[name], lowest.get(limit, _NO_LIMIT))
+            limit, held = one.limit, self.held[name]
+            if held < lowest.get(limit, _NO_LIMIT):
+                lowest[limit] = held
         return Caps(
             brake_pct=lowest.get("brake_pct", FULL_PCT),
             power_w=lowest.get("power_limit_w", _NO_LIMIT),
@@ -149,8 +175,8 @@ class Deratings:
         )
 
     def _findings(self, told: bool) -> Sequence[Finding]:
-        found = [one.told_of(self.held[name]) for name, one in self._curves.items() if told]
-        return [*(one for one in found if one is not None), *self._differences()]
+        found = [one.finding for one in self._curves.values() if told and one.finding is not None]
+        return [*found, *self._differences()]
 
     def _differences(self) -> Sequence[Finding]:
         """Motors whose temperatures differ: one of two thermometers may be broken."""

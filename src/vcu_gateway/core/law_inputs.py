@@ -1,6 +1,5 @@
 """Inputs of the laws: demand, the worst values since the tick before, the front wheels' speed."""
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -43,43 +42,44 @@ class LawInputs(NamedTuple):
 
 
 class InputReader:
-    """Lowest and highest value of an input, read anew only where a frame of it came.
+    """Lowest and highest value of an input; to be read where one of its messages changed.
 
     Attributes:
+        messages: names of its messages.
         span: None where one of its signals is not known; the same object while nothing changes.
     """
 
-    def __init__(self, one: Input) -> None:
-        self._messages = one.messages
-        self._frames: dict[str, LatestFrame] = {}
+    def __init__(self, one: Input, snapshot: Snapshot) -> None:
+        self._places: list[tuple[str, int, list[int]]] = []  # with the marks of all its signals
+        for message, signals in one.messages:
+            all_indexes = snapshot.indexes(message)
+            indexes = [all_indexes[signal] for signal in signals]
+            self._places.append((message, sum([1 << index for index in indexes]), indexes))
+        self.messages = [message for message, _ in one.messages]
         self.span: tuple[float, float] | None = None
 
     def read(self, snapshot: Snapshot) -> bool:
         """Take in the frames of a tick; True where the span is another one."""
-        if self.span is not None and self._unchanged(snapshot):
-            return False
         span = self._read(snapshot)
         if span == self.span:
             return False
         self.span = span
         return True
 
-    def _unchanged(self, snapshot: Snapshot) -> bool:
-        for message, frame in self._frames.items():  # noqa: SIM110 - in every tick
-            if not snapshot.judges_only(message, frame):
-                return False
-        return True
-
     def _read(self, snapshot: Snapshot) -> tuple[float, float] | None:
-        lowest, highest = math.inf, -math.inf
-        for message, signals in self._messages:
-            for signal in signals:
-                values = snapshot.good_values(message, signal)
-                if not values:
+        found: list[float] = []
+        for message, marks, indexes in self._places:
+            frames = snapshot.fresh(message)
+            if not frames:
+                return None
+            for frame in frames:
+                decoded = frame.decoded
+                if decoded.marks & marks:
                     return None
-                lowest, highest = min(lowest, *values), max(highest, *values)
-            self._frames[message] = snapshot.judged(message)[0]  # the latest, if it was alone
-        return lowest, highest
+                values = decoded.values
+                for index in indexes:
+                    found.append(values[index])  # noqa: PERF401 - mostly one; extend is a call more
+        return min(found), max(found)
 
 
 class Front(NamedTuple):
@@ -97,14 +97,19 @@ class Front(NamedTuple):
 def front_speed(snapshot: Snapshot) -> Front | None:
     """Speed by the front wheels; None where it is not known."""
     message, (left, right) = WHEELS
-    if snapshot.stale(message):
+    frames = snapshot.fresh(message)
+    if not frames:
         return None
-    wheels = snapshot.index(message, left), snapshot.index(message, right)
-    return min([_front(frame, *wheels) for frame in snapshot.judged(message)])
+    indexes = snapshot.indexes(message)
+    wheels = indexes[left], indexes[right]
+    if len(frames) == 1:  # in most ticks
+        return _front(frames[0], *wheels)
+    return min([_front(frame, *wheels) for frame in frames])
 
 
 def _front(frame: LatestFrame, left: int, right: int) -> Front:
-    marks, values = frame.decoded.marks, frame.decoded.values
-    if marks >> left & 1 or marks >> right & 1:
+    decoded = frame.decoded
+    if decoded.marks & (1 << left | 1 << right):
         return Front(WHEELS_SATURATED_KMH, saturated=True)
+    values = decoded.values
     return Front(max(values[left], values[right]), saturated=False)

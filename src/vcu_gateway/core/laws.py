@@ -43,6 +43,7 @@ class Laws:
         self.deratings = Deratings()
         self.modes = DriveModes(tuning.start, tuning.start)
         self.slip = SlipLaw()
+        self._kept: tuple[tuple[object, ...], Mapping[str, Caps]] | None = None
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Laws):
@@ -55,10 +56,12 @@ class Laws:
     def tick(self, inputs: LawInputs) -> LawResult:
         """The caps of a tick; once a tick, and not at all where nothing is configured."""
         tuning = inputs.settings.tuning
-        changed = self.modes.settle(inputs)
-        limits, findings = self.deratings.tick(inputs, self.modes.limits(tuning))
-        front = front_speed(inputs.snapshot) if self._reads_speed(tuning) else None
-        caps = self.modes.caps(inputs, front, limits)
+        modes = self.modes
+        changed = None if modes.current == modes.requested else modes.settle(inputs)
+        limits, findings = self.deratings.tick(inputs, modes.limits(tuning))
+        reads_speed = tuning.slip is not None or modes.over_speed(tuning)
+        front = front_speed(inputs.snapshot) if reads_speed else None
+        caps = self._of_mode(inputs, front, limits)
         if tuning.slip is not None:
             throttles, found = self.slip.tick(tuning.slip, inputs, front)
             if found:
@@ -69,11 +72,16 @@ class Laws:
                 }
         return LawResult(caps, findings, changed)
 
-    def _reads_speed(self, tuning: Tuning) -> bool:
-        if tuning.slip is not None:
-            return True
-        mode = tuning.modes.get(self.modes.current or "")
-        return mode is not None and not (mode.by_speed is None and mode.rise_by_speed is None)
+    def _of_mode(self, inputs: LawInputs, front: Front | None, limits: Caps) -> Mapping[str, Caps]:
+        """Caps of the drive mode: those of the tick before, unless what gives them has changed."""
+        tuning = inputs.settings.tuning
+        given = tuning, self.modes.current, front, limits, inputs.demanded
+        if self._kept is not None and self._kept[0] == given:
+            return self._kept[1]
+        caps = self.modes.caps(inputs, front, limits)
+        steps = front is None and self.modes.over_speed(tuning)
+        self._kept = None if steps else (given, caps)
+        return caps
 
 
 @dataclass
@@ -92,8 +100,8 @@ class DriveModes:
     rise_pct_per_s: float | None = None
 
     def settle(self, inputs: LawInputs) -> str | None:
-        """Take the requested mode where that makes no step; its name where it is another one."""
-        if self.current == self.requested or (inputs.active and not inputs.released):
+        """Take the requested mode, another one, where that makes no step; its name if so."""
+        if inputs.active and not inputs.released:
             return None
         self.current = self.requested
         return self.current
@@ -107,14 +115,26 @@ class DriveModes:
             return own
         return {limit: min(own[limit], asked[limit]) for limit in own}
 
+    def over_speed(self, tuning: Tuning) -> bool:
+        """True where one of the mode's curves is over the vehicle's speed."""
+        mode = tuning.modes.get(self.current or "")
+        return mode is not None and not (mode.by_speed is None and mode.rise_by_speed is None)
+
     def caps(self, inputs: LawInputs, front: Front | None, limits: Caps) -> Mapping[str, Caps]:
         """These limits with those of throttle, its rise and the power mode, by controller."""
         if self.current is None:
             return dict.fromkeys(CONTROLLERS, limits)
         mode = inputs.settings.tuning.modes[self.current]
         step_pct = inputs.settings.throttle_slew_pct_per_s * inputs.elapsed_s
-        self.by_speed_pct = _over_speed(mode.by_speed, front, self.by_speed_pct, step_pct)
-        self.rise_pct_per_s = _over_speed(mode.rise_by_speed, front, self.rise_pct_per_s, step_pct)
+        if mode.by_speed is None:
+            self.by_speed_pct = None
+        else:
+            self.by_speed_pct = _over_speed(mode.by_speed, front, self.by_speed_pct, step_pct)
+        if mode.rise_by_speed is None:
+            self.rise_pct_per_s = None
+        else:
+            rise = mode.rise_by_speed
+            self.rise_pct_per_s = _over_speed(rise, front, self.rise_pct_per_s, step_pct)
         most_pct = FULL_PCT if self.by_speed_pct is None else self.by_speed_pct
         own = (
             _NO_LIMIT if self.rise_pct_per_s is None else self.rise_pct_per_s,
@@ -135,12 +155,8 @@ class DriveModes:
         return caps
 
 
-def _over_speed(
-    curve: Curve | None, front: Front | None, before: float | None, step: float
-) -> float | None:
+def _over_speed(curve: Curve, front: Front | None, before: float | None, step: float) -> float:
     """A curve over speed; without a speed it goes step by step to its lowest value."""
-    if curve is None:
-        return None
     if front is not None:
         return curve.at(front.kmh)
     return max(curve.lowest, (curve.highest if before is None else before) - step)
@@ -165,7 +181,7 @@ class SlipLaw:
         if not inputs.active:
             self.caps_pct, self.cut_ns = _UNCUT_PCT, {}
             return self.caps_pct, []
-        spinning = [self._is_spinning(slip, inputs, front, rpm) for rpm in inputs.motor_rpm]
+        spinning = self._spinning(slip, inputs, front)
         if True not in spinning and self.caps_pct == _UNCUT_PCT:
             return self.caps_pct, []
         caps_pct = {
@@ -181,17 +197,19 @@ class SlipLaw:
         ]
         return self.caps_pct, findings
 
-    def _is_spinning(
-        self, slip: SlipLimiter, inputs: LawInputs, front: Front | None, rpm: float | None
-    ) -> bool | None:
-        """Whether a driven wheel is faster than allowed; None where a speed is not known."""
-        if front is not None and front.saturated:
-            return False
-        if front is None or rpm is None:
-            return None
+    def _spinning(
+        self, slip: SlipLimiter, inputs: LawInputs, front: Front | None
+    ) -> list[bool | None]:
+        """Whether each driven wheel is faster than allowed; None where a speed is not known."""
+        if front is None:
+            return [None] * len(inputs.motor_rpm)
+        if front.saturated:
+            return [False] * len(inputs.motor_rpm)
         allowed_kmh = front.kmh * (1 + slip.allowed_pct / FULL_PCT) + slip.allowed_kmh
         rpm_per_kmh = inputs.settings.tuning.motor_rpm_per_kmh or _NO_LIMIT
-        return rpm / rpm_per_kmh > allowed_kmh
+        return [
+            None if rpm is None else rpm / rpm_per_kmh > allowed_kmh for rpm in inputs.motor_rpm
+        ]
 
     def _cap_pct(
         self, slip: SlipLimiter, name: str, spinning: bool | None, inputs: LawInputs

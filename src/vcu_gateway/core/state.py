@@ -149,11 +149,29 @@ class Snapshot:
         latest = self._latest.get(message)
         return () if latest is None else (latest,)
 
-    def judges_only(self, message: str, frame: LatestFrame) -> bool:
-        """True where this frame is fresh, still the latest, and was there in the tick before."""
-        if message in self._arrived or message not in self._fresh:
-            return False
-        return self._latest[message] is frame
+    def fresh(self, message: str) -> Sequence[LatestFrame]:
+        """Frames that a tick judges; none where the message is stale."""
+        if message not in self._fresh:
+            return ()
+        frames = self._arrived.get(message)
+        return (self._latest[message],) if frames is None else frames
+
+    def changed(self, alone: dict[str, LatestFrame | None]) -> list[str]:
+        """Messages of these that a tick judges by more than this one fresh frame of before.
+
+        `alone` has then what this tick judges: None where there are several frames or none.
+        """
+        arrived, fresh, latest = self._arrived, self._fresh, self._latest
+        changed = []
+        for name, frame in alone.items():  # in every tick: a comprehension is a call more
+            if name in arrived or name not in fresh or latest[name] is not frame:
+                changed.append(name)
+                frames = arrived.get(name)
+                if frames is None:
+                    alone[name] = latest.get(name)
+                else:
+                    alone[name] = frames[0] if len(frames) == 1 else None
+        return changed
 
     def age_ns(self, message: str) -> int | None:
         """Time since the arrival, never below 0; None before the first frame."""
@@ -212,6 +230,10 @@ class Snapshot:
     def code_name(self, message: str, signal: str, raw: int) -> str | None:
         """The protocol's name of a code; None where it is reserved."""
         return self._specs[message].signals[self.index(message, signal)].names.get(raw)
+
+    def indexes(self, message: str) -> Mapping[str, int]:
+        """Index of each signal in its message's values."""
+        return self._indexes[message]
 
     def index(self, message: str, signal: str) -> int:
         """Index of a signal in its message's values; KeyError where there is none of that name."""

@@ -47,7 +47,7 @@ _DERIVED: Mapping[str, frozenset[str]] = {
     for name, attributes in {
         "Gateway": "settings _stop_watch",
         "Receiver": "_codec _controller_of _pedals_message command_groups echoes",
-        "PedalFrames": "_expiry_ns _pedals _reader",
+        "PedalFrames": "_expiry_ns _pedals _reader _last",
         "Store": "_specs _stale_after_ns _pickers _indexes",
         # What arrived before the last tick is looked at in that tick alone.
         "Snapshot": "_specs _indexes _pickers _arrived",
@@ -58,8 +58,8 @@ _DERIVED: Mapping[str, frozenset[str]] = {
         "ModeManager": "_period_ns",
         "ListenBeforeTalk": "_listen_ns",
         "OperatorRequests": "terms",
-        "Laws": "",
-        "Deratings": "_configured _readers _curves _of_modes _on_the_way _result",
+        "Laws": "_kept",
+        "Deratings": "_configured _readers _reading _judged _curves _of_modes _on_the_way _result",
     }.items()
 }
 """Attributes by class that the codec and the settings give, or that are made again.
