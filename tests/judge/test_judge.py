@@ -424,3 +424,17 @@ def test_the_emergency_stop_is_an_input_that_the_verdict_needs(records):
     mutated = [*records["stops"]]
     without(EmergencyStop)(mutated)
     assert judged(mutated).reactions != judged(records["stops"]).reactions
+
+
+def test_an_arm_after_a_disarm_between_the_same_two_ticks_is_right(tmp_path):
+    drive = SimulatedDrive(tmp_path / "drive").begin()
+    drive.throttle(0.0)
+    drive.run(1.0)
+    assert drive.gateway.apply(calls.Disarm(drive.now_ns)).granted
+    assert drive.arm()
+    drive.run(0.5)
+    records = list(open_drive(drive.end()).runs())
+    assert judged(records).counts == {}
+    place = ticks(records)[-2]
+    arm = InputRecord(Arm(tick(records, place).now_ns), None)
+    assert judged([*records[: place + 1], arm, *records[place + 1 :]]).counts == {"arming": 1}

@@ -50,7 +50,8 @@ class ModeRules:
 
     def armed(self, tick: int, now_ns: int, against: str) -> None:
         """`arm` was granted; `against`: what the judge knows against it, else empty."""
-        if against or self.mode not in (None, "standby"):
+        left = self.mode == "active" and not self.may_be_active  # since the last tick: standby
+        if against or not (left or self.mode in (None, "standby")):
             why = against or f"in {self.mode}"
             self._findings.broken("arming", tick, now_ns, f"granted although {why}")
         self.may_be_active = True
