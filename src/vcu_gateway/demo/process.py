@@ -227,7 +227,8 @@ def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
 
 
 _THROTTLE_PCT = 30.0
-_PRESSES_S = 5.0  # once it is armed
+_ROUND_S, _ROUNDS = 30.0, 120  # an hour
+_RELEASED_S = 5.0  # of each round: time to arm
 _BATTERY_SPEEDUP = 20.0  # a person waits, and wants to see it drain
 
 
@@ -297,9 +298,18 @@ def _scenario(wanted: DemoOptions, config: Config, protocol: ProtocolSpec) -> Sc
     drives = config.pedals.can is not None and wanted.has_demand
     if drives and (found.foot is None or wanted.throttle_pct is not None):
         throttle_pct = _THROTTLE_PCT if wanted.throttle_pct is None else wanted.throttle_pct
-        foot = Foot(Curve(((_PRESSES_S, 0.0), (_PRESSES_S + 1, throttle_pct))))
-        found = dataclasses.replace(found, foot=foot)
+        found = dataclasses.replace(found, foot=_foot(throttle_pct))
     if speedup is None:
         return found
     start = found.start.model_copy(update={"battery_speedup": speedup})
     return dataclasses.replace(found, start=start)
+
+
+def _foot(throttle_pct: float) -> Foot:
+    """It lets go again and again: where the first time was too early to arm, the next will do."""
+    points = []
+    for number in range(_ROUNDS):
+        begin_s = number * _ROUND_S
+        points += [(begin_s + _RELEASED_S, 0.0), (begin_s + _RELEASED_S + 1, throttle_pct)]
+        points += [(begin_s + _ROUND_S - 1, throttle_pct), (begin_s + _ROUND_S, 0.0)]
+    return Foot(Curve(tuple(points[:-1])))  # after the last round it stays pressed
