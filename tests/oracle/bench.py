@@ -77,11 +77,10 @@ class Bench(Rig):
     def disturbed(self, since: float, still_s: float = 0.0) -> bool:
         """Whether the machine stood still, was slow or had frames left out: this says nothing."""
         self.pump()
-        return (
-            self.recorder.stalled(since, for_s=SLOW_S)
-            or self._longest_gap_s(since) > 0.080 + still_s
-            or self.speed.is_slow()
-        )
+        return self.machine_was_slow(since) or self._longest_gap_s(since) > 0.080 + still_s
+
+    def machine_was_slow(self, since: float) -> bool:
+        return self.recorder.stalled(since, for_s=SLOW_S) or self.speed.is_slow()
 
     def _longest_gap_s(self, since: float) -> float:
         """Between two commands to one controller; also one that had begun before."""
@@ -98,24 +97,35 @@ class Bench(Rig):
         finally:
             client.close()
 
-    def broken_rules(self) -> list[str]:
-        """What the frames since the last question broke.
+    def leaves_out(self) -> bool:
+        """Whether frames are missing that the vehicle's beat does not lay on the machine.
 
-        Frames that were left out count from the third on: one or two may be the machine's fault
-        in a way that the vehicle's beat does not show.
+        From the third on: one or two may be its fault in a way that the beat does not show.
         """
         self.pump()
-        broken, self.rules.violations[:] = list(self.rules.violations), []
-        left_out, self.rules.left_out[:] = list(self.rules.left_out), []
-        ours = [
-            f"{t:.4f} {what}"
-            for t, what in left_out
-            if not self.recorder.stalled(t - 0.25, t, SLOW_S)
-        ]
-        self.left_out += len(ours)
-        if len(ours) > 2 and not self.speed.is_slow():
+        return len(self._left_out()) > 2
+
+    def broken_rules(self) -> list[str]:
+        """What the frames since the last question broke; also those that were left out."""
+        missing = self.leaves_out()
+        broken, ours = list(self.rules.violations), self._left_out()
+        self.void()
+        if missing and not self.speed.is_slow():
             broken += [*ours, self._health()]
         return broken
+
+    def void(self) -> None:
+        """Forget what broke a rule; what was left out is counted, and told at the end."""
+        self.left_out += len(self._left_out())
+        self.rules.violations.clear()
+        self.rules.left_out.clear()
+
+    def _left_out(self) -> list[str]:
+        return [
+            f"{t:.4f} {what}"
+            for t, what in self.rules.left_out
+            if not self.recorder.stalled(t - 0.25, t, SLOW_S)
+        ]
 
     def _health(self) -> str:
         if not self.client:

@@ -15,7 +15,7 @@ import socket
 import time
 from collections.abc import Callable
 
-from tests.oracle import wire
+from tests.oracle import pedal_node, wire
 
 BEAT_MS = 10
 # A third of the inertial unit's rate, but where a test asks for all of it: its 300 frames a second
@@ -29,6 +29,7 @@ def healthy() -> dict:
         "BMS_Status": dict(wire.BMS_HEALTHY),
         "BMS_Temperatures": dict(wire.TEMPERATURES_HEALTHY),
         "ARD2_SteeringWheel": dict(wire.ARD2_HEALTHY),
+        pedal_node.MESSAGE: dict(pedal_node.RELEASED),
     }
     for pcu in CONTROLLERS:
         state[f"{pcu}_Status1"] = dict(wire.STATUS1_HEALTHY)
@@ -44,7 +45,8 @@ class Node:
         self.bus = wire.open_bus([(c & 0x03FF_FFFF, 0x03FF_FFFF) for c in wire.COMMANDS])
         self.number = itertools.count()
         self.heap: list[tuple[float, int, Callable[[], None]]] = []
-        self.life = 0
+        self.life = self.counter = 0
+        self.absent = {pedal_node.MESSAGE}
         self.heard = dict.fromkeys(CONTROLLERS, wire.ZERO_TORQUE)
         self.waiting: tuple[float, list] | None = None  # a script for after the next command
         self.epochs: dict[str, int] = {}
@@ -56,7 +58,7 @@ class Node:
 
     def heal(self) -> None:
         self.state = healthy()
-        self.silent: set[str] = set()
+        self.silent = set(self.absent)
         self.echo: dict[str, dict] = {pcu: {} for pcu in CONTROLLERS}
         self.life_mode: object = "toggle"
         self.followers: dict[str, list] = {}
@@ -98,6 +100,9 @@ class Node:
             return wire.bms_temperatures(values)
         if name == "ARD2_SteeringWheel":
             return wire.steering_wheel(values)
+        if name == pedal_node.MESSAGE:
+            self.counter = (self.counter + values["step"]) % 16
+            return pedal_node.frame(values, self.counter)
         if name.endswith("Status2"):
             return wire.status2(values)
         return wire.status1(values, self.echoed(name[:4]))
@@ -170,7 +175,7 @@ class Node:
         getattr(self, f"do_{order.pop('do')}")(**order)
 
     def do_heal(self) -> None:
-        was_silent = self.silent
+        was_silent = self.silent - self.absent
         changed = [name for name, values in healthy().items() if self.state[name] != values]
         followed = list(self.followers)
         self.heal()
@@ -184,6 +189,12 @@ class Node:
         }:
             if name in wire.PERIODS_MS:
                 self.once(name, {})
+
+    def do_pedals(self, fitted: bool) -> None:
+        """What a test has broken before stays so."""
+        self.absent = set() if fitted else {pedal_node.MESSAGE}
+        self.state[pedal_node.MESSAGE] = dict(pedal_node.RELEASED)
+        self.silent = (self.silent - {pedal_node.MESSAGE}) | self.absent
 
     def do_set(self, message: str, values: dict, now: bool) -> None:
         self.state[message].update(values)

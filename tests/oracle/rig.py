@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tests.oracle import wire
+from tests.oracle import pedal_node, wire
 from tests.oracle.api import Client, RefusedError
 from tests.oracle.invariants import Invariants
 from tests.oracle.machine import MachineSpeed
@@ -30,7 +30,7 @@ class Rig:
         self.vehicle = Vehicle()
         self.rules = Invariants()
         self.started = 0
-        self.left_out = self.repeated = 0
+        self.left_out = self.repeated = self.unexplained = 0
         self.speed = MachineSpeed()
         self.gateway: Gateway | None = None
         self.client: Client | None = None
@@ -57,6 +57,7 @@ class Rig:
         """A process of its own folder and configuration; its API is not waited for."""
         self.end()
         self.started += 1
+        self.vehicle.pedals(fitted="pedals" in sections)
         self.gateway = Gateway(self.folder / f"g{self.started}", sections)
         self.rules = self._carried(Invariants(sections.get("limits")))
         self.launch()
@@ -100,7 +101,8 @@ class Rig:
         """Read the bus, judge what came, and renew the demand."""
         for frame in self.recorder.drain():
             self.rules.take(frame)
-        if self.pedals is not None and time.monotonic() - self.renewed > RENEW_S:
+        must_renew = self.pedals is not None and not self.has_node
+        if must_renew and time.monotonic() - self.renewed > RENEW_S:
             with contextlib.suppress(RefusedError):
                 self._renew()
 
@@ -127,7 +129,23 @@ class Rig:
 
     # --- the driver ---
 
+    @property
+    def has_node(self) -> bool:
+        """Whether the demand comes from a pedal node, which repeats it by itself."""
+        return self.gateway is not None and "pedals" in self.gateway.sections
+
+    def press(self, **raws: int) -> None:
+        """What the node sends from now on, by raw values; released where nothing is said."""
+        sends: dict[str, Any] = {**pedal_node.RELEASED, **raws}
+        coast = self.gateway.sections["pedals"]["can"].get("coast_brake_pct")
+        sent = time.monotonic()
+        self.vehicle.set(pedal_node.MESSAGE, **sends)
+        self.rules.asked(sent, time.monotonic(), pedal_node.demanded(sends, coast))
+
     def _renew(self) -> None:
+        if self.has_node:
+            self.press(**pedal_node.codes(self.pedals))
+            return
         sent = time.monotonic()
         self.client.demand(self.source, **self.pedals)
         self.renewed = sent

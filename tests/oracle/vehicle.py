@@ -25,6 +25,10 @@ class Vehicle:
     def heal(self) -> None:
         self._order("heal")
 
+    def pedals(self, *, fitted: bool) -> None:
+        """Whether this vehicle has a pedal node; its pedals are released."""
+        self._order("pedals", fitted=fitted)
+
     def set(self, message: str, *, now: bool = True, **values: Any) -> None:
         """Change signals for good; the frame that tells so is sent at once."""
         self._order("set", message=message, values=values, now=now)

@@ -19,6 +19,7 @@ IDENTIFIERS = {
     "PCU1_Status2": 0x0809D0A7,
     "PCU2_Status1": 0x0808D0A8,
     "PCU2_Status2": 0x0809D0A8,
+    "Pedals_Position": 0x0810D021,  # of a vehicle with pedals on CAN alone
 }
 PERIODS_MS = {
     "ARD2_SteeringWheel": 100,
@@ -29,6 +30,7 @@ PERIODS_MS = {
     "IMU_Attitude": 10,
     "PCU1_Status1": 500,
     "PCU2_Status1": 500,
+    "Pedals_Position": 20,
 }
 ECO, NORMAL, TURBO, SAFETY = range(4)
 INTRUDER_MARK = 0x5A  # in the command's unused B4: a command frame that is not the gateway's
