@@ -216,7 +216,9 @@ def test_tuning_shows_the_drive_mode_each_curve_and_the_slip_limiter(tmp_path):
 
 
 def test_without_tuning_both_verbs_say_so(ask):
-    assert ask("tuning").stdout.startswith("no curve, drive mode or slip limiter is configured")
+    assert ask("tuning").stdout.startswith(
+        "no curve, drive mode, slip limiter or pedal is configured"
+    )
     assert ask("drive-mode").stdout.startswith("no drive mode is configured")
     refused = ask("drive-mode sport")
     assert refused.returncode == os.EX_TEMPFAIL

@@ -101,6 +101,52 @@ def test_a_pedal_may_be_wired_the_other_way_round():
     assert node.asks(Throttle1=2375).throttle_pct == pytest.approx(25)
 
 
+# What they say now.
+
+
+def test_what_the_pedals_say_is_what_their_last_frame_asks_for(node):
+    assert PedalFrames(None, CODEC).now(0, 50 * MS) is None
+    assert node.frames.now(node.now_ns, 50 * MS).sentence() == "no frame that is a demand"
+    node.sends(Throttle1=1750, Throttle2=812, BrakePressure=155)
+    now = node.frames.now(node.now_ns, 50 * MS)
+    assert (now.message, now.doubts) == ("Pedals_Position", ())
+    assert now.difference_pct == pytest.approx(50 - 100 * (44.96 - 3) / 94)
+    assert now.sentence() == "throttle 50 %, second track 45 %, difference 5 %, brake 23 %"
+
+
+def test_a_pedal_that_is_not_believed_says_why_and_has_no_number(node):
+    node.sends(Throttle1=0, Throttle2=812)
+    now = node.frames.now(node.now_ns, 50 * MS)
+    assert (now.throttle_pct, now.difference_pct) == (None, None)
+    assert now.sentence() == "second track 45 %, brake 0 %; Throttle1 at -20 % of its travel"
+    for _ in range(6):
+        node.sends(Throttle1=0)
+    node.doubts()
+    node.sends()
+    assert node.frames.now(node.now_ns, 50 * MS).doubts == (
+        "not believed until both tracks are below 5 % for 1 s",
+    )
+
+
+def test_the_last_frames_of_the_pedals_that_are_no_demand_are_told_and_a_silent_one_has_none(node):
+    node.sends()
+    node.sends(flip=1)
+    now = node.frames.now(node.now_ns, 50 * MS)
+    assert now.sentence() == (
+        "throttle 0 %, second track 0 %, difference 0 %, brake 0 %; checksum wrong"
+    )
+    came_ns = node.now_ns - 20 * MS
+    assert node.frames.now(came_ns + 110 * MS, 50 * MS) == now, "60 ms, and a tick to read it"
+    silent = node.frames.now(came_ns + 110 * MS + 1, 50 * MS)
+    assert silent.sentence() == "checksum wrong; no frame that is a demand"
+
+
+def test_what_the_message_does_not_have_is_not_said():
+    one = Node(CanPedals("Pedals_Position", PEDALS.throttle))
+    one.sends()
+    assert one.frames.now(one.now_ns, 50 * MS).sentence() == "throttle 0 %"
+
+
 def test_what_the_message_does_not_have_is_not_asked_for():
     least = CanPedals("Pedals_Position", PEDALS.throttle, dead_zone_pct=0)
     one = Node(least).asks(Throttle1=1750, BrakePressure=605, ReverseSwitch=1)

@@ -124,7 +124,7 @@ class Program:
         if latest is not None:
             answers["state"] = views.state(self.drive.gateway, latest, now_ns)
             answers["why"] = views.why(latest.why)
-            answers["tuning"] = views.tuning(self.drive.gateway)
+            answers["tuning"] = views.tuning(self.drive.gateway, now_ns)
         answered = GatewayAnswers(**json.loads(json.dumps(answers, allow_nan=False)))
         return answered._replace(recorder=self.recorder, recorder_age_s=self.recorder_age_s)
 

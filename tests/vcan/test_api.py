@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing.context import ForkProcess
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 import pytest
 
@@ -150,14 +150,28 @@ def _let_go(client: Client) -> bool:
     return why["mode"] != "active" and not (why["demand"] and why["demand"]["fresh"])
 
 
-def begin(stand: Stand, config: str = "") -> Drive:
-    recording = stand.record()
-    gateway = stand.gateway(config)
-    wait_until(lambda: "link_open" in gateway.err.read_text(), "the gateway")
-    stand.vehicle(QUIET)
-    one = Drive(stand, recording, gateway)
+DriveT = TypeVar("DriveT", bound=Drive)
+
+
+def begin(
+    stand: Stand,
+    config: str = "",
+    scenario: str = QUIET,
+    kind: type[DriveT] = Drive,  # type: ignore[assignment]
+) -> DriveT:
+    """A drive of this kind, in standby."""
+    one = begin_alone(stand, config, kind)
+    stand.vehicle(scenario)
     one.until_ready()
     return one
+
+
+def begin_alone(stand: Stand, config: str, kind: type[DriveT]) -> DriveT:
+    """The same without a vehicle."""
+    recording = stand.record()
+    gateway = stand.gateway(config)
+    wait_until(lambda: gateway.has_logged("link_open"), "the gateway")
+    return kind(stand, recording, gateway)
 
 
 def let_go_ms(drive: Drive, at_ns: int) -> float:

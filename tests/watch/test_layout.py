@@ -107,6 +107,22 @@ def test_the_drive_mode_stands_in_the_first_line_and_the_one_that_waits_beside_i
     assert "drive mode" not in page(gone)
 
 
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40)])
+def test_pedals_on_can_have_a_line_and_without_them_there_is_none(width, height):
+    assert not pedal_rows(view_models.driving(), width, height)
+    (row,) = pedal_rows(view_models.pedals(), width, height)
+    assert "throttle 42 %, second track 41 %, difference 1 %, brake 0 %" in row
+    doubted = view_models.pedals("Throttle1 at -20 % of its travel")
+    (row,) = pedal_rows(doubted, width, height)
+    assert "second track 41 %, brake 0 %; Throttle1 at -20 % of its travel" in row
+    gone = dataclasses.replace(doubted, problem=view_models.unreachable().problem)
+    assert not pedal_rows(gone, width, height), "what is old looks current"
+
+
+def pedal_rows(view, width, height):
+    return [one for one in page(view, width, height).splitlines() if one.startswith("pedals ")]
+
+
 def test_a_curve_that_limits_is_named_by_what_it_limits_and_not_by_its_key():
     (row,) = [one for one in page(view_models.tuned()).splitlines() if one.startswith("cap ")]
     assert row.split("  ")[0] == "cap"

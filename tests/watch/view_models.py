@@ -108,7 +108,7 @@ def _driven(seconds: float, soc_pct: float = 80.0) -> ViewModel:
             tick_ns += gateway.settings.period_ns
     latest = LastTick.explained(gateway, result, result.snapshot.now_ns)
     state = views.state(gateway, latest, result.snapshot.now_ns)
-    return ViewModel(state, views.why(latest.why), HEALTH, views.tuning(gateway))
+    return ViewModel(state, views.why(latest.why), HEALTH, views.tuning(gateway, now_ns))
 
 
 def driving() -> ViewModel:
@@ -137,6 +137,24 @@ def tuned(current: str = "eco", requested: str = "eco") -> ViewModel:
     view.why["limits"] = [cause("cap", cause=key, subject="motor temperature", detail=detail)]
     if requested != current:
         view.why["waits"] = [f"drive mode {requested} waits for the pedal's release"]
+    return view
+
+
+def pedals(*doubts: str) -> ViewModel:
+    """Under way by pedals on CAN; with doubts their first track is not known."""
+    view = driving()
+    assert view.tuning is not None
+    view.tuning["pedals"] = {
+        "message": "Pedals_Position",
+        "throttle_pct": None if doubts else 42.0,
+        "throttle_track2_pct": 41.0,
+        "difference_pct": None if doubts else 1.0,
+        "brake_pct": 0.0,
+        "doubts": list(doubts),
+        "sentence": "; ".join(["second track 41 %, brake 0 %", *doubts])
+        if doubts
+        else "throttle 42 %, second track 41 %, difference 1 %, brake 0 %",
+    }
     return view
 
 

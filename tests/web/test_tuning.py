@@ -5,11 +5,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.driven import wait_until
 from tests.web.conftest import PASSWORD
 from tests.web.stand import Answer, GatewayProcess, WebProcess, gateway_running, serving
 
+EXAMPLES = Path(__file__).parents[2] / "config" / "examples"
 CONFIG = """
 curves: {power_limit_w: {by_motor_temperature_c: [[95, 14000], [110, 6000]]}}
 drive_modes: {start: eco, modes: {eco: {power_limit_w: 8000}, valet: {left_by_service: true}}}
@@ -19,6 +21,14 @@ drive_modes: {start: eco, modes: {eco: {power_limit_w: 8000}, valet: {left_by_se
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GatewayProcess]:
     with gateway_running(tmp_path_factory.mktemp("tuned"), CONFIG) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def pedals(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GatewayProcess]:
+    example = yaml.safe_load((EXAMPLES / "pedals.yaml").read_text())
+    example["protocol"] = {"dbc": str(EXAMPLES / "pedals.dbc")}
+    with gateway_running(tmp_path_factory.mktemp("pedals"), yaml.safe_dump(example)) as one:
         yield one
 
 
@@ -41,6 +51,13 @@ def test_the_page_has_the_drive_mode_and_where_the_vehicle_is_on_each_curve(tmp_
         False,
     )
     assert curve["x"] > 0
+
+
+def test_the_page_has_the_pedals_on_can_and_of_bad_frames_no_number(tmp_path, pedals):
+    with serving(tmp_path, pedals.socket_path) as web:
+        found = web.request("GET", "/api/tuning").json["pedals"]
+    assert found["throttle_pct"] is found["brake_pct"] is None
+    assert found["sentence"] == "checksum wrong; no frame that is a demand"
 
 
 def test_an_operator_asks_for_a_mode_and_the_service_level_leaves_a_locked_one(

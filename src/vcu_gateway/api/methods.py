@@ -195,7 +195,7 @@ METHODS: Mapping[str, Method] = {
         Nothing,
         results.TuningNow,
         Right.READ,
-        "Drive mode, and where the vehicle is on each curve.",
+        "Drive mode, where the vehicle is on each curve, and what the pedals on CAN say.",
     ),
     "estop": Method(
         Nothing,

@@ -218,14 +218,32 @@ class CurveNow(TypedDict):
     """Whether it gives less than its highest point."""
 
 
+class PedalsNow(TypedDict):
+    """Pedals on CAN, by their last frame that was a demand."""
+
+    message: str
+    throttle_pct: float | None
+    """What the first track asks for; null where it is not known or came too long ago."""
+    throttle_track2_pct: float | None
+    """Null without a second track, too, as is the brake without one."""
+    difference_pct: float | None
+    brake_pct: float | None
+    doubts: list[str]
+    """Why they are not believed; none where they are."""
+    sentence: str
+    """All of it in a line."""
+
+
 class TuningNow(TypedDict):
-    """Drive mode, curves and slip limiter in the last tick."""
+    """Drive mode, curves and slip limiter in the last tick, and the pedals now."""
 
     drive_mode: DriveModeNow | None
     """Null where there are no drive modes."""
     curves: list[CurveNow]
     slip_throttle_max_pct: dict[ControllerName, float] | None
     """Throttle that the slip limiter leaves each controller; null where it is off."""
+    pedals: NotRequired[PedalsNow | None]
+    """Null without pedals on CAN; an older gateway has none."""
 
 
 class Link(TypedDict):

@@ -10,7 +10,7 @@ from vcu_gateway.api import results
 from vcu_gateway.cli.operator import api_options, connected, show
 from vcu_gateway.text import table
 
-_NONE = "no curve, drive mode or slip limiter is configured; docs/tuning.md says how"
+_NONE = "no curve, drive mode, slip limiter or pedal is configured; docs/tuning.md says how"
 
 
 @click.command("tuning")
@@ -27,7 +27,8 @@ def tuning(socket_path: Path | None, as_json: bool) -> None:
 
 def _lines(found: results.TuningNow) -> Iterator[str]:
     mode, slip_pct = found["drive_mode"], found["slip_throttle_max_pct"]
-    if mode is None and slip_pct is None and not found["curves"]:
+    pedals = found.get("pedals")
+    if mode is None and slip_pct is None and pedals is None and not found["curves"]:
         yield _NONE
     if mode is not None:
         yield f"drive mode {_mode(mode)}"
@@ -37,6 +38,8 @@ def _lines(found: results.TuningNow) -> Iterator[str]:
     if slip_pct is not None:
         caps = ", ".join(f"{name} {pct:.0f} %" for name, pct in slip_pct.items())
         yield f"slip: throttle at most {caps}"
+    if pedals is not None:
+        yield f"pedals ({pedals['message']}): {pedals['sentence']}"
 
 
 def _mode(mode: results.DriveModeNow) -> str:

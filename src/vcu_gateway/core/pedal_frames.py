@@ -73,6 +73,40 @@ class PedalObservation(NamedTuple):
     doubts: Mapping[str, str]
 
 
+class PedalState(NamedTuple):
+    """What the pedals say now, by their last frame that was a demand, to be shown.
+
+    Attributes:
+        throttle_pct, track2_pct, brake_pct: what each asks for; None where that is not known, also
+            where such a frame came too long ago, or the message has none of it.
+        doubts: why they are not believed, each a sentence; none where they are.
+    """
+
+    message: str
+    throttle_pct: float | None
+    track2_pct: float | None
+    brake_pct: float | None
+    doubts: tuple[str, ...]
+
+    @property
+    def difference_pct(self) -> float | None:
+        """By how much the tracks differ; None where not both are known."""
+        if self.throttle_pct is None or self.track2_pct is None:
+            return None
+        return abs(self.throttle_pct - self.track2_pct)
+
+    def sentence(self) -> str:
+        """What is known of them, and why they are not believed."""
+        shown = (
+            ("throttle", self.throttle_pct),
+            ("second track", self.track2_pct),
+            ("difference", self.difference_pct),
+            ("brake", self.brake_pct),
+        )
+        known = ", ".join(f"{name} {pct:.0f} %" for name, pct in shown if pct is not None)
+        return "; ".join(text for text in (known, *self.doubts) if text)
+
+
 def expiry_ms(period_ms: int) -> int:
     """Age from which a demand of the pedals has expired, of a message of this period."""
     return min(_EXPIRY_MAX_MS, max(_EXPIRY_MIN_MS, _EXPIRY_PERIODS * period_ms))
@@ -118,6 +152,7 @@ class PedalFrames:
         self._reader: PedalReader | None = None
         self._expiry_ns = 0
         self._memory = PedalMemory()
+        self._last: Decoded | None = None
         if pedals is not None:
             message = codec.by_name[pedals.message]
             self._reader = PedalReader(pedals, message)
@@ -155,7 +190,7 @@ class PedalFrames:
             memory.run += 1
             memory.worst_run = max(memory.worst_run, memory.run)
             return None
-        memory.run = 0
+        memory.run, self._last = 0, decoded
         if resumed := self.silent(arrival_ns):
             memory.doubted_since_ns = memory.released_since_ns = None
         memory.demand_ns = arrival_ns
@@ -224,6 +259,35 @@ class PedalFrames:
             return None
         bad = "" if memory.fault is None else _FAULT_TEXTS[memory.fault]
         return PedalObservation(pedals.message, run, bad, doubts)
+
+    def now(self, now_ns: int, period_ns: int) -> PedalState | None:
+        """What the pedals say; None without pedals. From any thread, and changes nothing.
+
+        Between two ticks, so that what came since the last one is not read yet.
+        """
+        pedals, reader, memory = self._pedals, self._reader, self._memory
+        if pedals is None or reader is None:
+            return None
+        doubts, last = [], None if self.silent(now_ns - period_ns) else self._last
+        if memory.run and memory.fault is not None:
+            doubts.append(_FAULT_TEXTS[memory.fault])
+        if last is None:
+            doubts.append("no frame that is a demand")
+            return PedalState(pedals.message, None, None, None, tuple(doubts))
+        reading = reader.read(last)
+        doubts += [f"{signal} {text}" for signal, text in reading.doubts.items()]
+        if memory.latched:
+            doubts.append(f"not believed {_UNTIL_RELEASED}")
+        tracks = (
+            (pedals.throttle, reading.throttle_pct),
+            (pedals.throttle_track2, reading.track2_pct),
+            (pedals.brake, reading.brake_pct),
+        )
+        throttle_pct, track2_pct, brake_pct = (
+            None if track is None or track.signal in reading.doubts else pct
+            for track, pct in tracks
+        )
+        return PedalState(pedals.message, throttle_pct, track2_pct, brake_pct, tuple(doubts))
 
 
 def _demand(

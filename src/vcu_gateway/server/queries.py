@@ -249,7 +249,7 @@ QUERIES: Mapping[str, Callable[[ServerContext, Any], Any]] = {
     "state.get": lambda context, params: state(context, params.messages),
     "why": lambda context, _: views.why(context.latest().why),
     "health": _health,
-    "tuning.get": lambda context, _: views.tuning(context.loop.gateway),
+    "tuning.get": lambda context, _: views.tuning(context.loop.gateway, time.monotonic_ns()),
     "config.get": _config,
     "protocol.get": lambda context, _: context.protocol,
 }

@@ -197,8 +197,8 @@ def _cause(held: HeldCause, explained: explanation.Explanation) -> results.Cause
     }
 
 
-def tuning(gateway: Gateway) -> results.TuningNow:
-    """Drive mode, curves and slip limiter in the last tick; from any thread."""
+def tuning(gateway: Gateway, now_ns: int) -> results.TuningNow:
+    """Drive mode, curves and slip limiter in the last tick, and the pedals; from any thread."""
     settings = gateway.settings.tuning
     current, requested = gateway.drive_modes
     drive_mode: results.DriveModeNow | None = None
@@ -216,7 +216,21 @@ def tuning(gateway: Gateway) -> results.TuningNow:
         "slip_throttle_max_pct": None
         if settings.slip is None
         else {name: slip_pct[name] for name in _CONTROLLERS},
+        "pedals": _pedals(gateway, now_ns),
     }
+
+
+def _pedals(gateway: Gateway, now_ns: int) -> results.PedalsNow | None:
+    pedals = gateway.requests.pedal_frames.now(now_ns, gateway.settings.period_ns)
+    if pedals is None:
+        return None
+    return result_of(
+        results.PedalsNow,
+        pedals,
+        throttle_track2_pct=pedals.track2_pct,
+        doubts=list(pedals.doubts),
+        sentence=pedals.sentence(),
+    )
 
 
 def waits_for_release(gateway: Gateway, now_ns: int) -> bool:

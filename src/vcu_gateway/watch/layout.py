@@ -102,6 +102,15 @@ def _mode_and_sentence(view: ViewModel) -> tuple[str, str, str]:
     return mode.upper(), MODE_STYLES[mode], sentence
 
 
+def pedal_lines(view: ViewModel, width: int) -> list[Text]:
+    """What the pedals on CAN say and why they are not believed; none where there are none."""
+    found = view.tuning.get("pedals") if view.tuning is not None and view.problem is None else None
+    if found is None:
+        return []
+    style = _LIMIT_STYLE if found["doubts"] else "bold"
+    return [_row("pedals", style, found["sentence"], "", width)]
+
+
 def reason_lines(why: Why | None, width: int, max_lines: int) -> list[Text]:
     """The reasons, at most `max_lines`; none where there is no reason."""
     reasons = [] if why is None else list(_reasons(why, width))
@@ -169,16 +178,19 @@ def _explanation(view: ViewModel, width: int, tall: bool) -> list[Text]:
         return mode_lines(view, width, _SENTENCE_LINES)
     stop = stop_lines(view, width)
     most = (_REASON_LINES_TALL if tall else _REASON_LINES) - len(stop[1:])
+    pedals = pedal_lines(view, width)
+    if not tall:
+        most -= len(pedals)
     reasons = reason_lines(why, width, most)
     if not reasons:
-        return mode_lines(view, width, _SENTENCE_LINES) + stop
+        return mode_lines(view, width, _SENTENCE_LINES) + stop + pedals
     if not tall:
         sentence = f"next: {why['next_step']}"
         mode = mode_lines(view, width, _SENTENCE_LINES, sentence)
         most -= max(0, len(mode) + len(stop) - _SENTENCE_LINES)
-        return mode + stop + reason_lines(why, width, most)
+        return mode + stop + reason_lines(why, width, most) + pedals
     mode = mode_lines(view, width, _SENTENCE_LINES_TALL)
-    return [*mode, *stop, Text(), *reasons, *next_lines(why, width)]
+    return [*mode, *stop, Text(), *reasons, *next_lines(why, width), *pedals]
 
 
 def _figures(view: ViewModel, width: int, tall: bool) -> list[Text]:

@@ -1,6 +1,7 @@
-// Tuning: the drive mode and its buttons, and each curve with a dot where the vehicle is on it.
+// Tuning: the drive mode and its buttons, the pedals on CAN, and each curve with a dot where the
+// vehicle is on it.
 
-import { h, setData, setHidden, setText } from "/dom.js";
+import { h, setData, setHidden, setStyle, setText } from "/dom.js";
 import { model } from "/model.js";
 import { request, sentence } from "/requests.js";
 
@@ -14,6 +15,7 @@ let root;
 let modes;
 let said;
 let grid;
+let pedals;
 let tuning = null;
 let readAt = -Infinity;
 let asked = -Infinity;
@@ -24,7 +26,8 @@ export function build(view) {
   root = view;
   said = h("p.muted", { role: "status" });
   modes = h("div.row", { role: "group", "aria-label": "Drive modes" });
-  grid = h("div.figures");
+  pedals = pedalsPanel();
+  grid = h("div.figures", {}, pedals.element);
   root.append(h("section.panel", { "aria-label": "Drive mode" }, h("header", {}, h("h2", {}, "Drive mode")), modes, said), grid);
 }
 
@@ -40,6 +43,7 @@ export function draw() {
     return;
   }
   drawModes(tuning.drive_mode);
+  drawPedals(tuning.pedals);
   drawCurves(tuning.curves);
 }
 
@@ -81,6 +85,41 @@ async function ask(name) {
     problem = `drive mode ${name}: ${sentence(error)}`;
   }
   asked = -Infinity;
+}
+
+const OF_PEDALS = [
+  ["Throttle", "throttle_pct"],
+  ["Second track", "throttle_track2_pct"],
+  ["Difference", "difference_pct"],
+  ["Brake", "brake_pct"],
+];
+
+function pedalsPanel() {
+  const rows = OF_PEDALS.map(([name, key]) => {
+    const fill = h("i");
+    const value = h("span.n");
+    const cells = [h("span.name", {}, name), h("span.bar", { "aria-hidden": "true" }, fill), value];
+    return { key, fill, value, cells };
+  });
+  const title = h("h2", {}, "Pedals");
+  const doubts = h("p.muted", { role: "status" });
+  const cells = rows.flatMap((row) => row.cells);
+  const element = h("section.panel", { "aria-label": "Pedals", hidden: true }, h("header", {}, title), h("div.rows", {}, ...cells), doubts);
+  return { element, title, rows, doubts };
+}
+
+/** What a released pedal asks for is 0 %; what is not known has a dash. */
+function drawPedals(now) {
+  setHidden(pedals.element, !now);
+  if (!now) return;
+  setText(pedals.title, `Pedals: ${now.message}`);
+  for (const { key, fill, value } of pedals.rows) {
+    const percent = now[key];
+    setStyle(fill, "--value", ((percent ?? 0) / 100).toFixed(3));
+    setText(value, percent == null ? null : `${Math.round(percent)} %`);
+  }
+  setText(pedals.doubts, now.doubts.join("; "));
+  setData(pedals.element, "tone", now.doubts.length ? "warn" : null);
 }
 
 function drawCurves(curves) {
