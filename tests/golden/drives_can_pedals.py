@@ -54,7 +54,7 @@ def drive_off(drive: ScriptedDrive, travel_pct: float = 43.0) -> None:
     press(drive, travel_pct)
 
 
-@golden(config=PEDALS, dbc=EXAMPLES / "pedals.dbc")
+@golden(92, 93, config=PEDALS, dbc=EXAMPLES / "pedals.dbc")
 def can_pedals(drive: ScriptedDrive) -> None:
     """A foot drives, brakes, turns round, and presses too early and after a silence."""
     drive.demanded = None
@@ -76,7 +76,7 @@ def can_pedals(drive: ScriptedDrive) -> None:
     drive_off(drive)
 
 
-@golden(config=PEDALS, dbc=EXAMPLES / "pedals.dbc")
+@golden(85, 86, 87, config=PEDALS, dbc=EXAMPLES / "pedals.dbc")
 def can_pedals_not_believed(drive: ScriptedDrive) -> None:
     """Wires open, tracks that differ, codes that are none: for up to 100 ms, and for longer."""
     drive_off(drive)
@@ -104,7 +104,18 @@ def can_pedals_not_believed(drive: ScriptedDrive) -> None:
         press(drive, 43)
 
 
-@golden(config=COASTING, dbc=EXAMPLES / "pedals.dbc")
+@golden(85, config=PEDALS, dbc=EXAMPLES / "pedals.dbc")
+def can_pedals_released_again(drive: ScriptedDrive) -> None:
+    """After an open wire: not released at 5.3 % of the throttle, released at 4.7 %."""
+    drive_off(drive)
+    with drive.broken(pedal_code("Throttle1", 0)):
+        press(drive, 43, ms=300)
+    for travel_pct in (8.0, 7.4):  # with a dead zone of 3 %
+        press(drive, travel_pct, ms=1500)
+        press(drive, 43, ms=300)
+
+
+@golden(88, 89, 90, 91, config=COASTING, dbc=EXAMPLES / "pedals.dbc")
 def can_pedals_no_demands(drive: ScriptedDrive) -> None:
     """Frames that are no demands: counter, checksum, twice, late; and a coasting vehicle."""
     drive_off(drive)

@@ -1,9 +1,12 @@
 """Golden drives of curves, drive modes and the slip limiter."""
 
+from dataclasses import replace
+
 from tests.golden.drives_vehicle import code
 from tests.golden.scripted_drive import RELEASED, ScriptedDrive
 from tests.golden.scripts import golden
 from vcu_gateway.core import calls
+from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import PowerMode
 from vcu_gateway.core.supervisor import FaultClass, Mode
 
@@ -86,6 +89,24 @@ def curves_of_the_battery(drive: ScriptedDrive) -> None:
     with drive.broken({"fault": "silence", "of": "BMS_Temperatures"}):
         drive.run(2500)
     heated(drive, "PCU2_Status2.BatteryVoltage", 45 * 128, 43 * 128, 40 * 128, 30 * 128)
+
+
+@golden(config=CURVES)
+def curves_reloaded(drive: ScriptedDrive) -> None:
+    """Motors 40 and 41 °C apart; a stricter curve taken while driving, a looser one refused."""
+    drive.start_driving(throttle_pct=30)
+    cool = code("PCU2_Status1.MotorTemperature", 30)
+    for celsius in (70, 71):
+        with drive.broken(cool, code("PCU1_Status1.MotorTemperature", celsius)):
+            drive.run(1500)
+    with drive.broken(code("PCU1_Status1.MotorTemperature", 110)):
+        for watts in (5000, 5001, 2000):
+            by_motor = Curve(((95.0, 14000.0), (110.0, float(watts)), (125.0, 0.0)))
+            settings = drive.gateway.settings
+            curves = {**settings.tuning.curves, "power_limit_w.by_motor_temperature_c": by_motor}
+            tuning = replace(settings.tuning, curves=curves)
+            drive.gateway.apply(calls.ReloadSettings(replace(settings, tuning=tuning)))
+            drive.run(1000)
 
 
 @golden(config=CURVES)

@@ -22,11 +22,12 @@ from typing import NamedTuple
 
 from tests.golden.broken_cores import BROKEN_CORES, BrokenCore
 from tests.mutation.operators import Mutant, mutants
-from tests.mutation.run import CORE, Changed, forget_the_core
+from tests.mutation.run import CORE, TOLD_EVERY, Changed, forget_the_core
 
 MODULES = (
     "rules", "causes", "supervisor", "mode_manager", "operator_requests", "commands", "pedals",
-    "plausibility", "link", "demand", "gate",
+    "plausibility", "link", "demand", "gate", "laws", "law_inputs", "deratings", "caps", "curve",
+    "can_pedals", "pedal_frames",
 )  # fmt: skip
 BESIDE_A_MISTAKE = ("gate", "rules.blocked", "rules.gate_blocked", "commands.Commander.replaced")
 """Rules that act on mistakes of the rest of the core alone."""
@@ -35,11 +36,19 @@ ENDED = ("ended-in-order", "ended-without-a-bus", "ended-while-listening")
 CANNOT = {
     "link.ERROR_CLASSES": "the socket's filter: frames that it keeps away reach no core",
     "causes.Severity": "logging's numbers: everything goes by the names",
+    "laws.Laws.__eq__": "what a recording leaves out; replay compares what is left",
+    "deratings.Deratings.worst": "shown, and decides nothing",
+    "can_pedals.CanPedals": "defaults; a recording has every value",
+    "can_pedals.values": "writes settings; a recording has them written already",
+    "pedal_frames.PedalState.difference_pct": "shown, and decides nothing",
+    "pedal_frames.PedalState.sentence": "shown, and decides nothing",
+    "pedal_frames.PedalFrames.__eq__": "what a recording leaves out; replay compares what is left",
+    "pedal_frames.PedalFrames.rejected": "counted, and decides nothing",
+    "pedal_frames.PedalFrames.now": "shown, and decides nothing",
 }
 """What no recording can show, with the reason."""
 CPU_AT_MOST_S = 60
 DRIVES_SHOWN = 3
-TOLD_EVERY = 25
 BROKEN = "cannot be imported"
 ENDLESS = "takes no end"
 NOT_IMPORTED = "no drive imports the changed module"
