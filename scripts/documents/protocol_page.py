@@ -103,7 +103,7 @@ def _own_definition() -> Iterator[str]:
         "and run `vcu-gateway dbc` and `python -m scripts.documents`: they make the DBC, its "
         "module and this page, and refuse by file and line what the gateway cannot run with. "
         "`demo`, `run`, `check-config` and `doctor` refuse a DBC for the same reasons "
-        "(`protocol/dbc.py`)."
+        "(`protocol/dbc.py`). Step by step: [another-vehicle.md](another-vehicle.md)."
     )
     yield from ("", "| | may change | must stay |", "| --- | --- | --- |")
     for cells in _MAY_CHANGE:

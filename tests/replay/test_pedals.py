@@ -118,6 +118,12 @@ def test_pedals_that_do_not_fit_the_recorded_dbc_are_refused(drive):
     assert 'pedals.can.counter: Pedals_Position has no signal "Nothing"' in ran.err
 
 
+def test_a_vehicles_own_file_is_tried_without_its_dbc(drive):
+    ran = replay(drive, "-c", EXAMPLES / "pedals.yaml")
+    assert ran.code in (0, 1), ran.err
+    assert "protocol.dbc is not used" in ran.out + ran.err
+
+
 def test_without_its_pedals_the_drive_has_no_demand(drive):
     found = what_if(drive, "pedals.can=null")
     assert found["would_stop"] or not found["same"]

@@ -118,7 +118,10 @@ def _values(text: str, where: str) -> dict[str, Any]:
 
 def _without_dbc(text: str) -> str:
     """The text, where only the file that it names for a DBC is not asked for."""
-    return "\n".join("" if line.lstrip().startswith("dbc:") else line for line in text.splitlines())
+    return "\n".join(
+        f"{line.partition('dbc:')[0]}dbc:" if line.lstrip().startswith("dbc:") else line
+        for line in text.splitlines()
+    )
 
 
 def _drop_dbc(values: dict[str, Any]) -> list[str]:
