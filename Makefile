@@ -104,7 +104,7 @@ endif
 # but for what a signal kills and for safe_stop.py, which -I -S keep coverage out of. Without CAN
 # in the kernel bus/socketcan.py runs in the lab alone, where nothing is measured.
 COVERED_SHELL := $(wildcard $(addprefix tests/,api app bus cli client config daemon doctor exporter \
-	protocol recording server simulator strict_yaml watch web))
+	pedals protocol recording server simulator strict_yaml watch web))
 SHELL_COVERAGE := build/shell-coverage
 coverage-shell: export COVERAGE_FILE = $(SHELL_COVERAGE)/data
 coverage-shell: $(TESTED)  ## branch coverage of everything outside the core (18 minutes)
@@ -119,13 +119,16 @@ coverage-shell: $(TESTED)  ## branch coverage of everything outside the core (18
 test-exhaustive: $(TESTED)
 	$(PYTEST) $(EXHAUSTIVE)
 
+# Where such tests are: to collect all others takes a processor's 15 s.
+CLOCKED = $(filter-out $(IN_A_BROWSER) $(addprefix tests/,$(addsuffix /%,$(BUS_ROOMS) web/vcan packaging)), \
+	$(sort $(shell grep -rl 'mark\.clock' tests --include='test_*.py')))
 # What judges durations; at night, when it runs alone, each of ten stops in every attack.
 ifeq ($(LEVEL),nightly)
 test-clock: export VCU_PRESSES := 10
 endif
 test-clock: $(TESTED)
 	$(NEEDS) compiler terminal
-	$(BIN)/pytest -q -m '$(SELECTED) and clock' tests $(NO_BUS) $(NO_BROWSER) --ignore=tests/packaging
+	$(BIN)/pytest -q -m '$(SELECTED) and clock' $(CLOCKED)
 ifeq ($(LEVEL),nightly)
 	$(BIN)/pytest -q -m 'not slow' tests/server/test_attacks.py tests/web/test_attacks.py
 endif
@@ -255,9 +258,11 @@ test-faults-netem: $(TESTED)
 	$(NEEDS) lab
 	$(IN_LAB) --timeout 450 $(WITH_NETEM) -- $(IN_BUS_GUEST) tests/faults/netem
 
-test-controller: $(TESTED) test-guests  ## on two emulated CAN controllers with a real networkd, in the lab
+JOYSTICK := tests/controller/test_pedals.py
+test-controller: $(TESTED) test-guests  ## on two emulated CAN controllers with a real networkd, and a joystick, in the lab
 	$(NEEDS) qemu
-	$(IN_QEMU) -- $(IN_GUEST) -m 'not slow' tests/controller
+	$(IN_QEMU) -- $(IN_GUEST) -m 'not slow' --ignore=$(JOYSTICK) tests/controller
+	$(IN_QEMU) --modules uinput --install $(PACKAGES)/first.deb -- $(IN_GUEST) $(JOYSTICK)
 
 test-lab-qemu: $(TESTED)
 	$(NEEDS) qemu

@@ -20,6 +20,7 @@ MOST_EXPOSED = {
     "vcu-gateway.service": 1.0,
     "vcu-gateway@.service": 1.0,
     "vcu-gateway-recorder.service": 0.3,
+    "vcu-gateway-pedals.service": 0.6,
 }
 """What `systemd-analyze security` may say, 0 to 10; exporter and page have an internet socket."""
 
@@ -106,9 +107,9 @@ def test_the_page_listens_on_the_one_port_that_its_unit_lets_it_have_and_on_no_n
     assert f"<http://127.0.0.1:{listen}/>" in (SYSTEMD.parent / "docs/web.md").read_text()
 
 
-@pytest.mark.parametrize("name", ["vcu-gateway-exporter.service", "vcu-gateway-web.service"])
+@pytest.mark.parametrize("name", ["exporter", "web", "pedals"])
 def test_a_program_beside_the_gateway_needs_it_only_for_the_order(name):
-    text = (SYSTEMD / name).read_text()
+    text = (SYSTEMD / f"vcu-gateway-{name}.service").read_text()
     assert "\nAfter=vcu-gateway.service\n" in text
     assert not re.search(r"^(Requires|BindsTo|PartOf|Requisite|Wants)=", text, re.MULTILINE)
 

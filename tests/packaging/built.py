@@ -92,8 +92,10 @@ class Deb:
                 }
 
     def place(self, name: str) -> str:
-        """A path with {site} or {units} in it, as this release has it."""
-        return name.format(site=self.site, units=self.release.units)
+        """A path with {site}, {units} or {rules} in it, as this release has it."""
+        units = self.release.units
+        rules = units.replace("systemd/system", "udev/rules.d")
+        return name.format(site=self.site, units=units, rules=rules)
 
     def text(self, name: str) -> str:
         return self.contents[name].decode()

@@ -22,10 +22,11 @@ UNITS = (
     "vcu-gateway-exporter.service",
     "vcu-gateway-recorder.service",
     "vcu-gateway-web.service",
+    "vcu-gateway-pedals.service",
 )
-PROGRAMS = {f"{HOME}/bin/{name}" for name in ("vcu-gateway", "vcu-gateway-recorder")} | {
-    f"{HOME}/is-active"
-}
+PROGRAMS = {
+    f"{HOME}/bin/{name}" for name in ("vcu-gateway", "vcu-gateway-recorder", "vcu-gateway-pedals")
+} | {f"{HOME}/is-active"}
 FROM_THE_TREE = {
     "etc/vcu-gateway/gateway.yaml": "config/gateway.yaml",
     "{units}/vcu-gateway.service": "systemd/vcu-gateway.service",
@@ -33,7 +34,9 @@ FROM_THE_TREE = {
     "{units}/vcu-gateway-exporter.service": "systemd/vcu-gateway-exporter.service",
     "{units}/vcu-gateway-recorder.service": "systemd/vcu-gateway-recorder.service",
     "{units}/vcu-gateway-web.service": "systemd/vcu-gateway-web.service",
+    "{units}/vcu-gateway-pedals.service": "systemd/vcu-gateway-pedals.service",
     "{units}/vcu-gateway-recorder.socket": "systemd/vcu-gateway-recorder.socket",
+    "{rules}/60-vcu-gateway-pedals.rules": "systemd/60-vcu-gateway-pedals.rules",
     "usr/lib/sysusers.d/vcu-gateway.conf": "systemd/sysusers.conf",
     "usr/lib/tmpfiles.d/vcu-gateway.conf": "systemd/tmpfiles.conf",
     "usr/share/vcu-gateway/network/can0.network": "systemd/can0.network",
@@ -45,6 +48,8 @@ FROM_THE_TREE = {
     ),
     "usr/share/vcu-gateway/examples/bench-vcan0.yaml": "config/bench-vcan0.yaml",
     "usr/share/vcu-gateway/examples/tuning.yaml": "config/examples/tuning.yaml",
+    "usr/share/vcu-gateway/examples/converters.yaml": "config/examples/converters.yaml",
+    "usr/share/vcu-gateway/examples/joystick.yaml": "config/examples/joystick.yaml",
     "usr/share/vcu-gateway/examples/pedals.yaml": "config/examples/pedals.yaml",
     "usr/share/vcu-gateway/examples/pedals.dbc": "config/examples/pedals.dbc",
     "usr/share/vcu-gateway/examples/scenarios/bms-silent.yaml": "config/scenarios/bms-silent.yaml",
@@ -107,6 +112,7 @@ def test_the_links_are_those_of_a_virtual_environment_of_the_systems_python(deb)
     links = {name: member.linkname for name, member in deb.members.items() if member.issym()}
     assert links == {
         "usr/bin/vcu-gateway": "../lib/vcu-gateway/bin/vcu-gateway",
+        "usr/bin/vcu-gateway-pedals": "../lib/vcu-gateway/bin/vcu-gateway-pedals",
         "usr/bin/vcu-gateway-recorder": "../lib/vcu-gateway/bin/vcu-gateway-recorder",
         f"{HOME}/bin/python3": "../../../bin/python3",
         f"{HOME}/safe_stop.py": deb.place("{site}/vcu_gateway/daemon/safe_stop.py").removeprefix(

@@ -32,9 +32,9 @@ def test_the_script_is_one_for_every_shell(control, script):
     assert "#DEBHELPER#" not in path.read_text()
 
 
-@pytest.mark.parametrize("name", ["vcu-gateway-exporter.service", "vcu-gateway-web.service"])
-def test_installing_enables_the_gateway_and_neither_exporter_nor_page(control, name):
-    script = (control / "postinst").read_text()
+@pytest.mark.parametrize("name", ["exporter", "web", "pedals"])
+def test_installing_enables_the_gateway_and_no_program_beside_it(control, name):
+    script, name = (control / "postinst").read_text(), f"vcu-gateway-{name}.service"
     assert "deb-systemd-helper enable 'vcu-gateway.service'" in script
     was_enabled = f"if deb-systemd-helper --quiet was-enabled '{name}'"
     before, _, after = script.partition(f"deb-systemd-helper enable '{name}'")

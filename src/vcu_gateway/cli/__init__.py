@@ -33,6 +33,7 @@ _VERBS = {
     "recorder": "keep every drive on disk, bounded",
     "recordings": "list, check, keep and remove what the recorder has written",
     "exporter": "serve the gateway's metrics to Prometheus",
+    "pedals": "demand what pedals of this machine say",
     "web": "serve a page that shows what the vehicle does, and stops it",
     "web-user": "print a line for the page's users file",
     "simulate": "play the vehicle: BMS, IMU, ARD2 and both motor controllers",
@@ -164,6 +165,12 @@ def _show_bug(error: Exception) -> None:
 def recorder() -> None:
     """Entry point of vcu-gateway-recorder: the verb `recorder` under a name of its own."""
     sys.argv.insert(1, "recorder")
+    main()
+
+
+def pedals() -> None:
+    """Entry point of vcu-gateway-pedals: the verb `pedals` under a name of its own."""
+    sys.argv.insert(1, "pedals")
     main()
 
 
