@@ -37,6 +37,15 @@ def run(block: str, clone: Path, code: int = 0) -> str:
     return done.stdout + done.stderr
 
 
+def driven(block: str, clone: Path) -> str:
+    """What the block says once there was torque: held up before the foot presses, it has none."""
+    for _ in range(5):
+        said = run(block, clone)
+        if re.search(r" commands, [1-9][0-9]* with torque", said):
+            return said
+    raise AssertionError(said)
+
+
 @pytest.mark.ci
 @pytest.mark.clock  # the verdict of a replay judges how soon the gateway reacted
 @pytest.mark.timeout(300)
@@ -51,7 +60,7 @@ def test_its_steps_lead_from_a_foreign_dbc_to_a_drive_with_a_pedal(clone: Path):
     run(identifiers, clone)
     run(generate, clone)
     assert fits[1] in run(fits[0].removeprefix("$ "), clone)
-    said = run(drive, clone)
+    said = driven(drive, clone)
     assert "Pedals_Position " in said
     assert "BMS_Energy " in said
     equal, verdict = ends.splitlines()
