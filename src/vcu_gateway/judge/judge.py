@@ -55,6 +55,7 @@ class Judge:
     Attributes:
         limits: configuration in effect.
         requests: granted requests and modes.
+        caps: what tuning allowed in the last tick.
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class Judge:
         self._reactions = Reactions(findings)
         self._before: dict[str, SentBefore] = {}
         self._tuning = TuningRules(limits, complete=complete)
-        self._caps = TuningCaps()
+        self.caps = TuningCaps()
         self._told: dict[str, bytes] = {}
         if not complete:
             self._told = dict.fromkeys(CONTROLLERS, _MOST)  # it may have been anything
@@ -139,9 +140,9 @@ class Judge:
         elif self._turns(demands):
             reason = "a change of direction is pending"
         elif any(
-            one.command.speed_limit_rpm > self._caps.speed_rpm + 1 for one in self._before.values()
+            one.command.speed_limit_rpm > self.caps.speed_rpm + 1 for one in self._before.values()
         ):
-            reason = f"SpeedLimit has not come down to {self._caps.speed_rpm:.0f} rpm"
+            reason = f"SpeedLimit has not come down to {self.caps.speed_rpm:.0f} rpm"
         self.requests.armed(self._tick, now_ns, reason)
         self._armed_ns = now_ns
 
@@ -197,9 +198,10 @@ class Judge:
             demand_fresh=not self._demands.known or self._demands.fresh(now_ns),
         )
         was_active = self.requests.mode == "active"
-        drives_on = was_active and self.requests.may_be_active and mode == "active"
+        unknown = self._last_ns is None and not self._complete  # how the first tick began
+        began_active = self.requests.may_be_active or unknown
         self.requests.tick(self._tick, now_ns, mode, causes)
-        facts = self._facts(now_ns, mode, elapsed_ns, drives_on=drives_on)
+        facts = self._facts(now_ns, mode, elapsed_ns, began_active=began_active)
         disturbed = self._bus.is_lost or causes.foreign
         for rule, seen in self._pairs.broken(sent, self.limits, now_ns, disturbed=disturbed):
             self._broken(rule, now_ns, seen)
@@ -266,13 +268,13 @@ class Judge:
         demands = self._demands
         return {name: demands.of(name) if demands.known else None for name in CONTROLLERS}
 
-    def _facts(self, now_ns: int, mode: str, elapsed_ns: int, *, drives_on: bool) -> TickFacts:
+    def _facts(self, now_ns: int, mode: str, elapsed_ns: int, *, began_active: bool) -> TickFacts:
         limits, effects = self.limits, self._held.effects
         counted_ns = min(max(elapsed_ns, 0), limits.period_ns)
         speeds = self._arrivals.speeds_rpm(now_ns)
         self._note_regeneration(speeds)
         sent_raw = {name: one.command.throttle_raw for name, one in self._before.items()}
-        self._caps = self._tuning.tick(
+        self.caps = self._tuning.tick(
             TuningTick(
                 limits=limits,
                 arrivals=self._arrivals,
@@ -280,16 +282,16 @@ class Judge:
                 sent_raw=sent_raw,
                 now_ns=now_ns,
                 elapsed_s=counted_ns / 1e9,
-                began_active=drives_on,
+                began_active=began_active,
             )
         )
         if mode in ("standby", "active"):
-            self._ramps.move(effects, self._caps, limits, self._told, counted_ns / 1e9)
+            self._ramps.move(effects, self.caps, limits, self._told, counted_ns / 1e9)
         return TickFacts(
             limits=limits,
             mode=mode,
             effects=effects,
-            caps=self._caps,
+            caps=self.caps,
             speeds_rpm=speeds,
             regenerates=self._regenerates,
             released=all(one.command.released for one in self._before.values()),

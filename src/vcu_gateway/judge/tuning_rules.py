@@ -88,7 +88,7 @@ class TuningRules:
         self._complete = complete
         self._held: dict[str, float] = {}
         self._over_speed: dict[str, float] = {}
-        self._slip = {name: _SlipCap(-math.inf if complete else None) for name in CONTROLLERS}
+        self._slip = {name: _SlipCap() for name in CONTROLLERS}
 
     def begin_in(self, drive_mode: str, limits: VerdictLimits) -> None:
         """The process before had kept this drive mode."""
@@ -105,14 +105,12 @@ class TuningRules:
         return ""
 
     def reload(self, limits: VerdictLimits) -> None:
-        """A curve that is gone is forgotten; drive modes that are new begin as at a start."""
+        """A curve that is gone is forgotten; a drive mode in use is never dropped."""
         self._held = {
             key: held
             for key, held in self._held.items()
-            if key in limits.curves or (limits.drive_modes and key.endswith(".mode"))
+            if key in limits.curves or key.endswith(".mode")
         }
-        if self._complete and not {self.drive_mode, self.asked} <= {*limits.drive_modes}:
-            self.drive_mode = self.asked = limits.start_drive_mode
 
     def tick(self, tick: TuningTick) -> TuningCaps:
         """Most that the commands of a tick may have."""
@@ -139,10 +137,9 @@ class TuningRules:
 
     def _take_drive_mode(self, tick: TuningTick) -> None:
         """The mode asked for is in force where that makes no step."""
-        released = [_released(name, tick) for name in CONTROLLERS]
-        if not tick.began_active or all(released):
+        if not tick.began_active or (tick.demands.known and _all_released(tick)):
             self.drive_mode = self.asked
-        elif None in released and self.drive_mode != self.asked:
+        elif not tick.demands.known and self.drive_mode != self.asked:
             self.drive_mode = None
 
     def _hold(self, tick: TuningTick) -> None:
@@ -164,9 +161,9 @@ class TuningRules:
             else:
                 # A curve goes one way only, so the worst value gives the lowest limit.
                 self._move(key, min(value_at(points, value) for value in values), rate, tick)
-        of_modes = limits.drive_modes.items()
-        modes = [keys for name, keys in of_modes if name in (self.drive_mode, self.asked)]
-        for field, (_, rate) in of_field.items() if of_modes else ():
+        counting = (self.drive_mode, self.asked)
+        modes = [keys for name, keys in limits.drive_modes.items() if name in counting]
+        for field, (_, rate) in of_field.items():
             target = min((_of_mode(mode, field, limits) for mode in modes), default=math.inf)
             self._move(f"{field}.mode", target, rate, tick)
 
@@ -185,12 +182,13 @@ class TuningRules:
     ) -> float:
         """Value of a drive mode's curve over speed, `full` where it has none."""
         points = mode.get(f"{field}.by_speed_kmh")
-        before = self._over_speed.pop(field, full)
+        before = self._over_speed.pop(field, None)
         if not points or (not self._complete and not tick.arrivals.came(_WHEELS)):
             return full
         if speed_kmh is None:
             step = tick.limits.throttle_slew_pct_per_s * tick.elapsed_s
-            value: float = max(min(y for _, y in points), before - step)
+            lowest, *_, highest = sorted(y for _, y in points)
+            value: float = max(lowest, (highest if before is None else before) - step)
         else:
             value = value_at(points, speed_kmh)
         self._over_speed[field] = value
@@ -255,32 +253,29 @@ class _SlipCap:
         certain_ns: from then on a wheel that slips is certainly cut; None: not known yet.
     """
 
-    def __init__(self, certain_ns: float | None) -> None:
+    def __init__(self) -> None:
         self.pct = _FULL_PCT
         self.cut_ns: int | None = None
-        self.certain_ns = certain_ns
+        self.certain_ns: float | None = None
 
     def move(self, name: str, front_kmh: float | None, tick: TuningTick) -> None:
         """One tick of the law where it is certain; else nothing is capped for a while."""
+        if not tick.began_active:
+            self.pct, self.cut_ns, self.certain_ns = _FULL_PCT, None, -math.inf
+            return
         slip, wait_ns = tick.limits.slip or {}, tick.limits.slip_wait_ns
         saturated = any(_SATURATED_RAW in raws for raws in _wheels(tick))
-        over_kmh = _over_kmh(name, front_kmh, tick)
-        slips = over_kmh is not None and over_kmh > _NEAR_KMH
-        # The specification does not say whether a speed that jumped counts as known.
-        near = over_kmh is not None and abs(over_kmh) <= _NEAR_KMH
-        near = near or (slips and (saturated or tick.arrivals.is_doubted(name)))
+        over_kmh = None if saturated else _over_kmh(name, front_kmh, tick)
         if self.certain_ns is None:
             # The core may know a speed that came before this recording.
             self._unsure(tick.now_ns + wait_ns + tick.limits.stale_ns[_WHEELS])
-        elif near or (slips and not (tick.began_active and tick.now_ns >= self.certain_ns)):
-            self._unsure(tick.now_ns + wait_ns)
-        elif not tick.began_active:
-            self._unsure(-math.inf if self.cut_ns is None else self.cut_ns + wait_ns)
-        elif slips:
-            if self.cut_ns is None or tick.now_ns - self.cut_ns >= wait_ns:
+        elif over_kmh is not None and over_kmh > -_NEAR_KMH:
+            if over_kmh <= _NEAR_KMH or tick.now_ns < self.certain_ns:
+                self._unsure(tick.now_ns + wait_ns)
+            elif self.cut_ns is None or tick.now_ns - self.cut_ns >= wait_ns:
                 kept = (1 - slip["cut_share_pct"] / 100) * min(_sent_pct(name, tick), self.pct)
                 self.pct, self.cut_ns = max(slip["lowest_throttle_pct"], kept), tick.now_ns
-        elif over_kmh is not None or saturated or _released(name, tick) is not False:
+        elif over_kmh is not None or saturated or _all_released(tick):
             self.pct = min(_FULL_PCT, self.pct + slip["return_pct_per_s"] * tick.elapsed_s)
 
     def _unsure(self, until_ns: float) -> None:
@@ -289,10 +284,12 @@ class _SlipCap:
 
 
 def _over_kmh(name: str, front_kmh: float | None, tick: TuningTick) -> float | None:
-    """How far a wheel is faster than it may be; None where a speed is not known."""
+    """How far a wheel is faster than it may be; None where a speed is not known or believed."""
     rpms = _values(MOTOR_SPEED._replace(messages=(f"{name}_Status2",)), tick.arrivals, tick.now_ns)
     slip, rpm_per_kmh = tick.limits.slip, tick.limits.motor_rpm_per_kmh
     if rpms is None or front_kmh is None or rpm_per_kmh is None or slip is None:
+        return None
+    if tick.arrivals.is_doubted(name):
         return None
     allowed_kmh = front_kmh * (1 + slip["allowed_pct"] / 100) + slip["allowed_kmh"]
     return max(rpms) / rpm_per_kmh - allowed_kmh
@@ -304,11 +301,10 @@ def _sent_pct(name: str, tick: TuningTick) -> float:
     return _FULL_PCT if raw == HIGHEST_RAW else (raw + 0.5) * PERCENT_PER_BIT
 
 
-def _released(name: str, tick: TuningTick) -> bool | None:
-    """Less than 5 % is demanded, or nothing; None where that is not known."""
-    demanded = tick.demands.of(name)
-    if not tick.demands.known:
-        return None
-    if demanded is None or not tick.demands.fresh(tick.now_ns):
+def _all_released(tick: TuningTick) -> bool:
+    """Less than 5 % is demanded of every controller, or nothing; also where that is not known."""
+    demands = tick.demands
+    if not demands.known or not demands.fresh(tick.now_ns):
         return True
-    return demanded.throttle_pct < _RELEASED_PCT
+    demanded = [demands.of(name) for name in CONTROLLERS]
+    return all(one is None or one.throttle_pct < _RELEASED_PCT for one in demanded)
