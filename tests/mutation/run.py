@@ -26,7 +26,8 @@ from tests.mutation.operators import Mutant, mutants
 from vcu_gateway.protocol import dbc, packaged
 
 ROOT = Path(__file__).parents[2]
-CORE = ROOT / "src" / "vcu_gateway" / "core"
+SOURCES = ROOT / "src"
+CORE = SOURCES / "vcu_gateway" / "core"
 SURVIVORS = Path(__file__).with_name("survivors.toml")
 TESTS = {
     "rules": ["rules", "gateway"],
@@ -48,8 +49,12 @@ TESTS = {
     "caps": ["caps", "commands"],
     "curve": ["curve", "laws"],
     "state": ["state", "freshness", "laws"],
+    "judge.tuning_rules": ["caps_agree", "tuning"],
 }
-"""Module -> its test files; what survives them meets WHOLE."""
+"""Module of the core -> its test files; what survives them meets WHOLE.
+
+Of another package with its name, and that package's tests alone.
+"""
 UNCHANGED = [f"vcu_gateway.core.{name}" for name in ("spec", "j1939", "codec", "codegen")]
 """Modules that no mutant changes and that take long to import."""
 WHOLE = ["mutants_more", "transmit", "causes", "between_ticks", "driving"]
@@ -61,8 +66,8 @@ class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Finds one module of the core with another source."""
 
     def __init__(self, module: str, source: str) -> None:
-        self.name = f"vcu_gateway.core.{module}"
-        self.path = str(CORE / f"{module}.py")
+        self.path = str(path_of(module))
+        self.name = ".".join(Path(self.path).relative_to(SOURCES).with_suffix("").parts)
         self.source = source
         self.was_executed = False
 
@@ -77,9 +82,18 @@ class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         exec(compile(self.source, self.path, "exec"), module.__dict__)
 
 
-def _files(names: list[str]) -> list[str]:
-    paths = [ROOT / "tests" / "core" / f"test_{name}.py" for name in names]
-    return [str(path) for path in paths if path.exists()]
+def path_of(module: str) -> Path:
+    """Source of a module that TESTS names."""
+    package, _, name = module.rpartition(".")
+    return SOURCES / "vcu_gateway" / (package or "core") / f"{name}.py"
+
+
+def _files(module: str) -> list[list[str]]:
+    """Its own tests, then those that what survives these meets."""
+    package = module.rpartition(".")[0] or "core"
+    several = [TESTS[module], WHOLE] if package == "core" else [TESTS[module]]
+    folder = ROOT / "tests" / package
+    return [[str(folder / f"test_{name}.py") for name in names] for names in several]
 
 
 def forget_the_core() -> None:
@@ -103,7 +117,7 @@ def _survives(module: str, source: str) -> bool:
     sys.meta_path.insert(0, changed)
     arguments = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--timeout=0"]
     arguments += ["-m", "not slow", "--assert=plain", "--tb=no"]  # nobody reads why one failed
-    for files in (_files(TESTS[module]), _files(WHOLE)):
+    for files in _files(module):
         # The second run imports its modules anew.
         for name in [name for name in sys.modules if name.startswith("tests.c")]:
             del sys.modules[name]
@@ -172,11 +186,11 @@ def main() -> int:
     jobs = [
         (module, mutant)
         for module in options.modules
-        for mutant in mutants((CORE / f"{module}.py").read_text(encoding="utf-8"))
+        for mutant in mutants(path_of(module).read_text(encoding="utf-8"))
     ]
     if options.list:
         for module, mutant in jobs:
-            print(f"{module}.py:{mutant.line}: {mutant.key}")
+            print(f"{path_of(module).name}:{mutant.line}: {mutant.key}")
         return 0
     if not _all_pass(options.modules):
         return 2
@@ -187,7 +201,7 @@ def main() -> int:
 def _all_pass(modules: list[str]) -> bool:
     """Without a mutant; before the run, and after it lest somebody edited meanwhile."""
     for module in modules:
-        pid = _child(module, (CORE / f"{module}.py").read_text(encoding="utf-8"))
+        pid = _child(module, path_of(module).read_text(encoding="utf-8"))
         if os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) != 1:
             print(f"{module}: its tests fail or import another one; the figures mean nothing")
             return False
@@ -205,7 +219,8 @@ def _report(jobs: list[tuple[str, Mutant]], options: argparse.Namespace) -> int:
         survived.add((module, mutant.key))
         if (module, mutant.key) not in reasons:
             unexplained += 1
-            print(f"SURVIVED src/vcu_gateway/core/{module}.py:{mutant.line}\n{mutant.diff}")
+            where = path_of(module).relative_to(ROOT)
+            print(f"SURVIVED {where}:{mutant.line}\n{mutant.diff}")
             print(f"key = {mutant.key!r}\n", flush=True)
     for module, key in reasons:
         if module in options.modules and (module, key) not in survived:
