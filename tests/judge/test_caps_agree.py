@@ -6,7 +6,8 @@ through, or would hold against a drive that is right, is a difference here.
 
 import math
 import random
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,23 +62,29 @@ drive_modes:
         by_pedal_pct: [[0, 0], [50, 20], [100, 60]]
         by_speed_kmh: [[0, 30], [65, 100]]
       brake_max_pct: 30
-    valet: {power_mode_max: eco, speed_limit_kmh: 15}
+    valet: {power_mode_max: eco, speed_limit_kmh: 30}
 """
 VEHICLE = """
-vehicle: {motor_rpm_per_kmh: 85.3}
-limits: {power_limit_max_w: 14000, derated_power_w: 4000, brake_return_pct_per_s: 70}
+vehicle: {motor_rpm_per_kmh: 50}
+limits:
+  power_limit_max_w: 14000
+  derated_power_w: 4000
+  brake_return_pct_per_s: 70
+  speed_fall_rpm_per_s: 4000
 """
-SLIP = "laws: {slip: {wait_ms: 150, return_pct_per_s: 50}}\n"
+SLIP = "laws: {slip: {wait_ms: 150, return_pct_per_s: 50, allowed_pct: 25, allowed_kmh: 5}}\n"
 OTHER_MODES = MODES.replace("rain:", "snow:").replace("speed_limit_kmh: 45", "speed_limit_kmh: 44")
 STRICTER = CURVES.replace("[110, 6000]", "[110, 5000]")
 # A reload takes neither the first drive modes nor the last: drive_modes.start needs a restart.
 FAMILIES = (
     (CURVES + MODES + SLIP, CURVES + OTHER_MODES, STRICTER + MODES + SLIP, MODES + SLIP, MODES),
     (CURVES + SLIP, STRICTER + SLIP, CURVES, SLIP, ""),
+    (SLIP, SLIP.replace("wait_ms: 150", "wait_ms: 200")),
 )
 NAMES = ("eco", "sport", "rain", "valet", "snow")
 IDS = {name: can_id for can_id, name in RECEIVED_IDS.items()}
-SILENT = ("BMS_Temperatures", "ARD2_SteeringWheel")
+WHEELS = "ARD2_SteeringWheel"
+SILENT = ("BMS_Temperatures", WHEELS)
 THROTTLES_PCT = (0.0, 0.0, 4.9, 5.5, 20.0, 60.0, 100.0, 100.0)
 TICKS = 1500
 
@@ -101,12 +108,13 @@ FIELDS = (
     *(Bytes(f"{name}_Status1", 6, 1, range(60, 100), 6, 151) for name in CONTROLLERS),
     *(Bytes(f"{name}_Status1", 7, 1, range(80, 128), 6) for name in CONTROLLERS),
     *(Bytes(f"{name}_Status2", 0, 2, range(5_000, 7_700), 256, 65_535) for name in CONTROLLERS),
-    *(Bytes(f"{name}_Status2", 6, 2, range(5999), 400) for name in CONTROLLERS),
+    *(Bytes(f"{name}_Status2", 6, 2, range(5999), 400, 6001) for name in CONTROLLERS),
     *(Bytes("BMS_Temperatures", at, 1, range(35, 112), 8, 251) for at in range(5)),
     Bytes("BMS_Status", 4, 1, range(101), 20, 101),
-    *(Bytes("ARD2_SteeringWheel", at, 2, range(65_536), 6000, 65_535) for at in (2, 4)),
+    *(Bytes("ARD2_SteeringWheel", at, 2, range(65_536), 16_000, 65_535) for at in (2, 4)),
 )
 MESSAGES = sorted({one.message for one in FIELDS} - {"BMS_Status"})  # which has a life signal
+OF_CONTROLLERS = {one for one in MESSAGES if one.startswith("PCU")}
 
 
 class World:
@@ -114,11 +122,13 @@ class World:
 
     def __init__(self, drive: SimulatedDrive, chance: random.Random) -> None:
         self.drive, self.chance = drive, chance
-        self.values = {one: one.codes[len(one.codes) // 2] for one in FIELDS}
+        self.values = {one: one.codes[0] + 2 * one.step for one in FIELDS}
         self.silent = set(SILENT)
         drive.change = self.said
 
     def said(self, message: str, data: bytes) -> bytes:
+        if self.chance.random() < 0.02:
+            self.wander()  # also between two frames of a tick
         for one, value in self.values.items():
             if one.message == message:
                 field = value.to_bytes(one.width, "little")
@@ -131,16 +141,20 @@ class World:
             self.silent = set() if self.silent else {self.chance.choice(SILENT)}
         lost = {self.chance.choice(MESSAGES)} if self.chance.random() < 0.05 else set()
         self.drive.silent = self.silent | lost
-        if self.chance.random() < 0.1:
+        if self.chance.random() < 0.4:
             self.speak_twice()
 
     def wander(self) -> None:
+        """Each field a step, a leap, or to what is no value."""
         for one in FIELDS:
-            if self.chance.random() < 0.1:
-                moved = self.values[one] + self.chance.randint(-one.step, one.step)
+            chance = self.chance.random()
+            if chance < 0.1:
+                moved = self.values[one] + self.chance.randint(-4, 4) * one.step // 4
                 self.values[one] = min(max(moved, one.codes[0]), one.codes[-1])
-            if one.odd is not None and self.chance.random() < 0.003:
+            elif chance < 0.103 and one.odd is not None:
                 self.values[one] = one.odd
+            elif chance < 0.105:
+                self.values[one] = self.chance.choice(one.codes[:: max(1, one.step // 4)])
 
     def speak_twice(self) -> None:
         """Another frame before the next tick, older or newer than those that come by themselves."""
@@ -177,7 +191,10 @@ class Driver:
         ]
         demanded = dict(zip(CONTROLLERS, each, strict=True))
         demand = Demand("driver", self.sequence, 200, demanded)
-        gateway.apply(calls.Offer(demand, self.drive.now_ns))
+        if chance.random() < 0.9:
+            gateway.apply(calls.Offer(demand, self.drive.now_ns))
+        if chance.random() < 0.01:
+            gateway.apply(calls.Disarm(self.drive.now_ns))
         if chance.random() < 0.03:
             name = chance.choice(NAMES)
             gateway.apply(calls.SetDriveMode(name, FaultClass.SERVICE, self.drive.now_ns))
@@ -194,6 +211,8 @@ def driven(drive: SimulatedDrive, files: Sequence[str], chance: random.Random) -
                 drive.tick()
                 yield
             gateway.apply(calls.ReloadSettings(settings_of(chance.choice(files))))
+        elif number % 25 == 24:
+            gateway.apply(calls.ReloadSettings(gateway.settings))
         world.go_on()
         drive.tick(chance.choice((50, 50, 50, 50, 60)) * MS)
         yield
@@ -205,14 +224,14 @@ class CoreTick(NamedTuple):
     Attributes:
         slips: the slip limiter leaves less than all.
         waits: a drive mode waits for the pedal's release.
-        silent: a message, or one frame of it, did not come.
+        silent: messages of which nothing, or one frame less, came.
     """
 
     caps: Mapping[str, Caps]
     settings: Settings
     slips: bool
     waits: bool
-    silent: bool
+    silent: Set[str]
 
 
 class Both(NamedTuple):
@@ -238,13 +257,13 @@ def recording(folder: Path, files: Sequence[str], seed: int) -> Recorded:
             gateway.settings,
             min(gateway.slip_caps_pct.values()) < 100,
             current != asked,
-            bool(drive.silent),
+            drive.silent,
         )
     return list(open_drive(drive.end()).runs()), core
 
 
-def both(recorded: Recorded, first: int = 0) -> list[Both]:
-    """Every tick from this one on, as where a recording begins in the middle."""
+def both(recorded: Recorded, first: int = 0, ticks: int = TICKS) -> list[Both]:
+    """So many ticks from this one on, as where a recording begins in the middle."""
     records, core = recorded
     places = [at for at, one in enumerate(records) if isinstance(one, TickRecord)]
     settings = core[tick(records, places[first]).now_ns].settings
@@ -252,7 +271,8 @@ def both(recorded: Recorded, first: int = 0) -> list[Both]:
     judge = judged.begin(settings, first)
     found: list[Both] = []
     before: TickRecord | None = None
-    for record in records[places[first] if first else 0 :]:
+    end = places[first + ticks] if first + ticks < len(places) else None
+    for record in records[places[first] if first else 0 : end]:
         judged.note(record)
         if isinstance(record, TickRecord):  # which ends the one before
             if before is not None:
@@ -284,8 +304,8 @@ def differences(one: Both) -> Iterator[tuple[str, float, float]]:
                 yield field, own, others
 
 
-BEGUN_EVERY = 300
 CI = pytest.mark.ci
+UNSURE_AT_MOST = 10
 HALF_A_BIT_PCT = PERCENT_PER_BIT / 2
 DRIVES = [
     pytest.param((family, seed), marks=[CI] * seed)
@@ -301,30 +321,40 @@ def random_drive(request, tmp_path_factory) -> Recorded:
 
 
 def test_both_have_the_same_caps_in_every_tick(random_drive):
-    """But for the throttle sent last, whose code alone the verdict has."""
+    """But for the throttle sent last, which the verdict has as a code, and a wheel at its limit."""
     ticks = both(random_drive)
     driving = [one for one in ticks if one.mode is Mode.ACTIVE]
-    assert len(driving) > TICKS / 2
+    assert len(driving) > TICKS / 3
+    unsure = 0
     for number, one in enumerate(ticks):
         for cap, core, judge in differences(one):
+            assert judge > core, (number, cap, core, judge)
             assert cap.startswith("throttle of"), (number, cap, core, judge)
-            assert 0 < judge - core <= HALF_A_BIT_PCT, (number, cap, core, judge)
+            unsure += judge - core > HALF_A_BIT_PCT
+    assert unsure < len(driving) / UNSURE_AT_MOST
 
 
-BEGINS: Mapping[str, Callable[[Both], bool]] = {
-    "anywhere": lambda one: True,
-    "after a cut of the slip limiter": lambda one: one.core.slips,
-    "while a drive mode waits": lambda one: one.core.waits,
-    "before a frame that does not come": lambda one: one.core.silent,
+BEGINS: Mapping[str, Callable[[CoreTick, CoreTick], bool]] = {
+    "anywhere": lambda before, now: True,
+    "after a cut of the slip limiter": lambda before, now: now.slips,
+    "where a drive mode begins to wait": lambda before, now: now.waits and not before.waits,
+    "without a controller's frame": lambda before, now: bool(now.silent & OF_CONTROLLERS),
+    "without the wheels": lambda before, now: WHEELS in now.silent,
 }
 
 
 @CI
 @pytest.mark.parametrize("begin", BEGINS)
 def test_from_the_middle_on_the_verdict_allows_more_until_it_has_seen_enough(random_drive, begin):
-    places = [number for number, one in enumerate(both(random_drive)) if BEGINS[begin](one)]
-    for first in places[1::BEGUN_EVERY]:
-        for number, one in enumerate(both(random_drive, first - 1)):
-            for cap, core, judge in differences(one):
-                assert judge > core, (first, number, cap, core, judge)
-                assert number < 500 or judge - core <= HALF_A_BIT_PCT, (first, number, cap)
+    core = list(random_drive[1].values())
+    places = [at for at, ticks in enumerate(pairwise(core)) if BEGINS[begin](*ticks)]
+    for first in places[1 :: max(1, len(places) // 40)]:
+        for number, one in enumerate(both(random_drive, first, 30)):
+            for cap, core_cap, judge_cap in differences(one):
+                assert judge_cap > core_cap, (first, number, cap, core_cap, judge_cap)
+
+
+@CI
+def test_begun_in_the_middle_both_have_the_same_caps_in_the_end(random_drive):
+    for one in both(random_drive, 300)[800:]:
+        assert all(cap.startswith("throttle of") for cap, _, _ in differences(one))

@@ -14,10 +14,14 @@ from vcu_gateway.core import calls
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.tuning import DERATINGS, of_values
-from vcu_gateway.judge.tuning_rules import value_at
+from vcu_gateway.judge.arrivals import Arrivals
+from vcu_gateway.judge.demands import GrantedDemands
+from vcu_gateway.judge.tuning_rules import TuningRules, TuningTick, value_at
 from vcu_gateway.judge.wire import INPUTS, RECEIVED_IDS, CommandBytes, command_bytes
+from vcu_gateway.protocol import DEFAULT_ALIASES
 from vcu_gateway.recording.core_lines import FrameRun, InputRecord
 from vcu_gateway.recording.reader import open_drive
+from vcu_gateway.replay.judged import limits_of
 
 MOTORS, BATTERY = "curves-of-motors", "curves-of-the-battery"
 MODES, SPEED, SLIP = "drive-modes", "modes-over-speed", "slip"
@@ -349,3 +353,16 @@ def test_the_judge_knows_every_curve_that_may_be_configured():
 )
 def test_a_curve_is_linear_between_its_points_and_level_beyond(x, y):
     assert value_at([[0, 3], [10, 5], [15, 55]], x) == y
+
+
+@pytest.mark.parametrize(("complete", "rise_pct_per_s"), [(True, 75.0), (False, 100.0)])
+def test_without_a_wheel_speed_a_rise_falls_from_the_highest_y_unless_one_may_have_come_before(
+    complete, rise_pct_per_s
+):
+    limits = limits_of(settings_of(SPEED), DEFAULT_ALIASES)
+    rules = TuningRules(limits, complete=complete)
+    assert rules.ask("eco", limits, service=False) == ""
+    arrivals = Arrivals(limits, complete=complete)
+    demands = GrantedDemands(None, known=complete)
+    caps = rules.tick(TuningTick(limits, arrivals, demands, {}, 10**12, 0.05, began_active=False))
+    assert caps.rise_pct_per_s == rise_pct_per_s

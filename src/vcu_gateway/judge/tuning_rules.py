@@ -26,7 +26,7 @@ from vcu_gateway.judge.wire import (
 _FULL_PCT, _RELEASED_PCT = 100.0, 5.0
 _SPEED_LIMIT_MIN_RPM = 500
 _WHEELS = "ARD2_SteeringWheel"
-_SATURATED_RAW, _SATURATED_KMH = WHEEL_SPEEDS.highest_raw, 65.5
+_SATURATED_RAW = WHEEL_SPEEDS.highest_raw
 # So near to its limit a wheel slips or not by the order of the arithmetic alone.
 _NEAR_KMH = 1e-6
 
@@ -139,8 +139,6 @@ class TuningRules:
         """The mode asked for is in force where that makes no step."""
         if not tick.began_active or (tick.demands.known and _all_released(tick)):
             self.drive_mode = self.asked
-        elif not tick.demands.known and self.drive_mode != self.asked:
-            self.drive_mode = None
 
     def _hold(self, tick: TuningTick) -> None:
         """What curves and drive modes hold; a drive mode's number is held as a curve's."""
@@ -236,13 +234,8 @@ def _wheels(tick: TuningTick) -> list[list[int]]:
 
 
 def _speed_kmh(tick: TuningTick) -> float | None:
-    """The faster front wheel, of several frames the lowest."""
-    speeds_kmh = [max(map(_wheel_kmh, raws)) for raws in _wheels(tick)]
-    return min(speeds_kmh, default=None)
-
-
-def _wheel_kmh(raw: int) -> float:
-    return _SATURATED_KMH if raw == _SATURATED_RAW else raw / 1000
+    """The faster front wheel, of several frames the lowest; saturated it is beyond each curve."""
+    return min([max(raws) / 1000 for raws in _wheels(tick)], default=None)
 
 
 class _SlipCap:
