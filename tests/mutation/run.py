@@ -63,7 +63,7 @@ TOLD_EVERY = 25
 
 
 class Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds one module of the core with another source."""
+    """Finds one module, as TESTS names it, with another source."""
 
     def __init__(self, module: str, source: str) -> None:
         self.path = str(path_of(module))
