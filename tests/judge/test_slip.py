@@ -39,7 +39,7 @@ class Rollers:
         self.arrivals = Arrivals(self.limits, complete=complete)
         self.now_ns = 10**12
         self.sent_raw = SENT_RAW
-        self.throttle_pct = 100.0
+        self.throttle_pct, self.expired = 100.0, False
         if complete:
             self.tick(GRIPS, active=False)
 
@@ -53,6 +53,10 @@ class Rollers:
             code = round(one * 1000)
             self.receive("ARD2_SteeringWheel", 2, max(code - 500, 0), code)
 
+    def spin(self, over_kmh: float, name: str = "PCU1") -> None:
+        """A frame of a motor whose wheel is so much above the speed allowed at 40 km/h."""
+        self.receive(f"{name}_Status2", 6, round((ALLOWED_KMH + over_kmh) * RPM_PER_KMH))
+
     def tick(self, over_kmh: float, *fronts_kmh: float, active: bool = True) -> float:
         """Most throttle of PCU1 in a tick; `over_kmh`: its wheel above the speed allowed at 40."""
         self.now_ns += TICK_NS
@@ -60,16 +64,21 @@ class Rollers:
         return self.decided(over_kmh, active=active)["PCU1"]
 
     def decided(self, over_kmh: float, *, active: bool = True) -> dict[str, float]:
-        for name, over in (("PCU1", over_kmh), ("PCU2", GRIPS)):
-            self.receive(f"{name}_Status2", 6, round((ALLOWED_KMH + over) * RPM_PER_KMH))
-        one = JudgedDemand(self.throttle_pct, 0.0, 0, False, False, 12_000.0, 14_000.0)
-        demands = GrantedDemands({"PCU1": one, "PCU2": one}, known=True)
+        self.spin(over_kmh)
+        self.spin(GRIPS, "PCU2")
         sent = dict.fromkeys(("PCU1", "PCU2"), self.sent_raw)
         caps = self.rules.tick(
-            TuningTick(self.limits, self.arrivals, demands, sent, self.now_ns, 0.05, active)
+            TuningTick(self.limits, self.arrivals, self.demands(), sent, self.now_ns, 0.05, active)
         )
         self.arrivals.end_tick()
         return dict(caps.throttle_pct)
+
+    def demands(self) -> GrantedDemands:
+        one = JudgedDemand(self.throttle_pct, 0.0, 0, False, False, 12_000.0, 14_000.0)
+        demands = GrantedDemands({"PCU1": one, "PCU2": one}, known=True)
+        if self.expired:
+            demands.ended()
+        return demands
 
     def ticks(self, *overs_kmh: float) -> list[float]:
         return [self.tick(one) for one in overs_kmh]
@@ -130,6 +139,21 @@ def test_without_a_front_speed_it_returns_while_the_pedal_is_released_alone(thro
     rollers.now_ns += (STALE_TICKS + 1) * TICK_NS
     rollers.throttle_pct = throttle_pct
     assert rollers.decided(SLIPS)["PCU1"] == pytest.approx(cut + back_pct)
+
+
+def test_without_a_front_speed_it_returns_where_nothing_is_demanded_any_more():
+    rollers = Rollers()
+    cut = rollers.tick(SLIPS)
+    rollers.now_ns += (STALE_TICKS + 1) * TICK_NS
+    rollers.expired = True
+    assert rollers.decided(SLIPS)["PCU1"] == pytest.approx(cut + BACK_PCT)
+
+
+@pytest.mark.parametrize("before", [SLIPS, GRIPS])
+def test_of_several_frames_the_highest_speed_of_a_motor_counts(before):
+    rollers = Rollers()
+    rollers.spin(before)
+    assert rollers.tick(SLIPS if before is GRIPS else GRIPS) == pytest.approx(0.7 * SENT_PCT)
 
 
 def test_a_motor_that_is_not_believed_changes_nothing():

@@ -1,6 +1,7 @@
 """The verdict holds a drive against its curves, drive modes and slip limiter, one thing broken."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
@@ -366,3 +367,12 @@ def test_without_a_wheel_speed_a_rise_falls_from_the_highest_y_unless_one_may_ha
     demands = GrantedDemands(None, known=complete)
     caps = rules.tick(TuningTick(limits, arrivals, demands, {}, 10**12, 0.05, began_active=False))
     assert caps.rise_pct_per_s == rise_pct_per_s
+
+
+@pytest.mark.parametrize("complete", [True, False])
+def test_an_input_that_never_came_derates_unless_it_may_have_come_before(complete):
+    limits = limits_of(settings_of(MOTORS), DEFAULT_ALIASES)
+    rules, arrivals = TuningRules(limits, complete=complete), Arrivals(limits, complete=complete)
+    demands = GrantedDemands(None, known=complete)
+    caps = rules.tick(TuningTick(limits, arrivals, demands, {}, 10**12, 0.05, began_active=False))
+    assert caps.power_w == (limits.derated_power_w if complete else math.inf)

@@ -296,8 +296,7 @@ def _sent_pct(name: str, tick: TuningTick) -> float:
 
 def _all_released(tick: TuningTick) -> bool:
     """Less than 5 % is demanded of every controller, or nothing; also where that is not known."""
-    demands = tick.demands
-    if not demands.known or not demands.fresh(tick.now_ns):
+    current = tick.demands.current
+    if current is None or not current.fresh(tick.now_ns):
         return True
-    demanded = [demands.of(name) for name in CONTROLLERS]
-    return all(one is None or one.throttle_pct < _RELEASED_PCT for one in demanded)
+    return all(one.throttle_pct < _RELEASED_PCT for one in current.controllers.values())
