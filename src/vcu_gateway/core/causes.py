@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
+from typing import NamedTuple
 
 from vcu_gateway.core.demand import CONTROLLERS
 from vcu_gateway.core.state import LatestFrame, Snapshot
@@ -81,8 +82,7 @@ class Finding:
         return f"{self.subject}{detail}: {self.effect.value}"
 
 
-@dataclass(frozen=True, slots=True)
-class HeldCause:
+class HeldCause(NamedTuple):
     """Finding that counts, with the times of its first and last sighting.
 
     Attributes:
@@ -123,7 +123,7 @@ class Causes:
                 del self._held[key]
                 events.append(_event("cause_ended", held.finding))
             elif held.absent_since_ns is None:
-                self._held[key] = replace(held, absent_since_ns=now_ns)
+                self._held[key] = held._replace(absent_since_ns=now_ns)
         return events
 
     def note(self, finding: Finding, now_ns: int) -> list[Event]:

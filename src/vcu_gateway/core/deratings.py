@@ -10,10 +10,11 @@ from typing import NamedTuple, get_args
 
 from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps
 from vcu_gateway.core.causes import Effect, Finding
+from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.law_inputs import InputReader, LawInputs
 from vcu_gateway.core.settings import Settings
-from vcu_gateway.core.state import LatestFrame, Snapshot
+from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.tuning import DERATINGS, Derating, Limit
 
 _MOTOR_TEMPERATURE = "motor_temperature_c"
@@ -39,27 +40,27 @@ class _CurveNow:
     """A configured curve, and what it gave last: made again after a reload or a restart.
 
     Attributes:
-        span: of its input, for which target and x were found; None where that was not known.
+        x: the worst value of its input; None where that is not known.
+        target: the limit at x; None without one.
         finding: what there is to tell of it; None where it does not limit.
     """
 
     __slots__ = (
-        *("curve", "derating", "end", "finding", "full", "key", "limit", "reader", "span"),
+        *("curve", "derating", "end", "finding", "full", "key", "limit", "name"),
         *("target", "x"),
     )
 
-    def __init__(self, curve: Curve, derating: Derating, reader: InputReader) -> None:
-        self.curve, self.derating, self.reader = curve, derating, reader
-        self.key, self.limit, self.full = derating.key, derating.limit, curve.highest
+    def __init__(self, curve: Curve, derating: Derating) -> None:
+        self.curve, self.derating = curve, derating
+        self.name, self.key, self.limit = derating.name, derating.key, derating.limit
+        self.full = curve.highest
         self.end = 0 if derating.rises else 1  # of the span, that counts
-        self.span: tuple[float, float] | None = None
         self.x: float | None = None
         self.target: float | None = None
         self.finding: Finding | None = None
 
-    def look(self) -> None:
-        """Find the target of the input that its reader has read."""
-        span = self.span = self.reader.span
+    def look(self, span: tuple[float, float] | None) -> None:
+        """Find the target in this span of its input."""
         self.x = None if span is None else span[self.end]
         self.target = None if self.x is None else self.curve.at(self.x)
 
@@ -76,8 +77,8 @@ class _CurveNow:
 class Deratings:
     """Limits of fields that have ramps: they fall at once and return slowly.
 
-    Most ticks change nothing: what a curve gives is found anew only where its input has changed or
-    its limit is on the way back.
+    Most ticks change nothing: limits are found anew only where a curve's target has changed or a
+    limit is on the way back.
 
     Attributes:
         held: each limit as it is now, by a curve's name or that of a drive mode's limit.
@@ -88,8 +89,9 @@ class Deratings:
         self._configured: Mapping[str, Curve] | None = None
         self._readers: dict[str, InputReader] = {}
         self._reading: dict[str, list[InputReader]] = {}
-        self._judged: dict[str, LatestFrame | None] = {}
+        self._said: dict[str, Decoded | None] = {}
         self._curves: dict[str, _CurveNow] = {}
+        self._over: dict[InputReader, list[_CurveNow]] = {}
         self._of_modes: Mapping[Limit, float] = {}
         self._on_the_way = False
         self._result: tuple[Caps, Sequence[Finding], bool] = NO_CAPS, (), False
@@ -111,29 +113,41 @@ class Deratings:
         if curves is not self._configured:
             self._begin(curves, inputs.snapshot)
             moved = True
-        if changed := inputs.snapshot.changed(self._judged):
+        if changed := inputs.snapshot.changed(self._said):
             moved = self._read(changed, inputs.snapshot) or moved
         if moved or inputs.told is not self._result[2]:
             self._find(inputs, of_modes)
         return self._result[:2]
 
     def _read(self, changed: Iterable[str], snapshot: Snapshot) -> bool:
-        """Read the inputs of these messages; True where one is another one."""
+        """Read the inputs of these messages; True where a limit or what is told may change."""
         readers: set[InputReader] = set()
         for message in changed:  # in most ticks: a comprehension is a call more
             readers.update(self._reading[message])
         moved = False
         for reader in readers:
             if reader.read(snapshot):
-                moved = True
+                moved = self._look(reader) or moved
         return moved
+
+    def _look(self, reader: InputReader) -> bool:
+        """Have the curves over an input find their targets; True where one changes anything."""
+        moved = reader is self._readers.get(_MOTOR_TEMPERATURE)  # its difference is told, too
+        for one in self._over[reader]:
+            one.look(reader.span)
+            moved = moved or self._changes(one)
+        return moved
+
+    def _changes(self, one: _CurveNow) -> bool:
+        """True where its limit, or what there is to tell of it, may not be that of before."""
+        if one.target is None or one.finding is not None:
+            return True
+        return one.target != self.held.get(one.name)
 
     def _find(self, inputs: LawInputs, of_modes: Mapping[Limit, float]) -> None:
         self._of_modes, self._on_the_way = of_modes, False
         for name, one in self._curves.items():
-            span = one.reader.span
-            if span is None or span is not one.span or self.held.get(name) != one.target:
-                one.look()
+            if self._changes(one):
                 self._hold(name, one.limit, one.target, inputs)
                 one.finding = one.told_of(self.held[name])
         for limit, target in of_modes.items():
@@ -149,18 +163,18 @@ class Deratings:
             for name, held in self.held.items()
             if name in curves or name not in DERATINGS
         }
-        made = {}
+        self._curves, self._over = {}, {}
         for name, curve in curves.items():
             derating = DERATINGS[name]
             key = derating.input.quantity.key
             reader = self._readers.setdefault(key, InputReader(derating.input, snapshot))
-            made[name] = _CurveNow(curve, derating, reader)
-        self._curves = made
+            one = self._curves[name] = _CurveNow(curve, derating)
+            self._over.setdefault(reader, []).append(one)
         self._reading = {}
         for reader in self._readers.values():
             for message in reader.messages:
                 self._reading.setdefault(message, []).append(reader)
-        self._judged = dict.fromkeys(self._reading)
+        self._said = dict.fromkeys(self._reading)
 
     def _lowest(self, of_modes: Mapping[Limit, float]) -> Caps:
         lowest = {limit: self.held[_OF_MODES[limit]] for limit in of_modes}

@@ -318,17 +318,14 @@ class Gateway:
 
     def _capped(self, snapshot: Snapshot) -> Iterable[Finding]:
         """Give the commander the caps of this tick; what there is to tell of them."""
-        mode, now_ns, sent_throttle_pct = self.supervisor.mode, snapshot.now_ns, {}
-        if self.settings.tuning.slip is not None:
-            for name, command in self._commander.last.items():
-                sent_throttle_pct[name] = command.throttle_pct
+        mode, now_ns = self.supervisor.mode, snapshot.now_ns
         inputs = LawInputs(
             snapshot=snapshot,
             settings=self.settings,
             demanded=self.requests.demanded(now_ns),
             active=mode is Mode.ACTIVE,
             told=mode in (Mode.STANDBY, Mode.ACTIVE),
-            sent_throttle_pct=sent_throttle_pct,
+            last=self._commander.last,
             motor_rpm=self._speeds.highest_rpm,
             elapsed_s=self._commander.elapsed_s(self.settings, now_ns),
         )

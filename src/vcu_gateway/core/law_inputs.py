@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from vcu_gateway.core.commands import Command
 from vcu_gateway.core.demand import ControllerDemands
 from vcu_gateway.core.plausibility import SpeedsRpm
 from vcu_gateway.core.settings import Settings
@@ -20,7 +21,7 @@ class LawInputs(NamedTuple):
         demanded: None without a fresh demand.
         active: the tick begins in ACTIVE.
         told: what limits is told: in STANDBY and ACTIVE.
-        sent_throttle_pct: throttle of each controller's last command that left.
+        last: each controller's last command that left.
         motor_rpm: highest speed of each motor since the tick before; None where not believed.
         elapsed_s: since the tick before, at most a period.
     """
@@ -30,7 +31,7 @@ class LawInputs(NamedTuple):
     demanded: ControllerDemands | None
     active: bool
     told: bool
-    sent_throttle_pct: Mapping[str, float]
+    last: Mapping[str, Command]
     motor_rpm: SpeedsRpm
     elapsed_s: float
 

@@ -224,5 +224,5 @@ class SlipLaw:
         if cut_ns is not None and now_ns - cut_ns < slip.wait_ms * NS_PER_MS:
             return before_pct
         self.cut_ns[name] = now_ns
-        given_pct = min(inputs.sent_throttle_pct[name], before_pct)
+        given_pct = min(inputs.last[name].throttle_pct, before_pct)
         return max(slip.lowest_throttle_pct, (1 - slip.cut_share_pct / FULL_PCT) * given_pct)

@@ -156,21 +156,24 @@ class Snapshot:
         frames = self._arrived.get(message)
         return (self._latest[message],) if frames is None else frames
 
-    def changed(self, alone: dict[str, LatestFrame | None]) -> list[str]:
-        """Messages of these that a tick judges by more than this one fresh frame of before.
+    def changed(self, said: dict[str, Decoded | None]) -> list[str]:
+        """Messages of these that do not say what they said before, in one fresh frame.
 
-        `alone` has then what this tick judges: None where there are several frames or none.
+        `said` has then what each says now: None where there are several frames to judge or none.
         """
         arrived, fresh, latest = self._arrived, self._fresh, self._latest
         changed = []
-        for name, frame in alone.items():  # in every tick: a comprehension is a call more
-            if name in arrived or name not in fresh or latest[name] is not frame:
-                changed.append(name)
+        for name, before in said.items():  # in every tick: a comprehension is a call more
+            now = None
+            if name in fresh:
                 frames = arrived.get(name)
                 if frames is None:
-                    alone[name] = latest.get(name)
-                else:
-                    alone[name] = frames[0] if len(frames) == 1 else None
+                    now = latest[name].decoded
+                elif len(frames) == 1:
+                    now = frames[0].decoded
+            if now is None or now != before:
+                said[name] = now
+                changed.append(name)
         return changed
 
     def age_ns(self, message: str) -> int | None:

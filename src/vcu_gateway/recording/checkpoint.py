@@ -59,7 +59,8 @@ _DERIVED: Mapping[str, frozenset[str]] = {
         "ListenBeforeTalk": "_listen_ns",
         "OperatorRequests": "terms",
         "Laws": "_kept",
-        "Deratings": "_configured _readers _reading _judged _curves _of_modes _on_the_way _result",
+        "Deratings": "_configured _readers _reading _over _said _curves"
+        " _of_modes _on_the_way _result",
     }.items()
 }
 """Attributes by class that the codec and the settings give, or that are made again.
