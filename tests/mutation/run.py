@@ -7,6 +7,7 @@ survivors.toml says why it makes no difference.
 
 import argparse
 import functools
+import gc
 import importlib.abc
 import importlib.util
 import io
@@ -110,14 +111,15 @@ def forget_the_core() -> None:
             delattr(sys.modules[package], own)
 
 
-def _survives(module: str, source: str) -> bool:
-    """In the child: True where every test passes."""
+def _survives(module: str, source: str, has_reason: bool) -> bool:
+    """In the child: True where every test passes; where it has a reason, its own tests."""
     forget_the_core()
     changed = Changed(module, source)
     sys.meta_path.insert(0, changed)
     arguments = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--timeout=0"]
+    arguments += ["-p", "no:unraisableexception"]  # it collects the garbage of all libraries
     arguments += ["-m", "not slow", "--assert=plain", "--tb=no"]  # nobody reads why one failed
-    for files in _files(module):
+    for files in _files(module)[: 1 if has_reason else None]:
         # The second run imports its modules anew.
         for name in [name for name in sys.modules if name.startswith("tests.c")]:
             del sys.modules[name]
@@ -128,7 +130,7 @@ def _survives(module: str, source: str) -> bool:
     return True
 
 
-def _child(module: str, source: str) -> int:
+def _child(module: str, source: str, has_reason: bool = False) -> int:
     """Fork; the pid of the process that exits with 0 where the mutant is noticed."""
     pid = os.fork()
     if pid:
@@ -139,7 +141,7 @@ def _child(module: str, source: str) -> int:
         os.dup2(null, 1)
         os.dup2(null, 2)
         sys.stdout = sys.stderr = io.StringIO()
-        code = 1 if _survives(module, source) else 0
+        code = 1 if _survives(module, source, has_reason) else 0
     except BaseException:  # noqa: BLE001 - whatever it raises, the tests did not pass
         code = 0
     finally:
@@ -148,11 +150,13 @@ def _child(module: str, source: str) -> int:
 
 def _verdicts(jobs: list[tuple[str, Mutant]], width: int) -> Iterator[tuple[str, Mutant, bool]]:
     """Each mutant with True where it survived, `width` at a time."""
-    waiting, running = list(reversed(jobs)), {}
+    waiting, running, reasons = list(reversed(jobs)), {}, _reasons()
+    gc.freeze()  # what is imported already is no child's garbage
     while waiting or running:
         while waiting and len(running) < width:
             module, mutant = waiting.pop()
-            running[_child(module, mutant.source)] = (module, mutant, time.monotonic())
+            pid = _child(module, mutant.source, (module, mutant.key) in reasons)
+            running[pid] = (module, mutant, time.monotonic())
         pid, status = os.waitpid(-1, os.WNOHANG)
         if pid in running:
             module, mutant, _ = running.pop(pid)
