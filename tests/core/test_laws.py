@@ -111,6 +111,47 @@ def test_a_limit_returns_beside_one_that_stays():
     assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
 
 
+def test_a_limit_returns_beside_one_that_limits_all_the_time():
+    drive = driving(
+        power_limit_w__by_motor_temperature_c=HOT,
+        power_limit_w__by_controller_temperature_c=HOT,
+    )
+    heat(drive, 110)
+    drive.codes["PCU1_Status1.ControllerTemperature"] = 100
+    drive.run(2000)
+    heat(drive, 40)
+    drive.run(500)
+    before_w = sent(drive).power_limit_w
+    drive.run(1000)
+    assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
+
+
+PACKS = {
+    "power_limit_w__by_pack_temperature_max_c": curve((45, 14_000), (60, 0)),
+    "power_limit_w__by_pack_temperature_min_c": curve((-10, 3000), (5, 14_000)),
+}
+
+
+@pytest.mark.parametrize(
+    ("first_c", "second_c", "caps_w"), [(60, 20, [0, 14_000]), (-10, 30, [14_000, 3000])]
+)
+def test_of_two_inputs_that_change_in_a_tick_the_one_that_limits_counts(first_c, second_c, caps_w):
+    drive = driving(**PACKS)
+    drive.codes["BMS_Temperatures.PackTemperature1"] = first_c + 50
+    drive.codes["BMS_Temperatures.PackTemperature2"] = second_c + 50
+    drive.receive("BMS_Temperatures", drive.now_ns + 1 * MS)
+    drive.tick()
+    assert [one.cap for one in drive.gateway.curves] == caps_w
+
+
+def test_an_input_is_told_anew_where_the_limit_stays():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    for celsius in (130, 135):
+        heat(drive, celsius)
+        drive.run(2000)
+        assert f"motor temperature {celsius} °C: power at most 0.0 kW" in drive.sentence
+
+
 def test_outside_active_a_limit_is_what_its_curve_says():
     drive = driving(power_limit_w__by_motor_temperature_c=HOT)
     heat(drive, 110)
@@ -334,6 +375,16 @@ def test_of_several_frames_between_two_ticks_the_worst_counts(stamped):
     drive.tick()
     (curve,) = drive.gateway.curves
     assert curve.x == 40.0, "of the tick after them only the latest"
+
+
+def test_several_frames_count_in_each_of_several_ticks():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    for worst_c in (100, 125):
+        for celsius, at_ms in ((worst_c, 1), (40, 2)):
+            heat(drive, celsius)
+            drive.receive("PCU1_Status1", drive.now_ns + at_ms * MS)
+        drive.tick()
+        assert drive.gateway.curves[0].x == worst_c
 
 
 def test_a_frame_older_than_the_latest_counts_in_its_tick_alone():
