@@ -92,6 +92,21 @@ def test_on_paper_there_are_values_and_no_buttons(context, web):
     assert page.evaluate(ground) == "rgb(255, 255, 255)"
 
 
+def test_the_colours_are_the_systems_until_others_are_chosen(context, web):
+    page, _ = opened(context, web.url)
+    is_light = "getComputedStyle(document.body).backgroundColor === 'rgb(238, 241, 245)'"
+    assert not page.evaluate(is_light)
+    page.emulate_media(color_scheme="light")
+    page.wait_for_function(is_light)
+    page.get_by_label("Colours: as the system has them").click()
+    assert not page.evaluate(is_light)
+    page.get_by_label("Colours: dark").click()
+    page.emulate_media(color_scheme="dark")
+    assert page.evaluate(is_light)
+    page.get_by_label("Colours: light").click()
+    page.wait_for_function(f"!({is_light})")
+
+
 def test_codes_are_shown_as_words(context, web):
     page, _ = opened(context, web.url)
     page.wait_for_selector(".controller .wide .v:text('low to high')")

@@ -135,7 +135,6 @@ onSection((section) => {
 });
 new Worker("/ticker.js").onmessage = check;
 addEventListener("hashchange", show);
-addEventListener("themechange", () => plots.recolour());
 document.addEventListener("visibilitychange", () => !document.hidden && want());
 await checkAgain();
 show();

@@ -2,20 +2,20 @@
 {
   const order = ["system", "dark", "light"];
   const words = { system: "as the system has them", dark: "dark", light: "light" };
+  const light = matchMedia("(prefers-color-scheme: light)");
   const read = () => localStorage.getItem("theme") || "system";
-  const apply = (theme) => {
-    document.documentElement.dataset.theme = theme;
-    const button = document.getElementById("theme");
-    if (button) button.setAttribute("aria-label", `Colours: ${words[theme]}`);
+  const apply = () => {
+    const theme = read();
+    document.documentElement.dataset.theme = theme !== "system" ? theme : light.matches ? "light" : "dark";
+    document.getElementById("theme")?.setAttribute("aria-label", `Colours: ${words[theme]}`);
   };
-  apply(read());
+  apply();
+  light.addEventListener("change", apply);
   addEventListener("DOMContentLoaded", () => {
-    apply(read());
+    apply();
     document.getElementById("theme").addEventListener("click", () => {
-      const next = order[(order.indexOf(read()) + 1) % order.length];
-      localStorage.setItem("theme", next);
-      apply(next);
-      dispatchEvent(new Event("themechange"));
+      localStorage.setItem("theme", order[(order.indexOf(read()) + 1) % order.length]);
+      apply();
     });
   });
 }

@@ -57,10 +57,6 @@ export function show() {
   load();
 }
 
-export function recolour() {
-  for (const { plot } of charts) plot.redraw(false);
-}
-
 function choose() {
   const key = input.value.trim();
   if (!allKeys().includes(key)) return;
