@@ -28,16 +28,8 @@ const Plots = (() => {
     return plot;
   }
 
-  /** Index of the first value that is greater than the limit, of values that rise; their number where none is. */
-  function firstAbove(values, limit) {
-    let low = 0, high = values.length;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (values[middle] > limit) high = middle;
-      else low = middle + 1;
-    }
-    return low;
-  }
+  /** Digits behind the point of a number as it is written, such as a step of the grid. */
+  const decimals = (number) => (String(number).split(".")[1] || "").length;
 
-  return { axes, colour, draw, firstAbove, font, line };
+  return { axes, colour, decimals, draw, font, line };
 })();

@@ -20,14 +20,10 @@
   const { colour } = Plots;
 
   // Times: of day where the recording has a date, else seconds since its beginning.
-  const two = (n) => String(n).padStart(2, "0");
   const clock = (s, digits = 3) => {
     if (!wall) return `${s.toFixed(digits)} s`;
-    const scale = 10 ** digits;
-    const parts = Math.floor(((data.start % 86400) + s) * scale + 1e-3);
-    const seconds = Math.floor(parts / scale) % 86400;
-    const text = `${two(Math.floor(seconds / 3600))}:${two(Math.floor(seconds / 60) % 60)}:${two(seconds % 60)}`;
-    return digits ? `${text}.${String(parts % scale).padStart(digits, "0")}` : text;
+    const text = new Date((data.start + s) * 1000 + 1e-3).toISOString(); // 2025-11-23T17:46:40.133Z
+    return text.slice(11, digits ? 20 + digits : 19);
   };
   const lasting = (s) => {
     if (s < 60) return `${s < 10 ? s.toFixed(2) : s.toFixed(1)} s`;
@@ -145,21 +141,25 @@
 
   // Why, at the cursor.
   const why = element("p", { className: "why" });
-  const whyTimes = data.whys.map(([at]) => at);
   function explain(at) {
-    const next = Plots.firstAbove(whyTimes, at);
-    why.replaceChildren(element("time", { textContent: clock(at) }), next ? data.whys[next - 1][1] : "");
+    const [, sentence] = data.whys.filter(([since]) => since <= at).pop() || [0, ""];
+    why.replaceChildren(element("time", { textContent: clock(at) }), sentence);
+  }
+
+  /** Draw on the canvas of a plot, and not beside its area. */
+  function inside({ ctx, bbox }, draw) {
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    draw(ctx, bbox);
+    ctx.restore();
   }
 
   // Shading of modes and lines of events, behind every plot.
   const modes = data.bands.find((band) => band.title === "mode");
   const SHADED = { active: 0.1, fault: 0.14 };
-  function shade(u) {
-    const { ctx, bbox } = u;
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
+  const shade = (u) => inside(u, (ctx, bbox) => {
     for (const [begin, end, kind] of modes ? modes.spans : []) {
       if (!(kind in SHADED) || end < range[0] || begin > range[1]) continue;
       const from = u.valToPos(begin, "x", true), to = u.valToPos(end, "x", true);
@@ -167,11 +167,8 @@
       ctx.fillStyle = colour(kind);
       ctx.fillRect(from, bbox.top, to - from, bbox.height);
     }
-    ctx.globalAlpha = 1;
-    ctx.restore();
-  }
-  function mark(u) {
-    const { ctx, bbox } = u;
+  });
+  const mark = (u) => inside(u, (ctx, bbox) => {
     const line = (at, name, width) => {
       if (at < range[0] || at > range[1]) return;
       const x = Math.round(u.valToPos(at, "x", true));
@@ -182,11 +179,9 @@
       ctx.lineTo(x, bbox.top + bbox.height);
       ctx.stroke();
     };
-    ctx.save();
     for (const [at, severity] of data.events) if (SEVERE.has(severity)) line(at, "fault", 1);
     if (chosen >= 0 && shown[chosen]) line(shown[chosen].event[0], "ink", 1.5);
-    ctx.restore();
-  }
+  });
 
   const axes = (values) => Plots.axes("grid",
     { ticks: { stroke: () => colour("rule"), width: 1, size: 5 }, incrs: STEPS, splits: ticks, values: tickTexts, space: 84 },
@@ -221,12 +216,8 @@
     const top = data.events.length ? EVENT_ROW : 0;
     const height = top + bands.length * ROW + 34;
     if (!bands.length && !top) { card.remove(); return; }
-    const draw = (u) => {
-      const { ctx, bbox } = u, ratio = devicePixelRatio;
-      ctx.save();
-      ctx.beginPath();
-      ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-      ctx.clip();
+    const draw = (u) => inside(u, (ctx, bbox) => {
+      const ratio = devicePixelRatio;
       for (const [at, severity] of data.events) {
         if (at < range[0] || at > range[1]) continue;
         ctx.fillStyle = colour(SEVERE.has(severity) ? "fault" : severity === "warning" ? "limit" : "code");
@@ -260,8 +251,7 @@
           }
         }
       });
-      ctx.restore();
-    };
+    });
     const options = { ...common({ range: [0, 1] }), padding: [0, 26, 0, 0], series: [{}, { show: false }],
       axes: axes({ values: () => [], grid: { show: false }, splits: () => [] }), hooks: { draw: [draw, mark], setSelect: [selected], setCursor: [(u) => u.cursor.left >= 0 && explain(u.posToVal(u.cursor.left, "x"))] } };
     keep(box, height, options, [[0, whole[1]], [null, null]]);
@@ -271,23 +261,13 @@
   const ROLES = { commanded: "commanded", actual: "actual", "what if": "whatif" };
   const limit = (line) => line.label === "limit";
   const stroke = (line, index) => ROLES[line.role] || `l${index % 6}`;
-  const decimals = (number) => (String(number).split(".")[1] || "").length;
   const rounded = (line, value) => {
     if (value == null) return "–";
     const code = Math.round((value - line.offset) / line.factor);
     if (line.names[code] !== undefined) return line.names[code];
-    return value.toFixed(Math.min(4, Math.max(decimals(line.factor), decimals(line.offset))));
+    return value.toFixed(Math.min(4, Math.max(Plots.decimals(line.factor), Plots.decimals(line.offset))));
   };
-  let xs = null;
-  function times(points) {
-    if (!xs) {
-      xs = new Float64Array(points);
-      const each = points / data.buckets;
-      for (let i = 0; i < points; i++) xs[i] = (Math.floor(i / each) + (i % each) / each) * data.bucket;
-    }
-    return xs;
-  }
-  function draw(card, plot, points) {
+  function draw(card, plot, times) {
     const box = element("div");
     card.append(box);
     const series = plot.lines.map((line, index) => Plots.line({
@@ -295,11 +275,11 @@
       ...(line.role === "commanded" && !limit(line) ? { width: 5, alpha: 0.5 } : {}),
       paths: line.steps ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear(),
     }));
-    const named = plot.lines[0].names && Object.keys(plot.lines[0].names).length ? plot.lines[0].names : null;
+    const { names } = plot.lines[0], codes = Object.keys(names).map(Number), named = codes.length > 0;
     const small = matchMedia("(max-width: 560px)").matches;
-    const texts = named ? { splits: () => Object.keys(named).map(Number), values: (u, all) => all.map((one) => named[one] ?? "") } : {};
+    const texts = named ? { splits: () => codes, values: (u, all) => all.map((one) => names[one] ?? "") } : {};
     const valueRange = (u, low, high) => {
-      if (named) { const codes = Object.keys(named).map(Number); return [Math.min(...codes) - 0.25, Math.max(...codes) + 0.25]; }
+      if (named) return [Math.min(...codes) - 0.25, Math.max(...codes) + 0.25];
       if (low == null) return [0, 1];
       if (low === high) return [low - 1, high + 1];
       const room = (high - low) * 0.06;
@@ -312,7 +292,7 @@
       const at = u.cursor.idx;
       labels[index].textContent = at == null ? "" : rounded(line, u.data[index + 1][at]);
     });
-    const u = keep(box, named ? 120 : small ? 170 : 200, options, [times(points), ...plot.lines.map((line) => values(line, points))]);
+    const u = keep(box, named ? 120 : small ? 170 : 200, options, [times, ...plot.lines.map((line) => values(line, times.length))]);
     card.querySelectorAll(".legend button").forEach((toggle, index) => {
       toggle.onclick = () => {
         const show = toggle.getAttribute("aria-pressed") === "false";
@@ -387,7 +367,8 @@
       return;
     }
     await unpack();
-    const points = data.plots.some((plot) => plot.lines.some((line) => line.d)) ? 2 * data.buckets : data.buckets;
+    const each = data.plots.some((plot) => plot.lines.some((line) => line.d)) ? 2 : 1; // points a bucket
+    const times = Float64Array.from({ length: each * data.buckets }, (_, i) => (i / each) * data.bucket);
     const waiting = new Map();
     const watcher = new IntersectionObserver((entries) => {
       for (const entry of entries) if (entry.isIntersecting && waiting.has(entry.target)) {
@@ -395,7 +376,7 @@
         waiting.delete(entry.target);
         watcher.unobserve(entry.target);
         entry.target.style.minHeight = "";
-        draw(entry.target, plot, points);
+        draw(entry.target, plot, times);
       }
     }, { rootMargin: "800px" });
     for (const plot of data.plots) {

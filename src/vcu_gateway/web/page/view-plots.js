@@ -92,7 +92,9 @@ function renderChips() {
       chosen = chosen.filter((one) => one !== key);
       changed();
     };
-    return h("li", {}, h("button", { type: "button", "aria-label": `Remove ${key}`, onclick: remove }, h(`i.colour-${index}`), `${key} ×`));
+    const sample = h("i");
+    sample.style.background = COLOURS[index];
+    return h("li", {}, h("button", { type: "button", "aria-label": `Remove ${key}`, onclick: remove }, sample, `${key} ×`));
   }));
   if (list.children.length < 8) list.replaceChildren(...allKeys().map((key) => h("option", { value: key })));
 }
@@ -163,14 +165,6 @@ function rebuild() {
   drawCharts();
 }
 
-/** Digits that tell the lines of the grid apart. */
-function stepDecimals([first, second]) {
-  const step = Math.abs(second - first) || 1;
-  let decimals = 0;
-  while (decimals < 4 && Math.abs(step * 10 ** decimals - Math.round(step * 10 ** decimals)) > 1e-6) decimals += 1;
-  return decimals;
-}
-
 const height = () => (matchMedia("(max-width: 36rem)").matches ? 190 : 240);
 
 function chart(unit) {
@@ -183,7 +177,7 @@ function chart(unit) {
     axes: Plots.axes(
       "line",
       { values: (_, splits) => splits.map((time) => clockTime(wallOf(time))), space: 90 },
-      { size: 58, values: (_, splits) => splits.map((value) => fixed(value, stepDecimals(splits))) },
+      { size: 58, values: (_, splits, axis, space, step) => splits.map((value) => fixed(value, Plots.decimals(step))) },
     ),
     series: [{}, ...keys.map((key) => Plots.line({ label: key, stroke: COLOURS[chosen.indexOf(key)] }))],
   };
@@ -200,7 +194,7 @@ function drawCharts() {
   if (!times.length) return;
   const end = times.at(-1);
   const begin = end - minutes * 60_000;
-  const from = Math.max(0, Plots.firstAbove(times, begin) - 1); // the line comes in from the left
+  const from = Math.max(0, times.findIndex((time) => time > begin) - 1); // the line comes in from the left
   for (const { plot, keys } of charts) {
     plot.setData([times, ...keys.map((key) => columns.get(key))].map((column) => column.slice(from)), false);
     plot.setScale("x", { min: begin, max: end });
