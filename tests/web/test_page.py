@@ -107,6 +107,18 @@ def test_the_colours_are_the_systems_until_others_are_chosen(context, web):
     page.wait_for_function(f"!({is_light})")
 
 
+def test_how_long_a_recording_lasted_has_no_60_seconds(context, web):
+    one = {"name": "20260101T000000Z-drive", "kind": "drive", "reasons": [], "problems": []}
+    recordings = [one | {"size_bytes": 1000, "duration_s": 119.7}]
+    context.route(
+        "**/api/recordings",
+        lambda route: route.fulfill(json={"recordings": recordings, "sentence": ""}),
+    )
+    page, seen = opened(context, web.url, "recordings")
+    page.wait_for_selector(".recording .muted:text('2 min 0 s')")
+    assert seen.errors == []
+
+
 def test_codes_are_shown_as_words(context, web):
     page, _ = opened(context, web.url)
     page.wait_for_selector(".controller .wide .v:text('low to high')")

@@ -59,7 +59,8 @@ function recording(one) {
 function details(one) {
   const began = one.begun_wall_ns == null ? "" : new Date(one.begun_wall_ns / 1e6).toLocaleString();
   const gaps = one.lost == null ? "" : one.lost.gaps ? `${one.lost.gaps} gaps, ${one.lost.frames} frames missing` : "no gaps";
-  const lasted = one.duration_s == null ? "" : `${Math.floor(one.duration_s / 60)} min ${Math.round(one.duration_s % 60)} s`;
+  const seconds = Math.round(one.duration_s);
+  const lasted = one.duration_s == null ? "" : `${Math.floor(seconds / 60)} min ${seconds % 60} s`;
   const notes = [...one.reasons, ...(one.is_written ? ["being written"] : []), ...(one.kept ? ["kept"] : []), ...one.problems];
   return [began, lasted, bytes(one.size_bytes), gaps, ...notes].filter(Boolean).join(" · ");
 }
