@@ -4,9 +4,6 @@ import { byId, setHidden, setText } from "/dom.js";
 import { model, setClock } from "/model.js";
 import { request, sentence } from "/requests.js";
 
-const listeners = new Set();
-export const onSession = (listener) => listeners.add(listener);
-
 /** Ask who this browser is; true where it may look. */
 export async function checkSession() {
   const sent = performance.now();
@@ -23,7 +20,6 @@ export async function checkSession() {
     ask(dialog);
   }
   if (session.signed_in && dialog.open) dialog.close();
-  for (const listener of listeners) listener(session);
   return session.signed_in;
 }
 
