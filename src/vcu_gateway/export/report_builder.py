@@ -6,7 +6,8 @@ Bands of a report: modes, causes and named codes as stretches of time.
 import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
+from operator import itemgetter
 
 from vcu_gateway.export.decisions import MODES, NEVER_RECEIVED, DecidedEvent, Decisions
 from vcu_gateway.export.report import GAP, Band, Overlay, Report, ReportEvent, Span
@@ -26,28 +27,23 @@ _WORST_FIRST = (
 
 def mode_band(decisions: Decisions, end_ns: int) -> Iterator[Band]:
     """Modes of the gateway; none where the recording has no ticks."""
-    changes: list[tuple[int, str]] = []
-    for stamp, code in zip(decisions.tick_times_ns, decisions.tick_modes, strict=True):
-        if not changes or changes[-1][1] != MODES[code]:
-            changes.append((stamp, MODES[code]))
-    yield from _of_changes("mode", changes, end_ns, what_if=False)
-
-
-def _of_changes(
-    title: str, changes: Sequence[tuple[int, str]], end_ns: int, *, what_if: bool
-) -> Iterator[Band]:
+    ticks = zip(decisions.tick_times_ns, decisions.tick_modes, strict=True)
+    changes = [(next(group)[0], MODES[code]) for code, group in groupby(ticks, itemgetter(1))]
     if changes:
-        ends = [*(stamp for stamp, _ in changes[1:]), end_ns]
-        spans = [Span(one[0], end, one[1], one[1]) for one, end in zip(changes, ends, strict=True)]
-        yield Band(title, tuple(spans), what_if)
+        yield Band("mode", _stretches(changes, end_ns))
+
+
+def _stretches(changes: Sequence[tuple[int, str]], end_ns: int) -> tuple[Span, ...]:
+    """Each from its change to the next one, the last until the end; of the kind of its name."""
+    pairs = pairwise([*changes, (end_ns, "")])
+    return tuple(Span(begin_ns, last_ns, name, name) for (begin_ns, name), (last_ns, _) in pairs)
 
 
 def drive_mode_band(decisions: Decisions, start_ns: int, end_ns: int) -> Iterator[Band]:
     """Drive modes, each from where it counts; none where there are none."""
-    ends = [*(stamp for stamp, _ in decisions.drive_modes[1:]), end_ns]
     spans = [
-        Span(max(start_ns, stamp), min(end, end_ns), "", name)
-        for (stamp, name), end in zip(decisions.drive_modes, ends, strict=False)
+        Span(max(start_ns, one.begin_ns), min(one.end_ns, end_ns), "", one.text)
+        for one in _stretches(decisions.drive_modes, end_ns)
     ]
     if inside := tuple(span for span in spans if span.begin_ns < span.end_ns):
         yield Band("drive mode", inside)
@@ -89,7 +85,8 @@ def _ranked(causes: Mapping[str, list[Span]]) -> list[Band]:
 
 
 def overlay_bands(overlay: Overlay, end_ns: int) -> Iterator[Band]:
-    yield from _of_changes("mode, what if", overlay.modes, end_ns, what_if=True)
+    if overlay.modes:
+        yield Band("mode, what if", _stretches(overlay.modes, end_ns), what_if=True)
     causes: dict[str, list[Span]] = {}
     for text, began_ns, ended_ns in overlay.causes:
         effect = text.rpartition(": ")[2]
