@@ -18,48 +18,36 @@ from vcu_gateway.demand_ranges import span
 _SET_PERIOD_S = 0.1
 _PRINT_PERIOD_S = 0.5
 
-_PEDALS = (
-    click.option(
-        "--throttle",
-        "throttle_pct",
-        type=float,
-        default=0.0,
-        help=f"Percent, {span('throttle_pct')}.",
-    ),
-    click.option(
-        "--throttle-track2",
-        "throttle_track2_pct",
-        type=float,
-        help="The pedal's second track, percent; where demand.second_track_required is set.",
-    ),
-    click.option(
-        "--brake", "brake_pct", type=float, default=0.0, help=f"Percent, {span('brake_pct')}."
-    ),
-    click.option(
-        "--mode",
-        "power_mode",
-        type=click.Choice(["eco", "normal", "turbo"]),
-        default="normal",
-        show_default=True,
-    ),
-    click.option("--reverse", "motor_reverse", is_flag=True, help="Turn the motors in reverse."),
-    click.option("--regen", "regen_brake", is_flag=True, help="Recover energy while braking."),
-    click.option(
-        "--speed-limit", "speed_limit_rpm", type=float, help="rpm; default: as configured."
-    ),
-    click.option("--power-limit", "power_limit_w", type=float, help="W; default: none of its own."),
-)
-
-
-def _pedal_options(command: Any) -> Any:
-    for option in reversed(_PEDALS):
-        command = option(command)
-    return command
-
 
 @click.command("demand")
 @api_options
-@_pedal_options
+@click.option(
+    "--throttle",
+    "throttle_pct",
+    type=float,
+    default=0.0,
+    help=f"Percent, {span('throttle_pct')}.",
+)
+@click.option(
+    "--throttle-track2",
+    "throttle_track2_pct",
+    type=float,
+    help="The pedal's second track, percent; where demand.second_track_required is set.",
+)
+@click.option(
+    "--brake", "brake_pct", type=float, default=0.0, help=f"Percent, {span('brake_pct')}."
+)
+@click.option(
+    "--mode",
+    "power_mode",
+    type=click.Choice(["eco", "normal", "turbo"]),
+    default="normal",
+    show_default=True,
+)
+@click.option("--reverse", "motor_reverse", is_flag=True, help="Turn the motors in reverse.")
+@click.option("--regen", "regen_brake", is_flag=True, help="Recover energy while braking.")
+@click.option("--speed-limit", "speed_limit_rpm", type=float, help="rpm; default: as configured.")
+@click.option("--power-limit", "power_limit_w", type=float, help="W; default: none of its own.")
 @click.option("--source", help="Name of the source; default: your user name.")
 @click.option("--ttl-ms", type=int, default=200, show_default=True, help="Time to live.")
 @click.option("--for", "for_s", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS")
@@ -71,7 +59,7 @@ def demand(
     ttl_ms: int,
     for_s: float | None,
     arming: bool,
-    **pedals: Any,
+    **values: Any,
 ) -> None:
     """Hold a demand for both controllers until Ctrl-C, or for so many seconds.
 
@@ -81,7 +69,6 @@ def demand(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda _number, _frame: stop.set())
-    values = {name: value for name, value in pedals.items() if value is not None}
     name = source or getpass.getuser()
     with connected(socket_path) as client, client.demand(name, ttl_ms=ttl_ms) as owner:
         if arming:
