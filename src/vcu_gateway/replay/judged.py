@@ -101,16 +101,9 @@ def _pedals_of(
 
 
 def _demand_of(one: ControllerDemand) -> JudgedDemand:
-    return JudgedDemand(
-        float(one.throttle_pct),
-        float(one.brake_pct),
-        one.power_mode.value,
-        one.motor_reverse,
-        one.regen_brake,
-        float(one.speed_limit_rpm),
-        float(one.power_limit_w),
-        None if one.throttle_track2_pct is None else float(one.throttle_track2_pct),
-    )
+    """Its fields have the same names there."""
+    values = JudgedDemand._make(getattr(one, name) for name in JudgedDemand._fields)
+    return values._replace(power_mode=one.power_mode.value)
 
 
 class JudgedRecords:
