@@ -12,11 +12,16 @@ from pathlib import Path
 import pytest
 from scripts.documents import gateway_yaml
 
+from vcu_gateway.api.methods import ControllerParams
 from vcu_gateway.cli import main
-from vcu_gateway.config import Config, core_settings, parse
+from vcu_gateway.cli.demand import demand
+from vcu_gateway.client import ControllerValues
+from vcu_gateway.config import BenchDemandSection, Config, core_settings, parse
+from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.settings import KEYS, Reload, Settings
 from vcu_gateway.daemon.reload import is_live
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, RANGES, SPEED_LIMIT_HIGHEST_RPM
+from vcu_gateway.judge import JudgedDemand
 from vcu_gateway.protocol import dbc, packaged
 
 ROOT = Path(__file__).parents[2]
@@ -145,9 +150,9 @@ def test_the_bench_demand_reaches_the_core_whole() -> None:
         "bench: {demand: {bench_use_only: true, throttle_pct: 1, brake_pct: 2, power_mode: turbo,"
         " motor_reverse: true, regen_brake: true, speed_limit_rpm: 3, power_limit_w: 4}}"
     )
-    demand = core_settings(parse(text, "f")).bench_demand
-    assert demand is not None
-    assert dataclasses.asdict(demand) == {
+    asked = core_settings(parse(text, "f")).bench_demand
+    assert asked is not None
+    assert dataclasses.asdict(asked) == {
         "throttle_pct": 1,
         "brake_pct": 2,
         "power_mode": 2,
@@ -157,6 +162,29 @@ def test_the_bench_demand_reaches_the_core_whole() -> None:
         "power_limit_w": 4,
         "throttle_track2_pct": None,
     }
+
+
+DEMAND = {item.name: item.default for item in dataclasses.fields(ControllerDemand)}
+BENCH = BenchDemandSection.model_json_schema()["properties"]
+
+
+def test_every_list_of_a_demands_fields_has_all_of_them() -> None:
+    assert set(ControllerParams.model_fields) == set(DEMAND)
+    assert set(ControllerValues.__annotations__) == set(DEMAND)
+    assert {option.name for option in demand.params} >= set(DEMAND)
+    assert set(BENCH) == set(DEMAND) - {"throttle_track2_pct"} | {"bench_use_only"}
+    assert JudgedDemand._fields == tuple(DEMAND)
+    assert set(RANGES) == {name for name, kind in DEMAND.items() if not isinstance(kind, int)}
+
+
+def test_a_demands_fields_have_the_same_range_and_default_everywhere() -> None:
+    for name in RANGES.keys() & BENCH.keys():
+        assert (BENCH[name]["minimum"], BENCH[name]["maximum"]) == RANGES[name]
+    default = DEMAND | {"power_mode": DEMAND["power_mode"].name.lower()}
+    for name in default.keys() & BENCH.keys():
+        assert BENCH[name]["default"] == default[name]
+    for name, field in ControllerParams.model_fields.items():
+        assert field.default in (None, default[name])
 
 
 @pytest.mark.parametrize("name", ["PCU1", "PCU2"])

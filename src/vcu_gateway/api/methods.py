@@ -5,7 +5,7 @@ A new method is one entry in `METHODS` and its handler in `server/queries.py` or
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -61,7 +61,7 @@ class ControllerParams(Params):
         " is none. A difference of more than 10 % for more than 100 ms takes the throttle away.",
     )
     brake_pct: float = Field(default=0.0, description=f"{span('brake_pct')} %.")
-    power_mode: Literal["eco", "normal", "turbo", "safety"] = "eco"
+    power_mode: results.PowerModeName = "eco"
     motor_reverse: bool = False
     regen_brake: bool = False
     speed_limit_rpm: float | None = Field(
@@ -102,7 +102,7 @@ class DemandParams(Params):
         " buffers counts; null is when the gateway read it.",
     )
     values: ControllerParams | None = None
-    controllers: dict[Literal["PCU1", "PCU2"], ControllerParams] | None = None
+    controllers: dict[results.ControllerName, ControllerParams] | None = None
 
 
 class ReleaseParams(Params):
@@ -114,7 +114,7 @@ class ReleaseParams(Params):
 class ResetParams(Params):
     """Level of the reset."""
 
-    level: Literal["driver", "service"] = "driver"
+    level: results.FaultClassName = "driver"
 
 
 class DriveModeParams(ResetParams):

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import click
 
@@ -207,7 +207,7 @@ def disarm(socket_path: Path | None, as_json: bool) -> None:
     show_default=True,
     help="A cut needs service; `vcu-gateway why` says which.",
 )
-def reset(socket_path: Path | None, as_json: bool, level: Literal["driver", "service"]) -> None:
+def reset(socket_path: Path | None, as_json: bool, level: results.FaultClassName) -> None:
     """Leave a latched fault, unarmed; refused, with the reason, while its cause is there."""
     with connected(socket_path) as client:
         granted = client.reset(level)

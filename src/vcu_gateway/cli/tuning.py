@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import click
 
@@ -70,7 +69,7 @@ def _row(curve: results.CurveNow) -> tuple[str, str, str, str]:
 )
 @click.argument("mode", required=False)
 def drive_mode(
-    socket_path: Path | None, as_json: bool, level: Literal["driver", "service"], mode: str | None
+    socket_path: Path | None, as_json: bool, level: results.FaultClassName, mode: str | None
 ) -> None:
     """Take another drive mode; without MODE, show which there are.
 

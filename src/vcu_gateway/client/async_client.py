@@ -8,7 +8,7 @@ import socket
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal, Self, TypeVar
+from typing import Self, TypeVar
 
 from vcu_gateway.api import results
 from vcu_gateway.client import calls, jsonrpc
@@ -211,12 +211,12 @@ class AsyncClient:
         """From active to standby."""
         return await self.call(calls.disarm())
 
-    async def reset(self, level: Literal["driver", "service"] = "driver") -> results.Granted:
+    async def reset(self, level: results.FaultClassName = "driver") -> results.Granted:
         """From fault to starting."""
         return await self.call(calls.reset(level))
 
     async def set_drive_mode(
-        self, mode: str, level: Literal["driver", "service"] = "driver"
+        self, mode: str, level: results.FaultClassName = "driver"
     ) -> results.Granted:
         """Ask for a drive mode; it waits for the pedal's release where it would make a step."""
         return await self.call(calls.set_drive_mode(mode, level))

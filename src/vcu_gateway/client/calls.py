@@ -4,7 +4,7 @@ Both clients send these, each in its own way; the demand has a connection and ru
 """
 
 from collections.abc import Iterable, Mapping
-from typing import Generic, Literal, NamedTuple, TypeVar, cast
+from typing import Generic, NamedTuple, TypeVar, cast
 
 from vcu_gateway.api import results
 from vcu_gateway.client import jsonrpc
@@ -113,12 +113,12 @@ def disarm() -> Call[results.Granted]:
     return Call("disarm", {}, changes=True, stops=True)
 
 
-def reset(level: Literal["driver", "service"]) -> Call[results.Granted]:
+def reset(level: results.FaultClassName) -> Call[results.Granted]:
     """From fault to starting."""
     return Call("reset", {"level": level}, changes=True)
 
 
-def set_drive_mode(mode: str, level: Literal["driver", "service"]) -> Call[results.Granted]:
+def set_drive_mode(mode: str, level: results.FaultClassName) -> Call[results.Granted]:
     """Another drive mode."""
     return Call("drive_mode.set", {"mode": mode, "level": level}, changes=True)
 

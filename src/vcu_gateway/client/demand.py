@@ -11,7 +11,7 @@ import math
 import socket
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, get_args
 
 from vcu_gateway.api import results
 from vcu_gateway.api.errors import ErrorCode
@@ -24,7 +24,7 @@ _SHORTEST_PERIOD_NS = 1_000_000
 _LONGEST_PERIOD_NS = 1_000_000_000
 _DIRECTIONS_DIFFER = "directions_differ"
 
-CONTROLLERS = ("PCU1", "PCU2")
+CONTROLLERS: tuple[str, ...] = get_args(results.ControllerName)
 
 RELEASED_BEFORE_ARMING_S = 0.2
 """Duration of released throttle that the gateway requires before it can be armed."""

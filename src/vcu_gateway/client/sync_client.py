@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal, Self, TypeVar
+from typing import Self, TypeVar
 
 from vcu_gateway.api import results
 from vcu_gateway.client import calls, jsonrpc
@@ -215,12 +215,12 @@ class Client:
         """From active to standby."""
         return self.call(calls.disarm())
 
-    def reset(self, level: Literal["driver", "service"] = "driver") -> results.Granted:
+    def reset(self, level: results.FaultClassName = "driver") -> results.Granted:
         """From fault to starting."""
         return self.call(calls.reset(level))
 
     def set_drive_mode(
-        self, mode: str, level: Literal["driver", "service"] = "driver"
+        self, mode: str, level: results.FaultClassName = "driver"
     ) -> results.Granted:
         """Ask for a drive mode; it waits for the pedal's release where it would make a step."""
         return self.call(calls.set_drive_mode(mode, level))

@@ -40,7 +40,7 @@ class PedalChecksumSection(Section):
     """Checksum over all other bytes of the frame."""
 
     signal: str = Field(description="Name of the signal, one whole byte.", examples=["Checksum"])
-    kind: Literal["xor", "sum", "sae_j1850"] = Field(
+    kind: can_pedals.ChecksumKind = Field(
         description="How it is made; sum is modulo 256, sae_j1850 its CRC-8.",
         examples=["sae_j1850"],
     )

@@ -31,13 +31,14 @@ from vcu_gateway.core.tuning import (
     SlipLimiter,
     Tuning,
 )
+from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, RANGES
 from vcu_gateway.errors import did_you_mean
 from vcu_gateway.strict_yaml.file_text import FileProblem, KeyPath, PointIndex, shown
 from vcu_gateway.strict_yaml.validation import Section, refusal
 
 _FEWEST, _MOST = 2, 16
 _MOST_MODES = 8
-_THROTTLE = Quantity("throttle_pct", "throttle", "%", 0, 100)
+_THROTTLE = Quantity("throttle_pct", "throttle", "%", *RANGES["throttle_pct"])
 _THROTTLE_OVER_SPEED = _THROTTLE._replace(lowest=5)
 _RISE = Quantity("throttle_rise_pct_per_s", "rise", "%/s", 5, 200)
 _CONSTANTS = {
@@ -290,7 +291,7 @@ class DriveModeSection(Section):
         default="turbo", description="The highest power mode that a demand is given."
     )
     power_limit_w: int | None = Field(
-        default=None, ge=0, le=60_000, description="Power of each motor controller.",
+        default=None, ge=0, le=POWER_LIMIT_HIGHEST_W, description="Power of each motor controller.",
         examples=[8000],
     )  # fmt: skip
     brake_max_pct: float = Field(default=100.0, ge=0, le=100, description="The highest brake.")

@@ -14,7 +14,7 @@ from annotated_types import Interval
 
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import CONTROLLERS, PowerMode
-from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, SPEED_LIMIT_HIGHEST_RPM
+from vcu_gateway.demand_ranges import RANGES, SPEED_LIMIT_HIGHEST_RPM
 
 SPEED_LIMIT_LOWEST_RPM = 500
 WHEELS = ("ARD2_SteeringWheel", ("WheelSpeedFL", "WheelSpeedFR"))
@@ -86,8 +86,8 @@ SPEED = Quantity("speed_kmh", "speed", "km/h", 0, 65, 1)
 
 Limit = Literal["power_limit_w", "brake_pct", "speed_limit_rpm"]
 LIMITS: Mapping[str, Quantity] = {
-    "power_limit_w": Quantity("power_limit_w", "power", "W", 0, POWER_LIMIT_HIGHEST_W),
-    "brake_pct": Quantity("brake_pct", "brake", "%", 0, 100),
+    "power_limit_w": Quantity("power_limit_w", "power", "W", *RANGES["power_limit_w"]),
+    "brake_pct": Quantity("brake_pct", "brake", "%", *RANGES["brake_pct"]),
     "speed_limit_rpm": Quantity(
         "speed_limit_rpm", "speed", "rpm", SPEED_LIMIT_LOWEST_RPM, SPEED_LIMIT_HIGHEST_RPM
     ),

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vcu_gateway.core import j1939
-from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
+from vcu_gateway.core.spec import ByteOrder, MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
 from vcu_gateway.protocol import dbc
 from vcu_gateway.protocol.definition_model import (
-    ByteOrder,
     DefinitionFile,
     MessageRow,
     SignalRow,

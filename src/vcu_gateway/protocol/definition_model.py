@@ -1,13 +1,12 @@
 """Models of the rows of dbc/vcu.yaml; whether they fit together is for `definition`."""
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
+from vcu_gateway.core.spec import ByteOrder
 from vcu_gateway.strict_yaml.validation import Section
-
-ByteOrder = Literal["little", "big"]
 
 _BITS = re.compile(r"B([1-8])(?:-B([1-8])|\[([0-7])(?:-([0-7]))?\])?")
 _BYTE_BITS = 8

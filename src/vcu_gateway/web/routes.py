@@ -14,13 +14,13 @@ import json
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any, Generic, Literal, TypedDict, TypeVar
+from typing import Any, Generic, TypedDict, TypeVar
 
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from vcu_gateway.api.errors import Right
-from vcu_gateway.api.results import Granted, ModeName, TuningNow
+from vcu_gateway.api.results import FaultClassName, Granted, ModeName, TuningNow
 from vcu_gateway.client import ApiError, AsyncClient, ClientError
 from vcu_gateway.client.calls import Call, arm, disarm, estop, reset, set_drive_mode, tuning
 from vcu_gateway.web.access import Access, Visitor
@@ -101,7 +101,7 @@ class Actions:
             return await self._merged_stop()
         return await (self._merged_disarm() if name == "disarm" else self._ask(name))
 
-    async def set_drive_mode(self, mode: str, level: Literal["driver", "service"]) -> Answer:
+    async def set_drive_mode(self, mode: str, level: FaultClassName) -> Answer:
         """Ask for a drive mode."""
         return await self._call(self._asking, set_drive_mode(mode, level))
 
