@@ -86,14 +86,13 @@ class LatestFrame(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """One signal at one instant; value, raw and age_ns are None where it never came."""
+    """One signal at one instant; value and raw are None where it never came."""
 
     name: str
     value: float | None
     raw: int | None
     unit: str
     quality: Quality
-    age_ns: int | None
     code_name: str | None = None
 
 
@@ -261,11 +260,10 @@ class Snapshot:
     def _reading(self, message: str, index: int) -> Reading:
         latest, signal = self._latest.get(message), self._specs[message].signals[index]
         if latest is None:
-            return Reading(signal.name, None, None, signal.unit, Quality.NEVER, None)
+            return Reading(signal.name, None, None, signal.unit, Quality.NEVER)
         value, raw = latest.decoded.values[index], latest.decoded.raws[index]
         quality = Quality.STALE if self.stale(message) else mark(latest.decoded, index, signal)
-        age_ns, code_name = self.age_ns(message), signal.names.get(raw)
-        return Reading(signal.name, value, raw, signal.unit, quality, age_ns, code_name)
+        return Reading(signal.name, value, raw, signal.unit, quality, signal.names.get(raw))
 
 
 def mark(decoded: Decoded, index: int, signal: SignalSpec) -> Quality:
@@ -315,19 +313,19 @@ class Store:
         self.out_of_order = 0
         self.unjudged = 0
 
-    def put(self, name: str, decoded: Decoded, arrival_ns: int) -> bool:
-        """Keep a decoded frame; False where a newer one is known and stays the latest."""
+    def put(self, name: str, decoded: Decoded, arrival_ns: int) -> None:
+        """Keep a decoded frame; where a newer one is known that stays the latest."""
         last = self._latest.get(name)
         marked = 1 if decoded.marks else 0
         if last is None:
             latest = self._latest[name] = LatestFrame(decoded, arrival_ns, 1, marked, None)
             self._note_arrival(name, latest)
-            return True
+            return
         interval_ns = arrival_ns - last.arrival_ns
         if interval_ns < 0:
             self.out_of_order += 1
             self._note_arrival(name, last._replace(decoded=decoded, arrival_ns=arrival_ns))
-            return False
+            return
         period_ns = last.period_ns
         if period_ns is None:
             period_ns = interval_ns
@@ -341,7 +339,6 @@ class Store:
         latest = LatestFrame(decoded, arrival_ns, frames, marks, period_ns, repeats)
         self._latest[name] = latest
         self._note_arrival(name, latest)
-        return True
 
     def _note_arrival(self, name: str, frame: LatestFrame) -> None:
         frames = self._arrived.get(name)
