@@ -126,15 +126,8 @@ class DriveModes:
             return dict.fromkeys(CONTROLLERS, limits)
         mode = inputs.settings.tuning.modes[self.current]
         step_pct = inputs.settings.throttle_slew_pct_per_s * inputs.elapsed_s
-        if mode.by_speed is None:
-            self.by_speed_pct = None
-        else:
-            self.by_speed_pct = _over_speed(mode.by_speed, front, self.by_speed_pct, step_pct)
-        if mode.rise_by_speed is None:
-            self.rise_pct_per_s = None
-        else:
-            rise = mode.rise_by_speed
-            self.rise_pct_per_s = _over_speed(rise, front, self.rise_pct_per_s, step_pct)
+        self.by_speed_pct = _over_speed(mode.by_speed, front, self.by_speed_pct, step_pct)
+        self.rise_pct_per_s = _over_speed(mode.rise_by_speed, front, self.rise_pct_per_s, step_pct)
         most_pct = FULL_PCT if self.by_speed_pct is None else self.by_speed_pct
         own = (
             _NO_LIMIT if self.rise_pct_per_s is None else self.rise_pct_per_s,
@@ -155,8 +148,12 @@ class DriveModes:
         return caps
 
 
-def _over_speed(curve: Curve, front: Front | None, before: float | None, step: float) -> float:
-    """A curve over speed; without a speed it goes step by step to its lowest value."""
+def _over_speed(
+    curve: Curve | None, front: Front | None, before: float | None, step: float
+) -> float | None:
+    """A curve over speed, if any; without a speed it goes step by step to its lowest value."""
+    if curve is None:
+        return None
     if front is not None:
         return curve.at(front.kmh)
     return max(curve.lowest, (curve.highest if before is None else before) - step)
