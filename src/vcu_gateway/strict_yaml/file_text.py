@@ -18,21 +18,15 @@ class PointIndex(int):
     """Index of a point in a curve; a problem shows it as [2], counted from 1."""
 
 
-class LineMap:
+class LineMap(dict[KeyPath, int]):
     """Line of each key and item, by its path in the document."""
-
-    def __init__(self) -> None:
-        self._lines: dict[KeyPath, int] = {}
-
-    def add(self, path: KeyPath, line: int) -> None:
-        self._lines[path] = line
 
     def line(self, path: Sequence[str | int]) -> int | None:
         """The line of the longest known beginning of this path, or None."""
         known = tuple(path)
-        while known and known not in self._lines:
+        while known and known not in self:
             known = known[:-1]
-        return self._lines.get(known)
+        return self.get(known)
 
     def where(self, file: str, path: Sequence[str | int]) -> str:
         """file:line, or the file alone where the line is not known."""

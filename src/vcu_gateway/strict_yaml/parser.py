@@ -135,7 +135,7 @@ class _Reader:
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
             key = self._value(event, path)
             if self._is_new_key(key, path, content, event):
-                self.lines.add((*path, key), _line(event))
+                self.lines[*path, key] = _line(event)
                 content[key] = self._value(next(self._events), (*path, key))
             else:
                 self._skip()
@@ -170,7 +170,7 @@ class _Reader:
         content: list[Any] = []
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
             at = (*path, len(content))
-            self.lines.add(at, _line(event))
+            self.lines[at] = _line(event)
             content.append(self._value(event, at))
         return content
 
