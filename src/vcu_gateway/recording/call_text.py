@@ -15,7 +15,6 @@ from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
 from vcu_gateway.core import calls, can_pedals, tuning
-from vcu_gateway.core.can_pedals import CanPedals
 from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.curve import Curve
 from vcu_gateway.core.demand import ControllerDemand, Demand, PowerMode
@@ -24,7 +23,6 @@ from vcu_gateway.core.link import Carrier, LinkState, LinkStatus
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.core.tuning import Tuning
 from vcu_gateway.units import NS_PER_US
 
 _T = TypeVar("_T")
@@ -73,10 +71,8 @@ def settings_of(values: Any) -> Settings:
 
 
 def _setting(name: str, value: Any) -> Any:
-    if name in _OR_NONE:
-        return None if value is None else _OR_NONE[name](value)
-    if name == "tuning":
-        return _tuning_of(value)
+    if name in _READERS:
+        return _READERS[name](value)
     default = getattr(_DEFAULTS, name)
     if isinstance(default, tuple):
         if isinstance(value, list) and all(isinstance(one, str) for one in value):
@@ -89,18 +85,16 @@ def _setting(name: str, value: Any) -> Any:
     raise ValueError(f"the setting {name} cannot be {value!r:.40}")
 
 
-def _tuning_of(value: Any) -> Tuning:
-    try:
-        return tuning.of_values(value)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"the tuning cannot be read: {error}") from error
+def _reader(of_values: Callable[[Any], _T], what: str) -> Callable[[Any], _T]:
+    """Reads by `of_values`; ValueError for whatever it cannot read."""
 
+    def read(value: Any) -> _T:
+        try:
+            return of_values(value)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"the {what} cannot be read: {error}") from error
 
-def _pedals_of(value: Any) -> CanPedals:
-    try:
-        return can_pedals.of_values(value)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"the pedals cannot be read: {error}") from error
+    return read
 
 
 def controller_json(demand: ControllerDemand) -> dict[str, Any]:
@@ -114,10 +108,16 @@ def controller_of(values: Mapping[str, Any]) -> ControllerDemand:
     return ControllerDemand(**numbers, power_mode=PowerMode[values["power_mode"].upper()])
 
 
-_OR_NONE: Mapping[str, Callable[[Any], Any]] = {
-    "bench_demand": controller_of,
-    "pedals": _pedals_of,
+def _or_none(read: Callable[[Any], object]) -> Callable[[Any], object]:
+    return lambda value: None if value is None else read(value)
+
+
+_READERS: Mapping[str, Callable[[Any], Any]] = {
+    "bench_demand": _or_none(controller_of),
+    "pedals": _or_none(_reader(can_pedals.of_values, "pedals")),
+    "tuning": _reader(tuning.of_values, "tuning"),
 }
+"""How settings are read whose default does not tell their type."""
 
 
 def demand_text(demand: Demand, now_ns: int) -> str:
@@ -227,10 +227,6 @@ def call_of(values: Mapping[str, Any]) -> CoreCall[object] | None:
     kind = _KINDS[word]
     call: CoreCall[object] = kind(*[read(values[key]) for key, _, read in _FIELDS[kind]])
     return call
-
-
-def _or_none(read: Callable[[Any], object]) -> Callable[[Any], object]:
-    return lambda value: None if value is None else read(value)
 
 
 def out_frame_text(frame: OutFrame) -> str:
