@@ -190,21 +190,17 @@ def explained(
     reasons: Reasons, now_ns: int, judged_ns: int, demand_age_ns: int | None
 ) -> Explanation:
     """The answer at `now_ns`; `judged_ns` is the tick that last judged the causes."""
+    told = reasons._asdict()
+    held = told.pop("held")
     return Explanation(
+        **told,
         now_ns=now_ns,
         judged_ns=judged_ns,
-        mode=reasons.mode,
-        latch=reasons.latch,
-        blocks=_having(BLOCKING, reasons.held),
-        limits=_having(LIMITING, reasons.held),
-        alarms=_having(_ALARM, reasons.held),
-        waits=reasons.waits,
-        demand_source=reasons.demand_source,
+        blocks=_having(BLOCKING, held),
+        limits=_having(LIMITING, held),
+        alarms=_having(_ALARM, held),
         demand_age_ns=demand_age_ns,
-        demand_ttl_ms=reasons.demand_ttl_ms,
-        demand_fresh=reasons.demand_fresh,
         next_step=next_step(reasons.mode, reasons.latch, reasons.refusal),
-        refusal=reasons.refusal,
     )
 
 

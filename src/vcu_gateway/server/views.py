@@ -187,14 +187,13 @@ def why(explained: explanation.Explanation) -> results.Why:
 
 def _cause(held: HeldCause, explained: explanation.Explanation) -> results.Cause:
     finding = held.finding
-    return {
-        "cause": finding.cause,
-        "subject": finding.subject,
-        "detail": finding.detail,
-        "effect": finding.effect.value,
-        "since_ms": _since(explained.now_ns, held.since_ns),
-        "stands": held.stands(explained.judged_ns),
-    }
+    return result_of(
+        results.Cause,
+        finding,
+        effect=finding.effect.value,
+        since_ms=_since(explained.now_ns, held.since_ns),
+        stands=held.stands(explained.judged_ns),
+    )
 
 
 def tuning(gateway: Gateway, now_ns: int) -> results.TuningNow:
