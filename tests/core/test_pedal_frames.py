@@ -142,13 +142,13 @@ def test_the_last_frames_of_the_pedals_that_are_no_demand_are_told_and_a_silent_
 
 
 def test_what_the_message_does_not_have_is_not_said():
-    one = Node(CanPedals("Pedals_Position", PEDALS.throttle))
+    one = Node(CanPedals(message="Pedals_Position", throttle=PEDALS.throttle))
     one.sends()
     assert one.frames.now(one.now_ns, 50 * MS).sentence() == "throttle 0 %"
 
 
 def test_what_the_message_does_not_have_is_not_asked_for():
-    least = CanPedals("Pedals_Position", PEDALS.throttle, dead_zone_pct=0)
+    least = CanPedals(message="Pedals_Position", throttle=PEDALS.throttle, dead_zone_pct=0)
     one = Node(least).asks(Throttle1=1750, BrakePressure=605, ReverseSwitch=1)
     assert one == ControllerDemand(throttle_pct=50, power_mode=PowerMode.ECO)
 
@@ -304,7 +304,7 @@ def test_a_latch_outlasts_a_silence_which_begins_the_second_anew(node):
 
 
 def test_one_track_alone_is_latched_and_released_as_two_are():
-    node = latched(Node(CanPedals("Pedals_Position", PEDALS.throttle)))
+    node = latched(Node(CanPedals(message="Pedals_Position", throttle=PEDALS.throttle)))
     assert node.sends(Throttle1=0).controllers["PCU1"].throttle_track2_pct is None
     for _ in range(51):
         demand = node.sends()
@@ -368,7 +368,9 @@ def test_the_checksums_are_those_of_the_books(kind, checksum):
 def test_a_checksum_is_over_every_byte_but_its_own(kind, own):
     throttle, checksum = POSITION.signal("Throttle1"), POSITION.signal("Checksum")
     signals = replace(throttle, start_bit=8), replace(checksum, start_bit=8 * own)
-    pedals = CanPedals("P", PEDALS.throttle, checksum=PedalChecksum("Checksum", kind))
+    pedals = CanPedals(
+        message="P", throttle=PEDALS.throttle, checksum=PedalChecksum("Checksum", kind)
+    )
     reader = PedalReader(pedals, compile_message(replace(POSITION, signals=signals)))
     rest = bytes([1, 2, 3, 4, 5, 6, 7])
     good = rest[:own] + bytes([checksum_of(rest, kind)]) + rest[own:]
@@ -480,7 +482,7 @@ def test_without_the_curve_nothing_coasts(node):
 
 def test_pedals_come_back_from_their_values():
     full = replace(COAST, power_mode=PowerMode.TURBO, regen_brake=True)
-    least = CanPedals("Pedals_Position", PEDALS.throttle)
+    least = CanPedals(message="Pedals_Position", throttle=PEDALS.throttle)
     assert [of_values(values(one)) for one in (full, least)] == [full, least]
 
 

@@ -46,7 +46,7 @@ OTHER_VALUES = {
     "priorities": {"driver": 1},
     "bench_demand": ControllerDemand(),
     "auto_arm": True,
-    "pedals": CanPedals("Pedals", PedalTrack("Throttle", 0, 1)),
+    "pedals": CanPedals(message="Pedals", throttle=PedalTrack("Throttle", 0, 1)),
 }
 
 

@@ -173,7 +173,7 @@ def test_what_the_settings_give_is_not_in_the_state(name):
 
 
 OTHER: dict[str, Any] = {
-    "pedals": CanPedals("IMU_Attitude", PedalTrack("AttitudeX", 0, 50)),
+    "pedals": CanPedals(message="IMU_Attitude", throttle=PedalTrack("AttitudeX", 0, 50)),
     "stale_after_ms": {"BMS_Status": 777},
     "late_after_ms": {"BMS_Status": 555},
     "transmit_priority": 3,

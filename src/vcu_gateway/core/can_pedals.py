@@ -4,7 +4,7 @@ What it counts for after the frames before it: core/pedal_frames.py (docs/safety
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import reduce
 from operator import xor
 from typing import Any, Literal, NamedTuple
@@ -39,9 +39,9 @@ class PedalChecksum:
     kind: ChecksumKind
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanPedals:
-    """Message that carries the pedals, and what its signals mean.
+    """Message that carries the pedals, and what its signals mean; in the order of a recording.
 
     Attributes:
         brake: None where the message has none; then brake over throttle is not watched.
@@ -50,15 +50,15 @@ class CanPedals:
     """
 
     message: str
-    throttle: PedalTrack
-    throttle_track2: PedalTrack | None = None
-    brake: PedalTrack | None = None
     counter: str | None = None
-    checksum: PedalChecksum | None = None
     reverse: str | None = None
     power_mode: PowerMode = PowerMode.ECO
     regen_brake: bool = False
     dead_zone_pct: float = 3.0
+    throttle: PedalTrack
+    throttle_track2: PedalTrack | None = None
+    brake: PedalTrack | None = None
+    checksum: PedalChecksum | None = None
     coast_brake: Curve | None = None
 
     def asked_pct(self, travel_pct: float) -> float:
@@ -189,23 +189,9 @@ def checksum_of(data: bytes | bytearray, kind: ChecksumKind) -> int:
 
 def values(pedals: CanPedals) -> dict[str, Any]:
     """Values for JSON, by the keys of the configuration."""
-    found: dict[str, Any] = {
-        "message": pedals.message,
-        "counter": pedals.counter,
-        "reverse": pedals.reverse,
-        "power_mode": pedals.power_mode.name.lower(),
-        "regen_brake": pedals.regen_brake,
-        "dead_zone_pct": pedals.dead_zone_pct,
-    }
-    for name in _TRACKS:
-        track: PedalTrack | None = getattr(pedals, name)
-        found[name] = None if track is None else {
-            "signal": track.signal, "released": track.released, "pressed": track.pressed,
-        }  # fmt: skip
-    checksum, curve = pedals.checksum, pedals.coast_brake
-    found["checksum"] = checksum and {"signal": checksum.signal, "kind": checksum.kind}
-    found["coast_brake_pct"] = curve and [list(point) for point in curve.points]
-    return found
+    found = asdict(pedals) | {"power_mode": pedals.power_mode.name.lower()}
+    curve = found.pop("coast_brake")
+    return found | {"coast_brake_pct": curve and [list(point) for point in curve["points"]]}
 
 
 _TRACKS = ("throttle", "throttle_track2", "brake")
