@@ -1,6 +1,4 @@
-"""Demand values, and the dead-man that repeats and ends them. No clock, no socket.
-
-The connection of one demand: sends, repeats and reconnects. It never waits.
+"""Demand values, the dead-man that repeats and ends them, and their connection. It never waits.
 
 Sans-IO in all but the non-blocking socket: time is an argument, and a thread or an asyncio task
 calls `DemandSession.step` when the socket is readable or the time that `step` returned has come.

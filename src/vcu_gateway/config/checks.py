@@ -1,9 +1,4 @@
-"""Checks of a configuration: against the protocol, this machine's accounts, and for effect.
-
-Protocol that a configuration names, and every check before a start.
-
-The packaged DBC, or another one that agrees with it.
-"""
+"""Checks of a configuration: its protocol, this machine's accounts, effect; all before a start."""
 
 import dataclasses
 import grp

@@ -1,13 +1,8 @@
 """The whole configuration: sections about the vehicle and about the gateway itself.
 
-Sections about the vehicle: limits, safety, demand and the test bench.
-
-Their keys come from `core.settings`, but for the bench demand's.
-
-Sections about the gateway itself, and the whole configuration.
-
-Unit, range, default and text of a key stand once: those of the bus, API and log here, those of
-the vehicle in `core.settings`. `vcu-gateway schema` and config/gateway.yaml are made from both.
+Unit, range, default and text of a key stand once: those of the vehicle in `core.settings`, those of
+the bench demand, the bus, API and log here. `vcu-gateway schema` and config/gateway.yaml are made
+from both.
 """
 
 import ipaddress

@@ -1,7 +1,4 @@
-"""Value types of the configuration's keys: identifiers, paths, modes and names.
-
-Sections of the configuration made from the core's settings.
-"""
+"""Value types of the configuration's keys, and sections made from the core's settings."""
 
 import dataclasses
 import re

@@ -1,11 +1,7 @@
 """Time in the core: the grid of ticks, and when a frame arrived.
 
-Arrival time: the kernel's stamps of the wall clock in monotonic time.
-
 The kernel stamps frames on the wall clock only. Both clocks are slewed alike, so their
 distance changes only when the wall clock is stepped (or the machine was suspended).
-
-Deadlines on a fixed grid: skip what was missed, never make it up.
 
 All integers, so that 200 days of uptime are as exact as the first second.
 """
@@ -33,7 +29,7 @@ class ClockPair:
 
 
 def arrival_ns(stamp_wall_ns: int, before: ClockPair, now: ClockPair) -> int:
-    """Monotonic arrival of a frame that was read at `now`.
+    """Monotonic arrival of a frame that was read at `now`, from its stamp of the wall clock.
 
     `before` is the reading of the drain before: whatever is read now arrived after it or
     was left over from it. Where the wall clock was stepped between the two, it is not known
@@ -90,7 +86,7 @@ class Tick:
 
 
 class Schedule:
-    """The grid origin_ns + n * period_ns, walked without bursts.
+    """The grid origin_ns + n * period_ns, walked without bursts: what was missed is skipped.
 
     A tick more than half a period late is skipped too: its frame would come closer than
     half a period to the next one. So is one that comes less than half a period after the
