@@ -8,7 +8,7 @@ from pydantic import Field
 from vcu_gateway.config.tuning import checked_points, curve_type, refused_point
 from vcu_gateway.config.value_types import Confirmation
 from vcu_gateway.core import can_pedals, pedal_frames
-from vcu_gateway.core.can_pedals import CanPedals
+from vcu_gateway.core.can_pedals import CanPedals, PedalTrack
 from vcu_gateway.core.receive import OWN_NODE
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
@@ -266,10 +266,8 @@ def _is_byte(signal: SignalSpec) -> bool:
 
 def _look_alike(first: PedalTrackSection, second: PedalTrackSection) -> bool:
     """Whether both would agree wherever they carry the same value."""
-    span = second.pressed - second.released
-    ends = (first.released, 0.0), (first.pressed, 100.0)
-    travels = [((value - second.released) / span * 100.0, at) for value, at in ends]
-    return all(abs(travel - at) <= _TRACKS_DIFFERENCE_PCT for travel, at in travels)
+    other, ends = PedalTrack(**second.model_dump()), ((first.released, 0), (first.pressed, 100))
+    return all(abs(other.travel_pct(value) - at) <= _TRACKS_DIFFERENCE_PCT for value, at in ends)
 
 
 def hints(section: PedalsSection) -> Iterator[FileProblem]:
