@@ -29,6 +29,7 @@ from vcu_gateway.config.value_types import (
     SocketPath,
     StatusCode,
     UserName,
+    UserNames,
     with_settings,
 )
 from vcu_gateway.core.settings import REQUIRED_MESSAGES, MessageName
@@ -250,23 +251,17 @@ class ApiSection(Section):
     socket_mode: FileMode = Field(
         default="0660", description="Permissions of the socket, three octal digits."
     )
-    operator_users: tuple[UserName, ...] = Field(
+    operator_users: UserNames = Field(
         default=(),
-        strict=False,
         description="Users who may also demand, arm and reset at driver level, by name or number."
         " The gateway's own user and root always may.",
     )
-    operator_groups: tuple[UserName, ...] = Field(
-        default=(), strict=False, description="Groups that may do the same."
-    )
-    service_users: tuple[UserName, ...] = Field(
+    operator_groups: UserNames = Field(default=(), description="Groups that may do the same.")
+    service_users: UserNames = Field(
         default=(),
-        strict=False,
         description="Users who may also reset at service level and reload the configuration.",
     )
-    service_groups: tuple[UserName, ...] = Field(
-        default=(), strict=False, description="Groups that may do the same."
-    )
+    service_groups: UserNames = Field(default=(), description="Groups that may do the same.")
 
 
 class RecorderSection(Section):

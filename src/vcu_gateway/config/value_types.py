@@ -79,6 +79,7 @@ File = Annotated[Path, Field(strict=False)]
 SocketPath = Annotated[str, AfterValidator(_absolute)]
 FileMode = Annotated[str, BeforeValidator(_octal), WithJsonSchema(_MODE_SCHEMA)]
 UserName = Annotated[str, Len(1, 64)]
+UserNames = Annotated[tuple[UserName, ...], Field(strict=False)]  # YAML has lists, no tuples
 
 
 class SettingsSection(Section):
