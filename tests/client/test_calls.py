@@ -1,5 +1,6 @@
 """The client knows the contract: every method, its parameters, what it changes."""
 
+import asyncio
 import inspect
 from typing import Any
 
@@ -7,27 +8,50 @@ import pytest
 
 from vcu_gateway.api.errors import Right
 from vcu_gateway.api.methods import METHODS
-from vcu_gateway.client import AsyncClient, AsyncDemandOwner, Client, DemandOwner, calls
+from vcu_gateway.client import AsyncClient, AsyncDemandOwner, Client, DemandOwner
+from vcu_gateway.client.calls import Call, subscribing
 from vcu_gateway.client.errors import DisconnectedError, GarbledError
 
-CALLS: list[calls.Call[Any]] = [
-    calls.state(None),
-    calls.state(["BMS_Status"]),
-    calls.subscribe(None, 10.0),
-    calls.subscribe(("BMS_Status",), 50),
-    calls.why(),
-    calls.health(),
-    calls.events(200),
-    calls.config(),
-    calls.protocol(),
-    calls.arm(),
-    calls.disarm(),
-    calls.reset("driver"),
-    calls.reset("service"),
-    calls.set_drive_mode("eco", "driver"),
-    calls.tuning(),
-    calls.estop(),
-    calls.reload(),
+
+class Noted(Client):
+    def call(self, call: Call[Any]) -> Any:
+        return call
+
+
+class AsyncNoted(AsyncClient):
+    async def call(self, call: Call[Any]) -> Any:
+        return call
+
+
+def calls_of(client: Any) -> list[Any]:
+    return [
+        client.state(),
+        client.state(["BMS_Status"]),
+        client.why(),
+        client.health(),
+        client.events(200),
+        client.config(),
+        client.protocol(),
+        client.arm(),
+        client.disarm(),
+        client.reset(),
+        client.reset("service"),
+        client.set_drive_mode("eco"),
+        client.set_drive_mode("eco", "service"),
+        client.tuning(),
+        client.estop(),
+        client.reload(),
+    ]
+
+
+async def awaited() -> list[Call[Any]]:
+    return [await one for one in calls_of(AsyncNoted())]
+
+
+CALLS: list[Call[Any]] = [
+    *calls_of(Noted()),
+    subscribing(None, 10.0),
+    subscribing(("BMS_Status",), 50),
 ]
 NOT_CALLS = {"demand.set", "demand.release", "state.unsubscribe"}
 CHANGING = {"arm", "disarm", "reset", "drive_mode.set", "estop", "config.reload"}
@@ -48,15 +72,19 @@ def test_what_needs_a_right_or_stops_the_vehicle_counts_as_a_change(call):
     assert call.changes or METHODS[call.method].right is Right.READ
 
 
+def test_both_clients_send_the_same():
+    assert asyncio.run(awaited()) == calls_of(Noted())
+
+
 def test_what_only_tells_may_retry_after_any_break():
-    assert calls.why().may_retry(DisconnectedError("broken"))
-    assert calls.why().may_retry(GarbledError("rubbish"))
+    assert Call[Any]("why").may_retry(DisconnectedError("broken"))
+    assert Call[Any]("why").may_retry(GarbledError("rubbish"))
 
 
 def test_what_changes_may_retry_only_where_it_cannot_have_arrived():
-    assert not calls.arm().may_retry(DisconnectedError("broken"))
-    assert not calls.arm().may_retry(GarbledError("rubbish"))
-    assert calls.arm().may_retry(DisconnectedError("broken", carried_out=False))
+    assert not Call[Any]("arm").may_retry(DisconnectedError("broken"))
+    assert not Call[Any]("arm").may_retry(GarbledError("rubbish"))
+    assert Call[Any]("arm").may_retry(DisconnectedError("broken", carried_out=False))
 
 
 @pytest.mark.parametrize(("one", "other"), [(Client, AsyncClient), (DemandOwner, AsyncDemandOwner)])

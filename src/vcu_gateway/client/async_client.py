@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Self, TypeVar
 
 from vcu_gateway.api import results
-from vcu_gateway.client import calls, jsonrpc
+from vcu_gateway.client import jsonrpc
 from vcu_gateway.client.async_demand import AsyncDemandOwner
-from vcu_gateway.client.calls import Call
+from vcu_gateway.client.calls import Call, selection, subscribing, update_in, update_timeout_s
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, DisconnectedError, GarbledError
 from vcu_gateway.client.jsonrpc import connect, default_socket_path
 
@@ -107,7 +107,7 @@ class AsyncSubscription:
         self._path = path
         self._call = call
         self._timeout_s = timeout_s
-        self._update_timeout_s = calls.update_timeout_s(rate_hz, timeout_s)
+        self._update_timeout_s = update_timeout_s(rate_hz, timeout_s)
         self._connection: AsyncConnection | None = None
 
     def __aiter__(self) -> Self:
@@ -174,64 +174,64 @@ class AsyncClient:
 
     async def state(self, messages: Iterable[str] | None = None) -> results.State:
         """Received signals and sent commands now, of these messages or of all."""
-        return await self.call(calls.state(messages))
+        return await self.call(Call("state.get", selection(messages)))
 
     def subscribe(
         self, messages: Iterable[str] | None = None, rate_hz: float = 10.0
     ) -> AsyncSubscription:
         """The state `rate_hz` times a second, 0.1 to 50, on a connection of its own."""
-        call = calls.subscribe(messages, rate_hz)
+        call = subscribing(messages, rate_hz)
         return AsyncSubscription(self.socket_path, call, rate_hz, self.timeout_s)
 
     async def why(self) -> results.Why:
         """Reasons why the vehicle does or does not move, and what to do next."""
-        return await self.call(calls.why())
+        return await self.call(Call("why"))
 
     async def health(self) -> results.Health:
         """State of the gateway itself: bus, ticks, counters, versions."""
-        return await self.call(calls.health())
+        return await self.call(Call("health"))
 
     async def events(self, limit: int = 50) -> results.Events:
         """The latest events, 1 to 200 of them."""
-        return await self.call(calls.events(limit))
+        return await self.call(Call("events", {"limit": limit}))
 
     async def config(self) -> results.ConfigInEffect:
         """The configuration in effect."""
-        return await self.call(calls.config())
+        return await self.call(Call("config.get"))
 
     async def protocol(self) -> results.Protocol:
         """Messages and signals of the bus."""
-        return await self.call(calls.protocol())
+        return await self.call(Call("protocol.get"))
 
     async def arm(self) -> results.Granted:
         """From standby to active; needs a fresh demand without throttle."""
-        return await self.call(calls.arm())
+        return await self.call(Call("arm"))
 
     async def disarm(self) -> results.Granted:
         """From active to standby."""
-        return await self.call(calls.disarm())
+        return await self.call(Call("disarm"))
 
     async def reset(self, level: results.FaultClassName = "driver") -> results.Granted:
         """From fault to starting."""
-        return await self.call(calls.reset(level))
+        return await self.call(Call("reset", {"level": level}))
 
     async def set_drive_mode(
         self, mode: str, level: results.FaultClassName = "driver"
     ) -> results.Granted:
         """Ask for a drive mode; it waits for the pedal's release where it would make a step."""
-        return await self.call(calls.set_drive_mode(mode, level))
+        return await self.call(Call("drive_mode.set", {"mode": mode, "level": level}))
 
     async def tuning(self) -> results.TuningNow:
         """Drive mode, and where the vehicle is on each curve."""
-        return await self.call(calls.tuning())
+        return await self.call(Call("tuning.get"))
 
     async def estop(self) -> results.Granted:
         """Emergency stop: cut the power of both controllers until a reset at service level."""
-        return await self.call(calls.estop())
+        return await self.call(Call("estop"))
 
     async def reload(self) -> results.Reloaded:
         """Read the configuration file again, all of it or nothing."""
-        return await self.call(calls.reload())
+        return await self.call(Call("config.reload"))
 
     def demand(
         self, source: str, *, ttl_ms: int = 200, hold_s: float | None = 0.5
@@ -240,7 +240,7 @@ class AsyncClient:
         return AsyncDemandOwner(self.socket_path, source, ttl_ms, hold_s, self.timeout_s)
 
     async def call(self, call: Call[ResultT]) -> ResultT:
-        """Send any request of `calls` and return its result."""
+        """Send any request and return its result."""
         try:
             async with asyncio.timeout(self.timeout_s), self._lock:
                 return await self._call_with_retry(call)
@@ -286,6 +286,6 @@ class AsyncClient:
 async def _receive_update(connection: AsyncConnection) -> results.Update | None:
     """The next update; None once the connection has ended."""
     while (message := await connection.receive()) is not None:
-        if (update := calls.update_in(message)) is not None:
+        if (update := update_in(message)) is not None:
             return update
     return None

@@ -1,4 +1,4 @@
-"""Calls: every method of the API with its parameters, its result's type and its retry rule.
+"""Calls: one request of the API, what its failures mean, and whether it may be sent again.
 
 Both clients send these, each in its own way; the demand has a connection and rules of its own.
 """
@@ -13,24 +13,28 @@ from vcu_gateway.client.errors import ApiTimeoutError, DisconnectedError, Garble
 ResultT = TypeVar("ResultT")
 
 _LOWEST_RATE_HZ = 0.1
+_STOPS = frozenset({"disarm", "estop"})
+_CHANGES = _STOPS | {"arm", "reset", "drive_mode.set", "config.reload"}
 
 
 class Call(NamedTuple, Generic[ResultT]):
-    """One request before it has a number, and what its failures mean.
-
-    Attributes:
-        changes: not read-only; it is never sent twice,
-        stops: unless it stops the vehicle: twice is better than in doubt.
-    """
+    """One request before it has a number, and what its failures mean."""
 
     method: str
-    params: Mapping[str, object]
-    changes: bool = False
-    stops: bool = False
+    params: Mapping[str, object] = {}
+
+    @property
+    def changes(self) -> bool:
+        """Whether it is not read-only."""
+        return self.method in _CHANGES
 
     def may_retry(self, error: DisconnectedError) -> bool:
-        """Whether it may be sent again on a new connection."""
-        return error.carried_out is False or self.stops or not self.changes
+        """Whether it may be sent again on a new connection.
+
+        One that changes something is never sent twice, unless it stops the vehicle: twice is
+        better than in doubt.
+        """
+        return error.carried_out is False or self.method in _STOPS or not self.changes
 
     def result(self, response: jsonrpc.Response | None, *, sent: bool) -> ResultT:
         """The response's result.
@@ -68,74 +72,9 @@ class Call(NamedTuple, Generic[ResultT]):
         return f"; it is unknown whether {self.method} was carried out" if self.changes else ""
 
 
-def state(messages: Iterable[str] | None) -> Call[results.State]:
-    """Received signals and sent commands now; all messages where `messages` is None."""
-    return Call("state.get", _selection(messages))
-
-
-def subscribe(messages: Iterable[str] | None, rate_hz: float) -> Call[results.Subscribed]:
-    """The state `rate_hz` times a second, 0.1 to 50; for a connection of its own."""
-    return Call("state.subscribe", {**_selection(messages), "rate_hz": rate_hz})
-
-
-def why() -> Call[results.Why]:
-    """Reasons why the vehicle does or does not move."""
-    return Call("why", {})
-
-
-def health() -> Call[results.Health]:
-    """State of the gateway itself."""
-    return Call("health", {})
-
-
-def events(limit: int) -> Call[results.Events]:
-    """The latest events, at most `limit`."""
-    return Call("events", {"limit": limit})
-
-
-def config() -> Call[results.ConfigInEffect]:
-    """The configuration in effect."""
-    return Call("config.get", {})
-
-
-def protocol() -> Call[results.Protocol]:
-    """Messages and signals of the bus."""
-    return Call("protocol.get", {})
-
-
-def arm() -> Call[results.Granted]:
-    """From standby to active."""
-    return Call("arm", {}, changes=True)
-
-
-def disarm() -> Call[results.Granted]:
-    """From active to standby."""
-    return Call("disarm", {}, changes=True, stops=True)
-
-
-def reset(level: results.FaultClassName) -> Call[results.Granted]:
-    """From fault to starting."""
-    return Call("reset", {"level": level}, changes=True)
-
-
-def set_drive_mode(mode: str, level: results.FaultClassName) -> Call[results.Granted]:
-    """Another drive mode."""
-    return Call("drive_mode.set", {"mode": mode, "level": level}, changes=True)
-
-
-def tuning() -> Call[results.TuningNow]:
-    """Drive mode, curves and slip limiter in the last tick."""
-    return Call("tuning.get", {})
-
-
-def estop() -> Call[results.Granted]:
-    """Emergency stop: cut the power of both controllers."""
-    return Call("estop", {}, changes=True, stops=True)
-
-
-def reload() -> Call[results.Reloaded]:
-    """Read the configuration file again."""
-    return Call("config.reload", {}, changes=True)
+def subscribing(messages: Iterable[str] | None, rate_hz: float) -> Call[results.Subscribed]:
+    """The state `rate_hz` times a second; for a connection of its own."""
+    return Call("state.subscribe", {**selection(messages), "rate_hz": rate_hz})
 
 
 def update_in(message: jsonrpc.Incoming) -> results.Update | None:
@@ -150,5 +89,6 @@ def update_timeout_s(rate_hz: float, timeout_s: float) -> float:
     return timeout_s + 1 / max(rate_hz, _LOWEST_RATE_HZ)
 
 
-def _selection(messages: Iterable[str] | None) -> dict[str, object]:
+def selection(messages: Iterable[str] | None) -> dict[str, object]:
+    """Parameters that name these messages, or all of them."""
     return {} if messages is None else {"messages": list(messages)}

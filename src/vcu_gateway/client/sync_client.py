@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Self, TypeVar
 
 from vcu_gateway.api import results
-from vcu_gateway.client import calls, jsonrpc
-from vcu_gateway.client.calls import Call
+from vcu_gateway.client import jsonrpc
+from vcu_gateway.client.calls import Call, selection, subscribing, update_in, update_timeout_s
 from vcu_gateway.client.errors import ApiError, ApiTimeoutError, DisconnectedError, GarbledError
 from vcu_gateway.client.jsonrpc import connect, default_socket_path
 from vcu_gateway.client.sync_demand import DemandOwner
@@ -105,7 +105,7 @@ class Subscription:
     def __init__(
         self, path: Path, call: Call[results.Subscribed], rate_hz: float, timeout_s: float
     ) -> None:
-        self._update_timeout_s = calls.update_timeout_s(rate_hz, timeout_s)
+        self._update_timeout_s = update_timeout_s(rate_hz, timeout_s)
         self._reading = threading.Lock()
         self._connection = Connection(path)
         try:
@@ -139,7 +139,7 @@ class Subscription:
 
     def _receive_update(self, deadline_s: float) -> results.Update | None:
         while (message := self._connection.receive(deadline_s)) is not None:
-            if (update := calls.update_in(message)) is not None:
+            if (update := update_in(message)) is not None:
                 return update
         return None
 
@@ -178,71 +178,71 @@ class Client:
 
     def state(self, messages: Iterable[str] | None = None) -> results.State:
         """Received signals and sent commands now, of these messages or of all."""
-        return self.call(calls.state(messages))
+        return self.call(Call("state.get", selection(messages)))
 
     def subscribe(
         self, messages: Iterable[str] | None = None, rate_hz: float = 10.0
     ) -> Subscription:
         """The state `rate_hz` times a second, 0.1 to 50, on a connection of its own."""
-        call = calls.subscribe(messages, rate_hz)
+        call = subscribing(messages, rate_hz)
         return Subscription(self.socket_path, call, rate_hz, self.timeout_s)
 
     def why(self) -> results.Why:
         """Reasons why the vehicle does or does not move, and what to do next."""
-        return self.call(calls.why())
+        return self.call(Call("why"))
 
     def health(self) -> results.Health:
         """State of the gateway itself: bus, ticks, counters, versions."""
-        return self.call(calls.health())
+        return self.call(Call("health"))
 
     def events(self, limit: int = 50) -> results.Events:
         """The latest events, 1 to 200 of them."""
-        return self.call(calls.events(limit))
+        return self.call(Call("events", {"limit": limit}))
 
     def config(self) -> results.ConfigInEffect:
         """The configuration in effect."""
-        return self.call(calls.config())
+        return self.call(Call("config.get"))
 
     def protocol(self) -> results.Protocol:
         """Messages and signals of the bus."""
-        return self.call(calls.protocol())
+        return self.call(Call("protocol.get"))
 
     def arm(self) -> results.Granted:
         """From standby to active; needs a fresh demand without throttle."""
-        return self.call(calls.arm())
+        return self.call(Call("arm"))
 
     def disarm(self) -> results.Granted:
         """From active to standby."""
-        return self.call(calls.disarm())
+        return self.call(Call("disarm"))
 
     def reset(self, level: results.FaultClassName = "driver") -> results.Granted:
         """From fault to starting."""
-        return self.call(calls.reset(level))
+        return self.call(Call("reset", {"level": level}))
 
     def set_drive_mode(
         self, mode: str, level: results.FaultClassName = "driver"
     ) -> results.Granted:
         """Ask for a drive mode; it waits for the pedal's release where it would make a step."""
-        return self.call(calls.set_drive_mode(mode, level))
+        return self.call(Call("drive_mode.set", {"mode": mode, "level": level}))
 
     def tuning(self) -> results.TuningNow:
         """Drive mode, and where the vehicle is on each curve."""
-        return self.call(calls.tuning())
+        return self.call(Call("tuning.get"))
 
     def estop(self) -> results.Granted:
         """Emergency stop: cut the power of both controllers until a reset at service level."""
-        return self.call(calls.estop())
+        return self.call(Call("estop"))
 
     def reload(self) -> results.Reloaded:
         """Read the configuration file again, all of it or nothing."""
-        return self.call(calls.reload())
+        return self.call(Call("config.reload"))
 
     def demand(self, source: str, *, ttl_ms: int = 200, hold_s: float | None = 0.5) -> DemandOwner:
         """Demand throttle and brake as `source`; see DemandOwner."""
         return DemandOwner(self.socket_path, source, ttl_ms, hold_s, self.timeout_s)
 
     def call(self, call: Call[ResultT]) -> ResultT:
-        """Send any request of `calls` and return its result."""
+        """Send any request and return its result."""
         deadline_s = time.monotonic() + self.timeout_s
         if not self._lock.acquire(timeout=self.timeout_s):
             raise ApiTimeoutError(f"{call.method} was not sent: other threads' requests hang")

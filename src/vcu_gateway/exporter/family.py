@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
 from vcu_gateway.api import results
-from vcu_gateway.client import Client, ClientError, calls
-from vcu_gateway.client.calls import Call
+from vcu_gateway.client import Client, ClientError
 from vcu_gateway.errors import GatewayError
 from vcu_gateway.recording.recorder_status import STATUS_PATH, RecorderStatus, read_status
 
@@ -78,17 +77,17 @@ class GatewayReader:
     def _read(self) -> GatewayAnswers:
         deadline_s = time.monotonic() + self._time_limit_s
         try:
-            health = self._call(calls.health(), self._time_limit_s)
+            health = self._call(self._client.health, self._time_limit_s)
         except ClientError as error:
             self._report_change(f"no metrics of the gateway: {error}")
             return GatewayAnswers()
         self._report_change("the gateway answers")
         return GatewayAnswers(
             health,
-            self._call_if_answered(calls.state(None), deadline_s),
-            self._call_if_answered(calls.why(), deadline_s),
+            self._call_if_answered(self._client.state, deadline_s),
+            self._call_if_answered(self._client.why, deadline_s),
             self._config_in_effect(health.get("config_digest"), deadline_s),
-            self._call_if_answered(calls.tuning(), deadline_s),
+            self._call_if_answered(self._client.tuning, deadline_s),
         )
 
     def _with_recorder(self, answers: GatewayAnswers) -> GatewayAnswers:
@@ -103,19 +102,19 @@ class GatewayReader:
     ) -> results.ConfigInEffect | None:
         """Configuration in effect, asked for again only where its digest has changed."""
         if self._config is None or self._config["digest"] != digest:
-            self._config = self._call_if_answered(calls.config(), deadline_s)
+            self._config = self._call_if_answered(self._client.config, deadline_s)
         return self._config
 
-    def _call_if_answered(self, call: Call[ResultT], deadline_s: float) -> ResultT | None:
+    def _call_if_answered(self, ask: Callable[[], ResultT], deadline_s: float) -> ResultT | None:
         """The result; None for an error: not ready, not known to an older gateway, too late."""
         try:
-            return self._call(call, max(0.0, deadline_s - time.monotonic()))
+            return self._call(ask, max(0.0, deadline_s - time.monotonic()))
         except ClientError:
             return None
 
-    def _call(self, call: Call[ResultT], timeout_s: float) -> ResultT:
+    def _call(self, ask: Callable[[], ResultT], timeout_s: float) -> ResultT:
         self._client.timeout_s = timeout_s
-        return self._client.call(call)
+        return ask()
 
     def _report_change(self, sentence: str) -> None:
         if sentence != self._reported:

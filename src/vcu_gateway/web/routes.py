@@ -22,7 +22,6 @@ from starlette.responses import JSONResponse, Response
 from vcu_gateway.api.errors import Right
 from vcu_gateway.api.results import FaultClassName, Granted, ModeName, TuningNow
 from vcu_gateway.client import ApiError, AsyncClient, ClientError
-from vcu_gateway.client.calls import Call, arm, disarm, estop, reset, set_drive_mode, tuning
 from vcu_gateway.web.access import Access, Visitor
 from vcu_gateway.web.gateway_link import GatewayLink, now_ms
 from vcu_gateway.web.guard import NO_STORE, PageRequestError
@@ -77,11 +76,11 @@ class Answer(TypedDict):
     sentence: str
 
 
-CALLS: dict[str, Call[Granted]] = {
-    "disarm": disarm(),
-    "arm": arm(),
-    "reset driver": reset("driver"),
-    "reset service": reset("service"),
+CALLS: dict[str, Callable[[AsyncClient], Awaitable[Granted]]] = {
+    "disarm": AsyncClient.disarm,
+    "arm": AsyncClient.arm,
+    "reset driver": lambda client: client.reset("driver"),
+    "reset service": lambda client: client.reset("service"),
 }
 
 
@@ -93,7 +92,7 @@ class Actions:
         self._asking = AsyncClient(socket_path, _ASK_TIMEOUT_S)
         self._merged_stop = MergedCall(self._ask_to_stop)
         self._merged_disarm = MergedCall(functools.partial(self._ask, "disarm"))
-        self._merged_tuning = MergedCall(lambda: self._asking.call(tuning()))
+        self._merged_tuning = MergedCall(self._asking.tuning)
 
     async def act(self, name: str) -> Answer:
         """Carry out an action of `roles.ACTION_RIGHTS`."""
@@ -103,29 +102,22 @@ class Actions:
 
     async def set_drive_mode(self, mode: str, level: FaultClassName) -> Answer:
         """Ask for a drive mode."""
-        return await self._call(self._asking, set_drive_mode(mode, level))
+        return await _outcome(self._asking.set_drive_mode(mode, level))
 
     async def tuning(self) -> TuningNow:
         """Drive mode and curves now, asked for once for all; ClientError where that fails."""
         return await self._merged_tuning()
 
     async def _ask(self, name: str) -> Answer:
-        return await self._call(self._stopping if name == "disarm" else self._asking, CALLS[name])
-
-    async def _call(self, client: AsyncClient, call: Call[Granted]) -> Answer:
-        try:
-            return _granted(await client.call(call))
-        except ApiError as error:
-            return _answer(answered=True, sentence=error.sentence)
-        except ClientError as error:
-            return _answer(answered=False, sentence=str(error))
+        client = self._stopping if name == "disarm" else self._asking
+        return await _outcome(CALLS[name](client))
 
     async def _ask_to_stop(self) -> Answer:
         """Ask until it has answered, for 0.9 s; the browser asks again after that."""
         end_s = time.monotonic() + _TRIES_FOR_S
         while True:
             try:
-                return _granted(await self._stopping.call(estop()))
+                return _granted(await self._stopping.estop())
             except ApiError as error:
                 # The gateway stops also where a request is wrong in form, and says so.
                 return _answer(answered=True, granted=True, sentence=error.sentence)
@@ -137,6 +129,15 @@ class Actions:
     async def close(self) -> None:
         await self._stopping.close()
         await self._asking.close()
+
+
+async def _outcome(asked: Awaitable[Granted]) -> Answer:
+    try:
+        return _granted(await asked)
+    except ApiError as error:
+        return _answer(answered=True, sentence=error.sentence)
+    except ClientError as error:
+        return _answer(answered=False, sentence=str(error))
 
 
 def _granted(granted: Any) -> Answer:
