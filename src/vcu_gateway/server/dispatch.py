@@ -50,10 +50,13 @@ class CommandHandlers:
         self._gateway = context.loop.gateway
         self._owners: dict[str, int] = {}
 
-    def execute(self, method: str, params: Any, caller: Caller) -> Mapping[str, Any]:
-        """Result of the command; RequestError where it is refused."""
-        result: Mapping[str, Any] = _COMMANDS[method](self, params, caller)
-        return result
+    def execute(self, method: str, params: Any, caller: Caller) -> Reply:
+        """Result of the command, or why it is refused."""
+        try:
+            reply: Reply = _COMMANDS[method](self, params, caller)
+        except RequestError as failure:
+            return failure
+        return reply
 
     def owns_demand(self, caller: Caller) -> bool:
         """True while a fresh demand of this connection counts; from any thread."""
@@ -277,23 +280,13 @@ class Dispatcher:
         self._check_capacity()
         if method == DEMAND:
             self._drivers.add(caller.connection)
-
-        def execute() -> None:
-            try:
-                reply(self._commands.execute(method, params, caller))
-            except RequestError as failure:
-                reply(failure)
-
-        self._work_queue.post(execute)
+        self._work_queue.post(lambda: reply(self._commands.execute(method, params, caller)))
 
     def _shared_stop(self, method: str) -> SharedRequest:
-        def execute(caller: Caller) -> Reply:
-            try:
-                return self._commands.execute(method, methods.Nothing(), caller)
-            except RequestError as failure:
-                return failure
-
-        return SharedRequest(execute, self._work_queue.post)
+        return SharedRequest(
+            lambda caller: self._commands.execute(method, methods.Nothing(), caller),
+            self._work_queue.post,
+        )
 
     def _check_capacity(self) -> None:
         self._context.latest()
