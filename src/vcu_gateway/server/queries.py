@@ -4,7 +4,7 @@ import contextlib
 import importlib.metadata
 import os
 import platform
-import re
+import resource
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -27,18 +27,18 @@ from vcu_gateway.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 _PROC = Path("/proc/self")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
-_OPEN_FILES = re.compile(r"^Max open files +([0-9]+) ", re.MULTILINE)
 
 
 def process_usage() -> results.ProcessUsage:
-    """Usage now; None where /proc has no such figure."""
+    """Usage now; None where /proc has no such figure, and where there is no limit."""
     virtual_bytes, resident_bytes = _memory_bytes()
+    max_fds, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return {
         "cpu_time_s": time.process_time(),
         "resident_memory_bytes": resident_bytes,
         "virtual_memory_bytes": virtual_bytes,
         "open_fds": _open_fds(),
-        "max_fds": _max_fds(),
+        "max_fds": None if max_fds == resource.RLIM_INFINITY else max_fds,
     }
 
 
@@ -53,14 +53,6 @@ def _memory_bytes() -> tuple[int | None, int | None]:
 def _open_fds() -> int | None:
     with contextlib.suppress(OSError):
         return len(os.listdir(_PROC / "fd"))
-    return None
-
-
-def _max_fds() -> int | None:
-    """The soft limit; None where there is none."""
-    with contextlib.suppress(OSError):
-        found = _OPEN_FILES.search((_PROC / "limits").read_text())
-        return int(found[1]) if found else None
     return None
 
 
