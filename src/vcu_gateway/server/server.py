@@ -28,7 +28,11 @@ _JOIN_S = 3.0
 
 
 class Server:
-    """Local API server: `open`, then `start`, and `close` at the end."""
+    """Local API server: `open`, then `start`, and `close` at the end.
+
+    Attributes:
+        failed: exception that ended the thread, as text; None while there was none.
+    """
 
     def __init__(
         self,
@@ -46,12 +50,7 @@ class Server:
         self._listener: UnixListener | None = None
         self._thread: threading.Thread | None = None
         self._is_closing = False
-        self._failed: str | None = None
-
-    @property
-    def failed(self) -> str | None:
-        """Exception that ended the thread, as text; None while there was none."""
-        return self._failed
+        self.failed: str | None = None
 
     def counts(self) -> ApiCounts:
         """Counters of the API; from any thread."""
@@ -84,7 +83,7 @@ class Server:
         finally:
             if sys.exception() is not None:
                 # As text: the exception would keep every connection alive.
-                self._failed = repr(sys.exception())
+                self.failed = repr(sys.exception())
             self._replies.close()
             self._close_listener()
 

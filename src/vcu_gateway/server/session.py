@@ -195,7 +195,7 @@ class Session:
         self._output = bytearray()
         self._is_read_to_end = False
         self._end_reason: str | None = None
-        self._began_ns = now_ns
+        self._waits_since_ns = now_ns
         self._progress_ns = now_ns
 
     @property
@@ -247,7 +247,7 @@ class Session:
     def receive(self, now_ns: int) -> bool:
         """Read one chunk, or the end of the stream; True where more may have come."""
         if not self.lines.is_partial:
-            self._start_timeout(now_ns)
+            self._waits_since_ns = now_ns
         chunk = self._receive_chunk()
         if chunk:
             self.lines.feed(chunk)
@@ -273,16 +273,13 @@ class Session:
     def take_line(self, now_ns: int) -> bytes:
         """Next line; the timeout of the one behind it begins now."""
         self.active_ns = now_ns
-        self._start_timeout(now_ns)
+        self._waits_since_ns = now_ns
         return self.lines.take()
-
-    def _start_timeout(self, now_ns: int) -> None:
-        self._began_ns = now_ns
 
     def take_pending(self, number: int, now_ns: int) -> ReplyTo | None:
         """Remove a pending request; None for a notification or an unknown number."""
         if len(self.pending) == self._limits.pending_requests:
-            self._start_timeout(now_ns)  # nothing was read meanwhile
+            self._waits_since_ns = now_ns  # nothing was read meanwhile
         return self.pending.pop(number, None)
 
     def send(self, data: bytes, now_ns: int) -> None:
@@ -305,7 +302,7 @@ class Session:
             return
         del self._output[:sent]
         self._progress_ns = now_ns
-        self._start_timeout(now_ns)
+        self._waits_since_ns = now_ns
 
     def end_after_output(self, reason: str) -> None:
         """Read nothing more and close after the output; an empty reason is an ordinary end."""
@@ -336,7 +333,7 @@ class Session:
         elif self.has_request:
             times_ns.append(self.rate.ready_ns)
         elif self._awaits_input:
-            times_ns.append(self._began_ns + self._limits.timeout_ns)
+            times_ns.append(self._waits_since_ns + self._limits.timeout_ns)
         return min(times_ns, default=None)
 
     def _is_done(self, now_ns: int) -> bool:
@@ -356,7 +353,7 @@ class Session:
         return OUTPUT_STUCK if is_stuck else None
 
     def _is_late(self, now_ns: int) -> bool:
-        return self._awaits_input and now_ns - self._began_ns >= self._limits.timeout_ns
+        return self._awaits_input and now_ns - self._waits_since_ns >= self._limits.timeout_ns
 
     @property
     def _awaits_input(self) -> bool:
