@@ -103,7 +103,7 @@ def table(rows: Iterable[Sequence[str]], right: Sequence[int] = (), indent: str 
 def say(sentence: str) -> None:
     """Print on stderr, also where nobody reads that any more."""
     if sys.stderr is not None:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, ValueError):
             _put(f"{sentence}\n")
 
 

@@ -10,14 +10,12 @@ that begin with # are comments. `vcu-gateway web-user` prints such a line.
 
 import base64
 import binascii
-import contextlib
 import hashlib
 import hmac
 import json
 import os
 import re
 import stat
-import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
@@ -27,6 +25,7 @@ from typing import Any, Literal, NamedTuple, Self, TypedDict
 
 from vcu_gateway.api.errors import Right
 from vcu_gateway.errors import ConfigError, MissingInputError, Problem, did_you_mean
+from vcu_gateway.text import say
 
 
 class UserRole(Enum):
@@ -72,19 +71,13 @@ class WebEvent(TypedDict):
     time: str
 
 
-def _write_to_stderr(line: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
-        sys.stderr.write(line)
-        sys.stderr.flush()
-
-
 class WebEvents:
     """The latest 200 events; each is a line of JSON, too, by default on stderr.
 
     `on_change` is called after each.
     """
 
-    def __init__(self, write: Callable[[str], None] = _write_to_stderr) -> None:
+    def __init__(self, write: Callable[[str], None] = say) -> None:
         self._write = write
         self._events: deque[WebEvent] = deque(maxlen=_KEPT)
         self.on_change: Callable[[], None] = lambda: None
@@ -94,7 +87,7 @@ class WebEvents:
         event: WebEvent = {"name": name, "severity": severity, "fields": fields, "time": time}
         self._events.append(event)
         line = {"event": name, "level": severity, "timestamp": time, **fields}
-        self._write(json.dumps(line, ensure_ascii=False, default=str) + "\n")
+        self._write(json.dumps(line, ensure_ascii=False, default=str))
         self.on_change()
 
     def latest(self) -> list[WebEvent]:
