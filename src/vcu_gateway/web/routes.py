@@ -152,6 +152,7 @@ def _answer(
     return {"answered": answered, "granted": granted, "mode": mode, "sentence": sentence}
 
 
+_MAY_NOT = _answer(answered=False, sentence="the role may not")
 _BODY_WITHIN_S = 10.0
 _MOST_JSON_BYTES = 4096
 _POINTS = range(2, 4001)
@@ -243,11 +244,9 @@ class Routes:
         if visitor is None or not (visitor.looks or name == "estop"):
             raise PageRequestError(401, _SIGN_IN)
         if not visitor.may(right):
-            self._tell(name, visitor, granted=False, sentence="the role may not")
+            self._told(name, visitor, _MAY_NOT)
             raise PageRequestError(403, f"a {visitor.role.value} may not ask for {name}")
-        done = await self._actions.act(name)
-        self._tell(name, visitor, granted=done["granted"], sentence=done["sentence"])
-        return answer(dict(done), _status(done))
+        return self._told(name, visitor, await self._actions.act(name))
 
     async def tuning(self, request: Request, visitor: Visitor) -> Response:
         """Drive mode, and where the vehicle is on each curve."""
@@ -265,23 +264,23 @@ class Routes:
             raise PageRequestError(400, "mode is a name, level driver or service")
         right = Right.SERVICE if level == "service" else Right.OPERATE
         if not visitor.may(right):
-            self._tell("drive mode", visitor, granted=False, sentence="the role may not")
+            self._told("drive mode", visitor, _MAY_NOT)
             raise PageRequestError(403, f"a {visitor.role.value} may not ask for a drive mode so")
         done = await self._actions.set_drive_mode(mode, level)
-        self._tell(
-            f"drive mode {mode}", visitor, granted=done["granted"], sentence=done["sentence"]
-        )
-        return answer(dict(done), _status(done))
+        return self._told(f"drive mode {mode}", visitor, done)
 
-    def _tell(self, action: str, visitor: Visitor, *, granted: bool, sentence: str) -> None:
+    def _told(self, action: str, visitor: Visitor, done: Answer) -> Response:
+        """The answer to an action, which is an event, too."""
+        granted = done["granted"]
         self._events.tell(
             "action_asked",
             "info" if granted else "warning",
             action=action,
             **visitor.fields(),
             granted=granted,
-            answer=sentence,
+            answer=done["sentence"],
         )
+        return answer(done, 200 if granted else 409 if done["answered"] else 503)
 
     async def history(self, request: Request, visitor: Visitor) -> Response:
         """Samples of signals over the last ten minutes, for the plots."""
@@ -297,10 +296,6 @@ class Routes:
             raise PageRequestError(400, f"points: {_POINTS[0]} to {_POINTS[-1]}")
         encoded = await self._samples.encoded(tuple(names), points)
         return encoded.response(request, NO_STORE)
-
-
-def _status(done: Answer) -> int:
-    return 200 if done["granted"] else 409 if done["answered"] else 503
 
 
 def clock() -> dict[str, float]:
