@@ -202,7 +202,7 @@ def test_leaving_leaves_no_task(gateway):
 
 
 def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypatch):
-    monkeypatch.setattr(async_demand, "_RELEASE_TIMEOUT_S", PATIENCE_S)
+    monkeypatch.setattr(async_demand, "RELEASE_TIMEOUT_S", PATIENCE_S)
 
     def speak(gateway):
         gateway.grant()

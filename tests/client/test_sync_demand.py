@@ -305,7 +305,7 @@ def test_leaving_by_an_exception_does_the_same_and_lets_it_pass(client, fake):
 
 
 def test_no_motion_is_answered_before_the_demand_is_released(tmp_path, monkeypatch):
-    monkeypatch.setattr(sync_demand, "_RELEASE_TIMEOUT_S", PATIENCE_S)
+    monkeypatch.setattr(sync_demand, "RELEASE_TIMEOUT_S", PATIENCE_S)
     with Scripted(tmp_path / "scripted.sock") as gateway, ThreadPoolExecutor(1) as threads:
         owner = Client(gateway.path, timeout_s=60).demand("driver", ttl_ms=60_000)
         entered = threads.submit(owner.__enter__)

@@ -6,21 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self, Unpack
 
-from vcu_gateway.api import results
 from vcu_gateway.client.demand import (
+    RELEASE_TIMEOUT_S,
     RELEASED_BEFORE_ARMING_S,
-    DeadMan,
-    DemandSession,
     DemandValues,
+    OwnedDemand,
     request_values,
 )
-from vcu_gateway.client.errors import ApiError, ClientError
+from vcu_gateway.client.errors import ClientError
 from vcu_gateway.units import NS_PER_S
 
-_RELEASE_TIMEOUT_S = 0.2
 
-
-class AsyncDemandOwner:
+class AsyncDemandOwner(OwnedDemand):
     """Owner of one source's demand, on a connection of its own; a dead-man's handle.
 
     As DemandOwner; a task of the running loop repeats the last values. A coroutine that hangs
@@ -31,9 +28,7 @@ class AsyncDemandOwner:
     def __init__(
         self, path: Path, source: str, ttl_ms: int, hold_s: float | None, timeout_s: float
     ) -> None:
-        self._timeout_s = timeout_s
-        self._dead_man = DeadMan(source, ttl_ms, hold_s)
-        self._session = DemandSession(path, self._dead_man, timeout_s)
+        super().__init__(path, source, ttl_ms, hold_s, timeout_s)
         self._stepped = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
 
@@ -45,27 +40,12 @@ class AsyncDemandOwner:
             raise ClientError("the demand is not entered, or released")
         self._session.send_values(checked, made_ns)
 
-    @property
-    def connected(self) -> bool:
-        """Whether a `set` reaches the gateway now."""
-        return self._session.connected
-
-    @property
-    def refusal(self) -> ApiError | None:
-        """The latest refusal, until it was raised and a later demand granted."""
-        return self._dead_man.refusal
-
-    @property
-    def last_answer(self) -> results.Granted | None:
-        """The latest granted result, with the mode then; None before the first."""
-        return self._dead_man.last_answer
-
     async def release(self) -> None:
         """Demand no motion, end the demand and the connection; again, it does nothing."""
         try:
             for send in (self._session.end_motion, self._session.release):
                 send(time.monotonic_ns())
-                await self._wait_for(lambda: self._session.settled, _RELEASE_TIMEOUT_S)
+                await self._wait_for(lambda: self._session.settled, RELEASE_TIMEOUT_S)
         finally:
             await self._end()
 

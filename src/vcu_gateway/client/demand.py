@@ -27,6 +27,9 @@ CONTROLLERS: tuple[str, ...] = get_args(results.ControllerName)
 RELEASED_BEFORE_ARMING_S = 0.2
 """Duration of released throttle that the gateway requires before it can be armed."""
 
+RELEASE_TIMEOUT_S = 0.2
+"""Longest wait for the answers, once for the end of motion and once for the release."""
+
 
 class ControllerValues(TypedDict, total=False):
     """Demand for one controller; what is left out is at the gateway's default.
@@ -353,3 +356,29 @@ class DemandSession:
             self.open(now_ns)
         except UnreachableError:
             self._disconnect(now_ns)
+
+
+class OwnedDemand:
+    """A demand as its owner, synchronous or not, holds it and tells of it."""
+
+    def __init__(
+        self, path: Path, source: str, ttl_ms: int, hold_s: float | None, timeout_s: float
+    ) -> None:
+        self._timeout_s = timeout_s
+        self._dead_man = DeadMan(source, ttl_ms, hold_s)
+        self._session = DemandSession(path, self._dead_man, timeout_s)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a `set` reaches the gateway now."""
+        return self._session.connected
+
+    @property
+    def refusal(self) -> ApiError | None:
+        """The latest refusal, until it was raised and a later demand granted."""
+        return self._dead_man.refusal
+
+    @property
+    def last_answer(self) -> results.Granted | None:
+        """The latest granted result, with the mode then; None before the first."""
+        return self._dead_man.last_answer
