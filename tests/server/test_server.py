@@ -24,7 +24,7 @@ from tests.server.conftest import (
 )
 from vcu_gateway.api.errors import ErrorCode, RequestError, Right
 from vcu_gateway.api.methods import DemandParams, Nothing
-from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts
+from vcu_gateway.server.acceptor import Acceptor
 from vcu_gateway.server.service import Counters, SessionLimits
 from vcu_gateway.server.session import EVICTED, SubscriptionState
 from vcu_gateway.server.tick_gaps import TickGaps
@@ -725,17 +725,17 @@ def test_four_places_are_kept_from_those_who_only_read(idle_api):
 
 
 @pytest.mark.parametrize(
-    ("policy", "counts", "is_in"),
+    ("policy", "clients", "readers", "is_in"),
     [
-        (NO_ONE, ConnectionCounts(11, 11), True),
-        (NO_ONE, ConnectionCounts(12, 12), False),
-        (NO_ONE, ConnectionCounts(15, 11), True),
-        (NO_ONE, ConnectionCounts(16, 11), False),
-        (EVERYONE, ConnectionCounts(15, 12), True),
-        (EVERYONE, ConnectionCounts(16, 12), False),
+        (NO_ONE, 11, 11, True),
+        (NO_ONE, 12, 12, False),
+        (NO_ONE, 15, 11, True),
+        (NO_ONE, 16, 11, False),
+        (EVERYONE, 15, 12, True),
+        (EVERYONE, 16, 12, False),
     ],
 )
-def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, counts, is_in):
+def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, clients, readers, is_in):
     with socket.socket(socket.AF_UNIX) as listener, socket.socket(socket.AF_UNIX) as client:
         path = os.fspath(folder / "s")
         listener.bind(path)
@@ -745,7 +745,7 @@ def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, counts, i
             client.connect(path)
         acceptor = Acceptor(listener, policy, SessionLimits(), Counters(), 0)
         session = acceptor.session(acceptor.next_socket(0), 0)
-        assert acceptor.has_place(session.caller, counts, lambda *_: False) is is_in
+        assert acceptor.has_place(session.caller, clients, readers, lambda *_: False) is is_in
         session.sock.close()
 
 

@@ -8,7 +8,6 @@ import socket
 import stat
 import struct
 from collections.abc import Callable
-from typing import NamedTuple
 
 from vcu_gateway.api.errors import ErrorCode, Peer, Policy, RequestError, Right
 from vcu_gateway.errors import Problem, UnavailableError
@@ -161,13 +160,6 @@ _OUT_OF_RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _ABORTED = (errno.ECONNABORTED, errno.EPROTO, errno.EINTR)
 
 
-class ConnectionCounts(NamedTuple):
-    """Connections that are open; `readers` of them may only read."""
-
-    clients: int
-    readers: int
-
-
 EvictOne = Callable[[Caller, bool], bool]
 """Closes a connection to make room for this caller; True where one was closed.
 
@@ -219,12 +211,12 @@ class Acceptor:
         caller = Caller(next(self._numbers), peer, self._policy.rights_of(peer))
         return Session(sock, caller, self._limits, now_ns)
 
-    def has_place(self, caller: Caller, counts: ConnectionCounts, evict_one: EvictOne) -> bool:
-        """True where a place is free, or was made."""
+    def has_place(self, caller: Caller, clients: int, readers: int, evict_one: EvictOne) -> bool:
+        """True where a place is free, or was made; `readers` of the clients may only read."""
         limits = self._limits
-        if may_only_read(caller) and counts.readers >= limits.clients - limits.reserved_clients:
+        if may_only_read(caller) and readers >= limits.clients - limits.reserved_clients:
             return evict_one(caller, True)
-        return counts.clients < limits.clients or evict_one(caller, False)
+        return clients < limits.clients or evict_one(caller, False)
 
     def turn_away(self, sock: socket.socket) -> None:
         self._counters.turned_away += 1

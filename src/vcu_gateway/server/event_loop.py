@@ -53,7 +53,7 @@ import time
 from collections import Counter
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
-from vcu_gateway.server.acceptor import Acceptor, ConnectionCounts, has_left, may_only_read
+from vcu_gateway.server.acceptor import Acceptor, has_left, may_only_read
 from vcu_gateway.server.request_handler import RequestHandler
 from vcu_gateway.server.service import Caller, Counters, ReplyQueue, RequestService, SessionLimits
 from vcu_gateway.server.session import EVICTED, Session
@@ -189,7 +189,9 @@ class EventLoop:
             self._turn_away(next(one for one in waiting if one.caller.peer.uid == most))
 
     def _seat_one(self, session: Session) -> None:
-        if not self._acceptor.has_place(session.caller, self._places_taken(), self._evict_one):
+        callers = [one.caller for one in self._seated()]
+        readers = sum(map(may_only_read, callers))
+        if not self._acceptor.has_place(session.caller, len(callers), readers, self._evict_one):
             self._turn_away(session)
             return
         session.is_seated = True
@@ -206,10 +208,6 @@ class EventLoop:
     def _unseated(self) -> list[Session]:
         """Connections without a place, the first come first."""
         return [session for session in self._sessions.values() if not session.is_seated]
-
-    def _places_taken(self) -> ConnectionCounts:
-        callers = [session.caller for session in self._seated()]
-        return ConnectionCounts(len(callers), sum(map(may_only_read, callers)))
 
     def _evict_one(self, caller: Caller, must_be_reader: bool) -> bool:
         """Close the longest idle session without a fresh demand; False where there is none.
