@@ -170,7 +170,10 @@ class DrainedBus:
 
 
 class PlainBus:
-    """A bus with the Notifier on a thread of its own; its frames wait for `read_waiting`."""
+    """A bus with the Notifier on a thread of its own, whose listener it is itself.
+
+    Frames wait for `read_waiting`, errors go on at once.
+    """
 
     stamps_are_monotonic = False
     receive_buffer_bytes = None
@@ -178,17 +181,20 @@ class PlainBus:
 
     def __init__(self, library_bus: can.BusABC) -> None:
         self._library_bus = library_bus
+        self._waiting: deque[can.Message] = deque()
 
     def start(self, listener: FrameListener) -> None:
         self._listener = listener
-        self._inbox = _Inbox(listener)
-        self._notifier = can.Notifier(self._library_bus, [self._inbox], timeout=_NOTIFIER_TIMEOUT_S)
+        self.on_error = listener.on_error
+        self._notifier = can.Notifier(self._library_bus, [self], timeout=_NOTIFIER_TIMEOUT_S)
+
+    def __call__(self, message: can.Message) -> None:
+        self._waiting.append(message)
 
     def read_waiting(self, until_ns: int) -> int:
         del until_ns
-        waiting = self._inbox.messages
-        count = len(waiting)
-        _hand_on(lambda: self._listener(waiting.popleft()), count, self._listener)
+        count = len(self._waiting)
+        _hand_on(lambda: self._listener(self._waiting.popleft()), count, self._listener)
         return count
 
     def send_now(self, can_id: int, data: bytes) -> None:
@@ -198,17 +204,6 @@ class PlainBus:
         """Stop the Notifier, then close the bus; it takes as long as a wake-up of its thread."""
         self._notifier.stop()
         self._library_bus.shutdown()
-
-
-class _Inbox:
-    """Listener of the Notifier's thread: frames wait for the next tick, errors go on at once."""
-
-    def __init__(self, listener: FrameListener) -> None:
-        self.messages: deque[can.Message] = deque()
-        self.on_error = listener.on_error
-
-    def __call__(self, message: can.Message) -> None:
-        self.messages.append(message)
 
 
 def _hand_on(receive_one: Callable[[], object], count: int, listener: FrameListener) -> None:
