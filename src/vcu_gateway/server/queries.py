@@ -23,7 +23,7 @@ from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.server import views
-from vcu_gateway.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from vcu_gateway.units import NS_PER_MS, NS_PER_US
 
 _PROC = Path("/proc/self")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
@@ -79,12 +79,8 @@ class RunFacts:
     start: CountedStart | None
     log_lines_dropped: Callable[[], int]
     started_ns: int = field(default_factory=time.monotonic_ns)
-    start_time_s: float = field(init=False)
+    start_time_s: float = field(default_factory=time.time)
     tap: RecorderTap | None = None
-
-    def __post_init__(self) -> None:
-        age_s = (time.monotonic_ns() - self.started_ns) / NS_PER_S
-        self.start_time_s = time.time() - age_s
 
 
 def started(config: Config) -> Event:
