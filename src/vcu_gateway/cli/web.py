@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vcu_gateway.web.settings import WebSettings
 
 
-ROLES = ("viewer", "operator", "service")
+ROLES = tuple(role.value for role in UserRole)
 
 
 class WebOptions(NamedTuple):
@@ -84,20 +84,17 @@ def web(**options: Any) -> None:
     """
     with web_needed():
         from vcu_gateway.web import application
-        from vcu_gateway.web.users import WebEvents
     settings = _settings(WebOptions(**options))
     settings.check()
     application.run(
         settings,
-        application.build(settings, WebEvents()),
+        application.build(settings, users.WebEvents()),
         lambda url: say(f"page of {settings.socket_path} at {url}"),
     )
 
 
 def _settings(options: WebOptions) -> "WebSettings":
-    from vcu_gateway.web import users
     from vcu_gateway.web.settings import TlsFiles, WebSettings
-    from vcu_gateway.web.users import UserRole
 
     certificate, key = options.certificate, options.key
     if (certificate is None) != (key is None):
