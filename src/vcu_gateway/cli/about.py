@@ -10,13 +10,14 @@ from click.shell_completion import get_completion_class
 
 from vcu_gateway import __version__
 from vcu_gateway.bus.interface import can_socket_error
+from vcu_gateway.cli.options import json_option
 from vcu_gateway.protocol import packaged
 
 _LIBRARIES = ("python-can", "cantools")
 
 
 @click.command("version")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@json_option
 def version(as_json: bool) -> None:
     """Print the versions that matter for a bug report.
 

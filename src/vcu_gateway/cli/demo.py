@@ -12,12 +12,20 @@ import webbrowser
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 
 from vcu_gateway.bus.interface import Interfaces, can_socket_error
-from vcu_gateway.cli.options import socket_option, stopped_by_signals, tui_needed, web_needed
+from vcu_gateway.cli.options import (
+    config_file_option,
+    duration_option,
+    file_option,
+    socket_option,
+    stopped_by_signals,
+    tui_needed,
+    web_needed,
+)
 from vcu_gateway.client.jsonrpc import SOCKET_VARIABLE
 from vcu_gateway.demo.process import DemoOptions, DemoProcess, DemoRecorder, default_socket
 from vcu_gateway.errors import Problem, UnavailableError
@@ -51,13 +59,7 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
 
 
 @click.command("demo")
-@click.option(
-    "--duration",
-    "duration_s",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="SECONDS",
-    help="Stop by itself after so long; default: q or Ctrl-C.",
-)
+@duration_option("Stop by itself after so long; default: q or Ctrl-C.")
 @click.option(
     "--throttle",
     "throttle_pct",
@@ -70,19 +72,13 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     is_flag=True,
     help="Demand nothing, so that another program may drive, as docs/examples do.",
 )
-@click.option(
-    "-c",
-    "--config",
-    "config_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Configuration, with the demo's bus and sockets in place of its own.",
+@config_file_option(
+    "Configuration, with the demo's bus and sockets in place of its own.", type=click.Path()
 )
-@click.option(
+@file_option(
     "--scenario",
     "scenario_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=click.Path(),
     help="What breaks, and when: docs/simulator.md.",
 )
 @click.option(
@@ -97,11 +93,10 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     show_default="the scenario's, else 20",
     help="Factor of the battery's charge and discharge, to see it drain.",
 )
-@click.option(
+@file_option(
     "--socket",
     "socket_path",
     metavar="PATH",
-    type=click.Path(path_type=Path),
     show_default="vcu-gateway-demo.sock in $XDG_RUNTIME_DIR, else in /tmp with the user's number",
     help="Where it answers other programs.",
 )
@@ -113,7 +108,14 @@ _WHAT_IF = "limits.throttle_slew_pct_per_s=10"
     help="Record the drive into DIR; the last lines say what can be done with it.",
 )
 @click.option("--web", "in_browser", is_flag=True, help="Show it in a browser, not here.")
-def demo(**options: Any) -> None:
+def demo(
+    throttle_pct: float | None,
+    no_demand: bool,
+    socket_path: Path | None,
+    folder: Path | None,
+    in_browser: bool,
+    **options: Any,
+) -> None:
     """Show gateway and simulated vehicle together, live, as `watch` shows a real one.
 
     Uses vcan0 where there is one that is up, else python-can's virtual bus inside a process of
@@ -121,58 +123,22 @@ def demo(**options: Any) -> None:
     commands reach this gateway. No hardware is touched. Without a terminal the same is printed as
     text every 2 s. With --web it is shown as `vcu-gateway web` shows a real one.
     """
-    given = _GivenOptions(**options)
-    wanted = _wanted(given)
-    if given.config_path is not None or given.scenario_path is not None:
+    if no_demand and throttle_pct is not None:
+        raise click.UsageError("--no-demand and --throttle contradict each other")
+    interface, channel = ("socketcan", "vcan0") if _vcan0_is_up() else ("virtual", "in-process")
+    socket = str((socket_path or default_socket()).absolute())
+    wanted = DemoOptions(interface, channel, socket, throttle_pct, not no_demand, **options)
+    if wanted.config_path is not None or wanted.scenario_path is not None:
         from vcu_gateway.demo import process
 
         process.load(wanted)  # for its errors, before anything starts
-    with _recorder(given.folder) as recorder:
+    with _recorder(folder) as recorder:
         if recorder is not None:
             wanted = wanted._replace(recorder_socket=str(recorder.socket_path))
-        show = _in_browser if given.in_browser else _in_terminal
-        summary = show(wanted, given.folder)
+        summary = (_in_browser if in_browser else _in_terminal)(wanted, folder)
     click.echo(summary)
     if recorder is not None and recorder.drive is not None:
         _echo_next(recorder.folder, recorder.drive)
-
-
-class _GivenOptions(NamedTuple):
-    """Options of the verb, as they were given."""
-
-    duration_s: float | None
-    throttle_pct: float | None
-    no_demand: bool
-    config_path: Path | None
-    scenario_path: Path | None
-    has_pedals: bool
-    battery_speedup: float | None
-    socket_path: Path | None
-    folder: Path | None
-    in_browser: bool
-
-
-def _wanted(given: _GivenOptions) -> DemoOptions:
-    if given.no_demand and given.throttle_pct is not None:
-        raise click.UsageError("--no-demand and --throttle contradict each other")
-    real = _vcan0_is_up()
-    interface, channel = ("socketcan", "vcan0") if real else ("virtual", "in-process")
-    return DemoOptions(
-        interface,
-        channel,
-        str((given.socket_path or default_socket()).absolute()),
-        given.throttle_pct,
-        not given.no_demand,
-        given.battery_speedup,
-        given.duration_s,
-        config_path=_text(given.config_path),
-        scenario_path=_text(given.scenario_path),
-        has_pedals=given.has_pedals,
-    )
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
 
 
 def _in_terminal(wanted: DemoOptions, recordings: Path | None) -> str:

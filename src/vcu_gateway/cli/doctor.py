@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.options import config_option, resolve_config
+from vcu_gateway.cli.options import config_option, json_option, resolve_config
 from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
 from vcu_gateway.doctor.checks import run_checks
 from vcu_gateway.errors import MissingInputError, Problem
@@ -39,7 +39,7 @@ more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
 @click.command("doctor", help=_HELP)
 @config_option
 @click.option("--listen", is_flag=True, help="Also receive from the bus for a second.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+@json_option
 def doctor(config_path: Path | None, listen: bool, as_json: bool) -> None:
     """Run the checks, print the results, exit with 1 where one is wrong."""
     path, missing = _file(config_path)

@@ -12,7 +12,7 @@ from typing import TextIO
 import click
 
 from vcu_gateway import text
-from vcu_gateway.cli.options import moment_of
+from vcu_gateway.cli.options import file_option, moment_of
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.errors import (
     DataError,
@@ -29,6 +29,12 @@ from vcu_gateway.recording.decoded import FORMATS, FrameWriter, Summary
 from vcu_gateway.recording.folder import recording_path
 from vcu_gateway.recording.log import Recording, open_recording
 from vcu_gateway.time_window import Window
+
+_no_alias_option = click.option(
+    "--no-alias",
+    is_flag=True,
+    help="Do not take 0x08F02DE2 for IMU_Attitude (docs/protocol.md E3).",
+)
 
 _DECODE_HELP = """Decode the recording LOG to one JSON object a frame, or to CSV.
 
@@ -69,28 +75,17 @@ candump -L can0 | vcu-gateway decode -
     show_default=True,
     help="How to write it.",
 )
-@click.option(
+@file_option(
     "-o",
     "--output",
-    metavar="FILE",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write here instead of stdout; an old FILE is replaced.",
 )
 @click.option(
     "--message", "messages", metavar="NAME", multiple=True, help="Only this message; repeatable."
 )
-@click.option(
-    "--no-alias",
-    is_flag=True,
-    help="Do not take 0x08F02DE2 for IMU_Attitude (docs/protocol.md E3).",
-)
-@click.option(
-    "--dbc",
-    "dbc_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Decode with this DBC instead of the program's own.",
-)
+@_no_alias_option
+@file_option("--dbc", "dbc_path", help="Decode with this DBC instead of the program's own.")
 def decode(
     log: str,
     format_name: str,
@@ -253,11 +248,9 @@ vcu-gateway export drive.log --to mf4 --from 12:03 --to 12:05
     help=f"Format ({', '.join(formats.FORMATS)}); a second one: the end of the part.",
 )
 @click.option("--from", "begin", metavar="TIME", help="Begin of the part.")
-@click.option(
+@file_option(
     "-o",
     "--output",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
     help="Write here; an old FILE is replaced. Default: NAME with the format's suffix, here.",
 )
 @click.option(
@@ -267,16 +260,10 @@ vcu-gateway export drive.log --to mf4 --from 12:03 --to 12:05
     multiple=True,
     help="Only these: Message.Signal, a message or a signal, with * and ?; repeatable.",
 )
-@click.option(
-    "--no-alias",
-    is_flag=True,
-    help="Do not take 0x08F02DE2 for IMU_Attitude (docs/protocol.md E3).",
-)
-@click.option(
+@_no_alias_option
+@file_option(
     "--dbc",
     "dbc_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
     help="Decode with this DBC instead of the recording's or the program's own.",
 )
 def export(

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import click
 
 from vcu_gateway.api import results
-from vcu_gateway.cli.options import socket_option
+from vcu_gateway.cli.options import json_option, level_option, socket_option
 from vcu_gateway.client import (
     ApiError,
     Client,
@@ -31,8 +31,6 @@ from vcu_gateway.errors import (
 from vcu_gateway.text import duration
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-
-json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 
 
 def api_options(command: _Command) -> _Command:
@@ -200,13 +198,7 @@ def disarm(socket_path: Path | None, as_json: bool) -> None:
 
 @click.command("reset")
 @api_options
-@click.option(
-    "--level",
-    type=click.Choice(["driver", "service"]),
-    default="driver",
-    show_default=True,
-    help="A cut needs service; `vcu-gateway why` says which.",
-)
+@level_option("A cut needs service; `vcu-gateway why` says which.")
 def reset(socket_path: Path | None, as_json: bool, level: results.FaultClassName) -> None:
     """Leave a latched fault, unarmed; refused, with the reason, while its cause is there."""
     with connected(socket_path) as client:

@@ -7,8 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from types import FrameType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import click
 
@@ -21,14 +20,33 @@ DEFAULT_CONFIG = Path("/etc/vcu-gateway/gateway.yaml")
 ANY_PATH = click.Path(path_type=Path, readable=False)
 """A path that is looked at when it is opened: click's own look ends with 2 and the usage."""
 
-config_option = click.option(
-    "-c",
-    "--config",
-    "config_path",
-    metavar="FILE",
-    type=ANY_PATH,
-    help=f"Configuration; default: {DEFAULT_CONFIG}.",
-)
+Option = Callable[[Callable[..., Any]], Callable[..., Any]]
+"""Decorator of a verb's function."""
+
+
+def file_option(*names: str, **attributes: Any) -> Option:
+    """Option for a file; click itself ends with 2 where one is there and cannot be read."""
+    usual: dict[str, Any] = {"metavar": "FILE", "type": click.Path(path_type=Path)}
+    return click.option(*names, **usual | attributes)
+
+
+def config_file_option(text: str, **attributes: Any) -> Option:
+    return file_option("-c", "--config", "config_path", help=text, **attributes)
+
+
+config_option = config_file_option(f"Configuration; default: {DEFAULT_CONFIG}.", type=ANY_PATH)
+json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object.")
+
+
+def duration_option(text: str) -> Option:
+    seconds = click.FloatRange(min=0, min_open=True)
+    return click.option("--duration", "duration_s", metavar="SECONDS", type=seconds, help=text)
+
+
+def level_option(text: str) -> Option:
+    """Option for the level that a request is made at."""
+    levels = click.Choice(["driver", "service"])
+    return click.option("--level", type=levels, default="driver", show_default=True, help=text)
 
 
 def resolve_config(given: Path | None, default: Path = DEFAULT_CONFIG) -> Path:
@@ -66,8 +84,6 @@ socket_option = click.option(
 
 _MAX_PORT = 65_535
 
-_Command = TypeVar("_Command", bound=Callable[..., Any])
-
 
 class ListenAddress(NamedTuple):
     """Address and TCP port to listen on; port 0 is any that is free."""
@@ -76,7 +92,7 @@ class ListenAddress(NamedTuple):
     port: int
 
 
-def listen_option(default: str, help_text: str) -> Callable[[_Command], _Command]:
+def listen_option(default: str, help_text: str) -> Option:
     """Decorator for the option; an IPv6 address stands in brackets."""
     return click.option(
         "--listen",
@@ -100,14 +116,8 @@ def _listen_address(context: click.Context, parameter: click.Parameter, text: st
 @contextlib.contextmanager
 def stopped_by_signals() -> Iterator[threading.Event]:
     """An event that SIGINT and SIGTERM set; the old handlers come back afterwards."""
-    stop = threading.Event()
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        del number, frame
-        stop.set()
-
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, on_signal) for number in numbers}
+    stop, numbers = threading.Event(), (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
     try:
         yield stop
     finally:

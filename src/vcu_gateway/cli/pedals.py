@@ -5,7 +5,12 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.options import ANY_PATH, socket_option, stopped_by_signals
+from vcu_gateway.cli.options import (
+    ANY_PATH,
+    config_file_option,
+    socket_option,
+    stopped_by_signals,
+)
 from vcu_gateway.client import Client
 from vcu_gateway.pedals import configuration, program
 from vcu_gateway.pedals.sources import open_source
@@ -15,15 +20,8 @@ DEFAULT_PEDALS = Path("/etc/vcu-gateway/pedals.yaml")
 
 
 @click.command("pedals")
-@click.option(
-    "-c",
-    "--config",
-    "config_path",
-    metavar="FILE",
-    type=ANY_PATH,
-    default=DEFAULT_PEDALS,
-    show_default=True,
-    help="Configuration of the pedals.",
+@config_file_option(
+    "Configuration of the pedals.", type=ANY_PATH, default=DEFAULT_PEDALS, show_default=True
 )
 @socket_option
 @click.option("--show", is_flag=True, help="Draw what is read, for calibration; demand nothing.")

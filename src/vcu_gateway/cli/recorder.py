@@ -1,11 +1,11 @@
 """`vcu-gateway recorder`: every drive of the gateways of this machine on disk, bounded."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
+from vcu_gateway.cli.options import ANY_PATH, Option, file_option
 from vcu_gateway.recorder import DEFAULT_SOCKET, RecorderOptions, size_bytes
 from vcu_gateway.recorder.program import Recorder
 from vcu_gateway.recording.layout import DEFAULT_FOLDER
@@ -21,16 +21,13 @@ def _size(context: click.Context, parameter: click.Parameter, text: str) -> int:
         raise click.BadParameter(str(error)) from error
 
 
-_Option = Callable[[Callable[..., None]], Callable[..., None]]
-
-
-def _size_option(name: str, default: str, text: str) -> _Option:
+def _size_option(name: str, default: str, text: str) -> Option:
     return click.option(
         name, metavar="SIZE", default=default, show_default=True, callback=_size, help=text
     )
 
 
-def _seconds_option(name: str, parameter: str, default: float, text: str) -> _Option:
+def _seconds_option(name: str, parameter: str, default: float, text: str) -> Option:
     return click.option(
         name,
         parameter,
@@ -51,10 +48,10 @@ def _seconds_option(name: str, parameter: str, default: float, text: str) -> _Op
     show_default=True,
     help="Where drives and incidents are kept.",
 )
-@click.option(
+@file_option(
     "--socket",
     "socket_path",
-    type=click.Path(path_type=Path, readable=False),  # systemd's, which only gateways may open
+    type=ANY_PATH,  # systemd's, which only gateways may open
     metavar="PATH",
     default=DEFAULT_SOCKET,
     show_default=True,
@@ -66,17 +63,13 @@ def _seconds_option(name: str, parameter: str, default: float, text: str) -> _Op
 @_seconds_option("--incident-before-s", "before_s", 60.0, "Kept before the reason of an incident.")
 @_seconds_option("--incident-after-s", "after_s", 30.0, "Kept after it.")
 @_size_option("--memory-bytes", "32M", "Of what waits for a disk that is slow or full.")
-@click.option(
+@file_option(
     "--status",
     "status_path",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
     help="Tell once a second how it goes, in this file; on a tmpfs.",
 )
-@click.option(
+@file_option(
     "--sign-key",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
     help="Sign each segment and incident with this private key of OpenSSH, without a passphrase.",
 )
 @click.option(

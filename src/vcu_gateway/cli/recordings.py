@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway import text
-from vcu_gateway.cli.options import moment_of
+from vcu_gateway.cli.options import ANY_PATH, file_option, json_option, moment_of
 from vcu_gateway.errors import MissingInputError, Problem
 from vcu_gateway.recording import check
 from vcu_gateway.recording.check import CheckedRecording, check_recording
@@ -30,16 +30,15 @@ _UNKNOWN = "-"
 _HEAD = ("NAME", "BEGAN (UTC)", "DURATION", "SIZE", "GAPS", "")
 _MOST_FAULTS = 100
 
-folder_option = click.option(
+folder_option = file_option(
     "--folder",
     "folder_path",
     metavar="FOLDER",
-    type=click.Path(path_type=Path, readable=False),
+    type=ANY_PATH,
     default=DEFAULT_FOLDER,
     show_default=True,
     help="Where the recordings are.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object.")
 
 
 def _opened(path: Path) -> RecordingFolder:
@@ -102,10 +101,9 @@ def _row(one: RecordingSummary) -> tuple[str, ...]:
 @recordings.command("check")
 @click.argument("names", metavar="[NAME]...", nargs=-1)
 @folder_option
-@click.option(
+@file_option(
     "--allowed-signers",
-    metavar="FILE",
-    type=click.Path(path_type=Path, readable=False),
+    type=ANY_PATH,
     help="Keys (ssh-keygen(1), ALLOWED SIGNERS) of which one has to have signed every segment.",
 )
 @json_option
@@ -180,11 +178,10 @@ def _sum(found: CheckedRecording) -> str:
 @click.option("--from", "begin", metavar="TIME", help="Only from here on: 12:03, 90 (s), a date.")
 @click.option("--to", "end", metavar="TIME", help="Only up to here.")
 @click.option("--reason", metavar="TEXT", help="Why; shown by list. For now, or a part.")
-@click.option(
+@file_option(
     "--status",
     "status_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path, readable=False),
+    type=ANY_PATH,
     show_default=f"{STATUS_PATH.name} in FOLDER, else {STATUS_PATH}",
     help="Where the running recorder says how it goes; for now.",
 )

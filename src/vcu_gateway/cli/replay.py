@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from vcu_gateway import text
-from vcu_gateway.cli.options import moment_of
+from vcu_gateway.cli.options import config_file_option, file_option, json_option, moment_of
 from vcu_gateway.recording.folder import recorded_path
 from vcu_gateway.replay.configuration import Changes
 from vcu_gateway.replay.drive_replay import replay_drive
@@ -44,14 +44,7 @@ differs, 3 where nothing does and the recording is incomplete, 65 where it was c
 
 @click.command("replay", help=_HELP)
 @click.argument("recording", metavar="RECORDING")
-@click.option(
-    "-c",
-    "--config",
-    "config_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="What if: another configuration, for the whole drive.",
-)
+@config_file_option("What if: another configuration, for the whole drive.")
 @click.option(
     "--set",
     "assignments",
@@ -69,11 +62,10 @@ differs, 3 where nothing does and the recording is incomplete, 65 where it was c
     type=click.FloatRange(0, 100),
     help="For a log: hold this throttle, armed as soon as nothing speaks against it.",
 )
-@click.option("--json", "as_json", is_flag=True, help="One JSON object.")
-@click.option(
+@json_option
+@file_option(
     "--html",
     "html_path",
-    metavar="FILE",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Also write an offline report with plots; an old FILE is replaced.",
 )

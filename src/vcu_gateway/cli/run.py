@@ -5,6 +5,7 @@ import json
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -14,7 +15,7 @@ from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports asy
 from vcu_gateway import config as configuration
 from vcu_gateway.app import Application, bus_settings
 from vcu_gateway.bus.interface import Interfaces, unfit
-from vcu_gateway.cli.options import config_option, resolve_config
+from vcu_gateway.cli.options import config_option, duration_option, file_option, resolve_config
 from vcu_gateway.config import BenchDemandSection, Config
 from vcu_gateway.config.checks import startable
 from vcu_gateway.core.causes import Event, Severity
@@ -97,18 +98,11 @@ def _in_capitals(config: Config, demand: BenchDemandSection) -> str:
 
 @click.command("run")
 @config_option
-@click.option(
-    "--duration",
-    "duration_s",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="SECONDS",
-    help="Stop by itself after so long; for measurements.",
-)
-@click.option(
+@duration_option("Stop by itself after so long; for measurements.")
+@file_option(
     "--state-out",
     "state_path",
     type=click.Path(dir_okay=False, writable=True, path_type=Path),
-    metavar="FILE",
     help="Write the last state and all counters as JSON when it stops.",
 )
 @click.option(
@@ -116,12 +110,7 @@ def _in_capitals(config: Config, demand: BenchDemandSection) -> str:
     is_flag=True,
     help="Keep the program in memory, so that no tick waits for the disk.",
 )
-def run(
-    config_path: Path | None,
-    duration_s: float | None,
-    state_path: Path | None,
-    lock_memory: bool,
-) -> None:
+def run(**options: Any) -> None:
     """Run the gateway: decode what the bus says, command both controllers every 50 ms.
 
     Runs until SIGTERM or Ctrl-C; SIGHUP reloads the configuration. The log goes to stderr, as
@@ -136,7 +125,7 @@ def run(
     """
     manager = SystemdNotifier(os.environ, os.getpid())
     try:
-        _run(manager, config_path, duration_s, state_path, lock_memory)
+        _run(manager, **options)
     except GatewayError as error:
         manager.status(f"error: {error.problems[0]}")
         raise

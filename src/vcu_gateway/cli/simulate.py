@@ -9,7 +9,12 @@ from pathlib import Path
 import click
 
 from vcu_gateway import simulator
-from vcu_gateway.cli.options import stopped_by_signals
+from vcu_gateway.cli.options import (
+    config_file_option,
+    duration_option,
+    file_option,
+    stopped_by_signals,
+)
 from vcu_gateway.config import core_settings, of_values
 from vcu_gateway.config import load as load_config
 from vcu_gateway.config.checks import load_protocol
@@ -37,26 +42,11 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
 @click.command("simulate", help=_HELP)
 @click.option("--interface", default="socketcan", show_default=True, help="python-can's name.")
 @click.option("--channel", default="vcan0", show_default=True, help="Which bus of it.")
-@click.option(
-    "-c",
-    "--config",
-    "config_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="The gateway's configuration, for its protocol and its pedals on CAN.",
-)
-@click.option(
-    "--duration",
-    "duration_s",
-    metavar="SECONDS",
-    type=click.FloatRange(min=0, min_open=True),
-    help="Stop by itself; otherwise Ctrl-C or SIGTERM.",
-)
-@click.option(
+@config_file_option("The gateway's configuration, for its protocol and its pedals on CAN.")
+@duration_option("Stop by itself; otherwise Ctrl-C or SIGTERM.")
+@file_option(
     "--scenario",
     "scenario_path",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
     help="Faults and their times; each step is reported on stderr.",
 )
 @click.option(
@@ -73,10 +63,9 @@ Without CAN in the kernel: --interface udp_multicast --channel 239.74.163.2
     help="Factor of the battery's charge and discharge; 1 is real time.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the sensors' noise.")
-@click.option(
+@file_option(
     "--log",
     "log_path",
-    metavar="FILE",
     type=click.Path(dir_okay=False, writable=True, path_type=Path),
     help="Write what is sent and received as a candump log; an old FILE is replaced.",
 )

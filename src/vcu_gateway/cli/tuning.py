@@ -7,6 +7,7 @@ import click
 
 from vcu_gateway.api import results
 from vcu_gateway.cli.operator import api_options, connected, show
+from vcu_gateway.cli.options import level_option
 from vcu_gateway.text import table
 
 _NONE = "no curve, drive mode, slip limiter or pedal is configured; docs/tuning.md says how"
@@ -60,13 +61,7 @@ def _row(curve: results.CurveNow) -> tuple[str, str, str, str]:
 
 @click.command("drive-mode")
 @api_options
-@click.option(
-    "--level",
-    type=click.Choice(["driver", "service"]),
-    default="driver",
-    show_default=True,
-    help="A mode with left_by_service is left at service level.",
-)
+@level_option("A mode with left_by_service is left at service level.")
 @click.argument("mode", required=False)
 def drive_mode(
     socket_path: Path | None, as_json: bool, level: results.FaultClassName, mode: str | None

@@ -8,6 +8,7 @@ import click
 from vcu_gateway.cli.options import (
     ANY_PATH,
     ListenAddress,
+    file_option,
     listen_option,
     socket_option,
     web_needed,
@@ -42,7 +43,7 @@ class WebOptions(NamedTuple):
 @click.command("web")
 @socket_option
 @listen_option("127.0.0.1:9465", "Where browsers reach it; from a network only with TLS and users.")
-@click.option("--users", "users_file", metavar="FILE", type=ANY_PATH, help="Users of the page.")
+@file_option("--users", "users_file", type=ANY_PATH, help="Users of the page.")
 @click.option(
     "--local-role",
     type=click.Choice(ROLES),
@@ -50,8 +51,8 @@ class WebOptions(NamedTuple):
     show_default=True,
     help="Role of everybody who reaches 127.0.0.1, where there are no users.",
 )
-@click.option("--certificate", metavar="FILE", type=ANY_PATH, help="TLS certificate chain, PEM.")
-@click.option("--key", metavar="FILE", type=ANY_PATH, help="Its key, PEM.")
+@file_option("--certificate", type=ANY_PATH, help="TLS certificate chain, PEM.")
+@file_option("--key", type=ANY_PATH, help="Its key, PEM.")
 @click.option(
     "--host-name",
     "host_names",
@@ -59,7 +60,7 @@ class WebOptions(NamedTuple):
     multiple=True,
     help="Further name that browsers know this machine by; may be given again.",
 )
-@click.option("--recordings", metavar="FOLDER", type=ANY_PATH, help="Folder of the recorder.")
+@file_option("--recordings", metavar="FOLDER", type=ANY_PATH, help="Folder of the recorder.")
 @click.option(
     "--session-hours",
     metavar="HOURS",
@@ -68,10 +69,9 @@ class WebOptions(NamedTuple):
     show_default=True,
     help="Time until one has to sign in again.",
 )
-@click.option(
+@file_option(
     "--sessions",
     "state_file",
-    metavar="FILE",
     type=ANY_PATH,
     help="Where sessions are kept over a restart of this program.",
 )

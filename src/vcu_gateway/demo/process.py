@@ -259,10 +259,10 @@ def _config(wanted: DemoOptions) -> Config:
 
 
 def _file(wanted: DemoOptions) -> Config:
-    path = wanted.config_path
+    path = None if wanted.config_path is None else Path(wanted.config_path)
     if wanted.has_pedals and path is None:
         return configuration.load(packaged("pedals.yaml"))
-    file = configuration.of_values({}, "demo") if path is None else configuration.load(Path(path))
+    file = configuration.of_values({}, "demo") if path is None else configuration.load(path)
     if wanted.has_pedals and file.pedals.can is None:
         remedy = "config/examples/pedals.yaml has some; without -c they are those"
         raise ConfigError(Problem("has no pedals.can, and --pedals needs it", str(path), remedy))
@@ -294,7 +294,7 @@ def _scenario(wanted: DemoOptions, config: Config, protocol: ProtocolSpec) -> Sc
     found = Scenario(ScenarioStart(battery_speedup=_BATTERY_SPEEDUP), ())
     if path is not None:
         found = scenario.load(Path(path), protocol)
-        found.check_pedals(config.pedals.can is not None, path)
+        found.check_pedals(config.pedals.can is not None, str(Path(path)))
     drives = config.pedals.can is not None and wanted.has_demand
     if drives and (found.foot is None or wanted.throttle_pct is not None):
         throttle_pct = _THROTTLE_PCT if wanted.throttle_pct is None else wanted.throttle_pct
