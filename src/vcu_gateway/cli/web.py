@@ -1,7 +1,7 @@
 """`vcu-gateway web` and `web-user`: the page that shows what the vehicle does, and its users."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import click
 
@@ -16,28 +16,10 @@ from vcu_gateway.cli.options import (
 from vcu_gateway.client import default_socket_path
 from vcu_gateway.text import say
 from vcu_gateway.web import users
+from vcu_gateway.web.settings import TlsFiles, WebSettings
 from vcu_gateway.web.users import UserRole
 
-if TYPE_CHECKING:
-    from vcu_gateway.web.settings import WebSettings
-
-
 ROLES = tuple(role.value for role in UserRole)
-
-
-class WebOptions(NamedTuple):
-    """Options of the verb, as they were given."""
-
-    socket_path: Path | None
-    listen: ListenAddress
-    users_file: Path | None
-    local_role: str
-    certificate: Path | None
-    key: Path | None
-    host_names: tuple[str, ...]
-    recordings: Path | None
-    session_hours: float
-    state_file: Path | None
 
 
 @click.command("web")
@@ -84,7 +66,7 @@ def web(**options: Any) -> None:
     """
     with web_needed():
         from vcu_gateway.web import application
-    settings = _settings(WebOptions(**options))
+    settings = _settings(**options)
     settings.check()
     application.run(
         settings,
@@ -93,22 +75,26 @@ def web(**options: Any) -> None:
     )
 
 
-def _settings(options: WebOptions) -> "WebSettings":
-    from vcu_gateway.web.settings import TlsFiles, WebSettings
-
-    certificate, key = options.certificate, options.key
+def _settings(
+    listen: ListenAddress,
+    socket_path: Path | None,
+    users_file: Path | None,
+    local_role: str,
+    certificate: Path | None,
+    key: Path | None,
+    session_hours: float,
+    **others: Any,
+) -> WebSettings:
     if (certificate is None) != (key is None):
         raise click.UsageError("--certificate and --key belong together")
     return WebSettings(
-        *options.listen,
-        socket_path=options.socket_path or default_socket_path(),
-        users=users.read(options.users_file) if options.users_file else {},
-        local_role=UserRole(options.local_role),
+        *listen,
+        socket_path=socket_path or default_socket_path(),
+        users=users.read(users_file) if users_file else {},
+        local_role=UserRole(local_role),
         tls=TlsFiles(certificate, key) if certificate and key else None,
-        host_names=options.host_names,
-        recordings=options.recordings,
-        session_lifetime_s=options.session_hours * 3600,
-        state_file=options.state_file,
+        session_lifetime_s=session_hours * 3600,
+        **others,
     )
 
 
