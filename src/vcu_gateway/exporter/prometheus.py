@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from typing import Any
-from wsgiref.simple_server import WSGIServer
 
 from prometheus_client import CollectorRegistry, generate_latest, start_http_server
 from prometheus_client.core import (
@@ -31,7 +30,7 @@ class HttpServer:
     def __init__(self, read: Callable[[], GatewayAnswers], address: str, port: int) -> None:
         """Listen; UnavailableError, with what to do, where the port cannot be had."""
         try:
-            self._server, self._thread = _started(read, address, port)
+            self._server, self._thread = start_http_server(port, address, _registry(read))
         except OSError as error:
             what = f"cannot listen on {address} port {port}: {error.strerror}"
             remedy = f"choose another with --listen, or look who has it: ss -ltnp 'sport = :{port}'"
@@ -48,10 +47,6 @@ class HttpServer:
 
 def text(read: Callable[[], GatewayAnswers]) -> bytes:
     return generate_latest(_registry(read))
-
-
-def _started(read: Callable[[], GatewayAnswers], address: str, port: int) -> tuple[WSGIServer, Any]:
-    return start_http_server(port, address, _registry(read))
 
 
 def _registry(read: Callable[[], GatewayAnswers]) -> CollectorRegistry:

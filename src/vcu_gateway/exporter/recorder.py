@@ -1,9 +1,10 @@
 """Metrics of the recorder, from the file in which it tells its state."""
 
 from collections.abc import Callable
+from operator import attrgetter
 
 from vcu_gateway.exporter.family import Family, GatewayAnswers, Samples, counter, gauge, one, states
-from vcu_gateway.recording.recorder_status import STALE_S, RecorderStatus, RecorderTotals
+from vcu_gateway.recording.recorder_status import STALE_S, RecorderStatus
 
 _DISK_STATES = ("ok", "full", "failing", "stalled")
 
@@ -25,11 +26,15 @@ def _of_recorder(read: Callable[[RecorderStatus], Samples]) -> Callable[[Gateway
     return samples
 
 
-def _count(name: str, text: str, value: Callable[[RecorderTotals], float]) -> Family:
+def _count(name: str, text: str, field: str = "") -> Family:
+    """Counter of a field of the totals; of the same name, where none is given."""
+    value = attrgetter(field or name)
     return counter(f"recorder_{name}", text, _of_recorder(lambda status: one(value(status.totals))))
 
 
-def _gauge(name: str, text: str, value: Callable[[RecorderStatus], float | None]) -> Family:
+def _gauge(name: str, text: str, field: str = "") -> Family:
+    """Gauge of a field of the status, likewise."""
+    value = attrgetter(field or name)
     return gauge(f"recorder_{name}", text, _of_recorder(lambda status: one(value(status))))
 
 
@@ -39,10 +44,10 @@ FAMILIES: tuple[Family, ...] = (
         "1 where the recorder told its state in the last 10 s, else 0; absent where none has run.",
         _up,
     ),
-    _gauge(
-        "connections",
+    gauge(
+        "recorder_connections",
         "Gateways that hand over to the recorder.",
-        lambda status: len(status.connections),
+        _of_recorder(lambda status: one(len(status.connections))),
     ),
     gauge(
         "recorder_disk_state",
@@ -50,60 +55,34 @@ FAMILIES: tuple[Family, ...] = (
         _of_recorder(lambda status: states(_DISK_STATES, [status.disk])),
         "state",
     ),
-    _count("written_bytes", "Bytes of recordings written.", lambda totals: totals.bytes),
-    _count("frames", "Frames recorded.", lambda totals: totals.frames),
-    _count("ticks", "Ticks recorded.", lambda totals: totals.ticks),
-    _count("gaps", "Gaps told in the recordings.", lambda totals: totals.gaps),
-    _count("frames_lost", "Frames in gaps: not recorded.", lambda totals: totals.frames_lost),
-    _count("ticks_lost", "Ticks in gaps: not recorded.", lambda totals: totals.ticks_lost),
-    _count("syncs", "Calls of fdatasync.", lambda totals: totals.syncs),
-    _count("sync_failures", "Calls of fdatasync that failed.", lambda totals: totals.sync_failures),
-    _count(
-        "signing_failures",
-        "Signatures of recordings that could not be made.",
-        lambda totals: totals.signing_failures,
-    ),
+    _count("written_bytes", "Bytes of recordings written.", "bytes"),
+    _count("frames", "Frames recorded."),
+    _count("ticks", "Ticks recorded."),
+    _count("gaps", "Gaps told in the recordings."),
+    _count("frames_lost", "Frames in gaps: not recorded."),
+    _count("ticks_lost", "Ticks in gaps: not recorded."),
+    _count("syncs", "Calls of fdatasync."),
+    _count("sync_failures", "Calls of fdatasync that failed."),
+    _count("signing_failures", "Signatures of recordings that could not be made."),
     _gauge(
         "sync_seconds",
         "Longest fdatasync of the last minute; absent before the first.",
-        lambda status: status.longest_sync_s,
+        "longest_sync_s",
     ),
-    _gauge(
-        "waiting_bytes",
-        "Bytes in the recorder's memory that wait for the disk.",
-        lambda status: status.waiting_bytes,
-    ),
-    _gauge(
-        "waiting_limit_bytes",
-        "Bytes that may wait; what comes then is a gap.",
-        lambda status: status.memory_bytes,
-    ),
-    _gauge("drives_bytes", "Bytes of all drives.", lambda status: status.drives_bytes),
+    _gauge("waiting_bytes", "Bytes in the recorder's memory that wait for the disk."),
+    _gauge("waiting_limit_bytes", "Bytes that may wait; what comes then is a gap.", "memory_bytes"),
+    _gauge("drives_bytes", "Bytes of all drives."),
     _gauge(
         "drives_limit_bytes",
         "Bytes that drives may have; the oldest segments go above it.",
-        lambda status: status.max_bytes,
+        "max_bytes",
     ),
+    _gauge("incidents_bytes", "Bytes of incidents that no drive has any more."),
+    _gauge("incidents", "Incidents on the disk."),
     _gauge(
-        "incidents_bytes",
-        "Bytes of incidents that no drive has any more.",
-        lambda status: status.incidents_bytes,
+        "free_bytes", "Free bytes of the recordings' file system; absent before they are known."
     ),
-    _gauge("incidents", "Incidents on the disk.", lambda status: status.incidents),
-    _gauge(
-        "free_bytes",
-        "Free bytes of the recordings' file system; absent before they are known.",
-        lambda status: status.free_bytes,
-    ),
-    _count(
-        "removed_segments",
-        "Segments removed for want of room.",
-        lambda totals: totals.removed_segments,
-    ),
-    _count(
-        "removed_incidents",
-        "Incidents removed for want of room.",
-        lambda totals: totals.removed_incidents,
-    ),
+    _count("removed_segments", "Segments removed for want of room."),
+    _count("removed_incidents", "Incidents removed for want of room."),
 )
 """In the order of the text."""
