@@ -174,7 +174,7 @@ def test_a_gateway_of_another_version_is_a_problem_and_no_traceback(path):
 @pytest.mark.parametrize("what", ["estop", "disarm"])
 def test_stopping_goes_to_the_gateway(path, what):
     with gateway(path) as made:
-        getattr(GatewaySource(path), what)()
+        GatewaySource(path).request(what)
         assert made.requests == [what]
 
 
@@ -183,6 +183,6 @@ def test_a_refusal_and_a_missing_gateway_are_told_alike(path, what):
     with gateway(path) as made:
         made.error = {"code": -32002, "message": "the mode is standby", "data": {}}
         with pytest.raises(SourceRefusedError, match="the mode is standby"):
-            getattr(GatewaySource(path), what)()
+            GatewaySource(path).request(what)
     with pytest.raises(SourceRefusedError, match="no socket"):
-        getattr(GatewaySource(path), what)()
+        GatewaySource(path).request(what)

@@ -272,13 +272,7 @@ class Scripted:
         self.on_look()
         return self.view
 
-    def estop(self) -> None:
-        self._ask("estop")
-
-    def disarm(self) -> None:
-        self._ask("disarm")
-
-    def _ask(self, what: str) -> None:
+    def request(self, what: str) -> None:
         self.asked.append(what)
         self.may_answer.wait()
         if self.refusal:

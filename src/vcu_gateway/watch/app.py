@@ -282,9 +282,8 @@ class WatchApp(App[None]):
             self.run_worker(lambda: self._send_request(what), thread=True)
 
     def _send_request(self, what: str) -> None:
-        request = {"estop": self._source.estop, "disarm": self._source.disarm}[what]
         try:
-            request()
+            self._source.request(what)
         except SourceRefusedError as refusal:
             answer = f"{NAMES[what]} not granted: {refusal}"
         else:

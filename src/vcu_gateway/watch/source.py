@@ -47,15 +47,12 @@ class SourceRefusedError(Exception):
 
 
 class ViewSource(Protocol):
-    """Source of view models. `latest` never waits; the others may, for a second or two."""
+    """Source of view models. `latest` never waits; `request` may, for a second or two."""
 
     def latest(self) -> ViewModel: ...
 
-    def estop(self) -> None:
-        """Cut the power of both controllers; SourceRefusedError where it was not granted."""
-
-    def disarm(self) -> None:
-        """From active to standby; SourceRefusedError where it was not granted."""
+    def request(self, what: str) -> None:
+        """Send `estop` or `disarm`; SourceRefusedError where it was not granted."""
 
 
 class GatewaySource:
@@ -74,17 +71,11 @@ class GatewaySource:
     def latest(self) -> ViewModel:
         return self._view
 
-    def estop(self) -> None:
-        self._request(Client.estop)
-
-    def disarm(self) -> None:
-        self._request(Client.disarm)
-
-    def _request(self, method: Any) -> None:
+    def request(self, what: str) -> None:
         """On a connection of its own, which nothing else holds up."""
         try:
             with Client(self._socket_path) as client:
-                method(client)
+                getattr(client, what)()
         except ClientError as error:
             raise SourceRefusedError(str(error)) from error
 

@@ -4,6 +4,7 @@ Textual writes to stderr and reads stdin. A signal ends the view in order; where
 done, because the terminal hangs or has gone away, the process ends by itself a moment later.
 """
 
+import contextlib
 import os
 import signal
 import sys
@@ -23,18 +24,14 @@ _EXIT_TIMEOUT_S = 2.0
 
 def is_full() -> bool:
     """True where the terminal can show a full-screen view and take keys."""
-    text = (sys.stdin, sys.stdout, sys.stderr)
-    terminals = all(stream is not None and stream.isatty() for stream in text)
+    streams = (sys.stdin, sys.stdout, sys.stderr)
+    terminals = all(stream is not None and stream.isatty() for stream in streams)
     return terminals and os.environ.get("TERM", "dumb") not in ("", "dumb", "unknown")
 
 
 def has_gone() -> bool:
     """True where the terminal was hung up: its window was closed, or ssh has died."""
-    try:
-        termios.tcgetattr(0)
-    except termios.error:
-        return True
-    return False
+    return _attributes() is None
 
 
 class TerminalExit:
@@ -71,7 +68,8 @@ class TerminalExit:
         if self._finished.wait(_EXIT_TIMEOUT_S):
             return
         if self._attributes is not None:
-            _restore(self._attributes)
+            with contextlib.suppress(termios.error):  # it has gone
+                termios.tcsetattr(0, termios.TCSANOW, self._attributes)
         os._exit(os.EX_OK)
 
 
@@ -108,10 +106,3 @@ def _attributes() -> list[Any] | None:
         return termios.tcgetattr(0)
     except termios.error:
         return None
-
-
-def _restore(attributes: list[Any]) -> None:
-    try:
-        termios.tcsetattr(0, termios.TCSANOW, attributes)
-    except termios.error:
-        return  # it has gone
