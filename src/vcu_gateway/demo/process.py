@@ -11,7 +11,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import IO, NamedTuple, Self
+from typing import IO, Any, NamedTuple, Self
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import BenchDemandSection, BenchSection, Config
@@ -31,7 +31,48 @@ _PATIENCE_S = 10.0
 _LOOK_EVERY_S = 0.02
 
 
-class DemoRecorder:
+class _Child:
+    """Process of this program, ended with the `with` block; what it says on stderr is kept."""
+
+    def __init__(self, *arguments: str, **streams: Any) -> None:
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
+        self._process = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-P", "-m", *arguments],
+            stderr=self._errors,  # on the terminal it would spoil the picture
+            start_new_session=True,  # Ctrl-C is for us
+            **streams,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._end()
+        if kind is None and self._process.returncode != 0:
+            raise self._failure()
+        self._errors.close()
+
+    def _end(self) -> None:
+        """Wait for its end, which has been asked for."""
+        try:
+            self._process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _failure(self) -> GatewayError:
+        raise NotImplementedError
+
+    def _last_words(self) -> list[str]:
+        """What it said on stderr; else how it ended."""
+        with self._errors:
+            self._errors.seek(0)
+            lines = self._errors.read().splitlines()
+        ended = f"it ended with {self._process.returncode}"
+        return [line.removeprefix("error: ") for line in lines] or [ended]
+
+
+class DemoRecorder(_Child):
     """Recorder that writes into a folder, which is made where it is not there.
 
     Attributes:
@@ -42,17 +83,11 @@ class DemoRecorder:
         """UnavailableError, with the recorder's own words, where it cannot write there."""
         self.folder = folder
         self._place = tempfile.TemporaryDirectory(prefix="vcu-gateway-demo.")
-        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
         self.socket_path = Path(self._place.name, "tap.sock")
         self._status_path = folder / STATUS_PATH.name  # where `recordings keep now` looks
         options = ["--folder", folder, "--socket", self.socket_path, "--keep-free-bytes", "0"]
         options += ["--status", self._status_path]
-        self._process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-P", "-m", "vcu_gateway", "recorder", *map(str, options)],
-            stdin=subprocess.DEVNULL,
-            stderr=self._errors,  # on the terminal it would spoil the picture
-            start_new_session=True,  # Ctrl-C is for us
-        )
+        super().__init__("vcu_gateway", "recorder", *map(str, options), stdin=subprocess.DEVNULL)
         self._wait_for_the_socket()
         self._before = set(self._drives())
 
@@ -72,33 +107,15 @@ class DemoRecorder:
     def _drives(self) -> list[Path]:
         return layout.recorded_folders(self.folder / layout.DRIVES)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._end()
-        if kind is None and self._process.returncode != 0:
-            raise self._failure()
-        self._errors.close()
-
     def _end(self) -> None:
         self._process.send_signal(signal.SIGTERM)
-        try:
-            self._process.wait(_PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        super()._end()
         with contextlib.suppress(OSError):
             self._status_path.unlink()
         self._place.cleanup()
 
     def _failure(self) -> GatewayError:
-        with self._errors:
-            self._errors.seek(0)
-            lines = self._errors.read().splitlines()
-        ended = f"it ended with {self._process.returncode}"
-        said = lines[-1].removeprefix("error: ") if lines else ended
-        return UnavailableError(Problem(f"the demo's recorder: {said}"))
+        return UnavailableError(Problem(f"the demo's recorder: {self._last_words()[-1]}"))
 
 
 READY = "ready"
@@ -145,8 +162,8 @@ class DemoOptions(NamedTuple):
     has_pedals: bool = False
 
 
-class DemoProcess:
-    """Child process, started at once and ended with the `with` block.
+class DemoProcess(_Child):
+    """Gateway and simulated vehicle, started at once.
 
     Attributes:
         socket_path: where its API listens.
@@ -158,15 +175,8 @@ class DemoProcess:
         self.socket_path = Path(wanted.socket_path)
         self.notes: list[str] = []
         self.summary = ""
-        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed in __exit__
-        self._process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-P", "-m", _PROGRAM, json.dumps(wanted._asdict())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,  # on the terminal it would spoil the picture
-            text=True,
-            start_new_session=True,  # Ctrl-C is for us; its stdin ends it
-        )
+        wanted_json, pipe = json.dumps(wanted._asdict()), subprocess.PIPE
+        super().__init__(_PROGRAM, wanted_json, stdin=pipe, stdout=pipe, text=True)
         self._stdin, self._stdout = _pipes(self._process)
         self._ended = threading.Event()
         self._reader = threading.Thread(target=self._read, name="demo", daemon=True)
@@ -189,33 +199,18 @@ class DemoProcess:
         """True from its last line on: its duration is over, or it has failed."""
         return self._ended.is_set()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._end()
-        if kind is None and self._process.returncode != 0:
-            raise self._failure()
-        self._errors.close()
-
     def _end(self) -> None:
-        self._stdin.close()
-        try:
-            self._process.wait(_PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._stdin.close()  # it ends with it
+        super()._end()
         self._reader.join()
         self._stdout.close()
 
     def _failure(self) -> GatewayError:
         """Error with the lines and the exit code of the failed child."""
-        with self._errors:
-            self._errors.seek(0)
-            lines = self._errors.read().splitlines()
-        code = self._process.returncode
-        problems = [line.removeprefix("error: ") for line in lines] or [f"it ended with {code}"]
-        failure = UnavailableError(*map(Problem, problems))
+        failure, code = (
+            UnavailableError(*map(Problem, self._last_words())),
+            self._process.returncode,
+        )
         failure.exit_code = code if code > 0 else os.EX_SOFTWARE
         return failure
 
