@@ -23,7 +23,7 @@ from vcu_gateway.cli.simulate import simulate
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.protocol import dbc, packaged
-from vcu_gateway.simulator.play import Played, open_bus, open_log, play
+from vcu_gateway.simulator.play import Played, open_bus, play
 
 CODEC = Codec(dbc.load(packaged("vcu.dbc")))
 IDS = {name: codec.spec.can_id for name, codec in CODEC.by_name.items()}
@@ -281,7 +281,10 @@ def test_the_log_holds_what_was_sent_and_received(
     channel: str, gateway: can.BusABC, tmp_path: Path
 ) -> None:
     path = tmp_path / "played.log"
-    with open_log(path, "vcan0") as log, playing(channel, log=log) as background:
+    with (
+        can.CanutilsLogWriter(path, channel="vcan0") as log,
+        playing(channel, log=log) as background,
+    ):
         gateway.send(command_frame(Throttle=39))
         first(gateway, "PCU1_Status2")
         played = background.result()

@@ -1,9 +1,8 @@
 """`vcu-gateway simulate`: the vehicle's other nodes, on a bus."""
 
-import contextlib
 import logging
 import time
-from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import click
@@ -19,7 +18,8 @@ from vcu_gateway.config import core_settings, of_values
 from vcu_gateway.config import load as load_config
 from vcu_gateway.config.checks import load_protocol
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.simulator.play import CommandListener, Played, open_bus, open_log, play
+from vcu_gateway.python_can import can
+from vcu_gateway.simulator.play import Played, open_bus, play
 from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 from vcu_gateway.simulator.scenario import load as load_scenario
 
@@ -132,14 +132,10 @@ def _note(text: str) -> None:
     click.echo(text, err=True)
 
 
-@contextlib.contextmanager
-def _log(path: Path | None, channel: str) -> Iterator[CommandListener | None]:
+def _log(path: Path | None, channel: str) -> AbstractContextManager[can.Listener | None]:
     if path is None:
-        yield None
-        return
+        return nullcontext()
     try:
-        writer = open_log(path, channel)
+        return can.CanutilsLogWriter(path, channel=channel)
     except OSError as error:
         raise click.BadParameter(f"cannot write it: {error}", param_hint="--log") from error
-    with writer:
-        yield writer

@@ -8,8 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from vcu_gateway.core import j1939
 from vcu_gateway.errors import Problem, UnavailableError
@@ -25,13 +24,6 @@ _TROUBLE_OVER_NS = 1_000_000_000
 # The frame is lost and the bus may come back; any other error means that it is gone.
 _PASSING_ERRNOS = {errno.ENOBUFS, errno.ENETDOWN, errno.EAGAIN}
 _FULL_BUFFER_TEXT = "Transmit buffer full"  # python-can raises this one without a number
-
-
-class CommandListener(Protocol):
-    """Listener of every frame sent or received, such as a python-can log writer."""
-
-    def on_message_received(self, msg: can.Message) -> None:
-        """Take one frame."""
 
 
 @dataclass(slots=True)
@@ -66,24 +58,20 @@ def open_bus(interface: str, channel: str, listen_to: Iterable[int]) -> can.BusA
         raise _unavailable(interface, channel, error) from error
 
 
-def open_log(path: Path, channel: str) -> can.CanutilsLogWriter:
-    """A candump log to write to; OSError where it cannot be created."""
-    return can.CanutilsLogWriter(path, channel=channel)
-
-
 def play(
     bus: can.BusABC,
     nodes: Nodes,
     *,
     stop: threading.Event,
     duration_s: float | None = None,
-    log: CommandListener | None = None,
+    log: can.Listener | None = None,
     note: Callable[[str], None] = lambda _: None,
 ) -> Played:
     """Send what is due and hand commands in, until `stop` is set or duration_s is over.
 
     The nodes' time is the monotonic clock. A frame that the bus does not take is counted and
-    forgotten; `note` is called when that begins and when it is over. UnavailableError where
+    forgotten; `note` is called when that begins and when it is over. `log` is given every frame
+    that was sent or received. UnavailableError where
     the bus has gone away.
     """
     player = _Player(bus, nodes, log, note, _descriptor(bus))
@@ -105,7 +93,7 @@ class _Player:
 
     _bus: can.BusABC
     _nodes: Nodes
-    _log: CommandListener | None
+    _log: can.Listener | None
     _note: Callable[[str], None]
     _descriptor: int | None
     _trouble_at_ns: int | None = None
