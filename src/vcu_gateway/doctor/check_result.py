@@ -1,11 +1,13 @@
 """Result of a check, one a line, how a subject makes them, and the small files they read."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from vcu_gateway.errors import Problem
+
+Found = TypeVar("Found")
 
 
 class Unreadable(NamedTuple):
@@ -38,6 +40,16 @@ def fields(path: str) -> dict[str, str] | Unreadable:
         return found
     pairs = (line.partition(":") for line in found.splitlines())
     return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def existing(path: str, look: Callable[[str], Found]) -> Found | Unreadable | None:
+    """What `look` finds at the path; None where nothing is there."""
+    try:
+        return look(path)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        return unreadable(path, error)
 
 
 def unreadable(what: str, error: OSError) -> Unreadable:

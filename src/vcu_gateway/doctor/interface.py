@@ -144,8 +144,8 @@ def _checks(facts: InterfaceFacts, info: InterfaceInfo) -> Iterator[Outcome | No
     yield _queue(facts.channel, info)
     yield _discipline(facts.channel, info)
     yield from _controller(facts, info)
-    yield _dropped(facts.channel, info.traffic)
-    yield _overruns(facts.channel, info.traffic)
+    if info.traffic is not None:
+        yield from _lost(facts.channel, info.traffic)
 
 
 def _up(facts: InterfaceFacts, info: InterfaceInfo) -> Outcome:
@@ -179,19 +179,15 @@ def _discipline(name: str, info: InterfaceInfo) -> Outcome | None:
     return SUBJECT.warning("discipline", what, f"sudo tc qdisc replace dev {name} root pfifo_fast")
 
 
-def _dropped(name: str, traffic: InterfaceTraffic | None) -> Outcome | None:
-    if traffic is None or not (traffic.send_dropped or traffic.receive_dropped):
-        return None
-    what = f"{name} has dropped {traffic.send_dropped} frames of {traffic.sent} to be sent and"
-    what += f" {traffic.receive_dropped} of {traffic.received} received"
-    return SUBJECT.warning("dropped", what, f"check whether it grows: ip -s link show {name}")
-
-
-def _overruns(name: str, traffic: InterfaceTraffic | None) -> Outcome | None:
-    if traffic is None or not traffic.overruns:
-        return None
-    what = f"{name}: the controller had no room for {traffic.overruns} received frames"
-    return SUBJECT.warning("overruns", what, f"check whether it grows: ip -s link show {name}")
+def _lost(name: str, traffic: InterfaceTraffic) -> Iterator[CheckResult]:
+    remedy = f"check whether it grows: ip -s link show {name}"
+    if traffic.send_dropped or traffic.receive_dropped:
+        what = f"{name} has dropped {traffic.send_dropped} frames of {traffic.sent} to be sent and"
+        what += f" {traffic.receive_dropped} of {traffic.received} received"
+        yield SUBJECT.warning("dropped", what, remedy)
+    if traffic.overruns:
+        what = f"{name}: the controller had no room for {traffic.overruns} received frames"
+        yield SUBJECT.warning("overruns", what, remedy)
 
 
 def _controller(facts: InterfaceFacts, info: InterfaceInfo) -> Iterator[Outcome | None]:

@@ -15,7 +15,7 @@ from vcu_gateway.doctor.check_result import (
     CheckSubject,
     Outcome,
     Unreadable,
-    unreadable,
+    existing,
 )
 
 SUBJECT = CheckSubject("permissions")
@@ -103,7 +103,7 @@ def read(
     api = config.api
     service = None if service_user is None else _account(service_user)
     path = api.socket_path if api.enabled else None
-    sock = None if path is None else _resource(path)
+    sock = None if path is None else existing(path, permissions_of)
     group = _group_name(sock.gid) if isinstance(sock, FilePermissions) else api.socket_group or ""
     files = [one for one in (file, config.protocol.dbc) if one is not None]
     return PermissionFacts(
@@ -112,7 +112,7 @@ def read(
         policy=_policy(config, service),
         socket_path=path,
         socket=sock,
-        folder=None if path is None else _resource(os.path.dirname(path)),
+        folder=None if path is None else existing(os.path.dirname(path), permissions_of),
         files=tuple(tuple(_path_to(one)) for one in files),
         has_operators=bool(api.operator_users or api.operator_groups),
         socket_group=group,
@@ -154,20 +154,11 @@ def _policy(config: Config, service: Account | Unreadable | None) -> Policy | No
         return None  # a result of configuration names it
 
 
-def _resource(path: str) -> FilePermissions | Unreadable | None:
-    try:
-        return permissions_of(path)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        return unreadable(path, error)
-
-
 def _path_to(file: Path) -> Iterator[FilePermissions]:
     """The folders above and the file, as far as this user can access them."""
     whole = file.absolute()
     for one in (*reversed(whole.parents), whole):
-        place = _resource(str(one))
+        place = existing(str(one), permissions_of)
         if isinstance(place, FilePermissions):
             yield place
 

@@ -10,6 +10,7 @@ from vcu_gateway.doctor.check_result import (
     CheckSubject,
     Outcome,
     Unreadable,
+    existing,
     fields,
     names,
     number,
@@ -104,12 +105,9 @@ def _preemption() -> str:
 
 def free_mb(folder: str) -> int | Unreadable | None:
     """Disk space of a folder that is free for others than root; None where there is no folder."""
-    try:
-        found = os.statvfs(folder)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        return unreadable(folder, error)
+    found = existing(folder, os.statvfs)
+    if not isinstance(found, os.statvfs_result):
+        return found
     return found.f_bavail * found.f_frsize >> 20
 
 
@@ -226,11 +224,7 @@ def judge_buffers(facts: BufferFacts) -> Iterator[CheckResult]:
         yield BUFFERS.unknown("rmem_max", facts.max_bytes.reason)
     elif facts.max_bytes < wanted:
         what = f"the kernel gives {facts.max_bytes} bytes, {who} wants {wanted}"
-        yield BUFFERS.warning("rmem_max", what, _set("rmem_max", wanted))
+        write = f"echo net.core.rmem_max={wanted} | sudo tee -a {_SYSCTL_FILE}"
+        yield BUFFERS.warning("rmem_max", what, f"{write} && sudo sysctl -p {_SYSCTL_FILE}")
     else:
         yield BUFFERS.ok("rmem_max", f"receive buffer of {wanted} bytes is available")
-
-
-def _set(name: str, value: int) -> str:
-    write = f"echo net.core.{name}={value} | sudo tee -a {_SYSCTL_FILE}"
-    return f"{write} && sudo sysctl -p {_SYSCTL_FILE}"

@@ -160,7 +160,7 @@ def judge(facts: RecorderFacts) -> Iterator[CheckResult]:
 
 
 def _off(socket: ServiceFacts) -> CheckResult:
-    if socket.get("UnitFileState").startswith("enabled"):
+    if socket.is_enabled:
         what = f"{SOCKET_UNIT} does not listen: nothing is recorded"
         return SUBJECT.warning("active", what, f"sudo systemctl start {SOCKET_UNIT}")
     hint = f"sudo systemctl enable --now {SOCKET_UNIT}"
