@@ -1,7 +1,6 @@
 """`vcu-gateway decode` and `export`: recordings as JSON lines, CSV, MF4, Parquet, MCAP or HTML."""
 
 import contextlib
-import dataclasses
 import io
 import os
 import sys
@@ -14,16 +13,10 @@ import click
 from vcu_gateway import text
 from vcu_gateway.cli.options import file_option, moment_of
 from vcu_gateway.core.codec import Codec, Reason
-from vcu_gateway.errors import (
-    DataError,
-    GatewayError,
-    Problem,
-    UnavailableError,
-    did_you_mean,
-)
+from vcu_gateway.errors import DataError, GatewayError, Problem, UnavailableError, did_you_mean
 from vcu_gateway.export import formats
-from vcu_gateway.export.source import ReadOptions, Selection, Source, read, title
-from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
+from vcu_gateway.export.source import ReadOptions, Selection, Source, codec_of, read, title
+from vcu_gateway.protocol import DEFAULT_ALIASES, packaged
 from vcu_gateway.recording.candump import RecordedFrame
 from vcu_gateway.recording.decoded import FORMATS, FrameWriter, Summary
 from vcu_gateway.recording.folder import recording_path
@@ -95,7 +88,7 @@ def decode(
     dbc_path: Path | None,
 ) -> None:
     """Read, decode, write, and sum up."""
-    codec = _codec(dbc_path, aliased=not no_alias)
+    codec = codec_of(dbc_path or packaged("vcu.dbc"), {} if no_alias else DEFAULT_ALIASES)
     text_format = FORMATS[format_name]
     writers = _writers(codec, messages, text_format)
     try:
@@ -103,9 +96,7 @@ def decode(
             out.write(text_format.head)
             _decode_all(recording, codec, writers, out)
     except BrokenPipeError:
-        # The reader is gone (`| head`): that is no failure, though click would report one.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(0) from None
+        raise  # the reader is gone (`| head`): that is no failure
     except OSError as error:
         # Reading turns its own into GatewayErrors.
         what = f"cannot be written: {error.strerror or error}"
@@ -114,13 +105,6 @@ def decode(
 
 def _report(problem: Problem) -> None:
     text.say(str(problem))
-
-
-def _codec(dbc_path: Path | None, *, aliased: bool) -> Codec:
-    protocol = dbc.load(dbc_path or packaged("vcu.dbc"))
-    names = {message.name for message in protocol.messages}
-    aliases = {can_id: name for can_id, name in DEFAULT_ALIASES.items() if name in names}
-    return Codec(dataclasses.replace(protocol, aliases=aliases if aliased else {}))
 
 
 def _writers(

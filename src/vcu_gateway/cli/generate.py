@@ -3,14 +3,14 @@
 import difflib
 import json
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
 
 import click
 
 from vcu_gateway import files
+from vcu_gateway.cli.options import Option
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
 from vcu_gateway.protocol import cantools_dbc, definition
 
@@ -45,8 +45,6 @@ _OUTPUT = Path("dbc/vcu.dbc")
 _MODULE = Path("src/vcu_gateway/protocol/vcu_dbc.py")
 _SHOWN_LINES = 20
 
-_Command = TypeVar("_Command", bound=Callable[..., Any])
-
 _HELP = """Generate the DBC and its module from the definition.
 
 The module is what cantools reads in the DBC, as Python data: the gateway starts without cantools,
@@ -60,7 +58,7 @@ the first differing lines are shown.
 _FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-def _file(name: str, parameter: str, usual: Path, text: str) -> Callable[[_Command], _Command]:
+def _file(name: str, parameter: str, usual: Path, text: str) -> Option:
     return click.option(
         name, parameter, metavar="FILE", type=_FILE, default=usual, show_default=True, help=text
     )

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
@@ -30,25 +30,17 @@ from vcu_gateway.errors import (
 )
 from vcu_gateway.text import duration
 
-_Command = TypeVar("_Command", bound=Callable[..., Any])
 
-
-def api_options(command: _Command) -> _Command:
+def api_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return socket_option(json_option(command))
 
 
 @contextlib.contextmanager
 def connected(socket_path: Path | None) -> Iterator[Client]:
     """Client whose errors become a line on stderr and an exit code."""
-    with command_line_errors(), Client(socket_path) as client:
-        yield client
-
-
-@contextlib.contextmanager
-def command_line_errors() -> Iterator[None]:
-    """Errors of the client as errors with an exit code."""
     try:
-        yield
+        with Client(socket_path) as client:
+            yield client
     except ConfigRefusedError as error:
         raise ConfigError(*map(Problem, error.problems or (error.sentence,))) from error
     except NoRightError as error:

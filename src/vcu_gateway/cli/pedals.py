@@ -5,12 +5,7 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.options import (
-    ANY_PATH,
-    config_file_option,
-    socket_option,
-    stopped_by_signals,
-)
+from vcu_gateway.cli.options import ANY_PATH, config_file_option, socket_option, stopped_by_signals
 from vcu_gateway.client import Client
 from vcu_gateway.pedals import configuration, program
 from vcu_gateway.pedals.sources import open_source

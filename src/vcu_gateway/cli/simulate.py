@@ -88,13 +88,12 @@ def simulate(
     if scenario_path is not None:
         scenario = load_scenario(scenario_path, codec.protocol)
         scenario.check_pedals(pedals is not None, str(scenario_path))
-    start, start_ns = scenario.start, time.monotonic_ns()
+    start_ns, given = time.monotonic_ns(), {"soc_pct": soc_pct, "battery_speedup": battery_speedup}
+    start = scenario.start.model_dump() | {name: n for name, n in given.items() if n is not None}
     nodes = simulator.build(
         codec,
         start_ns,
-        soc_pct=start.soc_pct if soc_pct is None else soc_pct,
-        battery_speedup=start.battery_speedup if battery_speedup is None else battery_speedup,
-        battery_resistance_ohm=start.battery_resistance_ohm,
+        **start,
         seed=seed,
         faults=scenario.faults(codec, start_ns, _note),
         pedals=pedals,

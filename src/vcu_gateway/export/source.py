@@ -149,7 +149,8 @@ def read(name: str, options: ReadOptions) -> Source:
     return source
 
 
-def _codec(path: Path, known: Mapping[int, str], of_drive: bool = False) -> Codec:
+def codec_of(path: Path, known: Mapping[int, str], of_drive: bool = False) -> Codec:
+    """Codec of a DBC, with those of the known aliases whose messages it has."""
     protocol = dbc.load(path)
     if of_drive and (unmet := dbc.unmet(protocol, lambda *_: str(path))):
         raise DataError(*unmet[:_MOST_PROBLEMS])
@@ -168,7 +169,7 @@ def _aliases_of(folder: Path) -> Mapping[int, str]:
 
 def _read_log(name: str, options: ReadOptions) -> Source:
     path = options.dbc_path or packaged("vcu.dbc")
-    codec = _codec(path, DEFAULT_ALIASES if options.aliased else {})
+    codec = codec_of(path, DEFAULT_ALIASES if options.aliased else {})
     store = FrameStore(codec, options.window)
     with open_recording(name, options.report) as recording:
         blocks = recording.blocks(_BLOCK_BYTES)
@@ -192,7 +193,7 @@ def _read_drive(path: Path, options: ReadOptions) -> Source:
     description = layout.read_description(folder / layout.DRIVE_FILE)
     compare_with_digests(folder, layout.segments(folder))
     aliases = _aliases_of(folder) if options.aliased else {}
-    codec = _codec(options.dbc_path or folder / layout.DBC_FILE, aliases, of_drive=True)
+    codec = codec_of(options.dbc_path or folder / layout.DBC_FILE, aliases, of_drive=True)
     store, decisions = FrameStore(codec, options.window), Decisions(options.window)
     segments = layout.segments(folder)
     if not path.is_dir():
