@@ -50,9 +50,8 @@ _VERBS = {
 }
 
 MODULES = {
-    **dict.fromkeys(("status", "arm", "disarm", "reset", "reload", "why", "events"), "operator"),
-    "estop": "operator",
-    "drive-mode": "tuning",
+    **dict.fromkeys(("status", "why", "arm", "disarm", "reset", "drive-mode"), "operator"),
+    **dict.fromkeys(("tuning", "estop", "events", "reload"), "operator"),
     "check-config": "run",
     "version": "about",
     "completion": "about",

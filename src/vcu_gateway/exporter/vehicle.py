@@ -43,11 +43,6 @@ def _cause_seconds(why: results.Why) -> Samples:
     }
 
 
-def _demand_fresh(why: results.Why) -> Samples:
-    demand = why["demand"]
-    return one(float(demand is not None and demand["fresh"]))
-
-
 def _demand_age(why: results.Why) -> Samples:
     demand = why["demand"]
     age_ms = None if demand is None else demand["age_ms"]
@@ -95,7 +90,6 @@ def _stop_obeyed(state: results.State) -> Samples:
 
 
 def _limit(name: str, text: str, key: str, divisor: float = 1) -> Family:
-
     def read(reading: GatewayAnswers) -> Samples:
         config = reading.config
         return one(None if config is None else config["values"]["limits"][key] / divisor)
@@ -131,10 +125,6 @@ def _curve_caps(tuning: results.TuningNow) -> Samples:
         for one in tuning["curves"]
         if one["cap"] is not None
     }
-
-
-def _curve_input_known(tuning: results.TuningNow) -> Samples:
-    return by({one["key"]: float(one["x"] is not None) for one in tuning["curves"]})
 
 
 FAMILIES: tuple[Family, ...] = (
@@ -180,7 +170,7 @@ FAMILIES: tuple[Family, ...] = (
     gauge(
         "demand_fresh",
         "1 where a demand counted in the last tick, else 0.",
-        of_why(_demand_fresh),
+        of_why(lambda why: one(float(bool(why["demand"] and why["demand"]["fresh"])))),
     ),
     gauge(
         "demand_age_seconds",
@@ -243,7 +233,7 @@ FAMILIES: tuple[Family, ...] = (
         "curve_input_known",
         "1 where the input of each curve is known, 0 where a message is stale or a signal out of"
         " range; absent where there are no curves.",
-        of_tuning(_curve_input_known),
+        of_tuning(lambda now: by({one["key"]: one["x"] is not None for one in now["curves"]})),
         "curve",
     ),
     gauge(

@@ -199,20 +199,19 @@ def _figures(view: ViewModel, width: int, tall: bool) -> list[Text]:
     old = view.problem is not None
     left = figures.controller_lines(view.state, tall, old)
     if not wide:
-        lines = left + figures.short_lines(view.health)
-        return _faded(lines) if old else lines
+        return _faded(left + figures.short_lines(view.health), old)
     room = width - figures.TABLE_COLUMNS - _GAP
     right = figures.panel_lines(view.health, room)[: max(len(left), _PANEL_LINES)]
     lines = [
         line(_at(left, row, figures.TABLE_COLUMNS), " " * _GAP, _at(right, row, room))
         for row in range(max(len(left), len(right)))
     ]
-    return _faded(lines) if old else lines
+    return _faded(lines, old)
 
 
 def _at(lines: list[Text], row: int, width: int) -> Text:
     return cell(lines[row] if row < len(lines) else "", width)
 
 
-def _faded(lines: list[Text]) -> list[Text]:
-    return [Text(one.plain, "dim") for one in lines]
+def _faded(lines: list[Text], old: bool) -> list[Text]:
+    return [Text(one.plain, "dim") for one in lines] if old else lines
