@@ -44,7 +44,9 @@ def doctor(config_path: Path | None, listen: bool, as_json: bool) -> None:
     """Run the checks, print the results, exit with 1 where one is wrong."""
     path, missing = _file(config_path)
     results = list(run_checks(path, missing, listen=listen))
-    click.echo(_as_json(results) if as_json else _as_text(results), color=_colour())
+    # Colours on a terminal alone, and not where NO_COLOR is set (no-color.org).
+    colour = False if os.environ.get("NO_COLOR") else None
+    click.echo(_as_json(results) if as_json else _as_text(results), color=colour)
     if any(result.kind is CheckStatus.WRONG for result in results):
         sys.exit(1)
 
@@ -54,11 +56,6 @@ def _file(given: Path | None) -> tuple[Path | None, tuple[Problem, ...]]:
         return resolve_config(given), ()
     except MissingInputError as error:
         return None, error.problems
-
-
-def _colour() -> bool | None:
-    """On a terminal alone, and not where NO_COLOR is set (no-color.org)."""
-    return False if os.environ.get("NO_COLOR") else None
 
 
 def _as_json(results: list[CheckResult]) -> str:

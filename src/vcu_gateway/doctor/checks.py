@@ -145,11 +145,6 @@ def _process(shared: _SharedFacts) -> Iterable[CheckResult]:
     return process.judge(process.read(shared.pid, *map(shared.unit.get, names)))
 
 
-def _buffers(shared: _SharedFacts) -> Iterable[CheckResult]:
-    wanted = shared.file.in_effect.bus.receive_buffer_bytes
-    return process.judge_buffers(process.read_buffers(wanted))
-
-
 _CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
     "protocol": lambda shared: configuration.judge_protocol(
         configuration.read_protocol(shared.file.in_effect)
@@ -158,7 +153,9 @@ _CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
     "bus": _bus,
     "time": lambda _: clock.judge(clock.read()),
     "permissions": _permissions,
-    "buffers": _buffers,
+    "buffers": lambda shared: process.judge_buffers(
+        process.read_buffers(shared.file.in_effect.bus.receive_buffer_bytes)
+    ),
     "process": _process,
     "service": lambda shared: service.judge(shared.unit),
     "libraries": lambda _: libraries.judge(libraries.read()),

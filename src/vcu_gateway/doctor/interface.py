@@ -75,7 +75,8 @@ class InterfaceFacts(NamedTuple):
 
 
 def read(channel: str, bit_rate_bit_s: int, persistent: str = "") -> InterfaceFacts:
-    others = tuple(name for name in _can_interfaces() if name != channel)
+    can = (name for name in names(_FOLDER) if text(f"{_FOLDER}/{name}/type") == _ARPHRD_CAN)
+    others = tuple(name for name in can if name != channel)
     refusal = can_socket_error()
     number = None if refusal is None else refusal.errno
     facts = InterfaceFacts(channel, bit_rate_bit_s, number, None, others, persistent)
@@ -88,10 +89,6 @@ def read(channel: str, bit_rate_bit_s: int, persistent: str = "") -> InterfaceFa
         if error.errno == errno.ENODEV:
             return facts
         return facts._replace(info=unreadable("rtnetlink", error))
-
-
-def _can_interfaces() -> list[str]:
-    return [name for name in names(_FOLDER) if text(f"{_FOLDER}/{name}/type") == _ARPHRD_CAN]
 
 
 def judge(facts: InterfaceFacts) -> Iterator[CheckResult]:

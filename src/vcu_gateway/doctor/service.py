@@ -90,12 +90,7 @@ def read(unit: str, booted: str = _BOOTED) -> ServiceFacts:
     command = [program, "show", unit, "--property", ",".join(_PROPERTIES)]
     try:
         done = subprocess.run(  # noqa: S603 - systemd's own program
-            command,
-            check=False,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=_TIMEOUT_S,
+            command, check=False, capture_output=True, errors="replace", timeout=_TIMEOUT_S
         )
     except subprocess.TimeoutExpired:
         return ServiceFacts(unit, Unreadable(f"systemd did not answer within {_TIMEOUT_S:g} s"))

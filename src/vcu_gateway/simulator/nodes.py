@@ -290,7 +290,9 @@ class Nodes:
         while self._answers and self._answers[0][0] <= now_ns:
             due_ns, sender = self._answers.popleft()
             self._hand_over(sender.frame(due_ns))
-        leaving = list(self._leaving(now_ns))
+        leaving: list[NodeFrame] = []
+        while self._outgoing and self._outgoing[0][0] <= now_ns:
+            leaving.append(heapq.heappop(self._outgoing)[2])
         for frame in leaving:
             if frame.message in self._controllers:  # the controllers also obey a foreign node
                 self.receive(frame.can_id, frame.data, now_ns)
@@ -309,10 +311,6 @@ class Nodes:
             frames = [changed for each in frames for changed in transform(each)]
         for each in frames:
             heapq.heappush(self._outgoing, (each.due_ns, next(self._sequence), each))
-
-    def _leaving(self, now_ns: int) -> Iterable[NodeFrame]:
-        while self._outgoing and self._outgoing[0][0] <= now_ns:
-            yield heapq.heappop(self._outgoing)[2]
 
 
 def _senders(codec: Codec, known: Mapping[str, Source]) -> dict[str, _Sender]:

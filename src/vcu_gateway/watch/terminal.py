@@ -11,7 +11,6 @@ import sys
 import termios
 import threading
 from collections.abc import Callable, Sequence
-from types import FrameType
 from typing import Any
 
 from vcu_gateway import text
@@ -49,11 +48,7 @@ class TerminalExit:
     def handle_signals(self) -> None:
         """Take SIGTERM, SIGHUP and SIGINT as the request; only in the main thread."""
         for number in _EXIT_SIGNALS:
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.request()
+            signal.signal(number, lambda *_: self.request())
 
     def request(self) -> None:
         """Have the view end; in two seconds the process does, whatever the view does."""
