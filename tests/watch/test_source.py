@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from tests.watch import view_models
+from vcu_gateway.client import ClientError
 from vcu_gateway.watch import source as source_module
-from vcu_gateway.watch.source import GatewaySource, SourceRefusedError, ViewModel
+from vcu_gateway.watch.source import GatewaySource, ViewModel
 
 WAIT_S = 60.0
 
@@ -182,7 +183,7 @@ def test_stopping_goes_to_the_gateway(path, what):
 def test_a_refusal_and_a_missing_gateway_are_told_alike(path, what):
     with gateway(path) as made:
         made.error = {"code": -32002, "message": "the mode is standby", "data": {}}
-        with pytest.raises(SourceRefusedError, match="the mode is standby"):
+        with pytest.raises(ClientError, match="the mode is standby"):
             GatewaySource(path).request(what)
-    with pytest.raises(SourceRefusedError, match="no socket"):
+    with pytest.raises(ClientError, match="no socket"):
         GatewaySource(path).request(what)

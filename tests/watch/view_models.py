@@ -10,6 +10,7 @@ from typing import Any
 from tests.simulator.driving import CRUISE, S_NS, START_NS
 from vcu_gateway import simulator
 from vcu_gateway.api.results import Cause, ControllerStopState, Health, StopStageName, StopState
+from vcu_gateway.client import ClientError
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.gateway import Gateway
 from vcu_gateway.core.j1939 import Frame
@@ -17,7 +18,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.daemon.loop import LastTick
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.server import views
-from vcu_gateway.watch.source import SourceProblem, SourceRefusedError, ViewModel
+from vcu_gateway.watch.source import SourceProblem, ViewModel
 
 HEALTH: Health = {
     "pid": 812,
@@ -276,4 +277,4 @@ class Scripted:
         self.asked.append(what)
         self.may_answer.wait()
         if self.refusal:
-            raise SourceRefusedError(self.refusal)
+            raise ClientError(self.refusal)

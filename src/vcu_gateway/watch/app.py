@@ -9,17 +9,17 @@ from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.color import Color
-from textual.events import Resize
 from textual.filter import LineFilter
 from textual.geometry import Size
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
 from textual.widgets import Input, Static
 
+from vcu_gateway.client import ClientError
 from vcu_gateway.watch.figures import cell, line
 from vcu_gateway.watch.layout import upper_lines
 from vcu_gateway.watch.signals import signal_lines
-from vcu_gateway.watch.source import SourceRefusedError, ViewModel, ViewSource
+from vcu_gateway.watch.source import ViewModel, ViewSource
 
 REFRESH_HZ = 5.0
 _NOTICE_S = 6.0
@@ -185,8 +185,7 @@ class WatchApp(App[None]):
             self._view = self._source.latest()
             self._show()
 
-    def on_resize(self, event: Resize) -> None:
-        del event
+    def on_resize(self) -> None:
         self._show()
 
     def _show(self) -> None:
@@ -284,7 +283,7 @@ class WatchApp(App[None]):
     def _send_request(self, what: str) -> None:
         try:
             self._source.request(what)
-        except SourceRefusedError as refusal:
+        except ClientError as refusal:
             answer = f"{NAMES[what]} not granted: {refusal}"
         else:
             answer = f"{NAMES[what]} granted"

@@ -42,17 +42,13 @@ class ViewModel:
     problem: SourceProblem | None = None
 
 
-class SourceRefusedError(Exception):
-    """A request was refused or not answered; the message says why."""
-
-
 class ViewSource(Protocol):
     """Source of view models. `latest` never waits; `request` may, for a second or two."""
 
     def latest(self) -> ViewModel: ...
 
     def request(self, what: str) -> None:
-        """Send `estop` or `disarm`; SourceRefusedError where it was not granted."""
+        """Send `estop` or `disarm`; ClientError, which says why, where it was not granted."""
 
 
 class GatewaySource:
@@ -73,11 +69,8 @@ class GatewaySource:
 
     def request(self, what: str) -> None:
         """On a connection of its own, which nothing else holds up."""
-        try:
-            with Client(self._socket_path) as client:
-                getattr(client, what)()
-        except ClientError as error:
-            raise SourceRefusedError(str(error)) from error
+        with Client(self._socket_path) as client:
+            getattr(client, what)()
 
     def __enter__(self) -> Self:
         self._thread.start()
