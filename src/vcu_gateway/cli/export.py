@@ -149,9 +149,9 @@ def _decode_all(
         _decode(recording, codec, writers, out, summary)
         out.flush()
     except (GatewayError, KeyboardInterrupt):
-        _sum_up(summary, recording)
+        _sum_up(summary, recording.problems.unreadable)
         raise
-    _sum_up(summary, recording)
+    _sum_up(summary, recording.problems.unreadable)
     if not summary.frames:
         remedy = "" if recording.problems.unreadable else "it is empty"
         raise DataError(Problem("holds no frame that can be read", recording.name, remedy))
@@ -191,8 +191,8 @@ def _watched(recording: Recording) -> Iterable[RecordedFrame]:
     )
 
 
-def _sum_up(summary: Summary, recording: Recording) -> None:
-    for line in summary.lines(recording.problems.unreadable):
+def _sum_up(summary: Summary, unreadable: int) -> None:
+    for line in summary.lines(unreadable):
         text.say(line)
 
 
@@ -279,8 +279,7 @@ def export(
         formats.write(source, tables, selection, kind, path)
     finally:
         source.store.close()
-    for line in source.store.summary.lines(source.unreadable):
-        text.say(line)
+    _sum_up(source.store.summary, source.unreadable)
     click.echo(path)
 
 
