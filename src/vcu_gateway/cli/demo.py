@@ -151,11 +151,12 @@ def _in_terminal(wanted: DemoOptions, recordings: Path | None) -> str:
         click.echo(f"{_TITLE} on {wanted.channel} ({wanted.interface}), until q or Ctrl-C")
         _echo_for_others(wanted, recordings)
         if terminal.is_full():
-
-            def notes() -> list[str]:
-                return [_export_line(wanted), *child.notes[-1:]]
-
-            terminal.watch(source, _TITLE, child.has_ended, notes)
+            terminal.watch(
+                source,
+                _TITLE,
+                child.has_ended,
+                notes=lambda: [_export_line(wanted), *child.notes[-1:]],
+            )
             _echo_all(child.notes)
         else:
             _print(lambda: plain(_TITLE, source.latest()), child)
@@ -179,7 +180,8 @@ def _in_browser(wanted: DemoOptions, recordings: Path | None) -> str:
             click.echo(f"{_TITLE} on {wanted.channel}: {address} (Ctrl-C ends it)")
             _echo_for_others(wanted, recordings)
             threading.Thread(target=_follow, args=(child, stopped), daemon=True).start()
-            _open_browser(address)
+            if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+                webbrowser.open(address)  # in this desktop's, where there is one
 
         try:
             application.run(settings, app, on_ready)
@@ -196,12 +198,6 @@ def _follow(child: DemoProcess, stopped: threading.Event) -> None:
         if child.has_ended():
             signal.raise_signal(signal.SIGINT)
             return
-
-
-def _open_browser(address: str) -> None:
-    """Open it in this desktop's browser, where there is one."""
-    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        webbrowser.open(address)
 
 
 def _recorder(folder: Path | None) -> AbstractContextManager[DemoRecorder | None]:

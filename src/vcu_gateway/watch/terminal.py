@@ -43,7 +43,8 @@ class TerminalExit:
     def __init__(self) -> None:
         self.requested = False
         self._attributes = _attributes()
-        self._finished = threading.Event()
+        self._end = threading.Timer(_EXIT_TIMEOUT_S, self._enforce)
+        self._end.daemon = True
 
     def handle_signals(self) -> None:
         """Take SIGTERM, SIGHUP and SIGINT as the request; only in the main thread."""
@@ -54,14 +55,12 @@ class TerminalExit:
         """Have the view end; in two seconds the process does, whatever the view does."""
         if not self.requested:
             self.requested = True
-            threading.Thread(target=self._enforce, name="exit", daemon=True).start()
+            self._end.start()
 
     def finished(self) -> None:
-        self._finished.set()
+        self._end.cancel()
 
     def _enforce(self) -> None:
-        if self._finished.wait(_EXIT_TIMEOUT_S):
-            return
         if self._attributes is not None:
             with contextlib.suppress(termios.error):  # it has gone
                 termios.tcsetattr(0, termios.TCSANOW, self._attributes)
