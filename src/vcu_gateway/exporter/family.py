@@ -194,9 +194,9 @@ def one(value: float | None) -> Samples:
     return {} if value is None else {(): value}
 
 
-def by(values: Mapping[LabelT, float]) -> Samples:
-    """One sample for each value of the only label."""
-    return {(label,): value for label, value in values.items()}
+def by(values: Mapping[LabelT, float | None]) -> Samples:
+    """One sample for each value of the only label; none where the value is None."""
+    return {(label,): value for label, value in values.items() if value is not None}
 
 
 def states(known: Iterable[str], standing: Iterable[str]) -> Samples:

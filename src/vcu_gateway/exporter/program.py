@@ -71,12 +71,8 @@ def _message(
     value: Callable[[results.Message], float | None],
 ) -> Family:
     """A sample for each received message; none where the value is None."""
-
-    def samples(state: results.State) -> Samples:
-        values = {name: value(message) for name, message in state["messages"].items()}
-        return by({name: found for name, found in values.items() if found is not None})
-
-    return kind(f"message_{name}", text, of_state(samples), "message")
+    read = of_state(lambda state: by({n: value(one) for n, one in state["messages"].items()}))
+    return kind(f"message_{name}", text, read, "message")
 
 
 def _age_s(message: results.Message) -> float | None:

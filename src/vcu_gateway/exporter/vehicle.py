@@ -85,8 +85,8 @@ def _stop_stage(state: results.State) -> Samples:
 
 
 def _stop_obeyed(state: results.State) -> Samples:
-    known = state["stop"]["controllers"].items() if state["stop"] else ()
-    return by({name: one["obeyed"] for name, one in known if one["obeyed"] is not None})
+    stop = state["stop"]
+    return by({name: one["obeyed"] for name, one in stop["controllers"].items()} if stop else {})
 
 
 def _limit(name: str, text: str, key: str, divisor: float = 1) -> Family:
