@@ -13,8 +13,8 @@ from vcu_gateway.doctor.check_result import (
     CheckSubject,
     Outcome,
     Unreadable,
+    existing,
     text,
-    unreadable,
 )
 from vcu_gateway.doctor.service import ServiceFacts
 from vcu_gateway.errors import GatewayError, NotPermittedError, Problem
@@ -48,12 +48,11 @@ class RecordingDisk(NamedTuple):
 
 
 def read_disk(folder: Path) -> RecordingDisk | Unreadable | None:
-    try:
-        found, device = os.statvfs(folder), folder.stat().st_dev
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        return unreadable(str(folder), error)
+    return existing(str(folder), _disk_of)
+
+
+def _disk_of(folder: str) -> RecordingDisk:
+    found, device = os.statvfs(folder), os.stat(folder).st_dev
     disk = RecordingDisk(
         _file_system_of(device),
         bool(found.f_flag & os.ST_RDONLY),

@@ -155,11 +155,8 @@ class WatchApp(App[None]):
         self._pending = ""
         self._notice = ""
         # Held here: at the end a timer may still fire when the screen has no widgets any more.
-        self._upper, self._signals, self._keys = (
-            LinesWidget("upper"),
-            LinesWidget("signals"),
-            LinesWidget("hints"),
-        )
+        self._upper, self._signals = LinesWidget("upper"), LinesWidget("signals")
+        self._keys = LinesWidget("hints")
         self._find = Input(id="find", placeholder="part of a name; Enter keeps it, Esc ends it")
         self._help = Static(HELP, id="help", markup=False)
 
