@@ -2,13 +2,14 @@
 
 import math
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.codec import Codec, MessageCodec
 from vcu_gateway.core.commands import message_name
 from vcu_gateway.core.demand import CONTROLLERS, RequestResult
 from vcu_gateway.core.gateway import Gateway
+from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, SignalSpec
 from vcu_gateway.core.transmit import OutFrame, SentValues
 from vcu_gateway.recording.decoded import decimals
@@ -125,6 +126,13 @@ class CommandSeries:
             return [math.nan] * len(_PLOTTED)
         values = self._codecs[name].decode(frame.data).values
         return [values[place] for place in self._places[name]]
+
+
+def send(gateway: Gateway, frames: Iterable[OutFrame], now_ns: int) -> None:
+    """The bus takes the frames, and they come back."""
+    for frame in frames:
+        gateway.sent(frame, True, now_ns)
+        gateway.receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
 
 
 def answer_text(answer: RequestResult) -> str:

@@ -33,7 +33,7 @@ from vcu_gateway.recording.core_lines import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.replay.commands import CommandSeries, RecordedCommands
+from vcu_gateway.replay.commands import CommandSeries, RecordedCommands, send
 from vcu_gateway.replay.curve_use import CurveUses
 from vcu_gateway.replay.what_if import WhatIf
 
@@ -61,13 +61,12 @@ class OpenLoop:
     def __init__(
         self, codec: Codec, settings: Settings, series: CommandSeries | None = None
     ) -> None:
-        self.what_if = WhatIf(codec)
+        self.what_if = WhatIf(codec, series)
         self.reloads: list[int] = []
         self.gaps: list[tuple[int, Gap]] = []
         self.curves: CurveUses | None = None
         self._codec = codec
         self._settings = settings
-        self._series = series
         self._told = RecordedCommands(codec)
         self._gateway: Gateway | None = None
         self._frames: dict[str, OutFrame] = {}
@@ -136,20 +135,12 @@ class OpenLoop:
             self.curves.tick(result.snapshot, mode)
         self._frames = {frame.controller: frame for frame in result.frames}
         if len(record.frames) != len(result.frames):
-            self._send_what_was_not(gateway, record)
+            recorded = {frame.controller for frame in record.frames}
+            send(gateway, [one for one in result.frames if one.controller not in recorded], now_ns)
         was_left, is_left = self.what_if.tick(now_ns, record, result)
         self._stopped_before = self._stopped_before or was_left
         if is_left:
             self.what_if.after.explain_stop(gateway.why(now_ns).sentence())
-        if self._series is not None:
-            self._series.add(now_ns, result.frames)
-
-    def _send_what_was_not(self, gateway: Gateway, record: TickRecord) -> None:
-        """Frames that the recording does not have: the bus took them, and they came back."""
-        recorded = {frame.controller for frame in record.frames}
-        for frame in [one for name, one in self._frames.items() if name not in recorded]:
-            gateway.sent(frame, True, record.now_ns)
-            gateway.receive(Frame(frame.can_id, frame.data, record.now_ns, own_echo=True))
 
     def _explain(self, record: WhyRecord) -> None:
         if self._stopped_before:
@@ -213,10 +204,9 @@ class _Loop:
         result = self.gateway.tick(now_ns)
         if self._pedals is not None and (demanded := self.gateway.requests.demanded(now_ns)):
             self.press_brake(demanded)
+        send(self.gateway, result.frames, now_ns)
         for frame in result.frames:
-            self.gateway.sent(frame, True, now_ns)
             nodes.receive(frame.can_id, frame.data, now_ns)
-            receive(Frame(frame.can_id, frame.data, now_ns, own_echo=True))
         return result
 
     def press_brake(self, demanded: ControllerDemands) -> None:
@@ -246,13 +236,12 @@ class ClosedLoop:
         after: Settings,
         series: CommandSeries | None = None,
     ) -> None:
-        self.what_if = WhatIf(codec)
+        self.what_if = WhatIf(codec, series)
         self.reloads = 0
         self.speeds_km_h = [0.0, 0.0]
         self.distances_m = [0.0, 0.0]
         self._codec = codec
         self._given = (before, after)
-        self._series = series
         self._loops: list[_Loop] = []
         self._now_ns = 0
 
@@ -293,16 +282,10 @@ class ClosedLoop:
 
     def _tick(self, now_ns: int) -> None:
         results = [loop.tick(now_ns) for loop in self._loops]
-        left = self.what_if.tick(now_ns, *results)
-        timelines = (self.what_if.before, self.what_if.after)
-        for ended, timeline, loop in zip(left, timelines, self._loops, strict=True):
-            if ended:
-                timeline.explain_stop(loop.gateway.why(now_ns).sentence())
+        self.what_if.decided(now_ns, results, [loop.gateway for loop in self._loops])
         elapsed_s = (now_ns - self._now_ns) / 1e9
         for side, loop in enumerate(self._loops):
             speed_m_s = abs(loop.speed_m_s)
             self.speeds_km_h[side] = max(self.speeds_km_h[side], speed_m_s * 3.6)
             self.distances_m[side] += speed_m_s * elapsed_s
         self._now_ns = now_ns
-        if self._series is not None:
-            self._series.add(now_ns, results[1].frames)

@@ -10,17 +10,18 @@ Results have the names and the order of the verb's JSON (`report.values_of`).
 """
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Event, HeldCause
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
+from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.core.transmit import OutFrame
 from vcu_gateway.recording.cause_spans import CauseKey, CauseSpan, CauseSpans
-from vcu_gateway.replay.commands import CommandFields, FieldChange, answer_text
+from vcu_gateway.recording.core_lines import TickRecord
+from vcu_gateway.replay.commands import CommandFields, CommandSeries, FieldChange, answer_text
 from vcu_gateway.units import NS_PER_S
 
 _MOST_ANSWERS = 200
@@ -120,22 +121,6 @@ class Timeline:
             self.modes.append((now_ns, mode))
 
 
-class TickOutcome(Protocol):
-    """What a tick told, recorded or replayed."""
-
-    @property
-    def frames(self) -> tuple[OutFrame, ...]:
-        """Commands of both controllers; none while listening."""
-
-    @property
-    def mode(self) -> Mode:
-        """Mode after the tick."""
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """Events since the tick before."""
-
-
 class DifferentTick(NamedTuple):
     """A field at one tick, on both sides."""
 
@@ -221,10 +206,14 @@ class WhatIfResult(NamedTuple):
 
 
 class WhatIf:
-    """Comparison of both sides, tick by tick; memory grows with differences alone."""
+    """Comparison of both sides, tick by tick; memory grows with differences alone.
 
-    def __init__(self, codec: Codec) -> None:
+    `series`, where there is one, is given the commands of the side after.
+    """
+
+    def __init__(self, codec: Codec, series: CommandSeries | None = None) -> None:
         self.before, self.after = Timeline(), Timeline()
+        self._series = series
         self._fields = CommandFields(codec)
         self._differences: dict[tuple[str, str], FieldDifference] = {}
         self._answers: list[AnswerChange] = []
@@ -245,7 +234,9 @@ class WhatIf:
         self.before.end(now_ns)
         self.after.end(now_ns)
 
-    def tick(self, now_ns: int, before: TickOutcome, after: TickOutcome) -> tuple[bool, bool]:
+    def tick(
+        self, now_ns: int, before: TickRecord | TickResult, after: TickResult
+    ) -> tuple[bool, bool]:
         """Compare a tick; whether it ended ACTIVE on each side."""
         self._ticks += 1
         self._now_ns = now_ns
@@ -261,10 +252,21 @@ class WhatIf:
             self._mode_ticks += 1
             different = True
         self._different_ticks += different
+        if self._series is not None:
+            self._series.add(now_ns, after.frames)
         return (
             self.before.tick(now_ns, before.mode, before.events),
             self.after.tick(now_ns, after.mode, after.events),
         )
+
+    def decided(self, now_ns: int, results: Sequence[TickResult], cores: Sequence[Gateway]) -> None:
+        """Compare a tick of two cores, or of one with itself; each explains its own stop."""
+        left = self.tick(now_ns, results[0], results[-1])
+        for ended, side, core in zip(
+            left, (self.before, self.after), (cores[0], cores[-1]), strict=True
+        ):
+            if ended:
+                side.explain_stop(core.why(now_ns).sentence())
 
     def answer(
         self, now_ns: int, request: str, before: RequestResult, after: RequestResult
