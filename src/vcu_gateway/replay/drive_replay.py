@@ -252,7 +252,7 @@ class _DriveReplay:
     def closed_loop(self, plotted: bool) -> ReplayReport:
         """With a simulated vehicle, once with each configuration."""
         configured, codec, series = self._given(plotted)
-        loop = ClosedLoop(codec, None, configured.settings, series)
+        loop = ClosedLoop(codec, configured.settings, series)
         self._replay(loop.note)
         (slow, fast), (near, far) = loop.speeds_km_h, loop.distances_m
         notes = [

@@ -169,7 +169,7 @@ class LogReplay:
         codec: Codec,
         before: Settings,
         after: Settings | None,
-        series: CommandSeries | None = None,
+        series: CommandSeries | None,
     ) -> None:
         self.what_if = WhatIf(codec, series)
         self.frames = self.commands = self.backwards = 0

@@ -222,6 +222,8 @@ class _Loop:
 class ClosedLoop:
     """Recorded requests given to two cores, each with a simulated vehicle of its own.
 
+    One has the recorded settings, the other those that are given.
+
     Attributes:
         what_if: the recorded configuration beside the given one.
         reloads: how many recorded reloads were left out.
@@ -229,19 +231,13 @@ class ClosedLoop:
         distances_m: distance driven, before and after.
     """
 
-    def __init__(
-        self,
-        codec: Codec,
-        before: Settings | None,
-        after: Settings,
-        series: CommandSeries | None = None,
-    ) -> None:
+    def __init__(self, codec: Codec, settings: Settings, series: CommandSeries | None) -> None:
         self.what_if = WhatIf(codec, series)
         self.reloads = 0
         self.speeds_km_h = [0.0, 0.0]
         self.distances_m = [0.0, 0.0]
         self._codec = codec
-        self._given = (before, after)
+        self._settings = settings
         self._loops: list[_Loop] = []
         self._now_ns = 0
 
@@ -261,8 +257,8 @@ class ClosedLoop:
             self._loops = []
 
     def _begin(self, record: Checkpoint) -> None:
-        settings = [record.settings if one is None else one for one in self._given]
-        self._loops = [_Loop(self._codec, record, one) for one in settings]
+        both = record.settings, self._settings
+        self._loops = [_Loop(self._codec, record, settings) for settings in both]
         held = [loop.gateway.causes.held for loop in self._loops]
         self.what_if.begin(held[0], held[1], record.mode, record.now_ns)
         self._now_ns = record.now_ns
@@ -274,8 +270,7 @@ class ClosedLoop:
         if isinstance(one, calls.Offer):
             for loop in self._loops:
                 loop.press_brake(one.demand.controllers)
-        answers = [one.apply(loop.gateway) for loop in self._loops]
-        before, after = answers
+        before, after = [one.apply(loop.gateway) for loop in self._loops]
         if isinstance(before, RequestResult) and isinstance(after, RequestResult):
             now_ns = getattr(one, "now_ns", self._now_ns)
             self.what_if.answer(now_ns, REQUESTS[type(one)], before, after)
