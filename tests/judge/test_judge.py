@@ -320,7 +320,7 @@ def test_the_verdict_sees_what_is_broken(recorded, records, tmp_path, what):
         mutated = list(open_drive(stops(tmp_path / "drive")).runs())
     mutate(mutated)
     verdict = judged(mutated)
-    assert rule in verdict.counts, verdict.counts
+    assert rule in verdict.violations_by_rule, verdict.violations_by_rule
     kept = next(one for one in verdict.violations if one.rule == rule)
     assert kept.sentence
     assert kept.tick > 0
@@ -350,7 +350,7 @@ def test_an_expired_demand_ends_the_drive(records):
         if not (isinstance(record, InputRecord) and isinstance(record.input, Offer))
         or number < ticks(records["ordinary"])[60]
     ]
-    assert "an expired demand ends ACTIVE" in judged(mutated).counts
+    assert "an expired demand ends ACTIVE" in judged(mutated).violations_by_rule
 
 
 @pytest.mark.parametrize("armed", [False, True])
@@ -403,7 +403,7 @@ def test_frames_that_the_bus_did_not_take_are_not_what_the_next_ones_follow(reco
         sent = isinstance(record, InputRecord) and isinstance(record.input, NoteSent)
         lost = sent and number % 2 == 0
         mutated.append(record._replace(input=record.input._replace(ok=False)) if lost else record)
-    assert "I3 throttle slew" in judged(mutated).counts
+    assert "I3 throttle slew" in judged(mutated).violations_by_rule
 
 
 def test_a_drive_that_breaks_a_rule_is_exit_1_with_the_rule(recorded, monkeypatch):
@@ -434,7 +434,8 @@ def test_an_arm_after_a_disarm_between_the_same_two_ticks_is_right(tmp_path):
     assert drive.arm()
     drive.run(0.5)
     records = list(open_drive(drive.end()).runs())
-    assert judged(records).counts == {}
+    assert judged(records).violations_by_rule == {}
     place = ticks(records)[-2]
     arm = InputRecord(Arm(tick(records, place).now_ns), None)
-    assert judged([*records[: place + 1], arm, *records[place + 1 :]]).counts == {"arming": 1}
+    found = judged([*records[: place + 1], arm, *records[place + 1 :]])
+    assert found.violations_by_rule == {"arming": 1}

@@ -246,7 +246,7 @@ def test_the_verdict_reads_what_limits_from_the_bus(what):
                 for frame in record.frames
             ]
             records[place] = FrameRun(frames)
-    assert one.seen in judged(records).counts
+    assert one.seen in judged(records).violations_by_rule
 
 
 def requests(records: Records) -> list[int]:
@@ -262,7 +262,7 @@ def test_a_drive_mode_is_in_force_from_its_request_and_the_pedals_release():
     records = golden(MODES)
     sport = requests(records)[0]
     del records[sport]
-    assert "I1 Throttle" in judged(records).counts
+    assert "I1 Throttle" in judged(records).violations_by_rule
 
 
 def test_a_request_alone_does_not_bring_its_pedal_map():
@@ -272,7 +272,7 @@ def test_a_request_alone_does_not_bring_its_pedal_map():
     one = tick(records, after)
     frames = tuple(each._replace(data=throttle(10)(each.data)) for each in one.frames)
     records[after] = one._replace(frames=frames)
-    assert "I1 Throttle" in judged(records).counts
+    assert "I1 Throttle" in judged(records).violations_by_rule
 
 
 def test_a_kept_drive_mode_is_the_one_of_the_start():
@@ -302,7 +302,7 @@ def test_no_arm_is_granted_before_speed_limit_is_at_its_cap():
     place = ticks(records, Mode.STANDBY)[20]
     records.insert(place + 3, InputRecord(calls.Arm(tick(records, place).now_ns), None))
     verdict = judged(records)
-    assert verdict.counts["arming"] == 1
+    assert verdict.violations_by_rule["arming"] == 1
     assert any("has not come down to 3838 rpm" in one.sentence for one in verdict.violations)
 
 
@@ -340,7 +340,7 @@ def test_a_command_above_a_reloaded_curve_is_seen(reloaded):
         if isinstance(one, InputRecord) and isinstance(one.input, calls.ReloadSettings):
             lower = _with_tuning(one.input.settings, {KEY: [[0, 19_000], [200, 9_000]]})
             records[place] = one._replace(input=calls.ReloadSettings(lower))
-    assert set(judged(records).counts) == {"I1 PowerLimit"}
+    assert set(judged(records).violations_by_rule) == {"I1 PowerLimit"}
 
 
 def test_the_judge_knows_every_curve_that_may_be_configured():

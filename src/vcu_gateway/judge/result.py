@@ -44,23 +44,21 @@ class ReactionTime(NamedTuple):
 
 
 class DriveVerdict(NamedTuple):
-    """Judgement of a whole recording.
+    """Judgement of a whole recording, with the names and the order of the verb's JSON.
 
     Attributes:
-        ticks, commands, frames: how many were judged.
+        ticks, commands: how many were judged.
         with_torque: commands with throttle or brake.
-        latest_tick_ms: longest time between two ticks.
-        counts: violations by rule; violations: the first of each rule.
+        violations_by_rule: how many; violations: the first of each rule.
         reactions: by cause and effect.
         not_judged: what the recording does not show, as sentences.
     """
 
     ticks: int
     commands: int
-    frames: int
     with_torque: int
-    latest_tick_ms: float
-    counts: dict[str, int]
+    longest_between_ticks_ms: float
+    violations_by_rule: dict[str, int]
     violations: tuple[Violation, ...]
     reactions: tuple[ReactionTime, ...]
     not_judged: tuple[str, ...]
@@ -68,7 +66,7 @@ class DriveVerdict(NamedTuple):
     @property
     def holds(self) -> bool:
         """True where nothing was broken."""
-        return not self.counts
+        return not self.violations_by_rule
 
 
 class Findings:

@@ -223,7 +223,7 @@ class _DriveReplay:
         values = {
             "geometry": report.values_of(geometry, clock),
             "replay": {"equal": equality.equal, **report.values_of(equality, clock)},
-            "verdict": report.verdict_values(verdict, clock),
+            "verdict": {"holds": verdict.holds, **report.values_of(verdict, clock)},
         }
         overlay = Overlay(lines[0], tuple(lines[:2]))
         lines += report.verdict_lines(verdict, clock)

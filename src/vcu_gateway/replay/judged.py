@@ -125,7 +125,7 @@ class JudgedRecords:
         self._sent: dict[str, SentFrame] = {}
         self._unknown: set[str] = set()
         self._between: list[Frame] = []
-        self._counts = {"frames": 0, "ticks": 0, "commands": 0, "torque": 0}
+        self._ticks = self._commands = self._with_torque = 0
         self._last_ns: int | None = None
         self._widest_ns = 0
 
@@ -143,7 +143,6 @@ class JudgedRecords:
         if self._unknown:
             self._between += frames  # they came between the sending of both frames
             return
-        self._counts["frames"] += len(frames)
         self._ready().frames(frames)
 
     def note(self, record: FrameRun | CoreRecord) -> None:
@@ -176,10 +175,10 @@ class JudgedRecords:
         self._unknown = set(self._sent)
 
     def _finish_tick(self, judge: Judge, now_ns: int, mode: str) -> None:
-        self._pending, counts = None, self._counts
-        counts["ticks"] += 1
-        counts["commands"] += len(self._sent)
-        counts["torque"] += sum(any(one.data[1:3]) for one in self._sent.values())
+        self._pending = None
+        self._ticks += 1
+        self._commands += len(self._sent)
+        self._with_torque += sum(any(one.data[1:3]) for one in self._sent.values())
         if self._last_ns is not None:
             self._widest_ns = max(self._widest_ns, now_ns - self._last_ns)
         self._last_ns = now_ns
@@ -215,14 +214,12 @@ class JudgedRecords:
 
     def verdict(self) -> DriveVerdict:
         self.end()
-        counts = self._counts
         return DriveVerdict(
-            ticks=counts["ticks"],
-            commands=counts["commands"],
-            frames=counts["frames"],
-            with_torque=counts["torque"],
-            latest_tick_ms=self._widest_ns / 1e6,
-            counts=dict(self.findings.counts),
+            ticks=self._ticks,
+            commands=self._commands,
+            with_torque=self._with_torque,
+            longest_between_ticks_ms=self._widest_ns / 1e6,
+            violations_by_rule=dict(self.findings.counts),
             violations=tuple(self.findings.kept),
             reactions=self.findings.reactions,
             not_judged=_NOT_JUDGED,

@@ -103,20 +103,6 @@ def _timeline_values(one: Timeline, clock: TimeOfDay) -> dict[str, Any]:
     }
 
 
-def verdict_values(verdict: DriveVerdict, clock: TimeOfDay) -> dict[str, Any]:
-    return {
-        "holds": verdict.holds,
-        "ticks": verdict.ticks,
-        "commands": verdict.commands,
-        "with_torque": verdict.with_torque,
-        "longest_between_ticks_ms": verdict.latest_tick_ms,
-        "violations_by_rule": verdict.counts,
-        "violations": values_of(verdict.violations, clock),
-        "reactions": values_of(verdict.reactions, clock),
-        "not_judged": list(verdict.not_judged),
-    }
-
-
 def equality_lines(equality: Equality, clock: TimeOfDay) -> Iterator[str]:
     """Sentences on what was compared, and where it first differs."""
     if equality.ticks:
@@ -161,11 +147,11 @@ def verdict_lines(verdict: DriveVerdict, clock: TimeOfDay) -> Iterator[str]:
     """Violations with their figures, and reaction times."""
     word = "holds" if verdict.holds else "BROKEN"
     yield (
-        f"verdict: {word}; {counted(sum(verdict.counts.values()), 'violation')} in"
+        f"verdict: {word}; {counted(sum(verdict.violations_by_rule.values()), 'violation')} in"
         f" {counted(verdict.commands, 'command')}, {verdict.with_torque:,} with torque;"
-        f" longest time between two ticks {verdict.latest_tick_ms:.1f} ms"
+        f" longest time between two ticks {verdict.longest_between_ticks_ms:.1f} ms"
     )
-    yield from _by_count(verdict.counts)
+    yield from _by_count(verdict.violations_by_rule)
     for one in verdict.violations:
         yield f"  tick {one.tick:,} at {clock.clock(one.at_ns)}, {one.rule}: {one.sentence}"
     if verdict.reactions:
