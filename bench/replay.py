@@ -26,7 +26,6 @@ from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.recording.core_lines import CoreRecord, FrameRun
 from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.recording.tap import Hello, Tap, TappedGateway
-from vcu_gateway.replay import configuration as of_replay
 from vcu_gateway.replay.equality import EqualityCheck
 from vcu_gateway.replay.judged import JudgedRecords
 from vcu_gateway.replay.open_loop import OpenLoop
@@ -47,7 +46,7 @@ def figures(options: Options) -> Iterator[Figure]:
     seconds = options.seconds(_DRIVE_S)
     with tempfile.TemporaryDirectory() as folder:
         drive = open_drive(_recorded(Path(folder) / "drive", seconds))
-        protocol = of_replay.protocol_of(drive)
+        protocol = drive.protocol
         codec, settings = Codec(protocol), drive.info.settings
         slower = dataclasses.replace(settings, throttle_slew_pct_per_s=50.0)
         ways: dict[str, tuple[Callable[[], list[Note]], float | None]] = {

@@ -17,7 +17,6 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.recording.tap import Hello, Tap, TappedGateway
-from vcu_gateway.replay.configuration import with_aliases
 from vcu_gateway.simulator.nodes import VehicleFault
 
 MS = 1_000_000
@@ -26,7 +25,7 @@ WALL_NS = 1_795_000_000_000_000_000
 
 
 def _codec(path: Path) -> Codec:
-    return Codec(with_aliases(dbc.load(path), DEFAULT_ALIASES))
+    return Codec(dbc.with_aliases(dbc.load(path), DEFAULT_ALIASES))
 
 
 CODEC = _codec(packaged("vcu.dbc"))

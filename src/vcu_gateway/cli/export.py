@@ -15,8 +15,8 @@ from vcu_gateway.cli.options import file_option, moment_of
 from vcu_gateway.core.codec import Codec, Reason
 from vcu_gateway.errors import DataError, GatewayError, Problem, UnavailableError, did_you_mean
 from vcu_gateway.export import formats
-from vcu_gateway.export.source import ReadOptions, Selection, Source, codec_of, read, title
-from vcu_gateway.protocol import DEFAULT_ALIASES, packaged
+from vcu_gateway.export.source import ReadOptions, Selection, Source, read, title
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.recording.candump import RecordedFrame
 from vcu_gateway.recording.decoded import FORMATS, FrameWriter, Summary
 from vcu_gateway.recording.folder import recording_path
@@ -88,7 +88,8 @@ def decode(
     dbc_path: Path | None,
 ) -> None:
     """Read, decode, write, and sum up."""
-    codec = codec_of(dbc_path or packaged("vcu.dbc"), {} if no_alias else DEFAULT_ALIASES)
+    protocol = dbc.load(dbc_path or packaged("vcu.dbc"))
+    codec = Codec(dbc.with_aliases(protocol, {} if no_alias else DEFAULT_ALIASES))
     text_format = FORMATS[format_name]
     writers = _writers(codec, messages, text_format)
     try:

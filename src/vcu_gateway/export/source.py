@@ -4,15 +4,13 @@ Selection of signals: `--signals GLOB`.
 """
 
 import contextlib
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.config import load
 from vcu_gateway.core.codec import Codec
-from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
+from vcu_gateway.errors import DataError, MissingInputError, Problem
 from vcu_gateway.export.decisions import CoreLines, Decisions
 from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
@@ -20,7 +18,7 @@ from vcu_gateway.recording import layout
 from vcu_gateway.recording.candump import LineProblems
 from vcu_gateway.recording.log import STANDARD_INPUT, open_recording
 from vcu_gateway.recording.members import MemberDamage, read_members
-from vcu_gateway.recording.reader import compare_with_digests
+from vcu_gateway.recording.reader import compare_with_digests, protocol_of, recorded_aliases
 from vcu_gateway.time_window import Window
 
 
@@ -54,7 +52,6 @@ class Selection:
 
 _FRAMES_BETWEEN_LOOKS = 8192
 _SHORTEST_CORE_LINE, _SHORTEST_FRAME_LINE = len(b'{"f":0}'), len(b"(1.123456789) a 123#R R")
-_MOST_PROBLEMS = 5
 _BLOCK_BYTES = 1 << 22
 
 Report = Callable[[Problem], None]
@@ -149,27 +146,10 @@ def read(name: str, options: ReadOptions) -> Source:
     return source
 
 
-def codec_of(path: Path, known: Mapping[int, str], of_drive: bool = False) -> Codec:
-    """Codec of a DBC, with those of the known aliases whose messages it has."""
-    protocol = dbc.load(path)
-    if of_drive and (unmet := dbc.unmet(protocol, lambda *_: str(path))):
-        raise DataError(*unmet[:_MOST_PROBLEMS])
-    names = {message.name for message in protocol.messages}
-    aliases = {can_id: name for can_id, name in known.items() if name in names}
-    return Codec(dataclasses.replace(protocol, aliases=aliases))
-
-
-def _aliases_of(folder: Path) -> Mapping[int, str]:
-    """Further identifiers of the drive's configuration; the usual ones where it cannot be used."""
-    try:
-        return load(folder / layout.CONFIG_FILE).protocol.aliases
-    except GatewayError:
-        return DEFAULT_ALIASES
-
-
 def _read_log(name: str, options: ReadOptions) -> Source:
     path = options.dbc_path or packaged("vcu.dbc")
-    codec = codec_of(path, DEFAULT_ALIASES if options.aliased else {})
+    aliases = DEFAULT_ALIASES if options.aliased else {}
+    codec = Codec(dbc.with_aliases(dbc.load(path), aliases))
     store = FrameStore(codec, options.window)
     with open_recording(name, options.report) as recording:
         blocks = recording.blocks(_BLOCK_BYTES)
@@ -192,8 +172,10 @@ def _read_drive(path: Path, options: ReadOptions) -> Source:
     folder = path if path.is_dir() else path.parent
     description = layout.read_description(folder / layout.DRIVE_FILE)
     compare_with_digests(folder, layout.segments(folder))
-    aliases = _aliases_of(folder) if options.aliased else {}
-    codec = codec_of(options.dbc_path or folder / layout.DBC_FILE, aliases, of_drive=True)
+    attached = _attachments(folder)
+    config = attached.get(layout.CONFIG_FILE, b"").decode(errors="replace")
+    aliases = recorded_aliases(config) if options.aliased else {}
+    codec = Codec(protocol_of(options.dbc_path or folder / layout.DBC_FILE, aliases))
     store, decisions = FrameStore(codec, options.window), Decisions(options.window)
     segments = layout.segments(folder)
     if not path.is_dir():
@@ -203,7 +185,6 @@ def _read_drive(path: Path, options: ReadOptions) -> Source:
     core = CoreLines(decisions, description, codec, folder / layout.DRIVE_FILE)
     reader = _DriveReader(store, core, options)
     reader.read(segments)
-    attached = _attachments(folder)
     return Source(
         *(str(path), title(str(path)), codec, store, decisions),
         *(description, attached, reader.unreadable + core.unreadable),

@@ -3,6 +3,7 @@
 docs/protocol.md, What your own definition may change, says the same for people.
 """
 
+import dataclasses
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -121,6 +122,13 @@ def unmet(protocol: ProtocolSpec, where: Callable[[str, str], str]) -> list[Prob
         Problem(_text(breach, by_name), where(breach.message, breach.signal), REMEDY)
         for breach in found
     ]
+
+
+def with_aliases(protocol: ProtocolSpec, aliases: Mapping[int, str]) -> ProtocolSpec:
+    """The protocol with these further identifiers, as far as it has their messages."""
+    names = {message.name for message in protocol.messages}
+    kept = {can_id: name for can_id, name in aliases.items() if name in names}
+    return dataclasses.replace(protocol, aliases=kept)
 
 
 def _text(breach: Breach, by_name: Mapping[str, MessageSpec]) -> str:

@@ -17,7 +17,9 @@ from typing import Any, NamedTuple
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.schedule import ClockPair
 from vcu_gateway.core.settings import Settings
+from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
+from vcu_gateway.protocol import DEFAULT_ALIASES, dbc
 from vcu_gateway.recording import chain, layout
 from vcu_gateway.recording.call_text import settings_of
 from vcu_gateway.recording.candump import recorded_frame, recorded_frames
@@ -33,6 +35,9 @@ from vcu_gateway.recording.core_lines import (
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.members import Member, MemberDamage, whole_members
 from vcu_gateway.recording.segment import SegmentBegin, is_number, read_begin
+from vcu_gateway.strict_yaml import parser
+
+_MOST_PROBLEMS = 5
 
 
 class _SegmentMembers:
@@ -244,6 +249,28 @@ def _info(folder: Path) -> DriveInfo:
         raise DataError(Problem(what, str(path))) from error
 
 
+def protocol_of(dbc_path: Path, aliases: Mapping[int, str]) -> ProtocolSpec:
+    """DBC of a drive, with further identifiers; DataError where no gateway can drive with it."""
+    protocol = dbc.load(dbc_path)
+    if unmet := dbc.unmet(protocol, lambda *_: str(dbc_path)):
+        raise DataError(*unmet[:_MOST_PROBLEMS])
+    return dbc.with_aliases(protocol, aliases)
+
+
+def recorded_aliases(config: str) -> Mapping[int, str]:
+    """Further identifiers of messages in a recorded configuration, whatever wrote it.
+
+    The usual ones where it says none, or cannot be used.
+    """
+    values = parser.read(config).value
+    section = values.get("protocol") if isinstance(values, dict) else None
+    aliases: Any = section.get("aliases") if isinstance(section, dict) else None
+    try:
+        return {int(str(key), 0): str(name) for key, name in aliases.items()}
+    except (AttributeError, ValueError):
+        return DEFAULT_ALIASES
+
+
 def clock_of(described: Mapping[str, Any]) -> ClockPair:
     """Both clocks of a drive.json; KeyError, TypeError or ValueError where they are none."""
     stamps = [described["clock"][key] for key in ("monotonic_ns", "wall_ns")]
@@ -278,6 +305,11 @@ class Drive:
             if first_segment is None or files.number >= first_segment:
                 self._read = reader
                 yield from reader.runs(files)
+
+    @property
+    def protocol(self) -> ProtocolSpec:
+        """The DBC beside it, with the aliases of its configuration; DataError as `protocol_of`."""
+        return protocol_of(self.folder / layout.DBC_FILE, recorded_aliases(self.info.config))
 
     @property
     def place(self) -> str:

@@ -1,6 +1,5 @@
 """Configuration and DBC of a replay: the recorded ones, another file, single keys set otherwise."""
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,16 +8,12 @@ from vcu_gateway import config as configuration
 from vcu_gateway.config.tuning import TUNING_SECTIONS
 from vcu_gateway.core.settings import KEYS, Settings
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.errors import ConfigError, DataError, Problem
-from vcu_gateway.protocol import DEFAULT_ALIASES, dbc
-from vcu_gateway.recording import layout
-from vcu_gateway.recording.reader import Drive
+from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.strict_yaml import file_text, parser
 
 SET = "--set"
 _EXAMPLE = "write section.key=value, such as limits.throttle_slew_pct_per_s=50"
 _USED_SECTIONS = {key.section for key in KEYS.values()} | {"bench", "pedals", *TUNING_SECTIONS}
-_MOST_PROBLEMS = 5
 
 
 class GivenConfiguration(NamedTuple):
@@ -53,32 +48,6 @@ class Changes(NamedTuple):
         if self.config_path is not None:
             text, where = file_text.read(self.config_path), str(self.config_path)
         return given(text, where, self.assignments, protocol)
-
-
-def protocol_of(drive: Drive) -> ProtocolSpec:
-    """The DBC beside a drive, with the aliases of its configuration.
-
-    DataError where no gateway can drive with it.
-    """
-    path = drive.folder / layout.DBC_FILE
-    protocol = dbc.load(path)
-    if unmet := dbc.unmet(protocol, lambda *_: str(path)):
-        raise DataError(*unmet[:_MOST_PROBLEMS])
-    return with_aliases(protocol, recorded_aliases(drive.info.config))
-
-
-def with_aliases(protocol: ProtocolSpec, aliases: Mapping[int, str]) -> ProtocolSpec:
-    return dataclasses.replace(protocol, aliases=dict(aliases))
-
-
-def recorded_aliases(config: str) -> Mapping[int, str]:
-    """Further identifiers of messages in a recorded configuration, whatever wrote it."""
-    values = parser.read(config).value
-    section = values.get("protocol") if isinstance(values, dict) else None
-    aliases: Any = section.get("aliases") if isinstance(section, dict) else None
-    if not isinstance(aliases, dict):
-        return DEFAULT_ALIASES
-    return {int(str(key), 0): str(name) for key, name in aliases.items()}
 
 
 def given(

@@ -20,6 +20,7 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.export.html_report import Overlay
 from vcu_gateway.judge import DriveVerdict
+from vcu_gateway.protocol import dbc
 from vcu_gateway.recording import check as recording_check
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.check import RecordingState, check_recording
@@ -29,12 +30,7 @@ from vcu_gateway.recording.folder import RecordingPath
 from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.replay import report
 from vcu_gateway.replay.commands import CommandSeries
-from vcu_gateway.replay.configuration import (
-    Changes,
-    GivenConfiguration,
-    protocol_of,
-    with_aliases,
-)
+from vcu_gateway.replay.configuration import Changes, GivenConfiguration
 from vcu_gateway.replay.curve_use import CurveUse
 from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
 from vcu_gateway.replay.geometry import GeometryMeasurement
@@ -167,7 +163,7 @@ class _DriveReplay:
         self.changes = changes
         self._drive, self._path, self._window, self._progress = drive, path, window, progress
         self._clock = TimeOfDay(drive.info.clock.distance_ns)
-        self._protocol = protocol_of(drive)
+        self._protocol = drive.protocol
         is_incident = bool(layout.incident_files(drive.folder))
         recording = RecordingPath("incident" if is_incident else "drive", drive.folder)
         self._checked = check_recording(recording, lambda _: None)
@@ -267,7 +263,7 @@ class _DriveReplay:
     def _given(self, plotted: bool) -> tuple[GivenConfiguration, Codec, CommandSeries | None]:
         where = str(self._drive.folder / layout.CONFIG_FILE)
         configured = self.changes.configuration(self._drive.info.config, where, self._protocol)
-        codec = Codec(with_aliases(self._protocol, configured.aliases))
+        codec = Codec(dbc.with_aliases(self._protocol, configured.aliases))
         return configured, codec, CommandSeries(codec) if plotted else None
 
     def _check_ticks(self, ticks: int, ended_ns: int, why: str = "") -> None:

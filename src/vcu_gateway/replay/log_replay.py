@@ -22,7 +22,7 @@ from vcu_gateway.recording.candump import RecordedFrame
 from vcu_gateway.recording.log import Recording, open_recording
 from vcu_gateway.replay import report
 from vcu_gateway.replay.commands import CommandSeries, RecordedCommands, send
-from vcu_gateway.replay.configuration import Changes, with_aliases
+from vcu_gateway.replay.configuration import Changes
 from vcu_gateway.replay.report import ReplayReport, TimeOfDay
 from vcu_gateway.replay.what_if import WhatIf
 from vcu_gateway.text import Progress, counted
@@ -116,7 +116,7 @@ def _settings(
     if changes.assignments:
         used = changes.configuration(None, "defaults", protocol)
         after, without_effect = _holding(used.settings, demand_pct), used.without_effect
-    codec = Codec(with_aliases(protocol, used.aliases))
+    codec = Codec(dbc.with_aliases(protocol, used.aliases))
     return _holding(first.settings, demand_pct), after, codec, without_effect
 
 
