@@ -31,7 +31,6 @@ from vcu_gateway.recording.call_text import settings_json, settings_of
 from vcu_gateway.recording.core_lines import (
     Gap,
     InputRecord,
-    LineError,
     LineParser,
     LineWriter,
     NotedCall,
@@ -40,6 +39,7 @@ from vcu_gateway.recording.core_lines import (
     TickRecord,
     WhyRecord,
 )
+from vcu_gateway.recording.segment import CoreLineError
 
 NOW = 1_000_950_000_000
 BOTH = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=12.5))
@@ -253,7 +253,7 @@ def test_a_line_of_another_kind_is_passed_by(line):
     ids=lambda line: line[:40],
 )
 def test_a_line_that_is_none_is_refused_with_its_text(line):
-    with pytest.raises(LineError, match="is no core line"):
+    with pytest.raises(CoreLineError, match="is no core line"):
         parsed(line + "\n")
 
 
@@ -266,5 +266,5 @@ def test_a_damaged_line_is_read_or_refused_never_more(data):
     line = bytearray(data.draw(st.sampled_from(lines)).encode())
     at = data.draw(st.integers(0, len(line) - 1))
     line[at] = data.draw(st.integers(0, 255))
-    with contextlib.suppress(LineError):
+    with contextlib.suppress(CoreLineError):
         LineParser().records(bytes(line))

@@ -7,11 +7,11 @@ import contextlib
 import io
 import re
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from vcu_gateway.core.causes import Event, HeldCause
+from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.errors import DataError, Problem
@@ -21,13 +21,13 @@ from vcu_gateway.recording.core_lines import (
     Checkpoint,
     CoreRecord,
     Gap,
-    LineError,
     LineParser,
     ShellEvent,
     TickRecord,
     WhyRecord,
 )
 from vcu_gateway.recording.reader import clock_of
+from vcu_gateway.recording.segment import CoreLineError
 from vcu_gateway.time_window import Window
 
 MODES = tuple(mode.value for mode in Mode)
@@ -38,11 +38,11 @@ NEVER_RECEIVED = "never received"
 
 
 class DecidedEvent(NamedTuple):
-    """Event of the gateway; the stamp is its tick's."""
+    """Event of the gateway; the stamp is its tick's, the severity a level of the log."""
 
     wall_ns: int
     name: str
-    severity: int
+    severity: str
     fields: Mapping[str, object]
 
     @property
@@ -51,7 +51,7 @@ class DecidedEvent(NamedTuple):
 
 
 class Decisions:
-    """What the gateway decided inside the window.
+    """What the gateway decided inside the window, as `CoreLines` reads it; else nothing.
 
     Attributes:
         tick_times_ns, tick_modes: of every tick; the mode as a code of MODES.
@@ -69,49 +69,14 @@ class Decisions:
         self.whys: list[tuple[int, str]] = []
         self.gaps: list[tuple[int, str]] = []
         self.drive_modes: list[tuple[int, str]] = []
-        self._window = window
-        self._causes = CauseSpans()
-        self._mode = 0
-
-    def begin(self, wall_ns: int, mode: str, why: str) -> None:
-        self._mode = MODES.index(mode)
-        self.why(wall_ns, why)
-
-    def tick(self, wall_ns: int, mode: str | None) -> None:
-        """One tick; its mode, None where it is that of the tick before."""
-        if mode is not None:
-            self._mode = MODES.index(mode)
-        if self._window.holds(wall_ns):
-            self.tick_times_ns.append(wall_ns)
-            self.tick_modes.append(self._mode)
-
-    def why(self, wall_ns: int, sentence: str) -> None:
-        if self._window.holds(wall_ns) and (not self.whys or self.whys[-1][1] != sentence):
-            self.whys.append((wall_ns, sentence))
-
-    def stand(self, wall_ns: int, held: Iterable[HeldCause]) -> None:
-        self._causes.stand(held, wall_ns)
-
-    def event(self, event: DecidedEvent) -> None:
-        """One event; those of causes make their spans."""
-        self._causes.event(event.name, event.fields, event.wall_ns)
-        if self._window.holds(event.wall_ns):
-            self.events.append(event)
-
-    def drive_mode(self, wall_ns: int, name: str) -> None:
-        """Drive mode that counts from here on."""
-        if not self.drive_modes or self.drive_modes[-1][1] != name:
-            self.drive_modes.append((wall_ns, name))
-
-    def gap(self, wall_ns: int, what: str) -> None:
-        if self._window.holds(wall_ns):
-            self.gaps.append((wall_ns, what))
+        self.cause_spans = CauseSpans()
+        self.window = window
 
     @property
     def causes(self) -> list[CauseSpan]:
         """Every span that touches the window, in the order of their beginnings."""
-        spans = self._causes.spans
-        if not self._window.open and self.tick_times_ns:
+        spans = self.cause_spans.spans
+        if not self.window.open and self.tick_times_ns:
             first_ns, last_ns = self.tick_times_ns[0], self.tick_times_ns[-1]
             spans = [
                 one
@@ -146,7 +111,7 @@ class CoreLines:
         self._unknown = True
         self._decisions = decisions
         self._parser = LineParser()
-        self._latest_ns = 0
+        self._latest_ns = self._mode = 0
         try:
             self._to_wall_ns = clock_of(description).distance_ns
         except (KeyError, TypeError, ValueError) as error:
@@ -158,19 +123,23 @@ class CoreLines:
             line = ended.removesuffix(b"\n")
             plain = _PLAIN_TICK.fullmatch(line)
             if plain is not None:
-                self._tick(int(plain[1]), None)
+                self._tick(int(plain[1]))
             elif not _OF_THE_RECORDER.match(line):
                 self._read(number, line, damaged)
 
     def gap(self, what: str) -> None:
         """Something is missing here; what stands is known again from the next checkpoint on."""
         self._unknown = True
-        self._decisions.gap(self._latest_ns, what)
+        self._note(self._decisions.gaps, what)
+
+    def _note(self, row: list[tuple[int, str]], text: str) -> None:
+        if self._decisions.window.holds(self._latest_ns):
+            row.append((self._latest_ns, text))
 
     def _read(self, number: int, line: bytes, damaged: Damaged) -> None:
         try:
             records = [placed.record for placed in self._parser.records(line)]
-        except LineError as error:
+        except CoreLineError as error:
             self.unreadable += 1
             damaged(number, str(error))
             return
@@ -179,13 +148,15 @@ class CoreLines:
 
     def _take(self, record: CoreRecord) -> None:
         if isinstance(record, TickRecord):
-            self._tick(record.now_ns, record.mode.value)
+            self._mode = MODES.index(record.mode.value)
+            self._tick(record.now_ns)
             for event in record.events:
                 self._event(event)
         elif isinstance(record, WhyRecord):
-            self._decisions.why(self._wall_ns(record.now_ns), record.sentence)
+            self._latest_ns = record.now_ns + self._to_wall_ns
+            self._why(record.sentence)
         elif isinstance(record, ShellEvent):
-            self._latest_ns = self._wall_ns(record.now_ns)
+            self._latest_ns = record.now_ns + self._to_wall_ns
             self._event(record.event)
         elif isinstance(record, Checkpoint):
             self._checkpoint(record)
@@ -193,31 +164,45 @@ class CoreLines:
             self.gap(_missing(record))
 
     def _checkpoint(self, record: Checkpoint) -> None:
-        self._latest_ns = self._wall_ns(record.now_ns)
-        self._decisions.begin(self._latest_ns, record.mode.value, record.why)
+        self._latest_ns = record.now_ns + self._to_wall_ns
+        self._mode = MODES.index(record.mode.value)
+        self._why(record.why)
         if not self._unknown:
             return
         self._unknown = False
         # Damaged, or of another version: causes are then known from their next change on.
         with contextlib.suppress(StateError):
             gateway = restore(record.state, self._codec, record.settings)
-            self._decisions.stand(self._latest_ns, gateway.causes.held)
+            self._decisions.cause_spans.stand(gateway.causes.held, self._latest_ns)
             drive_mode, _ = gateway.drive_modes
             if drive_mode is not None:
-                self._decisions.drive_mode(self._latest_ns, drive_mode)
+                self._drive_mode(drive_mode)
 
-    def _tick(self, now_ns: int, mode: str | None) -> None:
-        self._latest_ns = self._wall_ns(now_ns)
-        self._decisions.tick(self._latest_ns, mode)
+    def _tick(self, now_ns: int) -> None:
+        """One tick; its mode is that of the tick before, or what was told with it."""
+        stamp_ns = self._latest_ns = now_ns + self._to_wall_ns
+        if self._decisions.window.holds(stamp_ns):
+            self._decisions.tick_times_ns.append(stamp_ns)
+            self._decisions.tick_modes.append(self._mode)
+
+    def _why(self, sentence: str) -> None:
+        whys = self._decisions.whys
+        if not whys or whys[-1][1] != sentence:
+            self._note(whys, sentence)
 
     def _event(self, event: Event) -> None:
-        one = DecidedEvent(self._latest_ns, event.name, event.severity, event.fields)
-        self._decisions.event(one)
+        found, severity = self._decisions, event.severity.name.lower()
+        found.cause_spans.event(event.name, event.fields, self._latest_ns)
+        if found.window.holds(self._latest_ns):
+            found.events.append(DecidedEvent(self._latest_ns, event.name, severity, event.fields))
         if event.name == "drive_mode_changed":
-            self._decisions.drive_mode(self._latest_ns, str(event.fields["mode"]))
+            self._drive_mode(str(event.fields["mode"]))
 
-    def _wall_ns(self, monotonic_ns: int) -> int:
-        return monotonic_ns + self._to_wall_ns
+    def _drive_mode(self, name: str) -> None:
+        """Drive mode that counts from here on."""
+        known = self._decisions.drive_modes
+        if not known or known[-1][1] != name:
+            known.append((self._latest_ns, name))
 
 
 def _missing(gap: Gap) -> str:

@@ -13,7 +13,7 @@ from vcu_gateway.export.decisions import MODES, NEVER_RECEIVED, DecidedEvent, De
 from vcu_gateway.export.report import GAP, Band, Overlay, Report, ReportEvent, Span
 from vcu_gateway.export.report_plots import Grid, SignalLine, plots, signal_lines
 from vcu_gateway.export.source import Selection, Source
-from vcu_gateway.export.tables import GATEWAY, severity_name
+from vcu_gateway.export.tables import GATEWAY
 from vcu_gateway.recording.cause_spans import CauseSpan
 from vcu_gateway.text import TIME_OF_DAY_MS, duration, utc
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
@@ -244,12 +244,9 @@ def _events(decisions: Decisions) -> list[ReportEvent]:
         if waited:
             subjects = dict.fromkeys(str(one.fields["subject"]) for one in events)
             text = f"{', '.join(subjects)} {NEVER_RECEIVED}"
-            found.append(ReportEvent(stamp, severity_name(events[0].severity), name, text))
+            found.append(ReportEvent(stamp, events[0].severity, name, text))
         else:
-            found += [
-                ReportEvent(stamp, severity_name(one.severity), name, _sentence(one))
-                for one in events
-            ]
+            found += [ReportEvent(stamp, one.severity, name, _sentence(one)) for one in events]
     return sorted(found, key=lambda one: one.wall_ns)
 
 

@@ -10,7 +10,6 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from vcu_gateway.core.causes import Severity
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.spec import SignalSpec
 from vcu_gateway.core.state import deadlines
@@ -145,15 +144,7 @@ def _sliced(times_ns: "array[int]", columns: Sequence[Column]) -> Iterator[Chunk
 
 
 def _event_rows(decisions: Decisions) -> list[tuple[int, tuple[str, ...]]]:
-    return [
-        (one.wall_ns, (one.name, severity_name(one.severity), one.text)) for one in decisions.events
-    ]
-
-
-def severity_name(severity: int) -> str:
-    """Name of a level of the log; the number where it has none."""
-    known = {one.value: one.name.lower() for one in Severity}
-    return known.get(severity, str(severity))
+    return [(one.wall_ns, (one.name, one.severity, one.text)) for one in decisions.events]
 
 
 def _texts(

@@ -34,6 +34,7 @@ from vcu_gateway.recording.call_text import (
     truth_of,
     whole_of,
 )
+from vcu_gateway.recording.segment import CoreLineError
 
 
 class Checkpoint(NamedTuple):
@@ -192,10 +193,6 @@ def _line(call: NotedCall, before: int) -> str:
     return f'{{"f":{before + call.frames_before},{text}{answer}}}\n'
 
 
-class LineError(ValueError):
-    """A core line is not one of this format; the text says why."""
-
-
 class Placed(NamedTuple):
     """A record and how many frames of its segment stand before it."""
 
@@ -210,7 +207,7 @@ class LineParser:
         self._mode = Mode.STARTING
 
     def records(self, line: bytes | str) -> list[Placed]:
-        """Records of one line, the calls of `sent` after their tick; LineError where it is none.
+        """Records of one line, `sent` calls after their tick; CoreLineError where it is none.
 
         A line of a kind that is not known has none.
         """
@@ -219,7 +216,7 @@ class LineParser:
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as e:
             what = f"{type(e).__name__}: {e}".removesuffix(": ")
             text = line.decode(errors="replace") if isinstance(line, bytes) else line
-            raise LineError(f"is no core line ({what}): {text.strip():.60}") from e
+            raise CoreLineError(f"is no core line ({what}): {text.strip():.60}") from e
 
     def _records(self, values: Any) -> list[Placed]:
         before = whole_of(values["f"])
