@@ -8,12 +8,13 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TextIO
 
 from vcu_gateway.errors import Problem, UnavailableError, extra_needed
+from vcu_gateway.export import csv_table, html_report
 from vcu_gateway.export.source import Selection, Source
 from vcu_gateway.export.tables import Table, controller_tables, decision_tables, message_tables
 from vcu_gateway.files import sync
@@ -28,17 +29,25 @@ def needed(package: str, extra: str) -> AbstractContextManager[None]:
     return extra_needed(f"writing {extra} needs the package", extra, package, remedy=remedy)
 
 
-FORMATS = ("csv", "html", "mf4", "parquet", "mcap")
+_TEXTS = {"csv": csv_table.write, "html": html_report.write}
+FORMATS = (*_TEXTS, "mf4", "parquet", "mcap")
 
 
 def check(kind: str) -> None:
     """UnavailableError where this format's library is not installed: before an hour is read."""
+    if kind not in _TEXTS:
+        _library_writer(kind)
+
+
+def _library_writer(kind: str) -> Callable[[Source, Sequence[Table], Path], None]:
+    """What writes a format that needs a library; UnavailableError where that is not installed."""
     if kind == "mf4":
-        from vcu_gateway.export import mf4_file  # noqa: F401
+        from vcu_gateway.export.mf4_file import write
     elif kind == "parquet":
-        from vcu_gateway.export import parquet_folder  # noqa: F401
-    elif kind == "mcap":
-        from vcu_gateway.export import mcap_file  # noqa: F401
+        from vcu_gateway.export.parquet_folder import write
+    else:
+        from vcu_gateway.export.mcap_file import write
+    return write
 
 
 def tables_of(source: Source, selection: Selection) -> list[Table]:
@@ -54,35 +63,13 @@ def write(
     source: Source, tables: Sequence[Table], selection: Selection, kind: str, path: Path
 ) -> None:
     """Write the file or folder, whole or not at all."""
-    if kind == "csv":
-        from vcu_gateway.export import csv_table
-
+    if kind in _TEXTS:
         with written_text(path) as out:
-            csv_table.write(source, selection, out)
-    elif kind == "html":
-        from vcu_gateway.export import html_report
-
-        with written_text(path) as out:
-            html_report.write(source, selection, out)
-    elif kind == "parquet":
-        from vcu_gateway.export import parquet_folder
-
-        with written_folder(path, parquet_folder.SUFFIX) as folder:
-            parquet_folder.write(source, tables, folder)
-    else:
-        _write_binary(source, tables, kind, path)
-
-
-def _write_binary(source: Source, tables: Sequence[Table], kind: str, path: Path) -> None:
-    with written_file(path, f".{kind}") as temporary:
-        if kind == "mf4":
-            from vcu_gateway.export import mf4_file
-
-            mf4_file.write(source, tables, temporary)
-        else:
-            from vcu_gateway.export import mcap_file
-
-            mcap_file.write(source, tables, temporary)
+            _TEXTS[kind](source, selection, out)
+        return
+    written = written_folder if kind == "parquet" else written_file
+    with written(path, f".{kind}") as temporary:
+        _library_writer(kind)(source, tables, temporary)
 
 
 @contextlib.contextmanager

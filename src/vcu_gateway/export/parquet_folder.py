@@ -13,12 +13,11 @@ with needed("pyarrow", "parquet"):
     import pyarrow
     from pyarrow import parquet
 
-SUFFIX = ".parquet"
 _CODEC = "zstd"
 
 
-def write(source: Source, tables: Sequence[Table], folder: Path) -> None:
-    """Write a file for each table into this folder; stamps are UTC, in nanoseconds."""
+def write(source: Source, tables: Sequence[Table], path: Path) -> None:
+    """Write a file for each table into the folder `path`; stamps are UTC, in nanoseconds."""
     attached = {name.encode(): contents for name, contents in source.attachments.items()}
     for table in tables:
         schema = pyarrow.schema(
@@ -26,8 +25,8 @@ def write(source: Source, tables: Sequence[Table], folder: Path) -> None:
             metadata={b"recording": source.title.encode(), b"comment": table.comment.encode()}
             | attached,
         )
-        path = folder / f"{table.name}{SUFFIX}"
-        with parquet.ParquetWriter(path, schema, compression=_CODEC) as writer:
+        file = path / f"{table.name}.parquet"
+        with parquet.ParquetWriter(file, schema, compression=_CODEC) as writer:
             for chunk in table.chunks():
                 columns = [pyarrow.array(chunk.times_ns, pyarrow.int64()).cast(_time().type)]
                 for channel, column in zip(table.channels, chunk.columns, strict=True):

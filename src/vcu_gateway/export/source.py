@@ -16,6 +16,7 @@ from vcu_gateway.export.frame_store import FrameStore
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.candump import LineProblems
+from vcu_gateway.recording.folder import recorded_path
 from vcu_gateway.recording.log import STANDARD_INPUT, open_recording
 from vcu_gateway.recording.members import MemberDamage, read_members
 from vcu_gateway.recording.reader import compare_with_digests, protocol_of, recorded_aliases
@@ -113,15 +114,6 @@ class Source(NamedTuple):
         return max([*lasts, *self.decisions.tick_times_ns[-1:]], default=0)
 
 
-def is_drive(name: str) -> bool:
-    """Whether this is a drive, an incident, or a file of one."""
-    path = Path(name)
-    if path.is_dir():
-        return True
-    segment = path.name.endswith((layout.FRAMES_SUFFIX, layout.CORE_SUFFIX))
-    return segment and (path.parent / layout.DRIVE_FILE).exists()
-
-
 def title(name: str) -> str:
     """Name of a recording for people, and for the file that is made of it."""
     path = Path(name)
@@ -130,14 +122,15 @@ def title(name: str) -> str:
     if name == STANDARD_INPUT:
         return "recording"
     stem = path.name.removesuffix(".gz")
-    if is_drive(name):
+    if recorded_path(name) is not None:
         return f"{path.resolve().parent.name}-{stem.partition('.')[0]}"
     return stem.rpartition(".")[0] or stem
 
 
 def read(name: str, options: ReadOptions) -> Source:
     """Read a recording once; MissingInputError, DataError where it cannot be."""
-    source = _read_drive(Path(name), options) if is_drive(name) else _read_log(name, options)
+    path = recorded_path(name)
+    source = _read_log(name, options) if path is None else _read_drive(path, options)
     if not source.store.summary.frames and not source.decisions.tick_times_ns:
         remedy = "" if source.unreadable else "it is empty"
         raise DataError(Problem("holds no frame that can be read", name, remedy))
