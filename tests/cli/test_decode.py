@@ -23,7 +23,6 @@ import pytest
 from click.testing import CliRunner
 
 from vcu_gateway import cli, text
-from vcu_gateway.cli import export
 from vcu_gateway.core.codec import Codec, compile_message
 from vcu_gateway.core.spec import MessageSpec, SignalSpec
 from vcu_gateway.errors import GatewayError
@@ -760,7 +759,7 @@ def test_progress_is_shown_for_a_large_file(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     path = log(tmp_path, *[line(ACCELERATION)] * 1000)
     with open_recording(str(path), print) as recording:
-        assert len(list(export._watched(recording))) == 1000
+        assert len(list(recording.watched(text.Progress()))) == 1000
         assert recording.size_bytes == path.stat().st_size
     shown = capsys.readouterr().err.split("\r\033[K")
     assert shown[1].startswith(" ")

@@ -4,7 +4,7 @@ import contextlib
 import io
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
@@ -17,7 +17,6 @@ from vcu_gateway.errors import DataError, GatewayError, Problem, UnavailableErro
 from vcu_gateway.export import formats
 from vcu_gateway.export.source import ReadOptions, Selection, Source, read, title
 from vcu_gateway.protocol import DEFAULT_ALIASES, dbc, packaged
-from vcu_gateway.recording.candump import RecordedFrame
 from vcu_gateway.recording.decoded import FORMATS, FrameWriter, Summary
 from vcu_gateway.recording.folder import recording_path
 from vcu_gateway.recording.log import Recording, open_recording
@@ -166,7 +165,7 @@ def _decode(
     summary: Summary,
 ) -> None:
     live = recording.live
-    for recorded in _watched(recording):
+    for recorded in recording.watched(text.Progress()):
         frame = recorded.frame
         found = codec.find(frame)
         if isinstance(found, Reason):
@@ -180,16 +179,6 @@ def _decode(
                 out.flush()
         else:
             summary.passed_over += 1
-
-
-def _watched(recording: Recording) -> Iterable[RecordedFrame]:
-    """The frames, with a line of progress where a person waits for a file."""
-    if recording.live:
-        return recording
-    progress = text.Progress()
-    return progress.over(
-        recording, lambda count: progress.show_frames(recording.share_read(), count)
-    )
 
 
 def _sum_up(summary: Summary, unreadable: int) -> None:

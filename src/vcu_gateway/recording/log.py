@@ -8,13 +8,14 @@ import io
 import os
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import PurePath
 from typing import IO, cast
 
 from vcu_gateway.errors import MissingInputError, Problem, UnavailableError
 from vcu_gateway.recording import candump
 from vcu_gateway.recording.candump import LineProblems, LineReader, RecordedFrame
+from vcu_gateway.text import Progress
 
 STANDARD_INPUT = "-"
 """The name that stands for candump text on standard input."""
@@ -69,6 +70,12 @@ class Recording:
 
         content: formats.Content = self._plain if self._suffix in formats.BINARY else self.name
         yield from formats.frames(self._suffix, lines or content, self.problems)
+
+    def watched(self, progress: Progress) -> Iterable[RecordedFrame]:
+        """The frames, with a line of progress where a person waits for a file."""
+        if self.live:
+            return self
+        return progress.over(self, lambda count: progress.show_frames(self.share_read(), count))
 
     def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]] | None:
         """Whole lines of candump text, and how many stand before them; None for other formats.

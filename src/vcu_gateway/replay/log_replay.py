@@ -19,7 +19,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.protocol import dbc, packaged
 from vcu_gateway.recording.candump import RecordedFrame
-from vcu_gateway.recording.log import Recording, open_recording
+from vcu_gateway.recording.log import open_recording
 from vcu_gateway.replay import report
 from vcu_gateway.replay.commands import CommandSeries, RecordedCommands, send
 from vcu_gateway.replay.configuration import Changes
@@ -60,9 +60,9 @@ def replay_log(
     before, after, codec, without_effect = _settings(changes, demand_pct)
     series = CommandSeries(codec) if plotted else None
     replay, clock = LogReplay(codec, before, after, series), TimeOfDay(0)
-    shown = progress or Progress(wanted=False)
     with open_recording(name, complain) as recording:
-        _run(replay, recording, window, shown)
+        recorded = recording.watched(progress or Progress(wanted=False))
+        replay.run(one for one in recorded if window.holds(one.frame.arrival_ns))
         unreadable = recording.problems.unreadable
     if not replay.frames:
         what, remedy = "holds no frame that can be read", "it is empty"
@@ -92,17 +92,6 @@ def replay_log(
         values["what_if"] = {"same": result.same, **report.values_of(result, clock)}
     overlay = report.overlay_of(result, clock, notes, series)
     return ReplayReport(name, lines, values, overlay, 0 if result.same else 1)
-
-
-def _run(replay: "LogReplay", recording: Recording, window: Window, progress: Progress) -> None:
-    within = (one for one in recording if window.holds(one.frame.arrival_ns))
-    steps = replay.run(within)
-    if not recording.live:
-        steps = progress.over(
-            steps, lambda count: progress.show_frames(recording.share_read(), count)
-        )
-    for _ in steps:
-        pass
 
 
 def _settings(
@@ -184,11 +173,9 @@ class LogReplay:
         self._next_ns = 0
         self._last_ns = 0
 
-    def run(self, recorded: Iterable[RecordedFrame]) -> Iterator[None]:
-        """Replay every frame; yields after each, for progress."""
+    def run(self, recorded: Iterable[RecordedFrame]) -> None:
         for one in recorded:
             self._take(one.frame)
-            yield
         if self._cores:
             self._tick_until(self._last_ns + self._period_ns)
 
