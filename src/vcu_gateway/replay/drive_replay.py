@@ -8,12 +8,12 @@ Work in a process beside this one, where the machine has a processor for it.
 """
 
 import contextlib
+import multiprocessing
 import os
-import pickle
-import signal
 from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 from vcu_gateway import __version__
 from vcu_gateway.core.codec import Codec
@@ -54,35 +54,30 @@ def beside(work: Callable[[], _Result]) -> Iterator[Callable[[], _Result]]:
     if len(os.sched_getaffinity(0)) < 2:
         yield work
         return
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        _work(work, writing)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as answer:
+    forked = multiprocessing.get_context("fork")
+    answer, end = forked.Pipe(duplex=False)
+    child = forked.Process(target=_work, args=(work, end))
+    child.start()
+    end.close()
+    with answer:
         try:
-            yield lambda: _result(answer.read(), work)
+            yield lambda: _result(answer, work)
         finally:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
+            child.kill()
+            child.join()
 
 
-def _work(work: Callable[[], object], writing: int) -> NoReturn:
+def _work(work: Callable[[], object], end: Connection) -> None:
     try:
-        try:
-            answer = pickle.dumps((work(), None))
-        except Exception as error:  # noqa: BLE001 - raised where the result is waited for
-            answer = pickle.dumps((None, error))
-        with os.fdopen(writing, "wb") as out:
-            out.write(answer)
-    finally:
-        os._exit(0)
+        end.send((work(), None))
+    except BaseException as error:  # noqa: BLE001 - raised where the result is waited for
+        end.send((None, error))
 
 
-def _result(answer: bytes, work: Callable[[], _Result]) -> _Result:
+def _result(answer: Connection, work: Callable[[], _Result]) -> _Result:
     try:
-        found, error = pickle.loads(answer)  # noqa: S301 - our own process wrote it
-    except (EOFError, pickle.UnpicklingError):
+        found, error = answer.recv()
+    except (EOFError, OSError):
         return work()
     if error is not None:
         raise error
