@@ -18,6 +18,7 @@ from vcu_gateway.rate_limit import TokenBucket
 from vcu_gateway.recorder.senders import Sender
 from vcu_gateway.recording import datagram
 from vcu_gateway.recording.datagram import DatagramError, HelloPart, HelloText, TickParts
+from vcu_gateway.recording.segment import is_number
 from vcu_gateway.units import NS_PER_S
 
 MOST_LINES_BYTES = 512 << 10
@@ -92,9 +93,7 @@ def _are_events(events: Any) -> bool:
 
 
 def _are_counts(values: Mapping[str, Any], *keys: str) -> bool:
-    """True where each is an integer, and no bool, of 0 to 2**63 - 1."""
-    found = [values.get(key) for key in keys]
-    return all(type(value) is int and 0 <= value <= _LARGEST for value in found)
+    return all(is_number(values.get(key)) for key in keys)
 
 
 def _is_text(value: Any, most_bytes: int) -> bool:
