@@ -126,20 +126,6 @@ def replay_drive(
         raise DataError(Problem(what, str(path), remedy)) from error
 
 
-def records(drive: Drive, window: Window, clock: TimeOfDay) -> Iterator[Record]:
-    """Records of a part, from the last checkpoint before its begin to the last tick in it."""
-    if window.open:
-        yield from drive.runs()
-        return
-    begins = {number: clock.wall_ns(now_ns) for number, now_ns in _checkpoints(drive)}
-    from_ns, to_ns = window.bounds_ns(min(begins.values(), default=0))
-    before = [number for number, wall_ns in begins.items() if wall_ns <= from_ns]
-    for record in drive.runs(max(before, default=None)):
-        if type(record) is TickRecord and clock.wall_ns(record.now_ns) > to_ns:
-            return
-        yield record
-
-
 def _checkpoints(drive: Drive) -> Iterator[tuple[int, int]]:
     """Number of each segment that begins with a checkpoint, and its time on the gateway's clock."""
     for files in drive.segments:
@@ -175,7 +161,18 @@ class _DriveReplay:
                 note(record)
 
     def _records(self) -> Iterator[Record]:
-        return records(self._drive, self._window, self._clock)
+        """Those of the window, from the last checkpoint before it to the last tick in it."""
+        drive, wall_ns = self._drive, self._clock.wall_ns
+        if self._window.open:
+            yield from drive.runs()
+            return
+        begins = {number: wall_ns(now_ns) for number, now_ns in _checkpoints(drive)}
+        from_ns, to_ns = self._window.bounds_ns(min(begins.values(), default=0))
+        before = [number for number, begun_ns in begins.items() if begun_ns <= from_ns]
+        for record in drive.runs(max(before, default=None)):
+            if type(record) is TickRecord and wall_ns(record.now_ns) > to_ns:
+                return
+            yield record
 
     @contextlib.contextmanager
     def _telling_where(self) -> Iterator[None]:
