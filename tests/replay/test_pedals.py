@@ -124,6 +124,19 @@ def test_a_vehicles_own_file_is_tried_without_its_dbc(drive):
     assert "protocol.dbc is not used" in ran.out + ran.err
 
 
+def test_a_file_is_tried_without_its_dbc_however_it_is_written_and_told_by_its_lines(
+    drive, tmp_path
+):
+    file = tmp_path / "own.yaml"
+    file.write_text("protocol: {dbc: nowhere.dbc}\n" + CONFIG)
+    ran = replay(drive, "-c", file)
+    assert "protocol.dbc is not used" in ran.out, ran.err
+    file.write_text("protocol: {dbc: nowhere.dbc}\nlimits:\n  throttle_slew_pct_per_s: no\n")
+    ran = replay(drive, "-c", file)
+    assert ran.code == 78
+    assert f"{file}:3: limits.throttle_slew_pct_per_s" in ran.err
+
+
 def test_without_its_pedals_the_drive_has_no_demand(drive):
     found = what_if(drive, "pedals.can=null")
     assert found["would_stop"] or not found["same"]

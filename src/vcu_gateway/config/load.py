@@ -16,6 +16,7 @@ from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W
 from vcu_gateway.errors import ConfigError, Problem
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.file_text import FileProblem, problems
+from vcu_gateway.strict_yaml.parser import YamlDocument
 
 # The bench demand's own limits and what they must not exceed.
 _DEMAND_LIMITS = {
@@ -33,7 +34,11 @@ def load(path: Path) -> Config:
 
 def parse(contents: str, where: str) -> Config:
     """As `load`, from text; `where` is the file that errors name and paths are relative to."""
-    read = parser.read(contents)
+    return of_document(parser.read(contents), where)
+
+
+def of_document(read: YamlDocument, where: str) -> Config:
+    """As `parse`, from a document that was read before."""
     if read.is_yaml and read.value is None and not read.findings:
         remedy = "write at least one section, such as `bus:` with `channel: can0` below it"
         raise ConfigError(Problem("is empty", where, remedy))

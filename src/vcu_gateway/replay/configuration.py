@@ -57,9 +57,10 @@ def given(
 
     Its DBC is left out: a recording is decoded with its own. ConfigError names everything wrong.
     """
-    if text is not None and not assignments:
-        configuration.parse(_without_dbc(text), where)  # for problems with their lines
-    values = {} if text is None else _values(text, where)
+    document = parser.read(text or "")
+    if not document.is_yaml or not isinstance(document.value, dict | None):
+        configuration.of_document(document, where)  # which says what is wrong
+    values: dict[str, Any] = dict(document.value or {})
     without_effect = _drop_dbc(values)
     for assignment in assignments:
         path, value = _assignment(assignment)
@@ -71,26 +72,15 @@ def given(
         _put(values, path, value)
         if path[0] not in _USED_SECTIONS or path[:2] == ("protocol", "status_code_names"):
             without_effect.append(f"{'.'.join(path)} has no effect on what is decided")
-    config = configuration.of_values(values, SET if assignments else where)
+    if assignments or text is None:
+        config = configuration.of_values(values, SET if assignments else where)
+    else:  # its problems have their lines
+        document = document._replace(value=document.value and values)
+        config = configuration.of_document(document, where)
     if problems := configuration.check_against(config, protocol):
         raise ConfigError(*problems)
     settings = configuration.core_settings(config)
     return GivenConfiguration(settings, config.protocol.aliases, tuple(without_effect))
-
-
-def _values(text: str, where: str) -> dict[str, Any]:
-    read = parser.read(text)
-    if not read.is_yaml or not isinstance(read.value, dict | None):
-        configuration.parse(text, where)  # which says what is wrong
-    return dict(read.value or {})
-
-
-def _without_dbc(text: str) -> str:
-    """The text, where only the file that it names for a DBC is not asked for."""
-    return "\n".join(
-        f"{line.partition('dbc:')[0]}dbc:" if line.lstrip().startswith("dbc:") else line
-        for line in text.splitlines()
-    )
 
 
 def _drop_dbc(values: dict[str, Any]) -> list[str]:
