@@ -58,19 +58,15 @@ class _CurveSideCounts:
         self.curves = settings.tuning.curves
         self.limited_s = dict.fromkeys(self.curves, 0.0)
         self.lowest: dict[str, float] = {}
-        self._deratings = Deratings()
+        self.deratings = Deratings()
 
     def tick(self, snapshot: Snapshot, active: bool, elapsed_s: float, step_s: float) -> None:
         inputs = LawInputs(snapshot, self.settings, None, active, False, {}, (), elapsed_s)
-        self._deratings.tick(inputs, {})
+        self.deratings.tick(inputs, {})
         for name, curve in self.curves.items():
-            cap = self._deratings.held[name]
+            cap = self.deratings.held[name]
             self.lowest[name] = min(cap, self.lowest.get(name, cap))
             self.limited_s[name] += step_s if cap < curve.highest else 0.0
-
-    @property
-    def worst(self) -> dict[str, float | None]:
-        return self._deratings.worst
 
     def of(self, name: str) -> CurveSide:
         curve = self.curves.get(name)
@@ -99,7 +95,8 @@ class CurveUses:
         for side in self._sides:
             period_s = side.settings.period_ns / NS_PER_S
             side.tick(snapshot, mode is Mode.ACTIVE, min(step_s, period_s), step_s)
-        worst = {**self._sides[0].worst, **self._sides[1].worst}
+        before, after = self._sides
+        worst = {**before.deratings.worst, **after.deratings.worst}
         for name in self._names:
             x = worst[name]
             if x is None:
