@@ -164,13 +164,13 @@ def _read_log(name: str, options: ReadOptions) -> Source:
 def _read_drive(path: Path, options: ReadOptions) -> Source:
     folder = path if path.is_dir() else path.parent
     description = layout.read_description(folder / layout.DRIVE_FILE)
-    compare_with_digests(folder, layout.segments(folder))
+    segments = layout.segments(folder)
+    compare_with_digests(folder, segments)
     attached = _attachments(folder)
     config = attached.get(layout.CONFIG_FILE, b"").decode(errors="replace")
     aliases = recorded_aliases(config) if options.aliased else {}
     codec = Codec(protocol_of(options.dbc_path or folder / layout.DBC_FILE, aliases))
     store, decisions = FrameStore(codec, options.window), Decisions(options.window)
-    segments = layout.segments(folder)
     if not path.is_dir():
         segments = [one for one in segments if path in one.paths]
     if not segments:
@@ -178,10 +178,8 @@ def _read_drive(path: Path, options: ReadOptions) -> Source:
     core = CoreLines(decisions, description, codec, folder / layout.DRIVE_FILE)
     reader = _DriveReader(store, core, options)
     reader.read(segments)
-    return Source(
-        *(str(path), title(str(path)), codec, store, decisions),
-        *(description, attached, reader.unreadable + core.unreadable),
-    )
+    unreadable, name = reader.unreadable + core.unreadable, str(path)
+    return Source(name, title(name), codec, store, decisions, description, attached, unreadable)
 
 
 def _attachments(folder: Path) -> dict[str, bytes]:

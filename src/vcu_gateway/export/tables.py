@@ -102,7 +102,8 @@ def decision_tables(decisions: Decisions, selection: Selection) -> Iterator[Tabl
     """Modes and causes at each tick, events, `why`, and gaps of the recording."""
     if decisions.tick_times_ns:
         yield from _tick_table(decisions, selection)
-    yield from _texts("Events", ("Event", "Severity", "Detail"), _event_rows(decisions), selection)
+    events = [(one.wall_ns, (one.name, one.severity, one.text)) for one in decisions.events]
+    yield from _texts("Events", ("Event", "Severity", "Detail"), events, selection)
     for name, channel, texts in (
         ("Why", "Sentence", decisions.whys),
         ("Gaps", "Missing", decisions.gaps),
@@ -141,10 +142,6 @@ def _sliced(times_ns: "array[int]", columns: Sequence[Column]) -> Iterator[Chunk
     for first in range(0, len(times_ns), CHUNK_ROWS):
         part = slice(first, first + CHUNK_ROWS)
         yield Chunk(times_ns[part], tuple(column[part] for column in columns))
-
-
-def _event_rows(decisions: Decisions) -> list[tuple[int, tuple[str, ...]]]:
-    return [(one.wall_ns, (one.name, one.severity, one.text)) for one in decisions.events]
 
 
 def _texts(
@@ -231,18 +228,16 @@ def _pairs(node: str, rows: Mapping[str, MessageRows]) -> Iterator[_Pair]:
     status1, status2 = rows[f"{node}_Status1"], rows[f"{node}_Status2"]
     echoed = status1.message.spec.signal_names
     for index, signal in enumerate(commanded):
-        if signal.name in echoed:
-            place = echoed.index(signal.name)
-            yield _Pair(
-                *(signal, index, signal.name, status1),
-                lambda decoded, place=place: decoded.values[place],  # type: ignore[misc]
-            )
-        elif (name := STATUS_OF_LIMIT.get(signal.name)) and (value := _limited(status2, name)):
-            yield _Pair(signal, index, name, status2, value)
+        source, name = status1, signal.name
+        if name not in echoed:
+            source, name = status2, STATUS_OF_LIMIT.get(name, "")
+        if name and (value := _answer(source, name)):
+            yield _Pair(signal, index, name, source, value)
 
 
-def _limited(status2: MessageRows, name: str) -> Callable[[Decoded], float] | None:
-    names = status2.message.spec.signal_names
+def _answer(status: MessageRows, name: str) -> Callable[[Decoded], float] | None:
+    """The signal of this name, else the power that voltage and current give; None without."""
+    names = status.message.spec.signal_names
     if name in names:
         place = names.index(name)
         return lambda decoded: decoded.values[place]
