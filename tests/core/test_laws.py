@@ -378,11 +378,11 @@ def test_of_several_frames_between_two_ticks_the_worst_counts(stamped):
 
 
 def test_several_frames_count_in_each_of_several_ticks():
-    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
-    for worst_c in (100, 125):
-        for celsius, at_ms in ((worst_c, 1), (40, 2)):
-            heat(drive, celsius)
-            drive.receive("PCU1_Status1", drive.now_ns + at_ms * MS)
+    drive = driving(power_limit_w__by_pack_temperature_max_c=curve((45, 14_000), (60, 0)))
+    for worst_c in (50, 55):
+        for celsius, at_ms in ((worst_c, 1), (30, 2)):
+            drive.codes["BMS_Temperatures.PackTemperature1"] = celsius + 50
+            drive.receive("BMS_Temperatures", drive.now_ns + at_ms * MS)
         drive.tick()
         assert drive.gateway.curves[0].x == worst_c
 
