@@ -7,6 +7,7 @@ All integers, so that 200 days of uptime are as exact as the first second.
 """
 
 import math
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -42,9 +43,9 @@ def arrival_ns(stamp_wall_ns: int, before: ClockPair, now: ClockPair) -> int:
     possible = [at for at in (by_now, by_before) if at <= now.monotonic_ns]
     if not possible:
         return before.monotonic_ns
-    if len(possible) == 1:
-        return possible[0]
-    return _likelier(min(possible), max(possible), before.monotonic_ns)
+    older_ns, newer_ns = min(possible), max(possible)
+    # The older one, unless only the newer one lies after the last drain.
+    return newer_ns if older_ns < before.monotonic_ns <= newer_ns else older_ns
 
 
 def steady(before: ClockPair, now: ClockPair) -> bool:
@@ -53,11 +54,6 @@ def steady(before: ClockPair, now: ClockPair) -> bool:
     Then `stamp - now.distance_ns` is the arrival of every frame read at `now`.
     """
     return abs(now.distance_ns - before.distance_ns) <= _READING_ERROR_NS
-
-
-def _likelier(older_ns: int, newer_ns: int, earliest_ns: int) -> int:
-    """Older of two readings, unless only the newer one lies after the last drain."""
-    return newer_ns if older_ns < earliest_ns <= newer_ns else older_ns
 
 
 _RECENT_TICKS = 1200
@@ -152,10 +148,7 @@ class Schedule:
 
 def lateness_bin(lateness_ns: int) -> int:
     """Index of the histogram's bin for this lateness."""
-    for index, bound_ns in enumerate(LATENESS_BOUNDS_NS):
-        if lateness_ns <= bound_ns:
-            return index
-    return len(LATENESS_BOUNDS_NS)
+    return bisect_left(LATENESS_BOUNDS_NS, lateness_ns)
 
 
 def lateness_at(counts: list[int], share: float) -> int | None:
