@@ -67,17 +67,6 @@ class Identifier(NamedTuple):
         specific = 0 if self.pdu_format < PDU2_FIRST_PF else self.pdu_specific
         return page | self.pdu_format << 8 | specific
 
-    @property
-    def can_id(self) -> int:
-        return (
-            self.priority << 26
-            | self.extended_data_page << 25
-            | self.data_page << 24
-            | self.pdu_format << 16
-            | self.pdu_specific << 8
-            | self.source_address
-        )
-
 
 def parse(can_id: int) -> Identifier:
     """Split a 29-bit identifier; ValueError beyond 29 bits."""
