@@ -1,12 +1,12 @@
 """Frames of pedals on CAN as the demands that they are: docs/safety.md, Pedals, read again."""
 
-import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from vcu_gateway.judge.arrivals import BusFrame
 from vcu_gateway.judge.demands import GrantedDemand
 from vcu_gateway.judge.limits import JudgedDemand, JudgedPedals, JudgedTrack
+from vcu_gateway.judge.tuning_rules import value_at
 from vcu_gateway.judge.wire import CONTROLLERS, LENGTH, MATCH, MS
 
 PEDALS = "pedals"
@@ -93,7 +93,7 @@ class PedalsReading:
         braked, regen = self._asked(brake), pedals.regen_brake
         if known and pedals.coast:
             travels = [one for one in (first, second) if one is not None]
-            coast = _on_line(pedals.coast, max(travels))
+            coast = value_at(pedals.coast, max(travels))
             if coast > braked:
                 braked, regen = coast, True
         second_pct = None if pedals.track2 is None else self._asked(second) if known else 0.0
@@ -139,16 +139,6 @@ def _travel_pct(track: JudgedTrack | None, bits: int) -> float | None:
     value = raw * track.signal.factor + track.signal.offset
     travel = 100.0 * (value - track.released) / (track.pressed - track.released)
     return travel if -_BEYOND_PCT <= travel <= 100.0 + _BEYOND_PCT else None
-
-
-def _on_line(points: tuple[tuple[float, float], ...], x: float) -> float:
-    """A line through points, level beyond them."""
-    for (left, y), (right, next_y) in itertools.pairwise(points):
-        if x <= left:
-            return y
-        if x < right:
-            return y + (next_y - y) * (x - left) / (right - left)
-    return points[-1][1]
 
 
 def _sums_up(data: bytes, checksum: tuple[int, str] | None) -> bool:
