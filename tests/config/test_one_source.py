@@ -21,7 +21,7 @@ from vcu_gateway.core.demand import ControllerDemand
 from vcu_gateway.core.settings import KEYS, Reload, Settings
 from vcu_gateway.daemon.reload import is_live
 from vcu_gateway.demand_ranges import POWER_LIMIT_HIGHEST_W, RANGES, SPEED_LIMIT_HIGHEST_RPM
-from vcu_gateway.judge import JudgedDemand
+from vcu_gateway.judge.limits import JudgedDemand
 from vcu_gateway.protocol import dbc, packaged
 
 ROOT = Path(__file__).parents[2]

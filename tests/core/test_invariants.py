@@ -28,7 +28,11 @@ from vcu_gateway.core.link import LinkState, LinkStatus
 from vcu_gateway.core.schedule import Schedule
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
-from vcu_gateway.judge import Findings, GrantedDemand, Judge, JudgedDemand, SentFrame
+from vcu_gateway.judge.command_rules import SentFrame
+from vcu_gateway.judge.demands import GrantedDemand
+from vcu_gateway.judge.judge import Judge
+from vcu_gateway.judge.limits import JudgedDemand
+from vcu_gateway.judge.result import Findings
 from vcu_gateway.judge.wire import COMMAND_IDS as COMMAND_ID_OF
 from vcu_gateway.judge.wire import CONTROLLERS as SLOTS
 from vcu_gateway.judge.wire import (

@@ -23,10 +23,11 @@ from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, Mode
 from vcu_gateway.core.transmit import OutFrame
-from vcu_gateway.judge import DriveVerdict, Findings, JudgedDemand
 from vcu_gateway.judge.arrivals import Arrivals
 from vcu_gateway.judge.demands import GrantedDemands
+from vcu_gateway.judge.limits import JudgedDemand
 from vcu_gateway.judge.mode_rules import ModeRules, TickCauses
+from vcu_gateway.judge.result import DriveVerdict, Findings
 from vcu_gateway.protocol import DEFAULT_ALIASES
 from vcu_gateway.recording.core_lines import CoreRecord, FrameRun, InputRecord, TickRecord
 from vcu_gateway.recording.reader import open_drive

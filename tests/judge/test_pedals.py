@@ -8,7 +8,7 @@ from tests.replay.test_pedals import CONFIG, EXAMPLES, PedalDrive
 from vcu_gateway.config import core_settings, parse
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.judge import DriveVerdict
+from vcu_gateway.judge.result import DriveVerdict
 from vcu_gateway.protocol import dbc
 from vcu_gateway.recording.core_lines import FrameRun, TickRecord
 from vcu_gateway.recording.reader import open_drive

@@ -19,7 +19,7 @@ from vcu_gateway import __version__
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import DataError, Problem
 from vcu_gateway.export.html_report import Overlay
-from vcu_gateway.judge import DriveVerdict
+from vcu_gateway.judge.result import DriveVerdict
 from vcu_gateway.protocol import dbc
 from vcu_gateway.recording import check as recording_check
 from vcu_gateway.recording import layout

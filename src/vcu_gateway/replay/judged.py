@@ -16,18 +16,17 @@ from vcu_gateway.core.link import LinkState
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec
 from vcu_gateway.core.supervisor import FaultClass
-from vcu_gateway.judge import (
-    DriveVerdict,
-    Findings,
-    GrantedDemand,
-    Judge,
+from vcu_gateway.judge.command_rules import SentFrame
+from vcu_gateway.judge.demands import GrantedDemand
+from vcu_gateway.judge.judge import Judge
+from vcu_gateway.judge.limits import (
     JudgedDemand,
     JudgedPedals,
     JudgedSignal,
     JudgedTrack,
-    SentFrame,
     VerdictLimits,
 )
+from vcu_gateway.judge.result import DriveVerdict, Findings
 from vcu_gateway.recording.call_text import settings_json
 from vcu_gateway.recording.core_lines import (
     Checkpoint,
