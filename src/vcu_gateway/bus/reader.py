@@ -10,7 +10,7 @@ import functools
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from vcu_gateway.bus.settings import BusCounters, BusSettings, read_clocks
 from vcu_gateway.bus.socketcan import DrainingSocketcanBus
@@ -74,37 +74,6 @@ class FrameListener:
             self._counters.last_bug = repr(error)
 
 
-class Bus(Protocol):
-    """One open bus; OSError or can.CanError where its interface fails.
-
-    What it has received is handed to its listener by the thread that calls `read_waiting`.
-    """
-
-    @property
-    def stamps_are_monotonic(self) -> bool:
-        """True where `Message.timestamp` is of the monotonic clock, not of the wall clock."""
-
-    @property
-    def receive_buffer_bytes(self) -> int | None:
-        """Receive buffer that the kernel granted; None where the bus has none."""
-
-    @property
-    def drains(self) -> int | None:
-        """Times that all that waited was read; None where a thread of its own reads."""
-
-    def start(self, listener: FrameListener) -> None:
-        """Begin to receive."""
-
-    def read_waiting(self, until_ns: int) -> int:
-        """Hand on what arrived until this time; how many frames were read. It never raises."""
-
-    def send_now(self, can_id: int, data: bytes) -> None:
-        """Send one extended data frame without waiting."""
-
-    def close(self) -> None:
-        """Read no more, then close."""
-
-
 class DrainedBus:
     """SocketCAN, read by the thread that calls `read_waiting`, through the Notifier's own callback.
 
@@ -113,6 +82,8 @@ class DrainedBus:
     Reading and closing never meet: nobody waits to read what is being closed.
 
     Attributes:
+        stamps_are_monotonic: `Message.timestamp` is of the monotonic clock, not of the wall clock.
+        receive_buffer_bytes: what the kernel granted.
         drains: times that all that waited was read, frames or none.
     """
 
@@ -139,6 +110,7 @@ class DrainedBus:
         self._receive_one = None
 
     def read_waiting(self, until_ns: int) -> int:
+        """Hand on what arrived until this time; how many frames were read. It never raises."""
         if not self._in_use.acquire(blocking=False):
             return 0
         try:
@@ -204,6 +176,13 @@ class PlainBus:
         """Stop the Notifier, then close the bus; it takes as long as a wake-up of its thread."""
         self._notifier.stop()
         self._library_bus.shutdown()
+
+
+Bus = DrainedBus | PlainBus
+"""One open bus; OSError or can.CanError where its interface fails.
+
+What it has received is handed to its listener by the thread that calls `read_waiting`.
+"""
 
 
 def _hand_on(receive_one: Callable[[], object], count: int, listener: FrameListener) -> None:
