@@ -119,7 +119,7 @@ def _tick_loop(config: Config, protocol: ProtocolSpec) -> TickLoop:
     else:
         gateway = TappedGateway(codec, core_settings(config), now_ns, Tap())
     connection = BusConnection(
-        bus_settings(config), codec.identifiers(), gateway.receive, gateway.command_groups
+        bus_settings(config), codec.identifiers(), gateway.receive, gateway.receiver.command_groups
     )
     return TickLoop(gateway, connection, reopen_ms=config.bus.reopen_ms)
 

@@ -75,8 +75,9 @@ def test_the_gateway_tells_what_it_sent_what_came_back_and_what_is_known_of_a_st
     assert stop is not None
     assert stop.latched_ns == drive.now_ns - 150 * MS
     assert stop.stage is StopStage.ON_BUS
-    assert {one.frame.data for one in drive.gateway.taken.values()} == {POWER_CUT}
-    assert {name: frame.data for name, frame in drive.gateway.echoes.items()} == dict.fromkeys(
+    assert {one.frame.data for one in drive.gateway.transmitter.taken.values()} == {POWER_CUT}
+    echoes = drive.gateway.receiver.echoes
+    assert {name: echo.data for name, echo in echoes.items()} == dict.fromkeys(
         COMMAND_IDS, POWER_CUT
     )
 
@@ -98,7 +99,7 @@ def test_counters_are_those_of_their_instant():
 
 
 def test_the_frames_that_command_a_controller_are_known_by_their_group():
-    groups = Drive().gateway.command_groups
+    groups = Drive().gateway.receiver.command_groups
     assert {name for names in groups.values() for name in names} == {"PCU1", "PCU2"}
     assert groups[j1939.group_key(COMMAND_IDS["PCU1"])] == ("PCU1",)
 

@@ -62,7 +62,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import Snapshot
 from vcu_gateway.core.stop import Stop, StopWatch
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode, Stimulus
-from vcu_gateway.core.transmit import OutFrame, TakenFrame, Transmitter
+from vcu_gateway.core.transmit import OutFrame, Transmitter
 from vcu_gateway.core.why import Explanation, Reasons
 from vcu_gateway.units import NS_PER_MS
 
@@ -247,24 +247,9 @@ class Gateway:
         return self.receiver.monitor.link
 
     @property
-    def taken(self) -> Mapping[str, TakenFrame]:
-        """The last frame that the kernel took for each controller; from any thread."""
-        return self.transmitter.taken
-
-    @property
-    def echoes(self) -> Mapping[str, Frame]:
-        """The last frame to each controller that came back from the bus; from any thread."""
-        return self.receiver.echoes
-
-    @property
     def counters(self) -> FrameCounters:
         """Counts so far, copied."""
         return self.receiver.counters(self.transmitter.gate.blocked, self.requests.pedal_frames)
-
-    @property
-    def command_groups(self) -> Mapping[int, tuple[str, ...]]:
-        """Controllers by the `j1939.group_key` of the frames that command them."""
-        return self.receiver.command_groups
 
     @property
     def finished(self) -> bool:

@@ -114,7 +114,7 @@ def _commands(
 
 
 def _sent(gateway: Gateway, controller: str, now_ns: int) -> results.CarriedFrame | None:
-    taken = gateway.taken.get(controller)
+    taken = gateway.transmitter.taken.get(controller)
     if taken is None:
         return None
     frame = _candump(taken.frame.can_id, taken.frame.data)
@@ -122,7 +122,7 @@ def _sent(gateway: Gateway, controller: str, now_ns: int) -> results.CarriedFram
 
 
 def _echoed(gateway: Gateway, controller: str, now_ns: int) -> results.CarriedFrame | None:
-    echo = gateway.echoes.get(controller)
+    echo = gateway.receiver.echoes.get(controller)
     if echo is None:
         return None
     return {"frame": _candump(echo.can_id, echo.data), "age_ms": _since(now_ns, echo.arrival_ns)}
