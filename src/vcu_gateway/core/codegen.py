@@ -50,7 +50,7 @@ comparison with NaN is false, so that NaN becomes the lowest code.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, SignalSpec
+from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, SignalSpec, plain
 
 _STRUCT_CODES = {8: "B", 16: "H", 32: "I", 64: "Q"}
 _EXACT_FLOAT_BITS = 53
@@ -184,15 +184,10 @@ def _big_endian_parts(signal: SignalSpec) -> list[str]:
 def _value_expression(index: int, signal: SignalSpec) -> str:
     value = f"r{index}"
     if signal.factor != 1:
-        value += f" * {_plain(signal.factor)!r}"
+        value += f" * {plain(signal.factor)!r}"
     if signal.offset != 0:
-        value += f" + {_plain(signal.offset)!r}"
+        value += f" + {plain(signal.offset)!r}"
     return value
-
-
-def _plain(number: float) -> float:
-    """An int where it is whole, so that whole values stay whole."""
-    return int(number) if float(number).is_integer() else number
 
 
 def _marks(signals: tuple[SignalSpec, ...]) -> str:
@@ -241,9 +236,9 @@ def _saturating_lines(index: int, signal: SignalSpec) -> list[str]:
     low, high, raw = signal.raw_minimum, signal.raw_maximum, f"r{index}"
     scaled = f"values[{signal.name!r}]"
     if signal.offset != 0:
-        scaled = f"({scaled} - {_plain(signal.offset)!r})"
+        scaled = f"({scaled} - {plain(signal.offset)!r})"
     if signal.factor != 1:
-        scaled += f" / {_plain(signal.factor)!r}"
+        scaled += f" / {plain(signal.factor)!r}"
     if (low, high) == (0, 1):
         return [f"        {raw} = 1 if {scaled} > 0.5 else 0"]
     above, below = _limit(signal, low), _limit(signal, high)

@@ -12,6 +12,11 @@ FRAME_LENGTH_BYTES = 8
 _RANGE_TOLERANCE_RAW = 1e-6
 
 
+def plain(number: float) -> float:
+    """An int where it is whole, which is written without a decimal point."""
+    return int(number) if float(number).is_integer() else number
+
+
 @dataclass(frozen=True, slots=True)
 class SignalSpec:
     """One signal: position, scaling and codes of its bits.

@@ -22,7 +22,7 @@ from cantools.database.conversion import BaseConversion
 from cantools.database.namedsignalvalue import NamedSignalValue
 
 from vcu_gateway.core import j1939
-from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec, SignalSpec
+from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, MessageSpec, ProtocolSpec, SignalSpec, plain
 from vcu_gateway.errors import DataError, Problem
 
 if TYPE_CHECKING:
@@ -117,20 +117,15 @@ def _signal(signal: SignalSpec, message: MessageSpec, definitions: _Definitions)
         byte_order="little_endian" if signal.byte_order == "little" else "big_endian",
         is_signed=signal.signed,
         conversion=BaseConversion.factory(
-            scale=_plain(signal.factor), offset=_plain(signal.offset), choices=choices or None
+            scale=plain(signal.factor), offset=plain(signal.offset), choices=choices or None
         ),
-        minimum=_plain(signal.minimum),
-        maximum=_plain(signal.maximum),
+        minimum=plain(signal.minimum),
+        maximum=plain(signal.maximum),
         unit=signal.unit or None,
         comment=signal.comment or None,
         receivers=list(message.receivers),
         dbc_specifics=_specifics(definitions, **attributes),
     )
-
-
-def _plain(number: float) -> float:
-    """Whole numbers without a decimal point, as people write them in a DBC."""
-    return int(number) if float(number).is_integer() else number
 
 
 def parse(text: str, where: str = "dbc") -> ProtocolSpec:

@@ -193,13 +193,10 @@ def _quantity(signal: SignalSpec, wanted: str | int) -> Iterator[str]:
         if signal.unit != wanted:
             yield f"the unit must be {wanted or 'none'}, not {signal.unit or 'none'}"
     elif (signal.raw_lowest, signal.raw_highest) != (0, wanted - 1):
-        yield f"the bits must hold the codes 0..{wanted - 1}, not {_codes(signal)}"
+        held = f"{signal.raw_lowest}..{signal.raw_highest}"
+        yield f"the bits must hold the codes 0..{wanted - 1}, not {held}"
     elif (signal.factor, signal.offset) != (1, 0):
         yield "a code has factor 1 and offset 0"
-
-
-def _codes(signal: SignalSpec) -> str:
-    return f"{signal.raw_lowest}..{signal.raw_highest}"
 
 
 def _commands(by_name: Mapping[str, MessageSpec]) -> Iterator[Breach]:
@@ -283,12 +280,9 @@ def _of_message(message: MessageSpec, expected: MessageSpec) -> Iterator[str]:
             yield f"{where}: there is no signal {signal.name}"
         else:
             where_signal = f"{message.name}.{signal.name}{hexadecimal(expected)}"
-            yield from _of_signal(where_signal, by_name[signal.name], signal)
-
-
-def _of_signal(where: str, signal: SignalSpec, expected: SignalSpec) -> Iterator[str]:
-    for name in _OF_SIGNAL:
-        yield from _of_value(where, name, getattr(signal, name), getattr(expected, name))
+            for name in _OF_SIGNAL:
+                values = getattr(by_name[signal.name], name), getattr(signal, name)
+                yield from _of_value(where_signal, name, *values)
 
 
 def _of_value(where: str, name: str, value: object, expected: object) -> Iterator[str]:
