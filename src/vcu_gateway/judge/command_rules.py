@@ -278,15 +278,13 @@ def _direction(one: Judged, before: SentBefore, facts: TickFacts) -> Broken:
 
 def _effects(one: Judged, facts: TickFacts) -> Broken:
     command, effects = one.command, facts.effects
-    stopping = effects & {STOP, CUT}
-    if stopping and not command.safe:
+    if effects & {STOP, CUT} and not command.safe:
         yield "a STOP or CUT leaves no torque", _seen(command)
     if command.cut:
         yield "POWER_CUT in ACTIVE", "without a cause that cuts"
     if TURBO_OFF in effects and command.power_mode == _TURBO:
         yield "TURBO_OFF", "PowerMode is turbo"
-    limited = POWER_LIMIT in effects
-    if limited and command.power_mode not in (_ECO, SAFETY_MODE):
+    if POWER_LIMIT in effects and command.power_mode not in (_ECO, SAFETY_MODE):
         yield "POWER_LIMIT", f"PowerMode is {command.power_mode}, not eco"
     if REGEN_OFF in effects and (command.regenerates or command.brake_raw):
         yield "I10 regeneration", f"though it is off: {_seen(command)}"

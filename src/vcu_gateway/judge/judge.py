@@ -209,9 +209,8 @@ class Judge:
             self._broken(rule, now_ns, seen)
         for controller, frame in sent.items():
             self._judge_frame(controller, frame, facts)
-        self._reactions.tick(
-            self._tick, now_ns, late_ns, sent, [*new] if was_active else _cuts(new)
-        )
+        told = new if was_active else [one for one in new if one.effect == CUT]
+        self._reactions.tick(self._tick, now_ns, late_ns, sent, told)
         self._end_tick(now_ns, sent)
 
     def _take_pedals(self, pedals: PedalsReading, now_ns: int) -> None:
@@ -352,7 +351,3 @@ class Judge:
 
 def _first(found: list[Seen], effect: str) -> str:
     return next((one.cause for one in found if one.effect == effect), "")
-
-
-def _cuts(new: list[Seen]) -> list[Seen]:
-    return [one for one in new if one.effect == CUT]
