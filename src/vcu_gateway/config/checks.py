@@ -3,7 +3,7 @@
 import dataclasses
 import grp
 import pwd
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from vcu_gateway.config import pedals
@@ -151,22 +151,18 @@ def _unknown(
 
 def check_effect(config: Config) -> list[Problem]:
     """Values that are allowed, and lack an effect or a watch; they prevent no start."""
-    source = config.source
-    hints = [
-        *without_effect(core_settings(config).tuning, _highest(config)),
-        *pedals.hints(config.pedals),
-    ]
-    found = problems(hints, source.file, source.lines, IDENTIFIER_KEYS)
-    return [*_derating_without_effect(config), *found]
-
-
-def _highest(config: Config) -> Mapping[str, float]:
-    limits = config.limits
-    return {
+    source, limits = config.source, config.limits
+    highest = {
         "power_limit_w": limits.power_limit_max_w,
         "brake_pct": 100,
         "speed_limit_rpm": limits.speed_limit_max_rpm,
     }
+    hints = [
+        *without_effect(core_settings(config).tuning, highest),
+        *pedals.hints(config.pedals),
+    ]
+    found = problems(hints, source.file, source.lines, IDENTIFIER_KEYS)
+    return [*_derating_without_effect(config), *found]
 
 
 def _derating_without_effect(config: Config) -> list[Problem]:

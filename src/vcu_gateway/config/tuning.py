@@ -356,16 +356,12 @@ _SLIP_TEXTS = {
 }
 
 
-def _slip_text(name: str) -> str:
-    return f"{_SLIP_TEXTS[name]} Live, but not while active."
-
-
 def _slip_section() -> Any:
     hints = get_type_hints(SlipLimiter, include_extras=True)
-    keys: dict[str, Any] = {
-        one.name: (hints[one.name], Field(default=one.default, description=_slip_text(one.name)))
-        for one in fields(SlipLimiter)
-    }
+    keys: dict[str, Any] = {}
+    for one in fields(SlipLimiter):
+        description = f"{_SLIP_TEXTS[one.name]} Live, but not while active."
+        keys[one.name] = hints[one.name], Field(default=one.default, description=description)
     text = "Limits how long a wheel spins; it is slow, and no traction control."
     return create_model("SlipSection", __base__=Section, __module__=__name__, __doc__=text, **keys)
 

@@ -194,16 +194,13 @@ def values(pedals: CanPedals) -> dict[str, Any]:
     return found | {"coast_brake_pct": curve and [list(point) for point in curve["points"]]}
 
 
-_TRACKS = ("throttle", "throttle_track2", "brake")
-
-
 def of_values(given: Mapping[str, Any]) -> CanPedals:
     """Pedals of what `values` gave; KeyError, TypeError or ValueError for others."""
     own = dict(given)
     own["power_mode"] = PowerMode[own["power_mode"].upper()]
     points = own.pop("coast_brake_pct", None)
     own["coast_brake"] = points and Curve(tuple((float(x), float(y)) for x, y in points))
-    for name in _TRACKS:
+    for name in ("throttle", "throttle_track2", "brake"):
         own[name] = own.get(name) and PedalTrack(**own[name])
     own["checksum"] = own.get("checksum") and PedalChecksum(**own["checksum"])
     return CanPedals(**own)

@@ -254,9 +254,9 @@ def changed(before: Tuning, after: Tuning) -> tuple[str, ...]:
 def values(tuning: Tuning) -> Mapping[str, object]:
     """What is configured, by its whole key in the file."""
     modes = {
-        f"{_MODES}{name}.{part}": value
+        f"{_MODES}{name}.{MODE_KEYS.get(one.name, one.name)}": getattr(mode, one.name)
         for name, mode in tuning.modes.items()
-        for part, value in mode_values(mode).items()
+        for one in fields(DriveMode)
     }
     found: dict[str, object] = {
         RPM_PER_KMH_KEY: tuning.motor_rpm_per_kmh,
@@ -278,11 +278,6 @@ MODE_KEYS: Mapping[str, str] = {
 }
 """Keys of a drive mode's curves; every other field's key is its name."""
 _FIELDS = {key: name for name, key in MODE_KEYS.items()}
-
-
-def mode_values(mode: DriveMode) -> Mapping[str, object]:
-    """The fields of a drive mode by their keys in the file."""
-    return {MODE_KEYS.get(one.name, one.name): getattr(mode, one.name) for one in fields(DriveMode)}
 
 
 def is_stricter(key: str, before: Tuning, after: Tuning) -> bool:
