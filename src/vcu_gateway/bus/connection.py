@@ -1,20 +1,8 @@
 """Bus connection: opens, receives, sends and closes, whatever the interface.
 
 Received frames go to one callable, on the thread that calls `read_waiting`: the ticking one. A
-failed interface is reported once through `on_lost`; the reconnector opens
-it again, the ticking thread starts sending again.
-
-Instance lock: one gateway on an interface of this machine.
-
-The lock is the name of a Unix socket in the abstract namespace: it belongs to the network
-namespace that the interface is in, needs no file, and is free again when the process has ended,
-however it ended.
-
-Any process can take such a name, so it counts only when it is held by a user who could start a
-gateway: root, our own user or the service's. Another holder, or one that does not answer, is
-reported and ignored: no process without privilege can keep the gateway from starting. A real
-gateway that does not answer (any process can fill its queue) is seen all the same: the second one
-listens before it talks, and stays silent.
+failed interface is reported once through `on_lost`; the reconnector opens it again, the ticking
+thread starts sending again.
 """
 
 import contextlib
@@ -47,7 +35,16 @@ _credentials = struct.Struct("3i")
 
 
 class InstanceLock:
-    """Lock of one interface for this process, until `release` or its end.
+    """Lock of one interface of this machine for this process, until `release` or its end.
+
+    It is the name of a Unix socket in the abstract namespace, which belongs to the network
+    namespace that the interface is in, and needs no file.
+
+    Any process can take such a name, so it counts only when it is held by a user who could start a
+    gateway: root, our own user or the service's. Another holder, or one that does not answer, is
+    reported and ignored: no process without privilege can keep the gateway from starting. A real
+    gateway that does not answer (any process can fill its queue) is seen all the same: the second
+    one listens before it talks, and stays silent.
 
     Attributes:
         passed_by: the holder without a right to it, as words; None where this process has it.

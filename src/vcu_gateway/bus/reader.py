@@ -48,7 +48,8 @@ class FrameListener:
         self._counters.received += 1
         stamp_ns = int(message.timestamp * NS_PER_S)
         if not self._stamps_are_monotonic:
-            stamp_ns = self._to_monotonic(stamp_ns)
+            before, self._clocks = self._clocks, read_clocks()
+            stamp_ns = arrival_ns(stamp_ns, before, self._clocks)
         self._receive(
             Frame(
                 message.arbitration_id,
@@ -60,10 +61,6 @@ class FrameListener:
                 not message.is_rx,
             )
         )
-
-    def _to_monotonic(self, stamp_wall_ns: int) -> int:
-        before, self._clocks = self._clocks, read_clocks()
-        return arrival_ns(stamp_wall_ns, before, self._clocks)
 
     def on_error(self, error: Exception) -> None:
         """Report a failed interface as lost; count a bug of ours, which costs its frame."""
