@@ -179,10 +179,6 @@ class VerdictLimits:
         return modes
 
     @property
-    def start_drive_mode(self) -> str | None:
-        return self.tuning.get("drive_modes.start")
-
-    @property
     def motor_rpm_per_kmh(self) -> float | None:
         return self.tuning.get("vehicle.motor_rpm_per_kmh")
 
@@ -190,10 +186,6 @@ class VerdictLimits:
     def slip(self) -> Mapping[str, float] | None:
         """Settings of the slip limiter by their keys; None where it is off."""
         return self._below("laws.slip.") or None
-
-    @property
-    def slip_wait_ns(self) -> int:
-        return 0 if self.slip is None else round(self.slip["wait_ms"] * MS)
 
     @cached_property
     def holds_speed(self) -> bool:

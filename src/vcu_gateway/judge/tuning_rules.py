@@ -17,6 +17,7 @@ from vcu_gateway.judge.wire import (
     HIGHEST_RAW,
     INPUTS,
     MOTOR_SPEED,
+    MS,
     PERCENT_PER_BIT,
     POWER_MODES,
     WHEEL_SPEEDS,
@@ -84,7 +85,8 @@ class TuningRules:
     """
 
     def __init__(self, limits: VerdictLimits, *, complete: bool) -> None:
-        self.drive_mode = self.asked = limits.start_drive_mode if complete else None
+        self.drive_mode: str | None = limits.tuning.get("drive_modes.start") if complete else None
+        self.asked = self.drive_mode
         self._complete = complete
         self._held: dict[str, float] = {}
         self._over_speed: dict[str, float] = {}
@@ -256,7 +258,8 @@ class _SlipCap:
         if not tick.began_active:
             self.pct, self.cut_ns, self.certain_ns = _FULL_PCT, None, -math.inf
             return
-        slip, wait_ns = tick.limits.slip or {}, tick.limits.slip_wait_ns
+        slip = tick.limits.slip or {}
+        wait_ns = round(slip["wait_ms"] * MS)
         saturated = any(_SATURATED_RAW in raws for raws in _wheels(tick))
         over_kmh = None if saturated else _over_kmh(name, front_kmh, tick)
         if self.certain_ns is None:
