@@ -60,7 +60,7 @@ def test_a_restart_state_that_cannot_be_kept_is_against_arming():
 def test_a_cut_of_the_process_before_is_latched_again():
     drive = Drive()
     applied(drive, calls.BeginFrom("undervoltage", {"PCU1": True}))
-    assert drive.gateway.latch.reason == "undervoltage"
+    assert drive.gateway.supervisor.latch.reason == "undervoltage"
 
 
 def test_a_demand_counts_until_its_source_ends_it():

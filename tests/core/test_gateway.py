@@ -58,12 +58,12 @@ def error_frame(drive: Drive, can_id: int, bits: int = 0) -> None:
 
 def test_the_gateway_gives_its_mode_and_what_latched_it():
     drive = active()
-    assert (drive.gateway.mode, drive.gateway.latch) == (Mode.ACTIVE, None)
+    assert (drive.gateway.mode, drive.gateway.supervisor.latch) == (Mode.ACTIVE, None)
     drive.gateway.requests.emergency_stop()
     drive.tick()
     assert drive.gateway.mode is Mode.FAULT
-    assert drive.gateway.latch is not None
-    assert drive.gateway.latch.fault_class is SERVICE
+    assert drive.gateway.supervisor.latch is not None
+    assert drive.gateway.supervisor.latch.fault_class is SERVICE
 
 
 def test_the_gateway_tells_what_it_sent_what_came_back_and_what_is_known_of_a_stop():
@@ -294,7 +294,7 @@ def test_a_carrier_that_goes_latches_a_fault_which_outlasts_its_return():
     drive = active()
     drive.gateway.apply(calls.ChangeCarrier(Carrier(False, drive.now_ns)))
     assert drive.tick().mode is Mode.FAULT
-    assert drive.gateway.latch.reason == "link bus off: stop"
+    assert drive.gateway.supervisor.latch.reason == "link bus off: stop"
     drive.gateway.apply(calls.ChangeCarrier(Carrier(True, drive.now_ns)))
     assert drive.gateway.link.state is LinkState.UP
     assert drive.tick().mode is Mode.FAULT
@@ -306,7 +306,7 @@ def test_a_bus_off_that_came_and_went_between_two_ticks_latches_a_fault():
     error_frame(drive, RESTARTED)
     assert drive.gateway.link.state is LinkState.UP
     assert drive.tick().mode is Mode.FAULT
-    assert drive.gateway.latch.reason == "link bus off: stop"
+    assert drive.gateway.supervisor.latch.reason == "link bus off: stop"
 
 
 def test_nothing_is_granted_while_listening():

@@ -324,8 +324,9 @@ def test_a_granted_emergency_stop_is_latched_though_no_tick_came_after_it(tmp_pa
     process.state.keep_emergency_stop(0)
     again = Process(tmp_path)
     assert again.mode is Mode.FAULT
-    assert again.gateway.latch is not None
-    assert again.gateway.latch.reason == "before this start: emergency stop requested: cut"
+    latch = again.gateway.supervisor.latch
+    assert latch is not None
+    assert latch.reason == "before this start: emergency stop requested: cut"
 
 
 def cut_by_the_battery(process: Process) -> None:

@@ -159,7 +159,10 @@ class Gateway:
     def reload(self, settings: Settings) -> RequestResult:
         """Take new settings whole or not at all; while ACTIVE only stricter limits."""
         reason = reload_refusal(self.settings, settings, self.supervisor.mode)
-        if reason := reason or self._mode_in_use(settings):
+        gone = [name for name in self.drive_modes if name and name not in settings.tuning.modes]
+        if gone and not reason:
+            reason = f"drive mode {gone[0]} is in use"
+        if reason:
             return self.requests.refuse("reload", reason)
         self.settings = settings
         self.fit_laws()
@@ -174,13 +177,6 @@ class Gateway:
             self._laws, self._commander.caps = Laws(tuning), NOT_CAPPED
         elif not {*self.drive_modes} <= {*tuning.modes, tuning.start}:
             self._laws.modes = DriveModes(tuning.start, tuning.start)
-
-    def _mode_in_use(self, settings: Settings) -> str:
-        """Why these settings cannot be taken: a drive mode in use is not among them."""
-        for name in self.drive_modes:
-            if name is not None and name not in settings.tuning.modes:
-                return f"drive mode {name} is in use"
-        return ""
 
     @property
     def drive_modes(self) -> tuple[str | None, str | None]:
@@ -227,13 +223,8 @@ class Gateway:
         return self.supervisor.mode
 
     @property
-    def latch(self) -> LatchedFault | None:
-        """The latched fault; None where nothing is latched."""
-        return self.supervisor.latch
-
-    @property
     def _latched_cut(self) -> LatchedFault | None:
-        return self.latch if self.supervisor.power_is_cut else None
+        return self.supervisor.latch if self.supervisor.power_is_cut else None
 
     def stop(self, now_ns: int) -> Stop | None:
         """What is known of the latched CUT; None where none is latched."""
@@ -397,7 +388,7 @@ class Gateway:
         source = None if demand is None else demand.source
         ttl_ms = None if demand is None else demand.ttl_ms
         waits, held = tuple(self._waits(now_ns)), self.causes.held
-        return Reasons(mode, self.latch, held, waits, source, ttl_ms, fresh, refusal)
+        return Reasons(mode, self.supervisor.latch, held, waits, source, ttl_ms, fresh, refusal)
 
     def _power_mode_waits(self, demanded: ControllerDemands | None) -> Iterable[str]:
         """What a PowerMode in ACTIVE waits for; without throttle it rises in the next tick."""

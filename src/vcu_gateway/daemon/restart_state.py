@@ -213,7 +213,7 @@ class RestartState:
             self._gateway.apply(NoteRestartState(self._failure))
 
     def _latched(self) -> str | None:
-        latch = self._gateway.latch
+        latch = self._gateway.supervisor.latch
         if latch is None or latch.fault_class is not FaultClass.SERVICE:
             return None
         return latch.reason.removeprefix(_BEFORE)
