@@ -14,6 +14,9 @@ CONTROLLERS = ("PCU1", "PCU2")
 BENCH_SOURCE = "bench"
 """Owner of the static demand of a test bench; no other source may use the name."""
 
+RELEASED_PCT = 5.0
+"""A throttle below it is released."""
+
 MOST_SOURCES = 64
 """Sources whose last sequence number is kept, for as long as the gateway runs."""
 

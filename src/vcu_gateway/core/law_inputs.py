@@ -4,14 +4,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from vcu_gateway.core.commands import Command
-from vcu_gateway.core.demand import ControllerDemands
+from vcu_gateway.core.demand import RELEASED_PCT, ControllerDemands
 from vcu_gateway.core.plausibility import SpeedsRpm
 from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.state import LatestFrame, Snapshot
 from vcu_gateway.core.tuning import WHEELS, WHEELS_SATURATED_KMH, Input
-
-RELEASED_PCT = 5.0
-"""A demanded throttle below it is released."""
 
 
 class LawInputs(NamedTuple):

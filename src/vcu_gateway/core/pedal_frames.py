@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from vcu_gateway.core.can_pedals import CanPedals, PedalReader, PedalReading
 from vcu_gateway.core.codec import Codec, Decoded
-from vcu_gateway.core.demand import CONTROLLERS, ControllerDemand, ControllerDemands
+from vcu_gateway.core.demand import CONTROLLERS, RELEASED_PCT, ControllerDemand, ControllerDemands
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.units import NS_PER_MS
 
@@ -21,7 +21,6 @@ PEDALS_SOURCE = "pedals"
 """Owner of the demands that frames are; no other source may use the name while there are some."""
 
 _DOUBT_MAX_NS = 100 * NS_PER_MS
-_RELEASED_PCT = 5.0
 _RELEASED_NS = 1_000 * NS_PER_MS
 _EXPIRY_PERIODS, _EXPIRY_MIN_MS, _EXPIRY_MAX_MS = 3, 60, 200
 _UNTIL_RELEASED = "until both tracks are below 5 % for 1 s"
@@ -236,7 +235,7 @@ class PedalFrames:
 
     def _release(self, reading: PedalReading, at_ns: int) -> None:
         memory = self._memory
-        if max(reading.throttle_pct, reading.track2_pct or 0.0) >= _RELEASED_PCT:
+        if max(reading.throttle_pct, reading.track2_pct or 0.0) >= RELEASED_PCT:
             memory.released_since_ns = None
         elif memory.released_since_ns is None:
             memory.released_since_ns = at_ns

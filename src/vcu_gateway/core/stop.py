@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from enum import Enum
 from typing import NamedTuple
 
-from vcu_gateway.core.demand import CONTROLLERS
+from vcu_gateway.core.demand import CONTROLLERS, RELEASED_PCT
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.state import FUTURE_TOLERANCE_NS, LatestFrame, Snapshot
 from vcu_gateway.core.supervisor import LatchedFault
@@ -20,7 +20,6 @@ GAP_NS = 150 * NS_PER_MS
 _JUDGED_FROM_NS = 100 * NS_PER_MS
 _KNOWN_FOR_NS = 1600 * NS_PER_MS
 _CUT_RAW = 1
-_RELEASED_PCT = 5.0
 
 
 class StopStage(Enum):
@@ -193,7 +192,7 @@ class StopWatch:
         raw = status.decoded.raws[snapshot.index(message, "PowerCut")]
         throttle_pct = status.decoded.values[snapshot.index(message, "Throttle")]
         return known._replace(
-            obeyed=raw == _CUT_RAW and throttle_pct < _RELEASED_PCT,
+            obeyed=raw == _CUT_RAW and throttle_pct < RELEASED_PCT,
             judged_ns=status.arrival_ns,
             power_cut=snapshot.code_name(message, "PowerCut", raw) or f"code {raw}",
             throttle_pct=throttle_pct,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from vcu_gateway.core import commands, j1939
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import Command
-from vcu_gateway.core.demand import CONTROLLERS, ControllerDemands
+from vcu_gateway.core.demand import CONTROLLERS, RELEASED_PCT, ControllerDemands
 from vcu_gateway.core.gate import Gate
 from vcu_gateway.core.settings import Settings
 
@@ -106,7 +106,6 @@ class Transmitter:
 
 # The echo is held against a second or so before a Status1 that may be 1.6 s old.
 _HISTORY_FRAMES = 80
-_RELEASED_PCT = 5.0
 
 
 class SentValues(NamedTuple):
@@ -142,7 +141,7 @@ class SentHistory:
     def released(self) -> bool:
         """The throttle last sent to each controller was below 5 %."""
         for sent in self.frames.values():
-            if not sent or sent[-1].throttle_pct >= _RELEASED_PCT:
+            if not sent or sent[-1].throttle_pct >= RELEASED_PCT:
                 return False
         return True
 

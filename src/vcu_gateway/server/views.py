@@ -8,10 +8,9 @@ from vcu_gateway.api import results
 from vcu_gateway.core import why as explanation
 from vcu_gateway.core.causes import HeldCause
 from vcu_gateway.core.curve import Curve
-from vcu_gateway.core.demand import Demand
+from vcu_gateway.core.demand import RELEASED_PCT, Demand
 from vcu_gateway.core.deratings import CurveState
 from vcu_gateway.core.gateway import Gateway
-from vcu_gateway.core.law_inputs import RELEASED_PCT
 from vcu_gateway.core.spec import MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.core.state import Reading, Snapshot
 from vcu_gateway.core.stop import Stop
