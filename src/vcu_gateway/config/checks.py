@@ -157,10 +157,7 @@ def check_effect(config: Config) -> list[Problem]:
         "brake_pct": 100,
         "speed_limit_rpm": limits.speed_limit_max_rpm,
     }
-    hints = [
-        *without_effect(core_settings(config).tuning, highest),
-        *pedals.hints(config.pedals),
-    ]
+    hints = [*without_effect(core_settings(config).tuning, highest), *pedals.hints(config.pedals)]
     found = problems(hints, source.file, source.lines, IDENTIFIER_KEYS)
     return [*_derating_without_effect(config), *found]
 

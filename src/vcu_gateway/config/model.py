@@ -14,12 +14,7 @@ from typing import ClassVar, Literal
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from vcu_gateway.config.pedals import PedalsSection
-from vcu_gateway.config.tuning import (
-    CurvesSection,
-    DriveModesSection,
-    LawsSection,
-    VehicleSection,
-)
+from vcu_gateway.config.tuning import CurvesSection, DriveModesSection, LawsSection, VehicleSection
 from vcu_gateway.config.value_types import (
     Confirmation,
     File,

@@ -23,12 +23,7 @@ from vcu_gateway.core.demand import (
 )
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.mode_manager import ListenBeforeTalk, ModeManager
-from vcu_gateway.core.pedal_frames import (
-    PEDALS_SOURCE,
-    PedalDemand,
-    PedalFrames,
-    PedalObservation,
-)
+from vcu_gateway.core.pedal_frames import PEDALS_SOURCE, PedalDemand, PedalFrames, PedalObservation
 from vcu_gateway.core.settings import RESTART_ONLY, Settings, changed, loosened
 from vcu_gateway.core.supervisor import FaultClass, Mode, Stimulus, Supervisor
 from vcu_gateway.units import NS_PER_MS

@@ -16,14 +16,7 @@ from collections.abc import Iterable
 from vcu_gateway.judge import causes as expected
 from vcu_gateway.judge import command_rules, wire
 from vcu_gateway.judge.arrivals import Arrivals, BusFrame
-from vcu_gateway.judge.causes import (
-    CUT,
-    STOP,
-    BusState,
-    HeldEffects,
-    Seen,
-    Unconfirmed,
-)
+from vcu_gateway.judge.causes import CUT, STOP, BusState, HeldEffects, Seen, Unconfirmed
 from vcu_gateway.judge.command_rules import (
     FramePairs,
     Judged,

@@ -11,12 +11,7 @@ from vcu_gateway.core import j1939
 from vcu_gateway.core.spec import ByteOrder, MessageSpec, ProtocolSpec, SignalSpec
 from vcu_gateway.errors import DataError, MissingInputError, Problem
 from vcu_gateway.protocol import dbc
-from vcu_gateway.protocol.definition_model import (
-    DefinitionFile,
-    MessageRow,
-    SignalRow,
-    parse_bits,
-)
+from vcu_gateway.protocol.definition_model import DefinitionFile, MessageRow, SignalRow, parse_bits
 from vcu_gateway.strict_yaml import file_text, parser, validation
 from vcu_gateway.strict_yaml.file_text import LineMap, problems
 
