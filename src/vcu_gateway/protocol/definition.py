@@ -27,8 +27,7 @@ class Builder:
 
     Attributes:
         problems: each bad row once, with its name and line.
-        rows: the row of each message that was built, by the message's name, and the node that it
-            was built for; empty where it is not one for each node.
+        rows: of the messages that were built, as in `Definition`.
     """
 
     def __init__(self, file: DefinitionFile, where: str, lines: LineMap) -> None:
