@@ -398,19 +398,17 @@ class Gateway:
         waiting = self._commander.waiting_modes(demanded, self.causes.effects(), self.settings)
         return why.power_mode_waits(waiting)
 
-    def _drive_mode_waits(self) -> Iterable[str]:
-        current, requested = self.drive_modes
-        if current == requested:
-            return ()
-        return [f"drive mode {requested} waits for the pedal's release"]
-
     def _waits(self, now_ns: int) -> list[str]:
         if not self._listening.over:
             return [LISTENING]
         if self.supervisor.mode in (Mode.STANDBY, Mode.ACTIVE):
             demanded = self.requests.demanded(now_ns)
             waits = why.waits(self._commander, demanded, self._speeds.highest_rpm, self.settings)
-            return [*waits, *self._power_mode_waits(demanded), *self._drive_mode_waits()]
+            waits += self._power_mode_waits(demanded)
+            current, requested = self.drive_modes
+            if current != requested:
+                waits.append(f"drive mode {requested} waits for the pedal's release")
+            return waits
         if self.supervisor.mode is not Mode.STARTING:
             return []
         waits = list(self._qualification.missing(self._snapshot, self.settings))
