@@ -28,10 +28,10 @@ from vcu_gateway.recorder.senders import Refusals, TapListener
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, datagram, layout, signature
 from vcu_gateway.recording.chain import FaultKind, Linked
-from vcu_gateway.recording.datagram import TickHeader
+from vcu_gateway.recording.datagram import CoreLineError, TickHeader
 from vcu_gateway.recording.members import NO_LINK, packed
 from vcu_gateway.recording.recorder_status import RecorderTotals
-from vcu_gateway.recording.segment import CoreLineError, begin_of
+from vcu_gateway.recording.segment import begin_of
 
 HELLO: dict[str, Any] = {
     "run": "1f3a9c2e4b",

@@ -39,7 +39,7 @@ from vcu_gateway.recording.core_lines import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.recording.segment import CoreLineError
+from vcu_gateway.recording.datagram import CoreLineError
 
 NOW = 1_000_950_000_000
 BOTH = dict.fromkeys(CONTROLLERS, ControllerDemand(throttle_pct=12.5))

@@ -94,7 +94,7 @@ def test_on_paper_there_are_values_and_no_buttons(context, web):
 
 def test_the_colours_are_the_systems_until_others_are_chosen(context, web):
     page, _ = opened(context, web.url)
-    is_light = "getComputedStyle(document.body).backgroundColor === 'rgb(238, 241, 245)'"
+    is_light = "() => getComputedStyle(document.body).backgroundColor === 'rgb(238, 241, 245)'"
     assert not page.evaluate(is_light)
     page.emulate_media(color_scheme="light")
     page.wait_for_function(is_light)
@@ -104,7 +104,7 @@ def test_the_colours_are_the_systems_until_others_are_chosen(context, web):
     page.emulate_media(color_scheme="dark")
     assert page.evaluate(is_light)
     page.get_by_label("Colours: light").click()
-    page.wait_for_function(f"!({is_light})")
+    page.wait_for_function(f"() => !({is_light})()")
 
 
 def test_how_long_a_recording_lasted_has_no_60_seconds(context, web):

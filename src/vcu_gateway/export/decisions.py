@@ -26,8 +26,8 @@ from vcu_gateway.recording.core_lines import (
     TickRecord,
     WhyRecord,
 )
+from vcu_gateway.recording.datagram import CoreLineError
 from vcu_gateway.recording.reader import clock_of
-from vcu_gateway.recording.segment import CoreLineError
 from vcu_gateway.time_window import Window
 
 MODES = tuple(mode.value for mode in Mode)

@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 
 from vcu_gateway.recording import layout
 from vcu_gateway.recording.chain import FaultKind, FileFault
+from vcu_gateway.recording.datagram import CoreLineError
 from vcu_gateway.recording.layout import SegmentFiles
 from vcu_gateway.recording.members import Member, MemberDamage, whole_members
 from vcu_gateway.recording.segment import (
     LINES_OF_BEGIN,
-    CoreLineError,
     SegmentBegin,
     SegmentEnd,
     begin_of,

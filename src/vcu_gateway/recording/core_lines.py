@@ -34,7 +34,7 @@ from vcu_gateway.recording.call_text import (
     truth_of,
     whole_of,
 )
-from vcu_gateway.recording.segment import CoreLineError
+from vcu_gateway.recording.datagram import CoreLineError
 
 
 class Checkpoint(NamedTuple):

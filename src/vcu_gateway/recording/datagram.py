@@ -53,6 +53,10 @@ _LONGEST_PAYLOAD_BYTES = 64
 _CHECKPOINT = b'{"checkpoint":'
 
 
+class CoreLineError(ValueError):
+    """A core line is not one of this format; the text says why."""
+
+
 class DatagramError(ValueError):
     """A datagram is not one of this format; the text says why.
 

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from vcu_gateway import files
 from vcu_gateway.recording import layout, members
+from vcu_gateway.recording.datagram import CoreLineError
 from vcu_gateway.recording.members import Member, read_members, whole_members
 
 LINES_OF_BEGIN = 4
@@ -93,10 +94,6 @@ def gap_line(frames: int, ticks: int, why: str) -> str:
 
 def _line(frames_before: int, **told: Mapping[str, Any]) -> str:
     return json.dumps({"f": frames_before, **told}, separators=(",", ":")) + "\n"
-
-
-class CoreLineError(ValueError):
-    """A core line is not one of this format; the text says why."""
 
 
 def parsed_line(line: bytes) -> dict[str, Any]:
