@@ -242,6 +242,7 @@ def test_a_drive_mode_is_taken_refused_and_left_at_service_level(tmp_path):
         assert left.stdout == "eco (others: sport, valet)\n"
 
 
+@pytest.mark.clock  # it needs a gateway that drives
 def test_a_drive_mode_that_waits_says_for_what_and_what_counts_until_then(tmp_path):
     with driven(tmp_path, TUNED) as one, one.client() as client:
         one.until_ready()
