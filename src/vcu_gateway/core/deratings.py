@@ -121,9 +121,10 @@ class Deratings:
 
     def _read(self, changed: Iterable[str], snapshot: Snapshot) -> bool:
         """Read the inputs of these messages; True where a limit or what is told may change."""
-        readers: set[InputReader] = set()
+        readers: dict[InputReader, None] = {}  # in an order that is always the same
         for message in changed:  # in most ticks: a comprehension is a call more
-            readers.update(self._reading[message])
+            for reader in self._reading[message]:
+                readers[reader] = None
         moved = False
         for reader in readers:
             if reader.read(snapshot):
