@@ -55,3 +55,19 @@ def test_work_whose_process_was_killed_is_done_here(monkeypatch):
 
     with beside(dies_elsewhere) as result:
         assert result() == 5
+
+
+class _NeverHandedOnError(Exception):
+    """What no process can hand on."""
+
+    def __reduce__(self) -> str:
+        raise TypeError("it cannot be pickled")
+
+
+def test_an_error_that_no_process_hands_on_is_raised_and_leaves_no_trace(capfd):
+    def fail() -> None:
+        raise _NeverHandedOnError
+
+    with pytest.raises(_NeverHandedOnError), beside(fail) as result:
+        result()
+    assert capfd.readouterr().err == ""

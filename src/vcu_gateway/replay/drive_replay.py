@@ -71,7 +71,8 @@ def _work(work: Callable[[], object], end: Connection) -> None:
     try:
         end.send((work(), None))
     except BaseException as error:  # noqa: BLE001 - raised where the result is waited for
-        end.send((None, error))
+        with contextlib.suppress(Exception):  # one that cannot be handed on is met there again
+            end.send((None, error))
 
 
 def _result(answer: Connection, work: Callable[[], _Result]) -> _Result:
