@@ -84,15 +84,19 @@ def test_a_hot_motor_lowers_the_power_of_both_along_the_slew():
     assert "limited by motor temperature 110 °C: power at most 6.0 kW (for " in drive.sentence
 
 
-def test_a_limit_returns_at_its_own_rate_while_active():
-    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
-    heat(drive, 110)
-    drive.run(2000)
+def assert_it_returns_when_the_motors_cool(drive: Drive) -> None:
     heat(drive, 40)
     drive.run(500)
     before_w = sent(drive).power_limit_w
     drive.run(1000)
     assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
+
+
+def test_a_limit_returns_at_its_own_rate_while_active():
+    drive = driving(power_limit_w__by_motor_temperature_c=HOT)
+    heat(drive, 110)
+    drive.run(2000)
+    assert_it_returns_when_the_motors_cool(drive)
 
 
 def test_a_limit_returns_beside_one_that_stays():
@@ -119,11 +123,7 @@ def test_a_limit_returns_beside_one_that_limits_all_the_time():
     heat(drive, 110)
     drive.codes["PCU1_Status1.ControllerTemperature"] = 100
     drive.run(2000)
-    heat(drive, 40)
-    drive.run(500)
-    before_w = sent(drive).power_limit_w
-    drive.run(1000)
-    assert sent(drive).power_limit_w == pytest.approx(before_w + 1000)
+    assert_it_returns_when_the_motors_cool(drive)
 
 
 PACKS = {

@@ -52,7 +52,7 @@ TESTS = {
     "state": ["state", "freshness", "laws"],
     "judge.tuning_rules": ["slip", "tuning", "caps_agree"],
 }
-"""Module of the core -> its test files; what survives them meets WHOLE.
+"""Module of the core -> its test files; what survives them without a reason meets WHOLE.
 
 Of another package with its name, and that package's tests alone.
 """

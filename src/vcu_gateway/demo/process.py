@@ -207,10 +207,8 @@ class DemoProcess(_Child):
 
     def _failure(self) -> GatewayError:
         """Error with the lines and the exit code of the failed child."""
-        failure, code = (
-            UnavailableError(*map(Problem, self._last_words())),
-            self._process.returncode,
-        )
+        failure = UnavailableError(*map(Problem, self._last_words()))
+        code = self._process.returncode
         failure.exit_code = code if code > 0 else os.EX_SOFTWARE
         return failure
 

@@ -207,7 +207,7 @@ class LineParser:
         self._mode = Mode.STARTING
 
     def records(self, line: bytes | str) -> list[Placed]:
-        """Records of one line, `sent` calls after their tick; CoreLineError where it is none.
+        """Records of one line, each `sent` call after its tick; CoreLineError where it is none.
 
         A line of a kind that is not known has none.
         """
