@@ -12,7 +12,7 @@ LAB := tests/lab/lab
 # What needs a bus runs in the lab, the faults in a lab for each kind of bus.
 BUS_ROOMS := vcan oracle controller lab power_cut recorded service faults/vcan faults/slcan faults/netem
 NO_BUS := $(addprefix --ignore=tests/,$(BUS_ROOMS) web/vcan)
-IN_A_BROWSER := $(addprefix tests/web/,test_page.py test_recordings.py test_stop.py)
+IN_A_BROWSER := $(addprefix tests/web/test_,actions.py live.py page.py recordings.py stop.py)
 NO_BROWSER := $(addprefix --ignore=,$(IN_A_BROWSER))
 NEEDS = @scripts/test-tools check --for $@
 IN_LAB := $(LAB) run --env VCU_REQUIRE_CAN=1
