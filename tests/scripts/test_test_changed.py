@@ -19,7 +19,7 @@ SCRIPT = REPOSITORY / "scripts" / "test-changed"
 OWN = "tests/scripts/test_test_changed.py"
 MAKEFILE = """
 %:
-\t@echo "made $@" >> made
+\t@echo made $@ $(IN_A_BROWSER) >> made
 """
 
 
@@ -202,6 +202,13 @@ def test_the_recorder_reaches_its_guest_and_the_web_leaves_its_browser():
     assert "test-web" in reached("src/vcu_gateway/web/page/main.js").steps
 
 
+def test_a_script_of_the_page_runs_the_tests_of_its_subject_and_leaves_the_others():
+    found = reached("src/vcu_gateway/web/page/stop.js")
+    assert found.browsed == {"tests/web/test_stop.py"}
+    assert {"tests/web/test_live.py", "tests/web/test_page.py"} <= found.left.keys()
+    assert reached("src/vcu_gateway/web/page/view-now.js").browsed == {"tests/web/test_page.py"}
+
+
 def test_what_lies_in_a_guests_folder_runs_its_step():
     assert reached("tests/vcan/conftest.py").steps == {"test-vcan"}
     assert reached("tests/vcan/recorder.py").steps == {"test-vcan"}
@@ -241,6 +248,7 @@ def folder(tmp_path: Path) -> Path:
         "@pytest.mark.ci\ndef test_long():\n    raise AssertionError\n",
         "tests/watch/test_keys.py": "def test_keys():\n    pass\n",
         "tests/recorded/test_live.py": "",
+        "tests/web/test_stop.py": "",
     }
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -321,6 +329,11 @@ def test_what_all_runs_on_runs_make_test(folder):
 def test_a_changed_test_of_a_guest_runs_its_step(folder):
     assert run(folder, "tests/recorded/test_live.py").returncode == 0
     assert made(folder) == "made test-recorded\n"
+
+
+def test_a_changed_test_of_the_page_runs_its_file_alone_in_the_browser(folder):
+    assert run(folder, "tests/web/test_stop.py").returncode == 0
+    assert made(folder) == "made test-web tests/web/test_stop.py\n"
 
 
 def test_a_list_runs_nothing(folder):
