@@ -4,7 +4,16 @@ from dataclasses import replace
 
 import pytest
 
-from tests.core.pedal_node import CODEC, PEDALS, POSITION, PedalDrive, driving, frame_data, pressed
+from tests.core.pedal_node import (
+    CODEC,
+    PEDALS,
+    PERIOD_MS,
+    POSITION,
+    PedalDrive,
+    driving,
+    frame_data,
+    pressed,
+)
 from tests.core.simulated_drive import MS, Drive, active
 from vcu_gateway.core import calls
 from vcu_gateway.core.can_pedals import (
@@ -684,6 +693,33 @@ def test_a_pedal_pressed_before_arm_and_read_after_it_ends_the_drive():
     drive.feet = pressed(20)
     drive.tick()
     assert (drive.mode, drive.throttles) == (Mode.STANDBY, [0, 0])
+
+
+def test_a_pedal_pressed_in_the_instant_of_arming_drives():
+    drive = driving()
+    drive.gateway.apply(calls.Disarm(drive.now_ns))
+    drive.run(300)
+    after_ns = PERIOD_MS * MS - drive.now_ns % (PERIOD_MS * MS)
+    drive.now_ns += after_ns
+    assert drive.arm().granted
+    drive.now_ns -= after_ns
+    drive.feet = pressed(20)
+    drive.tick()
+    assert drive.mode is Mode.ACTIVE
+
+
+def test_a_pressed_pedal_ends_no_drive_of_another_owner():
+    drive = PedalDrive(priorities={"driver": 1}).until(Mode.STANDBY)
+    drive.demanded = ControllerDemand()
+    drive.run(1500)
+    drive.feet = pressed(20)
+    drive.now_ns += 30 * MS
+    assert drive.arm().granted
+    drive.demanded = ControllerDemand(throttle_pct=20)
+    assert drive.offer(drive.demanded).granted
+    drive.now_ns -= 30 * MS
+    drive.tick()
+    assert drive.mode is Mode.ACTIVE
 
 
 def test_a_released_pedal_before_arm_that_is_read_after_it_ends_nothing():
