@@ -388,6 +388,15 @@ def test_each_controllers_limit_begins_at_its_own_command(drive):
     assert [commands[name].power_limit_w for name in CONTROLLERS] == [47_000, 17_000]
 
 
+def test_each_controllers_limit_returns_on_its_own_where_both_had_the_same_command(drive):
+    apart = {"PCU1": ControllerDemand(power_limit_w=6000), "PCU2": ControllerDemand()}
+    drive.step("active", apart)
+    drive.step("active", apart, Effect.POWER_LIMIT)
+    assert drive.active(power_limit_w=1000).power_limit_w == 1000
+    commands = drive.active()
+    assert commands["PCU1"].power_limit_w < commands["PCU2"].power_limit_w
+
+
 def test_a_limit_is_at_its_value_when_driving_begins_under_it(drive):
     drive.settle(Effect.POWER_LIMIT, Effect.REGEN_LIMIT)
     command = drive.active(Effect.POWER_LIMIT, Effect.REGEN_LIMIT, brake_pct=80)
@@ -661,6 +670,12 @@ def test_a_speed_limit_that_was_not_sent_is_not_fallen_from(drive):
     drive.commander.not_sent("PCU2")
     commands = drive.active(speed_limit_rpm=500)
     assert [commands[name].speed_limit_rpm for name in CONTROLLERS] == [11_600, 11_800]
+
+
+def test_a_speed_limit_falls_where_one_was_sent_and_begins_at_its_value_elsewhere(drive):
+    drive.leave("PCU1")
+    commands = drive.active(speed_limit_rpm=3000)
+    assert commands["PCU1"].speed_limit_rpm > commands["PCU2"].speed_limit_rpm == 3000
 
 
 def test_a_replaced_command_follows_the_speed_limits_slew(drive):

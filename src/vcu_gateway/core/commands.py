@@ -185,17 +185,22 @@ class Commander:
         change = slow and self._standing() and not _differ(demanded, settings)
         rise_pct = settings.throttle_slew_pct_per_s * self._elapsed_s
         commands: dict[str, Command] = {}
+        before: object = None
         for name, last in self.last.items():
-            commands[name] = self._granted(
-                name,
-                demanded[name],
-                allowed[name].power_mode,
-                settings,
-                reverse=demanded[name].motor_reverse if change else last.motor_reverse,
-                throttle_max_pct=0.0 if held else last.throttle_pct + rise_pct,
-                regenerates=regenerates and Effect.REGEN_OFF not in effects,
-                released=released,
-            )
+            sent_rpm = self._sent_speed_limit_rpm.get(name)
+            own = last, demanded[name], self.caps[name], self._ramps[name], sent_rpm
+            if own != before:  # in most ticks both controllers have the same
+                granted = self._granted(
+                    name,
+                    demanded[name],
+                    allowed[name].power_mode,
+                    settings,
+                    reverse=demanded[name].motor_reverse if change else last.motor_reverse,
+                    throttle_max_pct=0.0 if held else last.throttle_pct + rise_pct,
+                    regenerates=regenerates and Effect.REGEN_OFF not in effects,
+                    released=released,
+                )
+            commands[name], before = granted, own
         return self._decided(commands)
 
     def _within(
