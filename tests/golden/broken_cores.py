@@ -119,6 +119,14 @@ BROKEN_CORES = (
         ("pedals", "directions"),
     ),
     BrokenCore(
+        "asymmetry",
+        "transmit",
+        "OutFrame(name, self._can_ids[name], data)",
+        "OutFrame(name, self._can_ids[name],"
+        ' bytes((data[0], data[1] >> (name == "PCU2"), *data[2:])))',
+        ("slip",),
+    ),
+    BrokenCore(
         "identifier",
         "transmit",
         "OutFrame(name, self._can_ids[name], data)",

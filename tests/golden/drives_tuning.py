@@ -148,6 +148,7 @@ def drive_modes(drive: ScriptedDrive) -> None:
     drive.gateway.apply(calls.Disarm(drive.now_ns))
     drive.run(500)
     ask(drive, "valet")
+    drive.arm()  # its speed limit has not come down
     drive.run(300)
     drive.arm()
     drive.start_driving(**FULL)
