@@ -8,7 +8,6 @@ import ctypes
 import gc
 import os
 import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -146,6 +145,36 @@ class DrainPlan:
         self.lead_ns += min(longer_ns, _LONGER_MAX_NS) // 8
 
 
+_LIBC = ctypes.CDLL(None)
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("s", ctypes.c_long), ("ns", ctypes.c_long))
+
+
+class _Semaphore:
+    """A POSIX semaphore on which one thread waits until a time, not for one.
+
+    Python's waits are relative: where another thread takes the processor as one begins, it ends
+    so much later, often 1.5 ms. And up to Python 3.12 SimpleQueue.get(timeout=...) waits for ever
+    where a signal's handler ends after its deadline.
+    """
+
+    def __init__(self) -> None:
+        self._semaphore = (ctypes.c_long * 8)()
+        self._end = _Timespec()
+        self._waits = (self._semaphore, time.CLOCK_MONOTONIC, ctypes.byref(self._end))
+        _LIBC.sem_init(self._semaphore, 0, 0)
+
+    def post(self) -> None:
+        _LIBC.sem_post(self._semaphore)
+
+    def wait_until(self, end_ns: int) -> None:
+        """Until a post, a signal or this time of the monotonic clock."""
+        self._end.s, self._end.ns = divmod(end_ns, NS_PER_S)
+        _LIBC.sem_clockwait(*self._waits)
+
+
 _MUCH = 256
 _AT_ONCE = 32
 
@@ -155,10 +184,7 @@ class WorkQueue:
 
     def __init__(self) -> None:
         self._waiting: deque[Callable[[], None]] = deque()
-        # Not SimpleQueue.get(timeout=...): up to Python 3.12 it waits for ever where a signal
-        # comes so late that its handler ends after the deadline. A lock looks at the time again.
-        self._wakeup = threading.Lock()
-        self._wakeup.acquire()
+        self._wakeup = _Semaphore()
 
     @property
     def full(self) -> bool:
@@ -168,8 +194,7 @@ class WorkQueue:
     def post(self, work: Callable[[], None]) -> None:
         """Queue work, run in the order of posting."""
         self._waiting.append(work)
-        with contextlib.suppress(RuntimeError):  # it is set already
-            self._wakeup.release()
+        self._wakeup.post()
 
     def run_waiting(self) -> None:
         """Run what waits, at most 32 items: the tick that follows must not be late."""
@@ -181,8 +206,8 @@ class WorkQueue:
 
         From `last_begin_ns` on none is begun.
         """
-        while (left_ns := end_ns - (now_ns := time.monotonic_ns())) > 0:
+        while (now_ns := time.monotonic_ns()) < end_ns:
             if self._waiting and now_ns < last_begin_ns:
                 self._waiting.popleft()()
             else:
-                self._wakeup.acquire(timeout=left_ns / NS_PER_S)
+                self._wakeup.wait_until(end_ns)
