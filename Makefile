@@ -108,7 +108,7 @@ COVERED_SHELL := $(wildcard $(addprefix tests/,api app bus cli client config dae
 	judge pedals protocol recorder recording replay server simulator strict_yaml watch web test_*.py))
 SHELL_COVERAGE := build/shell-coverage
 coverage-shell: export COVERAGE_FILE = $(SHELL_COVERAGE)/data
-coverage-shell: $(TESTED)  ## branch coverage of everything outside the core (18 minutes)
+coverage-shell: $(TESTED)  ## branch coverage of everything outside the core
 	$(NEEDS) terminal compiler export
 	rm -rf $(SHELL_COVERAGE)
 	mkdir -p build

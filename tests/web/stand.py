@@ -219,13 +219,14 @@ class Stream:
 
 @contextlib.contextmanager
 def serving(folder: Path, socket_path: Path, *options: str, port: int = 0) -> Iterator[WebProcess]:
-    """The page's server, ended with the block."""
+    """The page's server, killed with the block; where its coverage is measured, asked to end."""
+    measured = "COVERAGE_PROCESS_CONFIG" in os.environ
     one = WebProcess(folder, socket_path, *options, port=port)
     try:
         assert one.url, one.said
         yield one
     finally:
-        one.end(signal.SIGKILL)
+        one.end(signal.SIGTERM if measured else signal.SIGKILL)
 
 
 @contextlib.contextmanager
