@@ -113,7 +113,8 @@ coverage-shell: $(TESTED)  ## branch coverage of everything outside the core
 	rm -rf $(SHELL_COVERAGE)
 	mkdir -p build
 	mkdir -m 1777 $(SHELL_COVERAGE)  # programs of other users write there, too
-	$(BIN)/coverage run -m pytest -q -m 'not slow' --ignore=tests/app/test_imports.py $(COVERED_SHELL)
+	$(BIN)/coverage run -m pytest -q -n 4 --dist loadfile -m 'not slow and not clock' $(COVERED_SHELL) \
+		--ignore=tests/app/test_imports.py
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report --include='src/vcu_gateway/*' --omit='src/vcu_gateway/core/*' --fail-under=97
 

@@ -319,6 +319,7 @@ def test_a_lock_in_strange_hands_is_reported_and_the_gateway_runs(codec):
 
 
 def test_the_garbage_collector_is_as_before_afterwards(rig):
+    gc.enable()  # a verb that ran in this process leaves it disabled
     one = rig()
     one.loop.run(duration_s=0.1)
     assert gc.isenabled()
