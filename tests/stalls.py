@@ -18,6 +18,7 @@ import pytest
 from _pytest.outcomes import OutcomeException
 from _pytest.runner import runtestprotocol
 
+END_WITHIN_S = 1.0
 LATE_S = 0.02  # of the watch, which sleeps 10 ms: the gateway is useless after 25 to 30
 TRIES = 5  # on some machines half of all drives of 10 s are held up
 TAKEN_AGAIN = "taken again"
@@ -66,7 +67,9 @@ class Watch:
     def end(self) -> None:
         for process in self._processes:
             process.kill()
-            process.wait()
+            # Beside work that starts many programs it may get no processor for minutes.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(END_WITHIN_S)
         os.close(self._reading)
 
 
