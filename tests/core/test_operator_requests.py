@@ -141,6 +141,11 @@ def test_arming_is_refused_while_a_change_of_direction_is_pending():
     assert sentence == "a change of direction is pending"
 
 
+def test_arming_is_refused_until_the_speed_limit_has_come_down_to_its_cap():
+    sentence = arming_refusal(inputs(*STANDBY, speed_pending=True))
+    assert sentence == "the speed limit has not come down to its cap"
+
+
 @pytest.mark.parametrize("stimuli", [(), STANDBY, (*STANDBY, Stimulus.ARM), (Stimulus.TERMINATE,)])
 def test_outside_fault_there_is_nothing_to_reset(stimuli):
     sentence = reset_refusal(inputs(*stimuli, demanded=None), SERVICE)
