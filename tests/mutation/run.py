@@ -12,7 +12,7 @@ import importlib.abc
 import importlib.util
 import io
 import os
-import signal
+import resource
 import sys
 import time
 import tomllib
@@ -59,7 +59,8 @@ Of another package with its name, and that package's tests alone.
 UNCHANGED = [f"vcu_gateway.core.{name}" for name in ("spec", "j1939", "codec", "codegen")]
 """Modules that no mutant changes and that take long to import."""
 WHOLE = ["mutants_more", "transmit", "causes", "between_ticks", "driving"]
-TIMEOUT_S = 60.0
+CPU_AT_MOST_S = 60
+"""Of a mutant: an endless loop is noticed, a machine with other work is not."""
 TOLD_EVERY = 25
 
 
@@ -137,6 +138,7 @@ def _child(module: str, source: str, has_reason: bool = False) -> int:
         return pid
     code = 3
     try:
+        resource.setrlimit(resource.RLIMIT_CPU, (CPU_AT_MOST_S, CPU_AT_MOST_S))
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.dup2(null, 2)
@@ -156,16 +158,10 @@ def _verdicts(jobs: list[tuple[str, Mutant]], width: int) -> Iterator[tuple[str,
         while waiting and len(running) < width:
             module, mutant = waiting.pop()
             pid = _child(module, mutant.source, (module, mutant.key) in reasons)
-            running[pid] = (module, mutant, time.monotonic())
-        pid, status = os.waitpid(-1, os.WNOHANG)
+            running[pid] = (module, mutant)
+        pid, status = os.waitpid(-1, 0)
         if pid in running:
-            module, mutant, _ = running.pop(pid)
-            yield module, mutant, os.waitstatus_to_exitcode(status) == 1
-            continue
-        for pid, (*_, begun) in running.items():
-            if time.monotonic() - begun > TIMEOUT_S:
-                os.kill(pid, signal.SIGKILL)  # an endless loop is noticed
-        time.sleep(0.005)
+            yield *running.pop(pid), os.waitstatus_to_exitcode(status) == 1
 
 
 def _reasons() -> dict[tuple[str, str], str]:
