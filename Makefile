@@ -100,7 +100,7 @@ else
 	$(BIN)/coverage report --include='src/vcu_gateway/core/*' --fail-under=100
 endif
 
-# Nightly: it takes 18 minutes. What tests start as a program of its own counts too,
+# Nightly: it takes 13 minutes. What tests start as a program of its own counts too,
 # but for what a signal kills and for safe_stop.py, which -I -S keep coverage out of. Without CAN
 # in the kernel bus/socketcan.py runs in the lab alone, where nothing is measured. test_imports.py
 # asks what a process imports, and coverage imports more.

@@ -18,7 +18,7 @@ monotonic_ns = time.monotonic_ns
 def read_then_pause(pauses: Iterator[float]) -> int:
     """The time, with which the reader goes on only after the next of the pauses, in s."""
     now_ns = monotonic_ns()
-    time.sleep(next(pauses))
+    time.sleep(next(pauses))  # as where another thread has the processor meanwhile
     return now_ns
 
 

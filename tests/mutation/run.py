@@ -13,6 +13,7 @@ import importlib.util
 import io
 import os
 import resource
+import signal
 import sys
 import time
 import tomllib
@@ -139,6 +140,7 @@ def _child(module: str, source: str, has_reason: bool = False) -> int:
     code = 3
     try:
         resource.setrlimit(resource.RLIMIT_CPU, (CPU_AT_MOST_S, CPU_AT_MOST_S))
+        signal.alarm(10 * CPU_AT_MOST_S)  # one that waits for ever takes no processor
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.dup2(null, 2)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
+_LIBC = ctypes.CDLL(None, use_errno=True)
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _SWITCH_INTERVAL_S = 0.0005
 _COLLECT_EVERY_TICKS = 1200
@@ -28,8 +29,7 @@ def lock_memory() -> None:
 
     Raises UnavailableError where the limit on locked memory does not allow it.
     """
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
+    if _LIBC.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
         what = f"memory cannot be locked: {os.strerror(ctypes.get_errno())}"
         remedy = "raise the limit (LimitMEMLOCK= of the service, ulimit -l)"
         raise UnavailableError(Problem(what, remedy=remedy))
@@ -143,9 +143,6 @@ class DrainPlan:
         self._frames = 0
         longer_ns = min(took_ns, _LEAD_MAX_NS) - self.lead_ns
         self.lead_ns += min(longer_ns, _LONGER_MAX_NS) // 8
-
-
-_LIBC = ctypes.CDLL(None)
 
 
 class _Timespec(ctypes.Structure):
