@@ -14,7 +14,7 @@ One turn, `run_once`:
 
 1. wait in epoll until a socket or a reply is ready, or a timeout is due;
 2. handle the sockets' events: end of a peer first, then output, then one chunk of input;
-3. accept what waits, without a place yet, and read what each has sent;
+3. accept some of those that wait, without a place yet, and read what each has sent;
 4. send the replies that have come;
 5. carry out every stop that was read;
 6. give some of those that wait for one a place, the user with fewest places first;
@@ -61,6 +61,7 @@ from vcu_gateway.server.tick_gaps import TickGaps
 from vcu_gateway.units import NS_PER_S
 
 _UPDATES_PER_TURN = 4
+_ACCEPTED_PER_TURN = 64
 _MAX_UNSEATED = 256
 _SEATED_PER_TURN = 8
 _LOOKED_AT_PER_TURN = 8
@@ -158,8 +159,8 @@ class EventLoop:
             self._receive(session, now_ns)
 
     def _accept(self) -> None:
-        """Take all that wait, without a place yet, and carry out their stops."""
-        for _ in range(_MAX_UNSEATED):
+        """Take some of those that wait, without a place yet, and read what each has sent."""
+        for _ in range(_ACCEPTED_PER_TURN):
             now_ns = self._now_ns()
             sock = self._acceptor.next_socket(now_ns)
             if sock is None:
@@ -171,7 +172,6 @@ class EventLoop:
             session = self._acceptor.session(sock, now_ns)
             self._sessions[sock.fileno()] = session
             self._receive(session, now_ns)
-            self._serve_stops(session)
 
     def _seat(self) -> None:
         """Give some of those without a place one, first those whose user has fewest."""
