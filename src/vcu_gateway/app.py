@@ -18,11 +18,15 @@ from vcu_gateway.core.causes import Event, Severity
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.spec import ProtocolSpec
-from vcu_gateway.daemon.kept_drive_mode import KeptDriveMode
 from vcu_gateway.daemon.log import log_event
 from vcu_gateway.daemon.loop import TickLoop
 from vcu_gateway.daemon.reload import Reloader
-from vcu_gateway.daemon.restart_state import RestartState, folder_for, other_folders
+from vcu_gateway.daemon.restart_state import (
+    KeptDriveMode,
+    RestartState,
+    folder_for,
+    other_folders,
+)
 from vcu_gateway.daemon.systemd import ServiceReporter, SystemdNotifier
 from vcu_gateway.daemon.tap_socket import RecorderTap
 from vcu_gateway.errors import Problem, UnavailableError

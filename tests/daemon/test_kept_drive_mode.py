@@ -11,7 +11,7 @@ from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass
 from vcu_gateway.core.tuning import DriveMode, Tuning
 from vcu_gateway.daemon.events import EventLog
-from vcu_gateway.daemon.kept_drive_mode import KeptDriveMode
+from vcu_gateway.daemon.restart_state import KeptDriveMode
 
 TUNING = Tuning(start="eco", modes={"eco": DriveMode(), "valet": DriveMode(left_by_service=True)})
 
