@@ -53,10 +53,9 @@ class CommandHandlers:
     def execute(self, method: str, params: Any, caller: Caller) -> Reply:
         """Result of the command, or why it is refused."""
         try:
-            reply: Reply = _COMMANDS[method](self, params, caller)
+            return cast(Reply, COMMANDS[method](self, params, caller))
         except RequestError as failure:
             return failure
-        return reply
 
     def owns_demand(self, caller: Caller) -> bool:
         """True while a fresh demand of this connection counts; from any thread."""
@@ -127,8 +126,7 @@ class CommandHandlers:
         self._context.loop.refresh_why()
         if answer.refusal is not None:
             raise _refused(answer.refusal, answer.sentence)
-        mode = self._gateway.mode
-        return {"granted": True, "mode": views.mode_name(mode)}
+        return {"granted": True, "mode": self._gateway.mode.value}
 
     def events(self, params: methods.EventsParams, _: Caller) -> results.Events:
         now_ns, event_log = time.monotonic_ns(), self._context.loop.event_log
@@ -136,7 +134,7 @@ class CommandHandlers:
         return {"events": entries, "forgotten": event_log.forgotten}
 
 
-_COMMANDS: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
+COMMANDS: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
     "demand.set": CommandHandlers.set_demand,
     "demand.release": CommandHandlers.release,
     "arm": CommandHandlers.arm,
@@ -146,9 +144,7 @@ _COMMANDS: Mapping[str, Callable[[CommandHandlers, Any, Caller], Any]] = {
     "drive_mode.set": CommandHandlers.set_drive_mode,
     "events": CommandHandlers.events,
 }
-
-COMMANDS = frozenset(_COMMANDS)
-"""Names of the methods handled here."""
+"""Handlers by method."""
 
 
 def demand_of(params: methods.DemandParams, settings: Settings) -> Demand:
@@ -235,7 +231,6 @@ class SharedRequest:
 
 
 RELOAD = "config.reload"
-DEMAND = "demand.set"
 
 
 class Dispatcher:
@@ -250,11 +245,7 @@ class Dispatcher:
         self._stops = {method: self._shared_stop(method) for method in STOPS}
 
     def handle(
-        self,
-        method: str,
-        params: methods.Params,
-        caller: Caller,
-        reply: Callable[[Reply], None],
+        self, method: str, params: methods.Params, caller: Caller, reply: Callable[[Reply], None]
     ) -> None:
         """Handle a permitted request; `reply` is called at once, or from the ticking thread."""
         try:
@@ -262,25 +253,15 @@ class Dispatcher:
                 reply(queries.QUERIES[method](self._context, params))
             elif method == RELOAD:
                 self._reload(reply)
+            elif method in STOPS:
+                self._stops[method].ask(caller, reply)
             else:
-                self._enqueue(method, params, caller, reply)
+                self._check_capacity()
+                if method == "demand.set":
+                    self._drivers.add(caller.connection)
+                self._work_queue.post(lambda: reply(self._commands.execute(method, params, caller)))
         except RequestError as failure:
             reply(failure)
-
-    def _enqueue(
-        self,
-        method: str,
-        params: methods.Params,
-        caller: Caller,
-        reply: Callable[[Reply], None],
-    ) -> None:
-        if method in STOPS:
-            self._stops[method].ask(caller, reply)
-            return
-        self._check_capacity()
-        if method == DEMAND:
-            self._drivers.add(caller.connection)
-        self._work_queue.post(lambda: reply(self._commands.execute(method, params, caller)))
 
     def _shared_stop(self, method: str) -> SharedRequest:
         return SharedRequest(

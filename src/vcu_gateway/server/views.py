@@ -48,7 +48,7 @@ def state(
     fresh_demand = demand if latest.why.demand_fresh else None
     return {
         "monotonic_ns": snapshot.now_ns,
-        "mode": mode_name(latest.why.mode),
+        "mode": latest.why.mode.value,
         "messages": messages(snapshot, names),
         "commands": _commands(gateway, latest, now_ns),
         "demanded": {} if fresh_demand is None else _demanded(fresh_demand),
@@ -58,10 +58,7 @@ def state(
 
 def _demanded(demand: Demand) -> dict[results.ControllerName, results.DemandedValues]:
     values = demand.controllers
-    return {
-        name: {"throttle_pct": values[name].throttle_pct, "brake_pct": values[name].brake_pct}
-        for name in _CONTROLLERS
-    }
+    return {name: result_of(results.DemandedValues, values[name]) for name in _CONTROLLERS}
 
 
 def messages(snapshot: Snapshot, names: Iterable[str] | None = None) -> dict[str, results.Message]:
@@ -160,7 +157,7 @@ def why(explained: explanation.Explanation) -> results.Why:
     return {
         "sentence": explained.sentence(),
         "summary": summary(explained),
-        "mode": mode_name(explained.mode),
+        "mode": explained.mode.value,
         "latch": None
         if latch is None
         else {
@@ -253,10 +250,6 @@ def _curve(state: CurveState, curve: Curve) -> results.CurveNow:
         "cap": state.cap if state.cap is None or math.isfinite(state.cap) else None,
         "limits": state.cap is not None and state.cap < curve.highest,
     }
-
-
-def mode_name(mode: Mode) -> results.ModeName:
-    return mode.value
 
 
 def milliseconds(duration_ns: int | None) -> float | None:
