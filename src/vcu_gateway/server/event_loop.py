@@ -259,16 +259,10 @@ class EventLoop:
         """Serve one request of this session, if it may have one now."""
         if session.peer_ended:
             self._receive(session, self._now_ns())  # epoll reports nothing more of it
-        if session.has_request:
-            self._serve_line(session, self._now_ns())
-
-    def _serve_line(self, session: Session, now_ns: int) -> None:
-        if now_ns < session.rate.ready_ns:
-            return
-        session.rate.take(now_ns)
-        self._handler.handle_next(session, now_ns)
-        self._handler.check_line_length(session, now_ns)
-        self._send_replies()
+        if session.has_request and session.rate.taken(now_ns := self._now_ns()):
+            self._handler.handle_next(session, now_ns)
+            self._handler.check_line_length(session, now_ns)
+            self._send_replies()
 
     def _receive(self, session: Session, now_ns: int) -> bool:
         """Read one chunk where it may be; True where more may have come."""
