@@ -101,7 +101,7 @@ class RefusedRequest(NamedTuple):
     stop: str | None = None
 
 
-class _UnreadableError(ValueError):
+class _UnreadableError(Exception):
     """Line that is no JSON, or JSON beyond the limits."""
 
 
@@ -178,8 +178,6 @@ def _read(line: bytes) -> object:
     except json.JSONDecodeError as error:
         what = f"not JSON at character {error.pos + 1}: {error.msg}"
         raise _UnreadableError(what) from None
-    except _UnreadableError:
-        raise
     except ValueError:
         raise _UnreadableError("a number has too many digits") from None
     _check_extent(message)
@@ -191,13 +189,10 @@ def _read(line: bytes) -> object:
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     members = dict(pairs)
     if len(members) < len(pairs):
-        raise _UnreadableError(f"duplicate key {_quoted(_first_duplicate(pairs))}")
+        counts = Counter(name for name, _ in pairs)
+        first = next(name for name, count in counts.items() if count > 1)
+        raise _UnreadableError(f"duplicate key {_quoted(first)}")
     return members
-
-
-def _first_duplicate(pairs: list[tuple[str, Any]]) -> str:
-    counts = Counter(name for name, _ in pairs)
-    return next(name for name, count in counts.items() if count > 1)
 
 
 def _constant(name: str) -> object:
@@ -283,14 +278,10 @@ def _one_error(model: type[Params], error: Any) -> str:
     if error["type"] == "missing":
         return f"{where} is missing"
     if error["type"] == "extra_forbidden":
-        return f"there is no parameter {where}{nearest(str(path[-1]), _names_beside(model, path))}"
+        beside = model if len(path) == 1 else ControllerParams
+        return f"there is no parameter {where}{nearest(str(path[-1]), beside.model_fields)}"
     what = re.sub("^Input ", "", error["msg"])
     return f"{where} {what}" if what.startswith("should") else f"{where}: {what}"
-
-
-def _names_beside(model: type[Params], path: Sequence[str | int]) -> list[str]:
-    """Names of the parameters at the place of an unknown one."""
-    return list((model if len(path) == 1 else ControllerParams).model_fields)
 
 
 def _quoted(text: str) -> str:
