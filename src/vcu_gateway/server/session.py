@@ -26,8 +26,7 @@ class LineBuffer:
     A stop leaves the lines that wait then, or wait unread in the socket, overtaken.
     """
 
-    def __init__(self, max_line_bytes: int = MAX_LINE_BYTES) -> None:
-        self._max_line_bytes = max_line_bytes
+    def __init__(self) -> None:
         self._buffer = bytearray()
         self._searched_bytes = 0
         self._newline_at = -1
@@ -42,7 +41,7 @@ class LineBuffer:
     @property
     def has_line(self) -> bool:
         """True while a whole line of permitted length can be taken."""
-        return 0 <= self._newline_at <= self._max_line_bytes
+        return 0 <= self._newline_at <= MAX_LINE_BYTES
 
     @property
     def is_partial(self) -> bool:
@@ -53,7 +52,7 @@ class LineBuffer:
     def is_too_long(self) -> bool:
         """True from the moment the next line exceeds the length; it stays so."""
         end = self._newline_at if self._newline_at >= 0 else len(self._buffer)
-        return end > self._max_line_bytes
+        return end > MAX_LINE_BYTES
 
     @property
     def is_overtaken(self) -> bool:
@@ -319,7 +318,7 @@ class Session:
             return self._output_close_reason(now_ns)
         if self._end_reason is not None:
             return self._end_reason
-        if self._is_late(now_ns):
+        if self._awaits_input and now_ns - self._waits_since_ns >= self._limits.timeout_ns:
             return LINE_LATE
         return "" if self._is_done(now_ns) else None
 
@@ -351,9 +350,6 @@ class Session:
             return OUTPUT_FULL
         is_stuck = now_ns - self._progress_ns >= self._limits.timeout_ns
         return OUTPUT_STUCK if is_stuck else None
-
-    def _is_late(self, now_ns: int) -> bool:
-        return self._awaits_input and now_ns - self._waits_since_ns >= self._limits.timeout_ns
 
     @property
     def _awaits_input(self) -> bool:
