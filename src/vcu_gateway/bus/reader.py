@@ -119,16 +119,13 @@ class DrainedBus:
         receive_one = self._receive_one
         if receive_one is None:
             return 0
-        frames = self._receive_batch(receive_one, until_ns)
-        while self._library_bus.has_more(until_ns):
-            frames += self._receive_batch(receive_one, until_ns)
+        frames, more = 0, True
+        while more:
+            count = self._library_bus.read_batch(until_ns)
+            _hand_on(receive_one, count, self._listener)
+            frames, more = frames + count, self._library_bus.has_more(until_ns)
         self.drains += 1
         return frames
-
-    def _receive_batch(self, receive_one: Callable[[], object], now_ns: int) -> int:
-        count = self._library_bus.read_batch(now_ns)
-        _hand_on(receive_one, count, self._listener)
-        return count
 
     def close(self) -> None:
         """Stop the Notifier, count what was never read, close the bus."""

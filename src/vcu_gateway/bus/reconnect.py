@@ -16,7 +16,6 @@ from vcu_gateway.bus.interface import Interface, Interfaces
 from vcu_gateway.bus.netlink import InterfaceDetails, LinkWatch
 from vcu_gateway.bus.settings import BusSettings
 from vcu_gateway.core.causes import Event, Severity
-from vcu_gateway.core.link import LinkState
 from vcu_gateway.errors import UnavailableError
 from vcu_gateway.units import NS_PER_MS
 
@@ -47,11 +46,6 @@ class LinkOpened(NamedTuple):
     interface: Interface
     details: InterfaceDetails
     receive_buffer_bytes: int | None
-
-    @property
-    def state(self) -> LinkState:
-        """The controller's state then; UP where that is not known."""
-        return self.details.state or LinkState.UP
 
     @property
     def carrier(self) -> bool:

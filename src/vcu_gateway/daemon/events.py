@@ -151,7 +151,7 @@ class LinkEvents:
                 self._gateway.apply(ChangeCarrier(Carrier(present, at_ns)))
 
     def _take_opening(self, opened: reconnect.LinkOpened, now_ns: int) -> None:
-        link = LinkStatus(opened.state, opened.at_ns)
+        link = LinkStatus(opened.details.state or LinkState.UP, opened.at_ns)
         carrier = Carrier(opened.carrier, opened.at_ns)
         self._gateway.apply(OpenLink(link, carrier, now_ns))
         self._connection.start_sending()
