@@ -47,9 +47,12 @@ class Call(NamedTuple, Generic[ResultT]):
             ApiError: the gateway's error.
             DisconnectedError: there is no response.
         """
-        if response is None:
-            raise self._disconnected(sent=sent)
-        return cast(ResultT, response.value())
+        if response is not None:
+            return cast(ResultT, response.value())
+        closed = "the gateway closed the connection before it"
+        if not sent:
+            raise DisconnectedError(f"{closed} got {self.method}", carried_out=False)
+        raise DisconnectedError(f"{closed} answered {self.method}{self._doubt}")
 
     def timed_out(self, timeout_s: float) -> ApiTimeoutError:
         """No response within this time."""
@@ -58,13 +61,6 @@ class Call(NamedTuple, Generic[ResultT]):
     def garbled(self, error: GarbledError) -> GarbledError:
         """A garbled message instead of the response."""
         return GarbledError(f"{error}{self._doubt}")
-
-    def _disconnected(self, *, sent: bool) -> DisconnectedError:
-        if not sent:
-            sentence = f"the gateway closed the connection before it got {self.method}"
-            return DisconnectedError(sentence, carried_out=False)
-        sentence = f"the gateway closed the connection before it answered {self.method}"
-        return DisconnectedError(sentence + self._doubt)
 
     @property
     def _doubt(self) -> str:

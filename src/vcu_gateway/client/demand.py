@@ -322,12 +322,10 @@ class DemandSession:
             self._broken |= not data
             self._handle(self._decoder.feed(data), now_ns)
         except BlockingIOError:
-            self._broken |= self._timed_out(now_ns)
+            waited_ns = now_ns - self._waiting_since_ns
+            self._broken |= bool(self._unanswered) and waited_ns > self._timeout_ns
         except (OSError, GarbledError):
             self._broken = True
-
-    def _timed_out(self, now_ns: int) -> bool:
-        return bool(self._unanswered) and now_ns - self._waiting_since_ns > self._timeout_ns
 
     def _handle(self, messages: list[jsonrpc.Incoming], now_ns: int) -> None:
         for message in messages:
