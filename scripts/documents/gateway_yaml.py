@@ -56,7 +56,7 @@ def text() -> str:
 
 
 def _section(field: FieldInfo) -> type[BaseModel]:
-    section = validation.section_of(field)
+    section = validation.section_of(field.annotation)
     if section is None:
         raise TypeError(f"the configuration holds sections only, not {field}")
     return section
@@ -98,7 +98,7 @@ def _keys(
     `example` has the values of a section whose keys are shown with others than their own examples.
     """
     fields = section.model_fields.items()
-    ordered = sorted(fields, key=lambda item: validation.section_of(item[1]) is not None)
+    ordered = sorted(fields, key=lambda item: validation.section_of(item[1].annotation) is not None)
     own = example or {}
     blocks = [
         _key(key, field, section, indent + _INDENT, commented_out, own.get(key))
@@ -118,7 +118,7 @@ def _key(
 ) -> list[str]:
     default = None if field.is_required() else _json_default(name, section)
     comment = _comment(field.description or "", indent)
-    within = validation.section_of(field)
+    within = validation.section_of(field.annotation)
     if within is None or default is None:
         facts = "; ".join(_facts(name, field, default))
         comment += _comment(f"{facts[0].upper()}{facts[1:]}.", indent)
@@ -174,7 +174,7 @@ def _ranges(field: FieldInfo) -> Iterator[str]:
     if get_origin(field.annotation) is Mapping:
         for which, kind in zip(("keys", "values"), get_args(field.annotation), strict=True):
             yield from (f"{which}: {limits}" for limits in _range(kind))
-    elif not validation.section_of(field):
+    elif not validation.section_of(field.annotation):
         yield from _range(field.rebuild_annotation())
 
 

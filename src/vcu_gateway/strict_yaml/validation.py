@@ -153,20 +153,16 @@ def _at(path: Path, root: type[Section]) -> tuple[FieldInfo | None, type[Section
     kind: Any = root
     field = None
     for name in path:
-        section = _as_section(kind)
+        section = section_of(kind)
         field = section.model_fields.get(str(name)) if section else None
         if section and field is None:
             return None, None
         kind = field.annotation if field else _item_of(kind)
-    return field, _as_section(kind)
+    return field, section_of(kind)
 
 
-def section_of(field: FieldInfo) -> type[Section] | None:
-    """The section that a field holds (or may hold), if any."""
-    return _as_section(field.annotation)
-
-
-def _as_section(kind: Any) -> type[Section] | None:
+def section_of(kind: Any) -> type[Section] | None:
+    """The section that a field of this annotation holds (or may hold), if any."""
     candidates = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
     return next((c for c in candidates if isinstance(c, type) and issubclass(c, Section)), None)
 
@@ -280,7 +276,7 @@ def _meant(key: str, known: tuple[str, ...]) -> list[str]:
 def _places(model: type[Section], prefix: str) -> Iterator[str]:
     for name, field in model.model_fields.items():
         yield prefix + name
-        section = section_of(field)
+        section = section_of(field.annotation)
         if section is not None:
             yield from _places(section, f"{prefix}{name}.")
 
