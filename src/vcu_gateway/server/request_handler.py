@@ -18,13 +18,7 @@ from vcu_gateway.core.demand import Refusal
 from vcu_gateway.server import jsonrpc
 from vcu_gateway.server.jsonrpc import OVERTAKEN, OVERTAKEN_WORD, STOPS
 from vcu_gateway.server.service import Caller, Counters, Reply, RequestService
-from vcu_gateway.server.session import (
-    LINE_TOO_LONG,
-    MAX_LINE_BYTES,
-    ReplyTo,
-    Session,
-    SubscriptionState,
-)
+from vcu_gateway.server.session import MAX_LINE_BYTES, ReplyTo, Session, SubscriptionState
 
 MAX_SUBSCRIPTIONS = 4
 """Of one connection."""
@@ -49,7 +43,7 @@ class RequestHandler:
                 ErrorCode.PARSE_ERROR, f"a line has at most {MAX_LINE_BYTES} bytes"
             )
             self._send(session, None, error, now_ns)
-            session.end_after_output(LINE_TOO_LONG)
+            session.is_ending = True
 
     def handle_next(self, session: Session, now_ns: int) -> None:
         is_overtaken = session.lines.is_overtaken

@@ -175,6 +175,7 @@ class Session:
         has_ended_demands: the service was asked to end its demands.
         is_driver: it has made a demand; it is served between all the others.
         is_seated: it has a place; until then only a stop of it is served.
+        is_ending: a line was too long; nothing more is read, and it is closed after its output.
         active_ns: time of the connection, of its last request or of the last output to it.
     """
 
@@ -188,23 +189,17 @@ class Session:
         self.pending: dict[int, ReplyTo | None] = {}
         self.subscriptions: dict[int, SubscriptionState] = {}
         self.peer_ended = self.peer_is_lost = self.has_ended_demands = False
-        self.is_driver = self.is_seated = False
+        self.is_driver = self.is_seated = self.is_ending = False
         self.active_ns = now_ns
         self._limits = limits
         self._output = bytearray()
         self._is_read_to_end = False
-        self._end_reason: str | None = None
         self._waits_since_ns = now_ns
         self._progress_ns = now_ns
 
     @property
     def has_output(self) -> bool:
         return bool(self._output)
-
-    @property
-    def is_ending(self) -> bool:
-        """True once it is to be closed after its output."""
-        return self._end_reason is not None
 
     @property
     def live_subscriptions(self) -> list[SubscriptionState]:
@@ -303,10 +298,6 @@ class Session:
         self._progress_ns = now_ns
         self._waits_since_ns = now_ns
 
-    def end_after_output(self, reason: str) -> None:
-        """Read nothing more and close after the output; an empty reason is an ordinary end."""
-        self._end_reason = reason
-
     def mark_lost(self) -> None:
         """Note that the peer reads no more, and drop its output."""
         self.peer_ended = self.peer_is_lost = True
@@ -316,8 +307,8 @@ class Session:
         """Reason to close it now, empty for an ordinary end; None where it goes on."""
         if self._output:
             return self._output_close_reason(now_ns)
-        if self._end_reason is not None:
-            return self._end_reason
+        if self.is_ending:
+            return LINE_TOO_LONG
         if self._awaits_input and now_ns - self._waits_since_ns >= self._limits.timeout_ns:
             return LINE_LATE
         return "" if self._is_done(now_ns) else None
@@ -359,7 +350,6 @@ class Session:
 
 
 def _unread_bytes(sock: socket.socket) -> int:
-    """Bytes that wait in the socket."""
     try:
         return int(_INT.unpack(fcntl.ioctl(sock, termios.FIONREAD, bytes(_INT.size)))[0])
     except OSError:
