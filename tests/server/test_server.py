@@ -743,7 +743,7 @@ def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, clients, 
         listener.listen()
         with a_stranger() if policy is NO_ONE else open(os.devnull):
             client.connect(path)
-        acceptor = Acceptor(listener, policy, SessionLimits(), Counters(), 0)
+        acceptor = Acceptor(listener, policy, SessionLimits(), Counters())
         session = acceptor.session(acceptor.next_socket(0), 0)
         assert acceptor.has_place(session.caller, clients, readers, lambda *_: False) is is_in
         session.sock.close()

@@ -177,18 +177,13 @@ class Acceptor:
     _numbers = itertools.count(1)
 
     def __init__(
-        self,
-        sock: socket.socket,
-        policy: Policy,
-        limits: SessionLimits,
-        counters: Counters,
-        now_ns: int,
+        self, sock: socket.socket, policy: Policy, limits: SessionLimits, counters: Counters
     ) -> None:
         self.sock = sock
         self._policy = policy
         self._limits = limits
         self._counters = counters
-        self.ready_ns = now_ns
+        self.ready_ns = 0
 
     def next_socket(self, now_ns: int) -> socket.socket | None:
         """Socket of the next connection; None where none waits, or none can be had now."""

@@ -9,7 +9,6 @@ the torque path does not depend on this thread.
 import contextlib
 import sys
 import threading
-import time
 
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.server.acceptor import Acceptor, UnixListener
@@ -91,7 +90,7 @@ class Server:
         if self._listener is None:
             raise AssertionError("open comes before start")
         policy, limits, counters = self._settings.policy, self._limits, self._counters
-        acceptor = Acceptor(self._listener.sock, policy, limits, counters, time.monotonic_ns())
+        acceptor = Acceptor(self._listener.sock, policy, limits, counters)
         return EventLoop(self._service, self._gaps, limits, acceptor, self._replies, counters)
 
     def _close_listener(self) -> None:
