@@ -201,10 +201,10 @@ def _constant(name: str) -> object:
 
 def _check_extent(message: object) -> None:
     """Check the number of values, their depth and the size of integers."""
-    level = [message] if isinstance(message, (dict, list)) else []
+    level: list[Any] = [message] if isinstance(message, (dict, list)) else []
     count = 0
     for _ in range(MAX_DEPTH):
-        inner = _inner(level)
+        inner = [v for one in level for v in (one.values() if isinstance(one, dict) else one)]
         count += len(inner)
         if count > MAX_VALUES:
             raise _UnreadableError(f"more than {MAX_VALUES} values")
@@ -214,13 +214,6 @@ def _check_extent(message: object) -> None:
         if not level:
             return
     raise _UnreadableError(f"nested more than {MAX_DEPTH} deep")
-
-
-def _inner(containers: list[Any]) -> list[Any]:
-    inner: list[Any] = []
-    for container in containers:
-        inner.extend(container.values() if isinstance(container, dict) else container)
-    return inner
 
 
 def _check_surrogates(message: object) -> None:
