@@ -114,11 +114,9 @@ class MessageDecoder:
         Raises:
             GarbledError: not JSON-RPC, or a line longer than MAX_LINE_BYTES.
         """
-        seen = len(self._rest)
         self._rest += data
-        if self._rest.find(b"\n", seen) < 0:
-            lines = []
-        else:
+        lines: list[bytearray] = []
+        if b"\n" in data:
             *lines, self._rest = self._rest.split(b"\n")
         if len(self._rest) > MAX_LINE_BYTES:
             raise GarbledError(f"the gateway sent a line of more than {MAX_LINE_BYTES} bytes")
