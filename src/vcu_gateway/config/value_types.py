@@ -40,10 +40,6 @@ def _fits_29_bits(identifier: int) -> int:
     return identifier
 
 
-def _as_hexadecimal(identifier: int) -> str:
-    return f"0x{identifier:08X}"
-
-
 def _confirmed(value: object) -> object:
     if value is not True:
         raise refusal("must be true", "it confirms that the wheels are off the ground")
@@ -71,7 +67,7 @@ Identifier = Annotated[
     int,
     Field(ge=0, json_schema_extra={"maximum": ID_MASK}),
     AfterValidator(_fits_29_bits),
-    PlainSerializer(_as_hexadecimal, return_type=str, when_used="json"),
+    PlainSerializer(lambda identifier: f"0x{identifier:08X}", return_type=str, when_used="json"),
 ]
 StatusCode = Annotated[int, Interval(ge=0, le=0xFFFF)]
 Confirmation = Annotated[bool, BeforeValidator(_confirmed)]
