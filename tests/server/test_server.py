@@ -815,7 +815,7 @@ def test_a_subscription_is_answered_and_updates_follow(client):
 
 
 def test_updates_keep_to_their_grid():
-    subscription = SubscriptionState(1, None, rate_hz=50, now_ns=7)
+    subscription = SubscriptionState(1, None, rate_hz=50, due_ns=7)
     assert subscription.due_ns == 7
     assert subscription.advance(7) == 1
     assert subscription.advance(7 + 20 * MS + 19 * MS) == 1

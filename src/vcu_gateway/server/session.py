@@ -8,6 +8,7 @@ import select
 import socket
 import struct
 import termios
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from vcu_gateway.api.errors import RequestError
@@ -138,6 +139,7 @@ class ReplyTo(NamedTuple):
     error: RequestError | None = None
 
 
+@dataclass(slots=True)
 class SubscriptionState:
     """Subscription with updates on the grid origin_ns + n * period; the first at once.
 
@@ -147,20 +149,17 @@ class SubscriptionState:
         lost: updates left out since the last one, because the reader was slow.
     """
 
-    def __init__(
-        self, number: int, messages: list[str] | None, rate_hz: float, now_ns: int
-    ) -> None:
-        self.number = number
-        self.messages = messages
-        self.rate_hz = rate_hz
-        self.due_ns = now_ns
-        self.lost = 0
-        self._period_ns = round(NS_PER_S / rate_hz)
+    number: int
+    messages: list[str] | None
+    rate_hz: float
+    due_ns: int
+    lost: int = 0
 
     def advance(self, now_ns: int) -> int:
         """Advance to the first point of the grid after `now_ns`; returns the points passed."""
-        points = (now_ns - self.due_ns) // self._period_ns + 1
-        self.due_ns += points * self._period_ns
+        period_ns = round(NS_PER_S / self.rate_hz)
+        points = (now_ns - self.due_ns) // period_ns + 1
+        self.due_ns += points * period_ns
         return points
 
 
