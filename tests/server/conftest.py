@@ -173,9 +173,9 @@ class Api:
 
     def make(self, limits=SessionLimits(), policy=EVERYONE, gaps=None, **settings) -> Server:  # noqa: B008
         """A server that is not open yet."""
-        wanted = ServerSettings(self.path, policy, **{"mode": 0o666, **settings})
+        wanted = ServerSettings(self.path, policy, limits=limits, **{"mode": 0o666, **settings})
         gaps = gaps or TickGaps(lambda: 0, 50 * MS, GapShare(share=1.0))
-        self.server = Server(wanted, self.service, gaps, limits)
+        self.server = Server(wanted, self.service, gaps)
         return self.server
 
     def start(self, *args, **kwargs) -> "Api":

@@ -13,14 +13,7 @@ import threading
 from vcu_gateway.api.results import ApiCounts
 from vcu_gateway.server.acceptor import Acceptor, UnixListener
 from vcu_gateway.server.event_loop import EventLoop
-from vcu_gateway.server.service import (
-    DEFAULT_LIMITS,
-    Counters,
-    ReplyQueue,
-    RequestService,
-    ServerSettings,
-    SessionLimits,
-)
+from vcu_gateway.server.service import Counters, ReplyQueue, RequestService, ServerSettings
 from vcu_gateway.server.tick_gaps import TickGaps
 
 _JOIN_S = 3.0
@@ -33,17 +26,10 @@ class Server:
         failed: exception that ended the thread, as text; None while there was none.
     """
 
-    def __init__(
-        self,
-        settings: ServerSettings,
-        service: RequestService,
-        gaps: TickGaps,
-        limits: SessionLimits = DEFAULT_LIMITS,
-    ) -> None:
+    def __init__(self, settings: ServerSettings, service: RequestService, gaps: TickGaps) -> None:
         self._settings = settings
         self._service = service
         self._gaps = gaps
-        self._limits = limits
         self._counters = Counters()
         self._replies = ReplyQueue()
         self._listener: UnixListener | None = None
@@ -89,8 +75,8 @@ class Server:
     def _event_loop(self) -> EventLoop:
         if self._listener is None:
             raise AssertionError("open comes before start")
-        policy, limits, counters = self._settings.policy, self._limits, self._counters
-        acceptor = Acceptor(self._listener.sock, policy, limits, counters)
+        settings, counters, limits = self._settings, self._counters, self._settings.limits
+        acceptor = Acceptor(self._listener.sock, settings.policy, limits, counters)
         return EventLoop(self._service, self._gaps, limits, acceptor, self._replies, counters)
 
     def _close_listener(self) -> None:

@@ -15,21 +15,6 @@ from vcu_gateway.server.views import result_of
 from vcu_gateway.units import NS_PER_S
 
 
-class ServerSettings(NamedTuple):
-    """Address of the API, and the rights of its peers.
-
-    Attributes:
-        owner: user number of the socket; None leaves it as it is. group: the same, of its group.
-        mode: permission bits of the socket.
-    """
-
-    socket_path: Path
-    policy: Policy
-    owner: int | None = None
-    group: int | None = None
-    mode: int = 0o660
-
-
 class SessionLimits(NamedTuple):
     """Limits on the cost of the clients.
 
@@ -54,7 +39,20 @@ class SessionLimits(NamedTuple):
     linger_ns: int = 300_000_000
 
 
-DEFAULT_LIMITS = SessionLimits()
+class ServerSettings(NamedTuple):
+    """Address of the API, the rights of its peers, and the limits on what they cost.
+
+    Attributes:
+        owner: user number of the socket; None leaves it as it is. group: the same, of its group.
+        mode: permission bits of the socket.
+    """
+
+    socket_path: Path
+    policy: Policy
+    owner: int | None = None
+    group: int | None = None
+    mode: int = 0o660
+    limits: SessionLimits = SessionLimits()
 
 
 Reply = Mapping[str, Any] | RequestError
