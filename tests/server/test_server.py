@@ -25,7 +25,7 @@ from tests.server.conftest import (
 from vcu_gateway.api.errors import ErrorCode, RequestError, Right
 from vcu_gateway.api.methods import DemandParams, Nothing
 from vcu_gateway.server.acceptor import Acceptor
-from vcu_gateway.server.service import Counters, SessionLimits
+from vcu_gateway.server.service import Counters, ServerSettings, SessionLimits
 from vcu_gateway.server.session import EVICTED, SubscriptionState
 from vcu_gateway.server.tick_gaps import TickGaps
 
@@ -743,7 +743,7 @@ def test_a_place_depends_on_who_is_in_and_what_one_may(folder, policy, clients, 
         listener.listen()
         with a_stranger() if policy is NO_ONE else open(os.devnull):
             client.connect(path)
-        acceptor = Acceptor(listener, policy, SessionLimits(), Counters())
+        acceptor = Acceptor(listener, ServerSettings(folder / "s", policy), Counters())
         session = acceptor.session(acceptor.next_socket(0), 0)
         assert acceptor.has_place(session.caller, clients, readers, lambda *_: False) is is_in
         session.sock.close()

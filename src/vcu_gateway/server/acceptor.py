@@ -9,10 +9,10 @@ import stat
 import struct
 from collections.abc import Callable
 
-from vcu_gateway.api.errors import ErrorCode, Peer, Policy, RequestError, Right
+from vcu_gateway.api.errors import ErrorCode, Peer, RequestError, Right
 from vcu_gateway.errors import Problem, UnavailableError
 from vcu_gateway.server import jsonrpc
-from vcu_gateway.server.service import Caller, Counters, ServerSettings, SessionLimits
+from vcu_gateway.server.service import Caller, Counters, ServerSettings
 from vcu_gateway.server.session import Session
 
 _MAX_PATH_BYTES = 107
@@ -176,12 +176,10 @@ class Acceptor:
 
     _numbers = itertools.count(1)
 
-    def __init__(
-        self, sock: socket.socket, policy: Policy, limits: SessionLimits, counters: Counters
-    ) -> None:
+    def __init__(self, sock: socket.socket, settings: ServerSettings, counters: Counters) -> None:
         self.sock = sock
-        self._policy = policy
-        self._limits = limits
+        self._policy = settings.policy
+        self._limits = settings.limits
         self._counters = counters
         self.ready_ns = 0
 

@@ -75,8 +75,8 @@ class Server:
     def _event_loop(self) -> EventLoop:
         if self._listener is None:
             raise AssertionError("open comes before start")
-        settings, counters, limits = self._settings, self._counters, self._settings.limits
-        acceptor = Acceptor(self._listener.sock, settings.policy, limits, counters)
+        acceptor = Acceptor(self._listener.sock, self._settings, self._counters)
+        limits, counters = self._settings.limits, self._counters
         return EventLoop(self._service, self._gaps, limits, acceptor, self._replies, counters)
 
     def _close_listener(self) -> None:
