@@ -87,26 +87,22 @@ class CommandHandlers:
         if self._owners.get(params.source) != caller.connection:
             sentence = f"this connection is not source {params.source}"
             raise _refused(Refusal.OTHER_OWNER, sentence)
-        return self._granted(
-            self._gateway.apply(calls.EndDemand(params.source, time.monotonic_ns()))
-        )
+        call = calls.EndDemand(params.source, time.monotonic_ns())
+        return self._granted(self._gateway.apply(call))
 
     def arm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         return self._logged("arm", caller, self._gateway.apply(calls.Arm(time.monotonic_ns())))
 
     def disarm(self, _: methods.Nothing, caller: Caller) -> results.Granted:
-        return self._logged(
-            "disarm", caller, self._gateway.apply(calls.Disarm(time.monotonic_ns()))
-        )
+        answer = self._gateway.apply(calls.Disarm(time.monotonic_ns()))
+        return self._logged("disarm", caller, answer)
 
     def estop(self, _: methods.Nothing, caller: Caller) -> results.Granted:
         return self._logged("estop", caller, self._context.loop.emergency_stop())
 
     def reset(self, params: methods.ResetParams, caller: Caller) -> results.Granted:
-        level = FaultClass(params.level)
-        return self._logged(
-            "reset", caller, self._gateway.apply(calls.Reset(level, time.monotonic_ns()))
-        )
+        call = calls.Reset(FaultClass(params.level), time.monotonic_ns())
+        return self._logged("reset", caller, self._gateway.apply(call))
 
     def set_drive_mode(self, params: methods.DriveModeParams, caller: Caller) -> results.Granted:
         level = FaultClass(params.level)
