@@ -59,10 +59,6 @@ class SafeFrames:
             self._failure_reported = False
         return not self._failure_reported
 
-    def end(self) -> None:
-        """Remove the file after an orderly end, which has sent its own safe frames."""
-        forget(self._folder)
-
 
 class SystemdNotifier:
     """sd_notify messages to the service manager; nothing is sent where there is none.
@@ -119,6 +115,7 @@ class ServiceReporter:
 
     def __init__(self, manager: SystemdNotifier, folder: Path | None, loop: TickLoop) -> None:
         self._manager = manager
+        self._folder = folder
         self._loop = loop
         self._reader = ReceiverWatchdog(loop.connection)
         self._starts = None if folder is None else RestartCounter(folder)
@@ -176,8 +173,8 @@ class ServiceReporter:
 
         The safe frames are kept where they did not leave: `safe_stop` tries again.
         """
-        if self._safe_frames is not None and not self._loop.gateway.gave_up:
-            self._safe_frames.end()
+        if self._folder is not None and not self._loop.gateway.gave_up:
+            forget(self._folder)
         if self._starts is not None:
             self._starts.end()
 
