@@ -52,14 +52,13 @@ def connect(path: Path, timeout_s: float = 0.0) -> socket.socket:
 def _connected_socket(path: str, timeout_s: float) -> socket.socket:
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
+        connection.setblocking(timeout_s > 0)
         if timeout_s > 0:
             # Not socket.settimeout: a non-blocking connect fails at once on a full backlog.
             timeval = struct.pack("@ll", int(timeout_s), int(timeout_s % 1 * 1e6))
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
-            connection.connect(path)
+        connection.connect(path)
         connection.setblocking(False)
-        if timeout_s <= 0:
-            connection.connect(path)
     except BaseException:
         connection.close()
         raise
