@@ -37,63 +37,50 @@ _READ_HERE = (
     "message out of this DBC"
 )
 
-_Definitions = OrderedDict[str, Any]
+_ATTRIBUTES: list[Any] = [
+    DbcAttributeDefinition("BusType", default_value="CAN", type_name="STRING"),
+    DbcAttributeDefinition("ProtocolType", default_value="J1939", type_name="STRING"),
+    DbcAttributeDefinition("DBName", default_value="", type_name="STRING"),
+    DbcAttributeDefinition("NmStationAddress", 254, "BU_", "INT", 0, 255),
+    DbcAttributeDefinition("VFrameFormat", "StandardCAN", "BO_", "ENUM", choices=_FRAME_FORMATS),
+    DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),
+    DbcAttributeDefinition(_SATURATED, _NOT_SATURATED, "SG_", "INT", _NOT_SATURATED, 2**31 - 1),
+]
+_DEFINITIONS: OrderedDict[str, Any] = OrderedDict((one.name, one) for one in _ATTRIBUTES)
 
 
 def write(definition: "Definition") -> str:
     """The DBC of a definition, the same text every time."""
     file, spec = definition.file, definition.spec
-    definitions = _attribute_definitions()
     database = Database(
-        messages=[_message(message, definitions) for message in spec.messages],
+        messages=[_message(message) for message in spec.messages],
         nodes=[
-            Node(
-                name,
-                file.nodes[name].comment or None,
-                _specifics(definitions, NmStationAddress=address),
-            )
+            Node(name, file.nodes[name].comment or None, _specifics(NmStationAddress=address))
             for name, address in spec.nodes.items()
         ],
         version=file.version,
         dbc_specifics=DbcSpecifics(
-            attributes=_attributes(
-                definitions, BusType="CAN", ProtocolType="J1939", DBName=file.name
-            ),
-            attribute_definitions=definitions,
+            attributes=_attributes(BusType="CAN", ProtocolType="J1939", DBName=file.name),
+            attribute_definitions=_DEFINITIONS.copy(),
         ),
     )
     return str(database.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
 
 
-def _attribute_definitions() -> _Definitions:
-    definitions: list[Any] = [
-        DbcAttributeDefinition("BusType", default_value="CAN", type_name="STRING"),
-        DbcAttributeDefinition("ProtocolType", default_value="J1939", type_name="STRING"),
-        DbcAttributeDefinition("DBName", default_value="", type_name="STRING"),
-        DbcAttributeDefinition("NmStationAddress", 254, "BU_", "INT", 0, 255),
-        DbcAttributeDefinition(
-            "VFrameFormat", "StandardCAN", "BO_", "ENUM", choices=_FRAME_FORMATS
-        ),
-        DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),
-        DbcAttributeDefinition(_SATURATED, _NOT_SATURATED, "SG_", "INT", _NOT_SATURATED, 2**31 - 1),
-    ]
-    return OrderedDict((definition.name, definition) for definition in definitions)
+def _attributes(**values: Any) -> OrderedDict[str, Any]:
+    return OrderedDict((name, DbcAttribute(v, _DEFINITIONS[name])) for name, v in values.items())
 
 
-def _attributes(definitions: _Definitions, **values: Any) -> OrderedDict[str, Any]:
-    return OrderedDict((name, DbcAttribute(v, definitions[name])) for name, v in values.items())
+def _specifics(**values: Any) -> DbcSpecifics:
+    return DbcSpecifics(attributes=_attributes(**values))
 
 
-def _specifics(definitions: _Definitions, **values: Any) -> DbcSpecifics:
-    return DbcSpecifics(attributes=_attributes(definitions, **values))
-
-
-def _message(message: MessageSpec, definitions: _Definitions) -> Message:
+def _message(message: MessageSpec) -> Message:
     return Message(
         frame_id=message.can_id,
         name=message.name,
         length=FRAME_LENGTH_BYTES,
-        signals=[_signal(signal, message, definitions) for signal in message.signals],
+        signals=[_signal(signal, message) for signal in message.signals],
         comment=message.comment or None,
         senders=[message.sender],
         is_extended_frame=True,
@@ -104,7 +91,7 @@ def _message(message: MessageSpec, definitions: _Definitions) -> Message:
     )
 
 
-def _signal(signal: SignalSpec, message: MessageSpec, definitions: _Definitions) -> Signal:
+def _signal(signal: SignalSpec, message: MessageSpec) -> Signal:
     choices: Any = OrderedDict(
         (code, NamedSignalValue(code, name)) for code, name in signal.names.items()
     )
@@ -124,7 +111,7 @@ def _signal(signal: SignalSpec, message: MessageSpec, definitions: _Definitions)
         unit=signal.unit or None,
         comment=signal.comment or None,
         receivers=list(message.receivers),
-        dbc_specifics=_specifics(definitions, **attributes),
+        dbc_specifics=_specifics(**attributes),
     )
 
 
