@@ -234,10 +234,11 @@ def test_a_gateway_answers_however_many_ask(channel):
         for _ in range(100):
             with pytest.raises(UnavailableError, match="another gateway"):
                 InstanceLock(channel)
-        connection.answer_lock_queries()
-    assert connection.lock_held_by is None
+        connection.instance_lock.answer()
+    assert connection.instance_lock.passed_by is None
+    lock = connection.instance_lock
     connection.release_lock()
-    connection.answer_lock_queries()
+    lock.answer()
 
 
 def test_only_a_network_interface_is_locked_and_only_once(channel):

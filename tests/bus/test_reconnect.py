@@ -20,13 +20,23 @@ UP = Interface(number=3, is_can=True, up=True, carrier=True, tx_queue_frames=4)
 DOWN = UP._replace(up=False, carrier=False)
 
 
+class FakeLock:
+    """Counts how often it answered."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self.answers = 0
+
+    def answer(self) -> None:
+        self.answers += 1
+
+
 class FakeConnection:
     """Opens when it is told to, and counts."""
 
     def __init__(self) -> None:
         self.settings = BusSettings("socketcan", "can0")
-        self.lock_descriptor: int | None = None
-        self.answers = 0
+        self.instance_lock: FakeLock | None = None
         self.receive_buffer_bytes = 212_992
         self.lost: str | None = "not opened yet"
         self.refusal: str | None = None
@@ -46,9 +56,6 @@ class FakeConnection:
 
     def mark_lost(self, why: str) -> None:
         self.lost = self.lost or why
-
-    def answer_lock_queries(self) -> None:
-        self.answers += 1
 
     def wait_until_read(self, patience_s: float) -> None:
         self.steps.append(f"read within {patience_s} s")
@@ -300,11 +307,11 @@ def test_a_loss_that_a_reader_reports_is_looked_at_at_once(running: LookRig):
 
 def test_whoever_asks_for_the_locks_holder_is_answered_at_once(rig: LookRig):
     near, far = socket.socketpair()
-    rig.connection.lock_descriptor = near.fileno()
+    lock = rig.connection.instance_lock = FakeLock(near.fileno())
     with near, far:
         rig.reconnector.start()
         assert rig.reconnector.tried.wait(PATIENCE_S)
         far.send(b"?")  # nobody reads it: it is there again and again
         assert any(looks_within(rig, 0.5) >= 5 for _ in range(5))
-        assert rig.connection.answers >= 5
+        assert lock.answers >= 5
         rig.reconnector.stop()

@@ -137,6 +137,7 @@ class BusConnection:
     Attributes:
         lost: why the interface cannot be used, as a sentence; None while it is open.
         on_lost: called on the thread that noticed, once for each opening.
+        instance_lock: None before `acquire_lock` and after `release_lock`, and on other buses.
     """
 
     def __init__(
@@ -153,7 +154,7 @@ class BusConnection:
         self._sending_bus: Bus | None = None
         self._send_lock = threading.Lock()
         self._read_since_loss = threading.Event()
-        self._instance_lock: InstanceLock | None = None
+        self.instance_lock: InstanceLock | None = None
         self.counters = BusCounters()
         self.lost: str | None = "not opened yet"
         self.on_lost: Callable[[], None] = lambda: None
@@ -187,25 +188,11 @@ class BusConnection:
 
         Raises UnavailableError where another gateway is.
         """
-        if self._instance_lock is None and self.settings.interface == "socketcan":
-            self._instance_lock = InstanceLock(self.settings.channel)
-
-    @property
-    def lock_held_by(self) -> str | None:
-        """Process that holds the interface's lock without a right to it; None: there is none."""
-        return None if self._instance_lock is None else self._instance_lock.passed_by
-
-    @property
-    def lock_descriptor(self) -> int | None:
-        """Readable while a process asks for the lock's holder; None where the lock is not ours."""
-        return None if self._instance_lock is None else self._instance_lock.descriptor
-
-    def answer_lock_queries(self) -> None:
-        if self._instance_lock is not None:
-            self._instance_lock.answer()
+        if self.instance_lock is None and self.settings.interface == "socketcan":
+            self.instance_lock = InstanceLock(self.settings.channel)
 
     def release_lock(self) -> None:
-        lock, self._instance_lock = self._instance_lock, None
+        lock, self.instance_lock = self.instance_lock, None
         if lock is not None:
             lock.release()
 

@@ -129,7 +129,8 @@ class Reconnector:
 
     def start(self) -> None:
         self._watch.open()
-        if (descriptor := self._connection.lock_descriptor) is not None:
+        lock = self._connection.instance_lock
+        if lock is not None and (descriptor := lock.descriptor) is not None:
             self._watch.watch(descriptor)
         self._thread.start()
 
@@ -150,7 +151,8 @@ class Reconnector:
     def _work(self) -> None:
         while not self._ended:
             self.step(time.monotonic_ns())
-            self._connection.answer_lock_queries()
+            if (lock := self._connection.instance_lock) is not None:
+                lock.answer()
             self.tried.set()
             time.sleep(_REST_S)
             self._watch.wait(self._look_within_s())

@@ -130,8 +130,9 @@ class LinkEvents:
     def begin(self, now_ns: int) -> None:
         """Begin with a lost link: nothing is open yet."""
         self._gateway.apply(LoseLink(now_ns))
-        if (holder := self._connection.lock_held_by) is not None:
-            fields = {"channel": self._connection.settings.channel, "holder": holder}
+        lock = self._connection.instance_lock
+        if lock is not None and lock.passed_by is not None:
+            fields = {"channel": self._connection.settings.channel, "holder": lock.passed_by}
             self._event_log.emit(Event("lock_ignored", Severity.WARNING, fields))
 
     def before_tick(self, now_ns: int) -> None:
