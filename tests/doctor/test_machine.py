@@ -11,7 +11,7 @@ import pytest
 
 from tests.doctor.judged import not_ok, only, well
 from vcu_gateway.doctor import clock, process
-from vcu_gateway.doctor.check_result import Unreadable
+from vcu_gateway.doctor.check_result import Unreadable, number
 from vcu_gateway.doctor.process import RunningProcess
 
 # Time.
@@ -63,11 +63,11 @@ def test_this_machines_clock_is_read():
 
 # Buffers.
 
-BUFFERS = process.BufferFacts(None, 212_992)
+BUFFERS = {"wanted_bytes": None, "max_bytes": 212_992}
 
 
 def test_the_kernels_usual_buffer_is_well_where_none_is_asked_for():
-    assert not_ok(process.judge_buffers(BUFFERS)) == {}
+    assert not_ok(process.judge_buffers(**BUFFERS)) == {}
 
 
 @pytest.mark.parametrize(
@@ -85,19 +85,19 @@ def test_the_kernels_usual_buffer_is_well_where_none_is_asked_for():
     ],
 )
 def test_each_limit_that_is_too_low_is_one_finding(changed, check, kind, remedy):
-    found = only(process.judge_buffers(BUFFERS._replace(**changed)))
+    found = only(process.judge_buffers(**BUFFERS | changed))
     assert (found.subject, found.check, found.kind.value) == ("buffers", check, kind)
     assert remedy in found.remedy
 
 
 def test_a_buffer_that_the_kernel_gives_is_well():
-    findings = list(process.judge_buffers(BUFFERS._replace(wanted_bytes=212_992)))
+    findings = list(process.judge_buffers(212_992, 212_992))
     assert well(findings) == "receive buffer of 212992 bytes is available"
     assert not_ok(findings) == {}
 
 
 def test_this_machines_buffers_are_read():
-    assert "receive buffer" in next(process.judge_buffers(process.read_buffers(None))).what
+    assert "receive buffer" in next(process.judge_buffers(None, number(process.RMEM_MAX))).what
 
 
 # Process.

@@ -18,7 +18,7 @@ from vcu_gateway.doctor import (
     running_gateway,
     service,
 )
-from vcu_gateway.doctor.check_result import CheckResult, CheckSubject
+from vcu_gateway.doctor.check_result import CheckResult, CheckSubject, number
 from vcu_gateway.errors import Problem
 
 _NETWORK_FILES = "/usr/share/vcu-gateway/network"
@@ -154,7 +154,7 @@ _CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
     "time": lambda _: clock.judge(clock.read()),
     "permissions": _permissions,
     "buffers": lambda shared: process.judge_buffers(
-        process.read_buffers(shared.file.in_effect.bus.receive_buffer_bytes)
+        shared.file.in_effect.bus.receive_buffer_bytes, number(process.RMEM_MAX)
     ),
     "process": _process,
     "service": lambda shared: service.judge(shared.unit),

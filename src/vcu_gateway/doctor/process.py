@@ -27,7 +27,7 @@ _MEMORY_AT_LEAST_KB = 100 * 1024
 _DISK_AT_LEAST_MB = 200
 # With so much, 555 frames of a full bus of 1 Mbit/s may wait, and 380 come between two ticks.
 _LEAST_BYTES = 212_992
-_LIMIT = "/proc/sys/net/core/rmem_max"
+RMEM_MAX = "/proc/sys/net/core/rmem_max"
 _SYSCTL_FILE = "/etc/sysctl.d/60-vcu-gateway.conf"
 _CPUS = "/sys/devices/system/cpu/cpufreq"
 # Their "powersave" follows the load; it is not the slowest speed.
@@ -206,24 +206,14 @@ def _disk(facts: ProcessFacts) -> Outcome | None:
     return SUBJECT.warning("disk", what, f"make room: du -ah {STATE_FOLDER} | sort -h | tail")
 
 
-class BufferFacts(NamedTuple):
-    """Facts about buffers; `wanted_bytes` is bus.receive_buffer_bytes, None where it is not set."""
-
-    wanted_bytes: int | None
-    max_bytes: int | Unreadable
-
-
-def read_buffers(wanted_bytes: int | None) -> BufferFacts:
-    return BufferFacts(wanted_bytes, number(_LIMIT))
-
-
-def judge_buffers(facts: BufferFacts) -> Iterator[CheckResult]:
-    wanted = facts.wanted_bytes or _LEAST_BYTES
-    who = "a full bus" if facts.wanted_bytes is None else "bus.receive_buffer_bytes"
-    if isinstance(facts.max_bytes, Unreadable):
-        yield BUFFERS.unknown("rmem_max", facts.max_bytes.reason)
-    elif facts.max_bytes < wanted:
-        what = f"the kernel gives {facts.max_bytes} bytes, {who} wants {wanted}"
+def judge_buffers(wanted_bytes: int | None, max_bytes: int | Unreadable) -> Iterator[CheckResult]:
+    """`wanted_bytes` is bus.receive_buffer_bytes, None where it is not set."""
+    wanted = wanted_bytes or _LEAST_BYTES
+    who = "a full bus" if wanted_bytes is None else "bus.receive_buffer_bytes"
+    if isinstance(max_bytes, Unreadable):
+        yield BUFFERS.unknown("rmem_max", max_bytes.reason)
+    elif max_bytes < wanted:
+        what = f"the kernel gives {max_bytes} bytes, {who} wants {wanted}"
         write = f"echo net.core.rmem_max={wanted} | sudo tee -a {_SYSCTL_FILE}"
         yield BUFFERS.warning("rmem_max", what, f"{write} && sudo sysctl -p {_SYSCTL_FILE}")
     else:
