@@ -72,8 +72,8 @@ def _recorder(shared: _SharedFacts) -> Iterable[CheckResult]:
     return recorder.judge(recorder.read(socket, gateway_runs=runs))
 
 
-def _other_unit(unit: service.OtherUnit) -> Iterable[CheckResult]:
-    return service.judge_other(unit, service.read(unit.name))
+def _other_unit(program: str) -> Iterable[CheckResult]:
+    return service.judge_other(program, service.read(f"vcu-gateway-{program}.service"))
 
 
 def _guarded(name: str, check: Callable[[], Iterable[CheckResult]]) -> list[CheckResult]:
@@ -161,8 +161,8 @@ _CHECKS: dict[str, Callable[[_SharedFacts], Iterable[CheckResult]]] = {
     "libraries": lambda _: libraries.judge(libraries.read()),
     "gateway": lambda shared: running_gateway.judge(shared.gateway),
     "recorder": _recorder,
-    "exporter": lambda _: _other_unit(service.EXPORTER),
-    "web": lambda _: _other_unit(service.WEB),
+    "exporter": lambda _: _other_unit("exporter"),
+    "web": lambda _: _other_unit("web"),
 }
 """In the order of the output."""
 _OF_CONFIGURATION = ("protocol", "interface", "bus", "permissions", "buffers")

@@ -167,32 +167,25 @@ def _changed_on_disk(facts: ServiceFacts) -> Outcome | None:
     return SUBJECT.warning("changed", what, "sudo systemctl daemon-reload")
 
 
-class OtherUnit(NamedTuple):
-    """Unit of a program beside the gateway; `lost` is what is not there without it."""
-
-    subject: CheckSubject
-    name: str
-    lost: str
-
-
-EXPORTER = OtherUnit(
-    CheckSubject("exporter"), "vcu-gateway-exporter.service", "no metrics for Prometheus"
-)
-WEB = OtherUnit(CheckSubject("web"), "vcu-gateway-web.service", "no page, and no stop in a browser")
+OTHERS = {
+    "exporter": "no metrics for Prometheus",
+    "web": "no page, and no stop in a browser",
+}
+"""Program beside the gateway -> what is not there without it."""
 
 
-def judge_other(unit: OtherUnit, facts: ServiceFacts) -> Iterator[CheckResult]:
+def judge_other(program: str, facts: ServiceFacts) -> Iterator[CheckResult]:
     """Judge the unit; nothing where it is not installed. No fault of it is `wrong`."""
     if not facts.is_installed:
         return
-    subject, name = unit.subject, unit.name
+    subject, name, lost = CheckSubject(program), facts.unit, OTHERS[program]
     if facts.is_active:
         yield subject.ok("active", f"{name}: running as {facts.pid}")
     elif facts.fails:
-        what = f"{name} does not stay up: {facts.end}; {unit.lost}"
+        what = f"{name} does not stay up: {facts.end}; {lost}"
         yield subject.warning("active", what, f"journalctl -u {name} -n 20")
     elif facts.is_enabled:
-        what = f"{name} does not run: {unit.lost}"
+        what = f"{name} does not run: {lost}"
         yield subject.warning("active", what, f"sudo systemctl start {name}")
     else:
-        yield subject.ok("active", f"{name} is not enabled: {unit.lost}")
+        yield subject.ok("active", f"{name} is not enabled: {lost}")
