@@ -115,8 +115,7 @@ class CheckSubject(NamedTuple):
         return CheckResult(self.name, check, CheckStatus.UNKNOWN, what, remedy)
 
     def problem(self, check: str, problem: Problem) -> CheckResult:
-        where = f"{problem.where}: " if problem.where else ""
-        return self.wrong(check, f"{where}{problem.what}", problem.remedy)
+        return self.wrong(check, str(problem._replace(remedy="")), problem.remedy)
 
     def summarise(self, heading: str, outcomes: Iterable[Outcome | None]) -> Iterator[CheckResult]:
         """All that is ok in one line, then every other result; None is left out."""

@@ -56,7 +56,9 @@ def run_checks(
 
     Raises nothing: a check that fails by itself is an unknown result.
     """
-    shared = _shared_facts(path, missing)
+    file, unit = configuration.read(path, missing), service.read(service.unit_of(path))
+    expected = unit.is_active and unit.runs_with(path)
+    shared = _SharedFacts(file, unit, running_gateway.read(file.in_effect, expected))
     yield from _guarded("configuration", lambda: configuration.judge(shared.file))
     left_out = set() if shared.file.can_be_checked else set(_OF_CONFIGURATION)
     left_out |= set() if listen else {"bus"}
@@ -83,13 +85,6 @@ def _guarded(name: str, check: Callable[[], Iterable[CheckResult]]) -> list[Chec
     except Exception as error:  # noqa: BLE001 - an unknown result, with the reason
         what = f"the check failed: {type(error).__name__}: {error}"
         return [CheckSubject(name).unknown("examination", what, "please report this")]
-
-
-def _shared_facts(path: Path | None, missing: tuple[Problem, ...]) -> _SharedFacts:
-    file = configuration.read(path, missing)
-    unit = service.read(service.unit_of(path))
-    expected = unit.is_active and unit.runs_with(path)
-    return _SharedFacts(file, unit, running_gateway.read(file.in_effect, expected))
 
 
 def _interface(shared: _SharedFacts) -> Iterable[CheckResult]:
@@ -134,10 +129,8 @@ def _permissions(shared: _SharedFacts) -> Iterable[CheckResult]:
     unit, user = shared.unit, None
     if shared.is_of_the_service:
         user = unit.get("User") or _DEFAULT_SERVICE_USER
-    file = shared.file
-    return permissions.judge(
-        permissions.read(file.in_effect, file.path, user, unit.visible_folders)
-    )
+    config, path = shared.file.in_effect, shared.file.path
+    return permissions.judge(permissions.read(config, path, user, unit.visible_folders))
 
 
 def _process(shared: _SharedFacts) -> Iterable[CheckResult]:

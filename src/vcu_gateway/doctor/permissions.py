@@ -189,17 +189,12 @@ def _file_result(
         bound = " and ".join(visible_folders)
         what = f"{path} is not visible to the service: its unit binds only {bound}"
         return SUBJECT.wrong("service_files", what, "keep it in /etc/vcu-gateway")
-    denied = _first_denied(user, places)
+    needed = ((one, 1 if stat.S_ISDIR(one.mode) else 4) for one in places)
+    denied = next((one.path for one, bits in needed if not one.grants(user, bits)), None)
     if denied is None:
         return None
     what = f"the service's user {user.name} cannot access {denied}"
     return SUBJECT.wrong("service_files", what, f"sudo chmod o+rX {denied}")
-
-
-def _first_denied(user: Account, places: tuple[FilePermissions, ...]) -> str | None:
-    """The first place of the path that denies this user; None where none does."""
-    needed = ((one, 1 if stat.S_ISDIR(one.mode) else 4) for one in places)
-    return next((one.path for one, bits in needed if not one.grants(user, bits)), None)
 
 
 def _folder(facts: PermissionFacts) -> Outcome | None:
