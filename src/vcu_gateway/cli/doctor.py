@@ -4,7 +4,6 @@ import json
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 
 import click
@@ -41,13 +40,13 @@ more. Exit code 1 where something is wrong, 0 otherwise, warnings or not.
 @click.option("--listen", is_flag=True, help="Also receive from the bus for a second.")
 @json_option
 def doctor(config_path: Path | None, listen: bool, as_json: bool) -> None:
-    """Run the checks, print the results, exit with 1 where one is wrong."""
     path, missing = _file(config_path)
     results = list(run_checks(path, missing, listen=listen))
+    counts = Counter(result.kind for result in results)
     # Colours on a terminal alone, and not where NO_COLOR is set (no-color.org).
     colour = False if os.environ.get("NO_COLOR") else None
-    click.echo(_as_json(results) if as_json else _as_text(results), color=colour)
-    if any(result.kind is CheckStatus.WRONG for result in results):
+    click.echo(_as_json(results, counts) if as_json else _as_text(results, counts), color=colour)
+    if counts[CheckStatus.WRONG]:
         sys.exit(1)
 
 
@@ -58,8 +57,7 @@ def _file(given: Path | None) -> tuple[Path | None, tuple[Problem, ...]]:
         return None, error.problems
 
 
-def _as_json(results: list[CheckResult]) -> str:
-    counts = _counts(results)
+def _as_json(results: list[CheckResult], counts: Counter[CheckStatus]) -> str:
     document = {
         "healthy": not counts[CheckStatus.WRONG],
         "counts": {kind.value: counts[kind] for kind in CheckStatus},
@@ -68,9 +66,9 @@ def _as_json(results: list[CheckResult]) -> str:
     return json.dumps(document, ensure_ascii=False)
 
 
-def _as_text(results: list[CheckResult]) -> str:
+def _as_text(results: list[CheckResult], counts: Counter[CheckStatus]) -> str:
     width = max((len(result.subject) for result in results), default=0)
-    return "\n".join([*(_line(result, width) for result in results), _summary(results)])
+    return "\n".join([*(_line(result, width) for result in results), _summary(counts)])
 
 
 def _line(result: CheckResult, width: int) -> str:
@@ -79,8 +77,7 @@ def _line(result: CheckResult, width: int) -> str:
     return f"{kind}  {result.subject:<{width}}  {result.what}{remedy}"
 
 
-def _summary(results: list[CheckResult]) -> str:
-    counts = _counts(results)
+def _summary(counts: Counter[CheckStatus]) -> str:
     summary = ", ".join(_counted(kind, counts[kind]) for kind in _SEVEREST_FIRST if counts[kind])
     more = counts[CheckStatus.UNKNOWN] and os.geteuid() != 0
     return summary + ("; sudo vcu-gateway doctor checks more" if more else "")
@@ -89,7 +86,3 @@ def _summary(results: list[CheckResult]) -> str:
 def _counted(kind: CheckStatus, count: int) -> str:
     plural = "s" if kind is CheckStatus.WARNING and count > 1 else ""
     return f"{count} {kind.value}{plural}"
-
-
-def _counts(results: Iterable[CheckResult]) -> Counter[CheckStatus]:
-    return Counter(result.kind for result in results)
