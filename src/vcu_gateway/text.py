@@ -100,8 +100,8 @@ def table(rows: Iterable[Sequence[str]], right: Sequence[int] = (), indent: str 
     ]
 
 
-def say(sentence: str) -> None:
-    """Print on stderr, also where nobody reads that any more."""
+def say(sentence: object) -> None:
+    """Print a sentence or a Problem on stderr, also where nobody reads that any more."""
     if sys.stderr is not None:
         with contextlib.suppress(OSError, ValueError):
             _put(f"{sentence}\n")

@@ -92,7 +92,7 @@ def decode(
     text_format = FORMATS[format_name]
     writers = _writers(codec, messages, text_format)
     try:
-        with open_recording(log, _report) as recording, _opened(output, log) as out:
+        with open_recording(log, text.say) as recording, _opened(output, log) as out:
             out.write(text_format.head)
             _decode_all(recording, codec, writers, out)
     except BrokenPipeError:
@@ -101,10 +101,6 @@ def decode(
         # Reading turns its own into GatewayErrors.
         what = f"cannot be written: {error.strerror or error}"
         raise UnavailableError(Problem(what, str(output or "standard output"))) from error
-
-
-def _report(problem: Problem) -> None:
-    text.say(str(problem))
 
 
 def _writers(
@@ -259,7 +255,7 @@ def export(
 
     def report(problem: Problem) -> None:
         progress.clear()
-        text.say(str(problem))
+        text.say(problem)
 
     source = read(name, ReadOptions(window, report, progress.show_frames, dbc_path, not no_alias))
     progress.clear()

@@ -82,7 +82,6 @@ def replay(
     html_path: Path | None,
     quiet: bool,
 ) -> None:
-    """Replay, print, and exit with what was found."""
     changes = Changes(config_path, assignments)
     window = Window(moment_of(begin, "--from"), moment_of(end, "--to"))
     plotted, progress = html_path is not None, text.Progress(wanted=not quiet)
@@ -96,15 +95,7 @@ def replay(
         what = "a log has no demands to drive with"
         raise click.BadParameter(what, param_hint="--closed-loop")
     else:
-        report = replay_log(
-            recording,
-            changes,
-            window,
-            demand_pct,
-            plotted,
-            progress,
-            lambda one: text.say(str(one)),
-        )
+        report = replay_log(recording, changes, window, demand_pct, plotted, progress, text.say)
     if html_path is not None:
         report.write_html(html_path)
     if not quiet:

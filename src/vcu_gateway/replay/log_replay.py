@@ -43,12 +43,12 @@ _NO_DEMAND = (
 
 def replay_log(
     name: str,
-    changes: Changes | None = None,
-    window: Window | None = None,
-    demand_pct: float | None = None,
-    plotted: bool = False,
-    progress: Progress | None = None,
-    complain: Callable[[Problem], None] = lambda _: None,
+    changes: Changes,
+    window: Window,
+    demand_pct: float | None,
+    plotted: bool,
+    progress: Progress,
+    complain: Callable[[Problem], None],
 ) -> ReplayReport:
     """Decide on every frame of a log, of standard input where the name is "-".
 
@@ -56,12 +56,11 @@ def replay_log(
     `demand_pct`: hold this throttle. `complain` is given what cannot be read. MissingInputError,
     DataError, ConfigError.
     """
-    changes, window = changes or Changes(), window or Window()
     before, after, codec, without_effect = _settings(changes, demand_pct)
     series = CommandSeries(codec) if plotted else None
     replay, clock = LogReplay(codec, before, after, series), TimeOfDay(0)
     with open_recording(name, complain) as recording:
-        recorded = recording.watched(progress or Progress(wanted=False))
+        recorded = recording.watched(progress)
         replay.run(one for one in recorded if window.holds(one.frame.arrival_ns))
         unreadable = recording.problems.unreadable
     if not replay.frames:
