@@ -86,7 +86,6 @@ def decode(
     no_alias: bool,
     dbc_path: Path | None,
 ) -> None:
-    """Read, decode, write, and sum up."""
     protocol = dbc.load(dbc_path or packaged("vcu.dbc"))
     codec = Codec(dbc.with_aliases(protocol, {} if no_alias else DEFAULT_ALIASES))
     text_format = FORMATS[format_name]
@@ -128,12 +127,7 @@ def _opened(output: Path | None, log: str) -> Iterator[TextIO]:
         return
     if output.exists() and os.path.exists(log) and output.samefile(log):
         raise click.BadParameter(f"{output} is the recording itself.")
-    try:
-        out = output.open("w", encoding="utf-8", newline="")
-    except OSError as error:
-        what = f"cannot be written: {error.strerror or error}"
-        raise UnavailableError(Problem(what, str(output))) from error
-    with out:
+    with output.open("w", encoding="utf-8", newline="") as out:
         yield out
 
 
