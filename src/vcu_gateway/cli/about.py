@@ -13,8 +13,6 @@ from vcu_gateway.bus.interface import can_socket_error
 from vcu_gateway.cli.options import json_option
 from vcu_gateway.protocol import packaged
 
-_LIBRARIES = ("python-can", "cantools")
-
 
 @click.command("version")
 @json_option
@@ -28,7 +26,7 @@ def version(as_json: bool) -> None:
     facts = {
         "vcu-gateway": __version__,
         "python": platform.python_version(),
-        **{name: importlib.metadata.version(name) for name in _LIBRARIES},
+        **{name: importlib.metadata.version(name) for name in ("python-can", "cantools")},
         "kernel": f"{platform.system()} {platform.release()}",
         "dbc_sha256": hashlib.sha256(packaged("vcu.dbc").read_bytes()).hexdigest(),
     }
@@ -40,15 +38,8 @@ def version(as_json: bool) -> None:
     click.echo(f"can {'yes' if missing is None else f'no: {missing}'}")
 
 
-_FILES = {
-    "bash": "/etc/bash_completion.d/vcu-gateway",
-    "zsh": "/usr/share/zsh/vendor-completions/_vcu-gateway",
-    "fish": "/usr/share/fish/vendor_completions.d/vcu-gateway.fish",
-}
-
-
 @click.command("completion")
-@click.argument("shell", type=click.Choice(list(_FILES)))
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> None:
     """Print the completion script of a shell.
