@@ -12,7 +12,6 @@ import click
 
 from vcu_gateway.api import results
 from vcu_gateway.cli.operator import api_options, connected
-from vcu_gateway.client import Client, DemandOwner
 from vcu_gateway.demand_ranges import span
 
 _SET_PERIOD_S = 0.1
@@ -73,25 +72,14 @@ def demand(
     with connected(socket_path) as client, client.demand(name, ttl_ms=ttl_ms) as owner:
         if arming:
             client.arm()
-        _hold(client, owner, values, stop, for_s, as_json)
-
-
-def _hold(
-    client: Client,
-    owner: DemandOwner,
-    values: dict[str, Any],
-    stop: threading.Event,
-    for_s: float | None,
-    as_json: bool,
-) -> None:
-    begun_s = next_print_s = time.monotonic()
-    printed = ""
-    while not stop.is_set() and (for_s is None or time.monotonic() - begun_s < for_s):
-        owner.set(**values)
-        if time.monotonic() >= next_print_s:
-            next_print_s += _PRINT_PERIOD_S
-            printed = _print_change(client.why(), printed, as_json)
-        stop.wait(_SET_PERIOD_S)
+        begun_s = next_print_s = time.monotonic()
+        printed = ""
+        while not stop.is_set() and (for_s is None or time.monotonic() - begun_s < for_s):
+            owner.set(**values)
+            if time.monotonic() >= next_print_s:
+                next_print_s += _PRINT_PERIOD_S
+                printed = _print_change(client.why(), printed, as_json)
+            stop.wait(_SET_PERIOD_S)
 
 
 def _print_change(why: results.Why, printed: str, as_json: bool) -> str:
