@@ -27,7 +27,7 @@ from vcu_gateway.cli.options import (
     web_needed,
 )
 from vcu_gateway.client.jsonrpc import SOCKET_VARIABLE
-from vcu_gateway.demo.process import DemoOptions, DemoProcess, DemoRecorder, default_socket
+from vcu_gateway.demo.process import DemoOptions, DemoProcess, DemoRecorder, default_socket, load
 from vcu_gateway.errors import Problem, UnavailableError
 
 
@@ -129,9 +129,7 @@ def demo(
     socket = str((socket_path or default_socket()).absolute())
     wanted = DemoOptions(interface, channel, socket, throttle_pct, not no_demand, **options)
     if wanted.config_path is not None or wanted.scenario_path is not None:
-        from vcu_gateway.demo import process
-
-        process.load(wanted)  # for its errors, before anything starts
+        load(wanted)  # for its errors, before anything starts
     with _recorder(folder) as recorder:
         if recorder is not None:
             wanted = wanted._replace(recorder_socket=str(recorder.socket_path))

@@ -3,6 +3,7 @@
 import logging
 import time
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 
 import click
@@ -23,6 +24,7 @@ from vcu_gateway.simulator.play import Played, open_bus, play
 from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 from vcu_gateway.simulator.scenario import load as load_scenario
 
+_note = partial(click.echo, err=True)
 _HELP = """Play the vehicle: BMS, IMU, ARD2 and both motor controllers.
 
 Sends every cyclic message at its period and answers each command frame with the controller's
@@ -104,14 +106,13 @@ def simulate(
         open_bus(interface, channel, nodes.command_ids) as bus,
         _log(log_path, channel) as log,
     ):
-        click.echo(
+        _note(
             f"playing BMS, IMU, ARD2, PCU1 and PCU2 on {interface} {channel}:"
             f" {len(nodes.cyclic_messages)} cyclic messages, Status2 answers each command;"
-            " Ctrl-C ends it",
-            err=True,
+            " Ctrl-C ends it"
         )
         played = play(bus, nodes, stop=stop, duration_s=duration_s, log=log, note=_note)
-    click.echo(summary(played), err=True)
+    _note(summary(played))
 
 
 def summary(played: Played) -> str:
@@ -125,10 +126,6 @@ def summary(played: Played) -> str:
 def _counted(counts: dict[str, int]) -> str:
     each = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
     return f"{sum(counts.values())} ({each})" if counts else "0"
-
-
-def _note(text: str) -> None:
-    click.echo(text, err=True)
 
 
 def _log(path: Path | None, channel: str) -> AbstractContextManager[can.Listener | None]:
