@@ -14,9 +14,6 @@ from vcu_gateway.core.spec import FRAME_LENGTH_BYTES, SignalSpec
 from vcu_gateway.core.transmit import OutFrame, SentValues
 from vcu_gateway.recording.decoded import decimals
 
-FRAME_FIELD = "frame"
-"""The field of a command that only one side sends."""
-
 _PLOTTED = ("Throttle", "Brake", "PowerMode", "MotorReverse", "SpeedLimit", "PowerLimit")
 
 
@@ -35,26 +32,17 @@ class FieldChange(NamedTuple):
     amount: float
 
 
-class CommandFields:
-    """Both controllers' commands taken apart."""
-
-    def __init__(self, codec: Codec) -> None:
-        self._codecs = _command_codecs(codec)
-
-    def changes(
-        self, before: tuple[OutFrame, ...], after: tuple[OutFrame, ...]
-    ) -> Iterator[FieldChange]:
-        """Every field in which the frames of a tick differ."""
-        if before == after:
-            return
-        first, second = _by_controller(before), _by_controller(after)
-        for name, codec in self._codecs.items():
-            one, other = first.get(name), second.get(name)
-            if one is None or other is None:
-                if one is not other:
-                    yield FieldChange(name, FRAME_FIELD, _sent(one), _sent(other), 1.0)
-                continue
-            yield from _different(name, codec, one, other)
+def field_changes(
+    codec: Codec, before: tuple[OutFrame, ...], after: tuple[OutFrame, ...]
+) -> Iterator[FieldChange]:
+    """Every field in which the commands of a tick differ."""
+    first, second = _by_controller(before), _by_controller(after)
+    for name, message in _command_codecs(codec).items():
+        one, other = first.get(name), second.get(name)
+        if one is not None and other is not None:
+            yield from _different(name, message, one, other)
+        elif one is not other:
+            yield FieldChange(name, "frame", _sent(one), _sent(other), 1.0)
 
 
 class RecordedCommands:
@@ -160,7 +148,7 @@ def _different(
     if one.data == other.data:
         return
     if len(one.data) != len(other.data) or len(one.data) != FRAME_LENGTH_BYTES:
-        yield FieldChange(name, FRAME_FIELD, _sent(one), _sent(other), 1.0)
+        yield FieldChange(name, "frame", _sent(one), _sent(other), 1.0)
         return
     found = False
     values = zip(codec.decode(one.data).values, codec.decode(other.data).values, strict=True)

@@ -32,7 +32,7 @@ from vcu_gateway.recording.core_lines import (
     TickRecord,
     WhyRecord,
 )
-from vcu_gateway.replay.commands import CommandFields, answer_text
+from vcu_gateway.replay.commands import answer_text, field_changes
 
 BUGS = (
     ArithmeticError,
@@ -133,7 +133,6 @@ class EqualityCheck:
         self._observe = observe
         self._codec = codec
         self._new_gateway = gateway
-        self._fields = CommandFields(codec)
         self._gateway: Gateway | None = None
         self._first: Difference | None = None
         self._counts: Counter[str] = Counter()
@@ -212,7 +211,7 @@ class EqualityCheck:
         result = gateway.tick(record.now_ns)
         self._observe(result.snapshot)
         if result.frames != record.frames:
-            for change in self._fields.changes(record.frames, result.frames):
+            for change in field_changes(self._codec, record.frames, result.frames):
                 field = f"{change.controller} {change.field}"
                 self._differs(field, change.before, change.after)
         if result.mode is not record.mode:

@@ -21,7 +21,7 @@ from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.recording.cause_spans import CauseKey, CauseSpan, CauseSpans
 from vcu_gateway.recording.core_lines import TickRecord
-from vcu_gateway.replay.commands import CommandFields, CommandSeries, FieldChange, answer_text
+from vcu_gateway.replay.commands import CommandSeries, FieldChange, answer_text, field_changes
 from vcu_gateway.units import NS_PER_S
 
 _MOST_ANSWERS = 200
@@ -214,7 +214,7 @@ class WhatIf:
     def __init__(self, codec: Codec, series: CommandSeries | None = None) -> None:
         self.before, self.after = Timeline(), Timeline()
         self._series = series
-        self._fields = CommandFields(codec)
+        self._codec = codec
         self._differences: dict[tuple[str, str], FieldDifference] = {}
         self._answers: list[AnswerChange] = []
         self._answer_counts: Counter[str] = Counter()
@@ -246,7 +246,7 @@ class WhatIf:
         if different:
             if self._first_ns is None:
                 self._first_ns = now_ns
-            for change in self._fields.changes(before.frames, after.frames):
+            for change in field_changes(self._codec, before.frames, after.frames):
                 self._note(change, now_ns)
         if before.mode is not after.mode:
             self._mode_ticks += 1
