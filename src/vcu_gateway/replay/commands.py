@@ -55,16 +55,11 @@ class RecordedCommands:
 
     def __init__(self, codec: Codec) -> None:
         self._codecs = _command_codecs(codec)
-        self._places = {
-            name: [one.spec.signal_names.index(signal) for signal in ("Throttle", "MotorReverse")]
-            for name, one in self._codecs.items()
-        }
 
     def of(self, controller: str, data: bytes | bytearray, at_ns: int) -> SentValues:
         """Throttle and direction of a command that left then."""
-        values = self._codecs[controller].decode(data).values
-        throttle, reverse = self._places[controller]
-        return SentValues(at_ns, values[throttle], bool(values[reverse]))
+        values = _values(self._codecs[controller], data)
+        return SentValues(at_ns, values["Throttle"], bool(values["MotorReverse"]))
 
     def add(self, gateway: Gateway, controller: str, data: bytes | bytearray, at_ns: int) -> None:
         """Beside what the core sent itself."""
@@ -95,25 +90,16 @@ class CommandSeries:
             for signal in _PLOTTED
         }
         self._codecs = _command_codecs(codec)
-        self._places = {
-            name: [one.spec.signal_names.index(signal) for signal in _PLOTTED]
-            for name, one in self._codecs.items()
-        }
 
     def add(self, now_ns: int, sent: tuple[OutFrame, ...]) -> None:
         """One tick's commands."""
         self.times_ns.append(now_ns)
         frames = _by_controller(sent)
-        for name in CONTROLLERS:
-            values = self._values(name, frames.get(name))
-            for signal, value in zip(_PLOTTED, values, strict=True):
-                self.values[f"{message_name(name)}.{signal}"].append(value)
-
-    def _values(self, name: str, frame: OutFrame | None) -> list[float]:
-        if frame is None:
-            return [math.nan] * len(_PLOTTED)
-        values = self._codecs[name].decode(frame.data).values
-        return [values[place] for place in self._places[name]]
+        for name, codec in self._codecs.items():
+            values = _values(codec, frames[name].data) if name in frames else {}
+            for signal in _PLOTTED:
+                series = self.values[f"{message_name(name)}.{signal}"]
+                series.append(values.get(signal, math.nan))
 
 
 def send(gateway: Gateway, frames: Iterable[OutFrame], now_ns: int) -> None:
@@ -130,6 +116,10 @@ def answer_text(answer: RequestResult) -> str:
 
 def _command_codecs(codec: Codec) -> dict[str, MessageCodec]:
     return {name: codec.by_name[message_name(name)] for name in CONTROLLERS}
+
+
+def _values(codec: MessageCodec, data: bytes | bytearray) -> dict[str, float]:
+    return dict(zip(codec.spec.signal_names, codec.decode(data).values, strict=True))
 
 
 def _by_controller(frames: tuple[OutFrame, ...]) -> dict[str, OutFrame]:
