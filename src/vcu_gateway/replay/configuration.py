@@ -1,6 +1,6 @@
 """Configuration and DBC of a replay: the recorded ones, another file, single keys set otherwise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,43 +44,33 @@ class Changes(NamedTuple):
     def configuration(
         self, text: str | None, where: str, protocol: ProtocolSpec
     ) -> GivenConfiguration:
-        """The text, or the other file in its place, with the keys set; None: every default."""
+        """The text, or the other file in its place, with the keys set; None: every default.
+
+        Its DBC is left out: a recording is decoded with its own. ConfigError names each error.
+        """
         if self.config_path is not None:
             text, where = file_text.read(self.config_path), str(self.config_path)
-        return given(text, where, self.assignments, protocol)
-
-
-def given(
-    text: str | None, where: str, assignments: Sequence[str], protocol: ProtocolSpec
-) -> GivenConfiguration:
-    """The configuration of a text, or every default, with these keys of it set, for a protocol.
-
-    Its DBC is left out: a recording is decoded with its own. ConfigError names everything wrong.
-    """
-    document = parser.read(text or "")
-    if not document.is_yaml or not isinstance(document.value, dict | None):
-        configuration.of_document(document, where)  # which says what is wrong
-    values: dict[str, Any] = dict(document.value or {})
-    without_effect = _drop_dbc(values)
-    for assignment in assignments:
-        path, value = _assignment(assignment)
-        *_, key = path
-        if "@" in key:
-            key, _, x = key.partition("@")
-            path = (*path[:-1], key)
-            value = _with_point(_at(values, path), x, value)
-        _put(values, path, value)
-        if path[0] not in _USED_SECTIONS or path[:2] == ("protocol", "status_code_names"):
-            without_effect.append(f"{'.'.join(path)} has no effect on what is decided")
-    if assignments or text is None:
-        config = configuration.of_values(values, SET if assignments else where)
-    else:  # its problems have their lines
-        document = document._replace(value=document.value and values)
-        config = configuration.of_document(document, where)
-    if problems := configuration.check_against(config, protocol):
-        raise ConfigError(*problems)
-    settings = configuration.core_settings(config)
-    return GivenConfiguration(settings, config.protocol.aliases, tuple(without_effect))
+        document = parser.read(text or "")
+        if not document.is_yaml or not isinstance(document.value, dict | None):
+            configuration.of_document(document, where)  # which says what is wrong
+        values: dict[str, Any] = dict(document.value or {})
+        without_effect = _drop_dbc(values)
+        for assignment in self.assignments:
+            path, x, value = _assignment(assignment)
+            if x is not None:
+                value = _with_point(_at(values, path), x, value)
+            _put(values, path, value)
+            if path[0] not in _USED_SECTIONS or path[:2] == ("protocol", "status_code_names"):
+                without_effect.append(f"{'.'.join(path)} has no effect on what is decided")
+        if self.assignments or text is None:
+            config = configuration.of_values(values, SET if self.assignments else where)
+        else:  # its problems have their lines
+            document = document._replace(value=document.value and values)
+            config = configuration.of_document(document, where)
+        if problems := configuration.check_against(config, protocol):
+            raise ConfigError(*problems)
+        settings = configuration.core_settings(config)
+        return GivenConfiguration(settings, config.protocol.aliases, tuple(without_effect))
 
 
 def _drop_dbc(values: dict[str, Any]) -> list[str]:
@@ -113,7 +103,8 @@ def _at(values: Mapping[str, Any], path: tuple[str, ...]) -> Any:
     return place
 
 
-def _assignment(assignment: str) -> tuple[tuple[str, ...], Any]:
+def _assignment(assignment: str) -> tuple[tuple[str, ...], str | None, Any]:
+    """Key, the x of a curve's point where one is meant, and value."""
     name, equals, text = assignment.partition("=")
     name, at, x_text = name.partition("@")
     *parents, last = (part.strip() for part in name.split("."))
@@ -127,7 +118,7 @@ def _assignment(assignment: str) -> tuple[tuple[str, ...], Any]:
         finding = read.findings[0]
         what = f"{name}: the value {text!r} {finding.what}"
         raise ConfigError(Problem(what, SET, finding.remedy))
-    return path, read.value["value"]
+    return (*parents, last), x_text.strip() if at else None, read.value["value"]
 
 
 def _put(values: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
