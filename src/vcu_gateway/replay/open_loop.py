@@ -184,6 +184,7 @@ class _Loop:
     def __init__(self, codec: Codec, record: Checkpoint, settings: Settings) -> None:
         self.gateway: Gateway = begun(record, codec, settings)
         self._nodes = simulator.build(codec, record.now_ns)
+        self.vehicle = self._nodes.vehicle
         self._find = codec.find
         self._pedals = None if settings.pedals is None else settings.pedals.message
 
@@ -211,12 +212,7 @@ class _Loop:
 
     def press_brake(self, demanded: ControllerDemands) -> None:
         """The driver's foot: the friction brake follows it, whatever the command leaves of it."""
-        self._nodes.vehicle.brake_pedal_pct = max(one.brake_pct for one in demanded.values())
-
-    @property
-    def speed_m_s(self) -> float:
-        """Of the vehicle, positive forwards."""
-        return self._nodes.vehicle.speed_m_s
+        self.vehicle.brake_pedal_pct = max(one.brake_pct for one in demanded.values())
 
 
 class ClosedLoop:
@@ -280,7 +276,7 @@ class ClosedLoop:
         self.what_if.decided(now_ns, results, [loop.gateway for loop in self._loops])
         elapsed_s = (now_ns - self._now_ns) / 1e9
         for side, loop in enumerate(self._loops):
-            speed_m_s = abs(loop.speed_m_s)
+            speed_m_s = abs(loop.vehicle.speed_m_s)
             self.speeds_km_h[side] = max(self.speeds_km_h[side], speed_m_s * 3.6)
             self.distances_m[side] += speed_m_s * elapsed_s
         self._now_ns = now_ns
