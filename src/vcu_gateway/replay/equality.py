@@ -184,9 +184,6 @@ class EqualityCheck:
 
     def _input(self, gateway: Gateway, record: InputRecord) -> None:
         one = record.input
-        if type(one) is NoteSent:
-            gateway.sent(*one)
-            return
         if type(one) is RunTick:
             self._last_tick(gateway, one.now_ns)
             return
