@@ -93,9 +93,6 @@ _CLOSED_LOOP = (
     " simulated"
 )
 
-Record = FrameRun | CoreRecord
-"""What a drive is read as."""
-
 
 def replay_drive(
     path: Path,
@@ -150,7 +147,7 @@ class _DriveReplay:
         recording = RecordingPath("incident" if is_incident else "drive", drive.folder)
         self._checked = check_recording(recording, lambda _: None)
 
-    def _replay(self, note: Callable[[Record], None]) -> None:
+    def _replay(self, note: Callable[[FrameRun | CoreRecord], None]) -> None:
         segment, segments = 0, len(self._drive.segments)
 
         def show(_: int) -> None:
@@ -161,7 +158,7 @@ class _DriveReplay:
                 segment += type(record) is Checkpoint
                 note(record)
 
-    def _records(self) -> Iterator[Record]:
+    def _records(self) -> Iterator[FrameRun | CoreRecord]:
         """Those of the window, from the last checkpoint before it to the last tick in it."""
         drive, wall_ns = self._drive, self._clock.wall_ns
         if self._window.open:

@@ -51,9 +51,7 @@ def limits_of(
     names &= {one.name for one in dataclasses.fields(settings)} - {"pedals"}
     values: dict[str, Any] = {name: getattr(settings, name) for name in names}
     bench = settings.bench_demand
-    values["bench_demand"] = (
-        None if bench is None else dict.fromkeys(CONTROLLERS, _demand_of(bench))
-    )
+    values["bench_demand"] = bench and dict.fromkeys(CONTROLLERS, _demand_of(bench))
     values["tuning"] = settings_json(settings).get("tuning", {})
     if settings.pedals is not None and protocol is not None:
         message = protocol.message(settings.pedals.message)
