@@ -208,12 +208,8 @@ def reload(socket_path: Path | None, as_json: bool) -> None:
     """
     with connected(socket_path) as client:
         reloaded = client.reload()
-    show(reloaded, as_json, lambda: _text(reloaded))
-
-
-def _text(reloaded: results.Reloaded) -> str:
     changed = ", ".join(reloaded["changed"]) or "nothing"
-    return f"changed: {changed} ({reloaded['digest']})"
+    show(reloaded, as_json, lambda: f"changed: {changed} ({reloaded['digest']})")
 
 
 @click.command("why")
@@ -316,6 +312,7 @@ def drive_mode(
 _ASK_EVERY_S = 0.05
 _GRANTED = "Stop granted; it ends with: vcu-gateway reset --level service"
 _NOT_TOLD = "Stop granted; this gateway is older and does not tell whether the controllers confirm"
+_EXIT_CODES = {"cut": 0, "not obeyed": 1}
 _NONE_LATCHED = "Stop granted; none is latched now"
 
 Say = Callable[[str], None]
@@ -348,7 +345,7 @@ def estop(socket_path: Path | None, as_json: bool, wait_s: float, no_wait: bool)
     if as_json:
         show({**granted, "stop": stop}, as_json, str)
     if not no_wait:
-        sys.exit(_exit_code(stop))
+        sys.exit(_EXIT_CODES.get(stop["stage"] if stop else "", os.EX_TEMPFAIL))
 
 
 def _awaited(client: Client, wait_s: float, say: Say) -> results.StopState | None:
@@ -367,9 +364,3 @@ def _awaited(client: Client, wait_s: float, say: Say) -> results.StopState | Non
         if is_over or (stop and stop["stage"] == "cut"):
             return stop
         time.sleep(_ASK_EVERY_S)  # each tick brings another state at most
-
-
-def _exit_code(stop: results.StopState | None) -> int:
-    if stop is None or stop["stage"] not in ("cut", "not obeyed"):
-        return os.EX_TEMPFAIL
-    return 0 if stop["stage"] == "cut" else 1
