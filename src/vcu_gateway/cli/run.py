@@ -175,16 +175,8 @@ def _runtime_folder() -> Path | None:
 
 
 def _write_state(path: Path, loop: TickLoop) -> None:
-    try:
-        path.write_text(json.dumps(_last_state(loop), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        what = f"cannot be written: {error.strerror}"
-        raise UnavailableError(Problem(what, str(path))) from error
-
-
-def _last_state(loop: TickLoop) -> dict[str, object]:
     snapshot = loop.gateway.snapshot(time.monotonic_ns())
-    return {
+    state = {
         "messages": views.messages(snapshot),
         "counters": views.counters(loop.gateway),
         "bus": loop.connection.report(),
@@ -194,3 +186,8 @@ def _last_state(loop: TickLoop) -> dict[str, object]:
             "silent": loop.silent_ticks,
         },
     }
+    try:
+        path.write_text(json.dumps(state, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        what = f"cannot be written: {error.strerror}"
+        raise UnavailableError(Problem(what, str(path))) from error
