@@ -65,10 +65,6 @@ def read(path: Path | None, missing: tuple[Problem, ...] = ()) -> ConfigurationF
         return facts._replace(problems=(Problem(error.strerror or str(error), str(path)),))
     if not os.access(path, os.R_OK):
         return facts._replace(unread=Unreadable("this user may not read it"))
-    return _with_contents(facts, path)
-
-
-def _with_contents(facts: ConfigurationFacts, path: Path) -> ConfigurationFacts:
     try:
         config = configuration.load(path)
     except GatewayError as error:

@@ -100,14 +100,14 @@ def read(
     visible_folders: tuple[str, ...] | None = None,
 ) -> PermissionFacts:
     """Read accounts and file permissions; `service_user` is None where no unit is installed."""
-    api = config.api
+    api, uid = config.api, os.geteuid()
     service = None if service_user is None else _account(service_user)
     path = api.socket_path if api.enabled else None
     sock = None if path is None else existing(path, permissions_of)
     group = _group_name(sock.gid) if isinstance(sock, FilePermissions) else api.socket_group or ""
     files = [one for one in (file, config.protocol.dbc) if one is not None]
     return PermissionFacts(
-        me=_me(),
+        me=Account(user_name(uid), uid, frozenset({os.getegid(), *os.getgroups()})),
         service=service,
         policy=_policy(config, service),
         socket_path=path,
@@ -118,11 +118,6 @@ def read(
         socket_group=group,
         visible_folders=visible_folders,
     )
-
-
-def _me() -> Account:
-    uid = os.geteuid()
-    return Account(user_name(uid), uid, frozenset({os.getegid(), *os.getgroups()}))
 
 
 def _account(name: str) -> Account | Unreadable:

@@ -45,12 +45,10 @@ def read(config: Config, expected: bool) -> GatewayFacts:
     facts = GatewayFacts(path, None, expected=expected)
     if file:
         facts = facts._replace(file=os.path.abspath(file), digest=configuration.digest(config))
-    return _with_answers(facts) if config.api.enabled else facts
-
-
-def _with_answers(facts: GatewayFacts) -> GatewayFacts:
+    if not config.api.enabled:
+        return facts
     try:
-        with Client(facts.socket_path, timeout_s=_TIMEOUT_S) as client:
+        with Client(path, timeout_s=_TIMEOUT_S) as client:
             return facts._replace(answers=(client.why(), client.health()))
     except ClientError as error:
         not_permitted = isinstance(error.__cause__, PermissionError)
