@@ -31,9 +31,8 @@ from vcu_gateway.recording.reader import Drive, open_drive
 from vcu_gateway.replay import report
 from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.configuration import Changes, GivenConfiguration
-from vcu_gateway.replay.curve_use import CurveUse
+from vcu_gateway.replay.curve_use import CurveUse, GeometryMeasurement
 from vcu_gateway.replay.equality import BUGS, EqualityCheck, NotReplayed
-from vcu_gateway.replay.geometry import GeometryMeasurement
 from vcu_gateway.replay.judged import JudgedRecords
 from vcu_gateway.replay.open_loop import ClosedLoop, OpenLoop
 from vcu_gateway.replay.report import ReplayReport, TimeOfDay
