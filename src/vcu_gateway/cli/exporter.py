@@ -4,14 +4,9 @@ from pathlib import Path
 
 import click
 
-from vcu_gateway.cli.options import (
-    ListenAddress,
-    listen_option,
-    metrics_needed,
-    socket_option,
-    stopped_by_signals,
-)
+from vcu_gateway.cli.options import ListenAddress, listen_option, socket_option, stopped_by_signals
 from vcu_gateway.client import Client
+from vcu_gateway.errors import extra_needed
 from vcu_gateway.exporter import GatewayReader
 from vcu_gateway.text import say
 
@@ -27,7 +22,7 @@ def exporter(socket_path: Path | None, listen: ListenAddress) -> None:
     the metric vcu_gateway_up 0.
     Whoever reaches the port can read the metrics. Ctrl-C or SIGTERM ends it.
     """
-    with metrics_needed():
+    with extra_needed("the exporter needs", "metrics", "prometheus_client"):
         from vcu_gateway.exporter import prometheus
     with stopped_by_signals() as stop, Client(socket_path) as client:
         reader = GatewayReader(client, say)

@@ -127,4 +127,3 @@ def stopped_by_signals() -> Iterator[threading.Event]:
 
 tui_needed = partial(extra_needed, "the live view needs", "tui", "textual", "rich")
 web_needed = partial(extra_needed, "the page needs", "web", "starlette", "uvicorn", "h11", "anyio")
-metrics_needed = partial(extra_needed, "the exporter needs", "metrics", "prometheus_client")

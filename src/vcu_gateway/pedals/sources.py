@@ -7,7 +7,6 @@ Both read the absolute state each time and no events: what the kernel drops from
 import os
 import re
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -18,8 +17,6 @@ BY_ID = Path("/dev/input/by-id")
 IIO_DEVICES = Path("/sys/bus/iio/devices")
 _MV_PER_V = 1000
 _INSTALL = "sudo apt install python3-evdev, or pip install 'vcu-gateway[pedals]'"
-
-evdev_needed = partial(extra_needed, "a joystick needs", "pedals", "evdev", remedy=_INSTALL)
 
 
 class PedalSource(Protocol):
@@ -42,7 +39,7 @@ class EvdevSource:
     """
 
     def __init__(self, path: Path, axes: Mapping[str, str]) -> None:
-        with evdev_needed():
+        with extra_needed("a joystick needs", "pedals", "evdev", remedy=_INSTALL):
             import evdev
         self.name = str(path)
         self._device = evdev.InputDevice(str(path))
