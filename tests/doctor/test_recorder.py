@@ -10,7 +10,7 @@ from tests.doctor.judged import not_ok, only, well
 from tests.doctor.test_service import TOLD
 from tests.recorder.told import STATUS
 from vcu_gateway.doctor import recorder
-from vcu_gateway.doctor.check_result import CheckResult, CheckStatus
+from vcu_gateway.doctor.check_result import CheckResult, CheckStatus, existing
 from vcu_gateway.doctor.recorder import SOCKET_UNIT, RecorderFacts, RecordingDisk, judge
 from vcu_gateway.doctor.service import ServiceFacts
 from vcu_gateway.errors import Problem
@@ -156,11 +156,10 @@ def test_the_wear_of_an_emmc_is_the_larger_of_both_estimates(told, worn):
 
 
 def test_a_folder_that_is_there_has_a_file_system_and_room(tmp_path: Path):
-    found = recorder.read_disk(tmp_path)
-    assert isinstance(found, RecordingDisk)
+    found = recorder.disk_of(str(tmp_path))
     assert found.free_bytes > 0
     assert found.file_system
-    assert recorder.read_disk(tmp_path / "none") is None
+    assert existing(str(tmp_path / "none"), recorder.disk_of) is None
 
 
 @pytest.fixture

@@ -47,11 +47,7 @@ class RecordingDisk(NamedTuple):
     worn_pct: int | None = None
 
 
-def read_disk(folder: Path) -> RecordingDisk | Unreadable | None:
-    return existing(str(folder), _disk_of)
-
-
-def _disk_of(folder: str) -> RecordingDisk:
+def disk_of(folder: str) -> RecordingDisk:
     found, device = os.statvfs(folder), os.stat(folder).st_dev
     disk = RecordingDisk(
         _file_system_of(device),
@@ -144,7 +140,7 @@ def read(socket: ServiceFacts, *, gateway_runs: bool) -> RecorderFacts:
     folder, age_s = FOLDER, 0.0
     if isinstance(status, RecorderStatus):
         folder, age_s = Path(status.folder), status.age_s()
-    return RecorderFacts(socket, status, age_s, read_disk(folder), gateway_runs)
+    return RecorderFacts(socket, status, age_s, existing(str(folder), disk_of), gateway_runs)
 
 
 def judge(facts: RecorderFacts) -> Iterator[CheckResult]:
