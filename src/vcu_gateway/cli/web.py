@@ -8,6 +8,7 @@ import click
 from vcu_gateway.cli.options import (
     ANY_PATH,
     ListenAddress,
+    Option,
     file_option,
     listen_option,
     socket_option,
@@ -19,20 +20,17 @@ from vcu_gateway.web import users
 from vcu_gateway.web.settings import TlsFiles, WebSettings
 from vcu_gateway.web.users import UserRole
 
-ROLES = tuple(role.value for role in UserRole)
+
+def _role_option(name: str, text: str) -> Option:
+    roles = click.Choice([role.value for role in UserRole])
+    return click.option(name, type=roles, default="viewer", show_default=True, help=text)
 
 
 @click.command("web")
 @socket_option
 @listen_option("127.0.0.1:9465", "Where browsers reach it; from a network only with TLS and users.")
 @file_option("--users", "users_file", type=ANY_PATH, help="Users of the page.")
-@click.option(
-    "--local-role",
-    type=click.Choice(ROLES),
-    default="viewer",
-    show_default=True,
-    help="Role of everybody who reaches 127.0.0.1, where there are no users.",
-)
+@_role_option("--local-role", "Role of everybody who reaches 127.0.0.1, where there are no users.")
 @file_option("--certificate", type=ANY_PATH, help="TLS certificate chain, PEM.")
 @file_option("--key", type=ANY_PATH, help="Its key, PEM.")
 @click.option(
@@ -100,9 +98,7 @@ def _settings(
 
 @click.command("web-user")
 @click.argument("name")
-@click.option(
-    "--role", type=click.Choice(ROLES), default="viewer", show_default=True, help="What they may."
-)
+@_role_option("--role", "What they may.")
 def web_user(name: str, role: str) -> None:
     """Print a line for the users file of `vcu-gateway web`; the password is asked for.
 
