@@ -239,7 +239,6 @@ def export(
     no_alias: bool,
     dbc_path: Path | None,
 ) -> None:
-    """Read, decode and write."""
     kind, window = _format_and_window(ends, begin)
     name = str(recording_path(name))
     path = _target(output, name, kind)

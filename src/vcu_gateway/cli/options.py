@@ -44,7 +44,6 @@ def duration_option(text: str) -> Option:
 
 
 def level_option(text: str) -> Option:
-    """Option for the level that a request is made at."""
     levels = click.Choice(["driver", "service"])
     return click.option("--level", type=levels, default="driver", show_default=True, help=text)
 

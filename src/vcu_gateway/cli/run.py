@@ -141,7 +141,8 @@ def _run(
     config, protocol = startable(resolve_config(config_path))
     writer = log.configure(config.log.level, config.log.format)
     application = Application(config, protocol, lambda: writer.dropped)
-    loop, runtime = application.loop, _runtime_folder()
+    loop, first = application.loop, os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    runtime = Path(first) if first else None  # of systemd's RuntimeDirectory=
     loop.event_log.emit(queries.started(config))
     report_effect(config, loop.event_log)
     if runtime is not None:
@@ -166,12 +167,6 @@ def _lock_memory(event_log: EventLog) -> None:
     except UnavailableError as error:
         reason = str(error)
         event_log.emit(Event("memory_not_locked", Severity.WARNING, {"reason": reason}))
-
-
-def _runtime_folder() -> Path | None:
-    """The first of systemd's RuntimeDirectory=."""
-    first = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
-    return Path(first) if first else None
 
 
 def _write_state(path: Path, loop: TickLoop) -> None:
