@@ -12,7 +12,7 @@ import gzip
 import re
 from binascii import unhexlify
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple, TextIO
 
 from vcu_gateway.core import j1939
@@ -207,19 +207,9 @@ def recorded_frame(line: str, ahead_ns: int = 0) -> Frame:
     return _frame(found, ahead_ns, found[6] == "T")[0]
 
 
-class _Identifiers(dict[bytes, int]):
-    """Identifiers by their digits; a drive has some dozens."""
-
-    _MOST = 10_000
-
-    def __missing__(self, digits: bytes) -> int:
-        if len(self) >= self._MOST:
-            self.clear()
-        can_id = self[digits] = int(digits, 16)
-        return can_id
-
-
-_IDENTIFIERS = _Identifiers()
+@lru_cache(maxsize=4096)  # a drive has some dozens
+def _identifier(digits: bytes) -> int:
+    return int(digits, 16)
 
 
 def recorded_frames(lines: bytes, ahead_ns: int = 0) -> list[Frame] | None:
@@ -227,10 +217,9 @@ def recorded_frames(lines: bytes, ahead_ns: int = 0) -> list[Frame] | None:
     found, factor = quick_lines(lines) or ([], 0)
     if not found or factor != 1:
         return None
-    identifiers = _IDENTIFIERS
     return [
         Frame(
-            identifiers[digits],
+            _identifier(digits),
             unhexlify(payload),
             int(seconds + fraction) - ahead_ns,
             True,
