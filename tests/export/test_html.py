@@ -11,8 +11,8 @@ from tests.export.drives import record
 from tests.export.logs import random_frames, write_log
 from vcu_gateway.export import html_report
 from vcu_gateway.export.formats import written_text
-from vcu_gateway.export.html_report import Overlay, write_report
-from vcu_gateway.export.report import CodeLine, Line, LineBuilder, Plot, Report, Role
+from vcu_gateway.export.html_report import write_report
+from vcu_gateway.export.report import CodeLine, Line, LineBuilder, Overlay, Plot, Report, Role
 from vcu_gateway.text import TIME_OF_DAY_MS, utc
 from vcu_gateway.units import NS_PER_MS
 

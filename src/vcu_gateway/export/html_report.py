@@ -189,22 +189,13 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[st
     yield "</tbody></table></div>"
 
 
-__all__ = ["Overlay", "write", "write_report"]
-
-
 def write(
-    source: Source,
-    selection: Selection,
-    out: TextIO,
-    overlay: Overlay | None = None,
-    title: str = "",
+    source: Source, selection: Selection, out: TextIO, overlay: Overlay | None = None
 ) -> None:
-    out.write(page(build(source, selection, overlay, title)))
+    out.write(page(build(source, selection, overlay)))
 
 
-def write_report(
-    name: str, out: TextIO, overlay: Overlay | None = None, *, title: str = ""
-) -> None:
+def write_report(name: str, out: TextIO, overlay: Overlay | None = None) -> None:
     """Read a drive, an incident or a log, and write its page with the overlay.
 
     Damage in the recording is passed over: whoever made the overlay has told of it. Raises what
@@ -213,6 +204,6 @@ def write_report(
     options = ReadOptions(Window(), lambda _: None, lambda *_: None)
     source = read(name, options)
     try:
-        write(source, Selection(), out, overlay, title)
+        write(source, Selection(), out, overlay)
     finally:
         source.store.close()

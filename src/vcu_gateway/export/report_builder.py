@@ -126,9 +126,7 @@ _YEAR_2000_NS = 946_684_800 * NS_PER_S
 _LONGEST_TEXT = 200_000
 
 
-def build(
-    source: Source, selection: Selection, overlay: Overlay | None = None, title: str = ""
-) -> Report:
+def build(source: Source, selection: Selection, overlay: Overlay | None = None) -> Report:
     grid = _grid(source)
     end_ns = grid.start_ns + grid.buckets * grid.bucket_ns
     lines = {one.key: one for one in signal_lines(source.store.rows.values(), selection, grid)}
@@ -143,7 +141,7 @@ def build(
         bands += cause_bands(source.decisions, grid.start_ns, end_ns)
     bands += code_bands(lines, grid, {key for key in lines if "_Command" in key})
     return Report(
-        title=title or source.title,
+        title=source.title,
         headline=headline(source, bands),
         facts=tuple(_facts(source, grid)),
         start_ns=grid.start_ns,

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from vcu_gateway import __version__
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.errors import DataError, Problem
-from vcu_gateway.export.html_report import Overlay
+from vcu_gateway.export.report import Overlay
 from vcu_gateway.judge.result import DriveVerdict
 from vcu_gateway.protocol import dbc
 from vcu_gateway.recording import check as recording_check

@@ -8,7 +8,8 @@ from vcu_gateway import text
 from vcu_gateway.core.tuning import DERATINGS, LIMITS
 from vcu_gateway.export.curve_figure import CurveFigure
 from vcu_gateway.export.formats import written_text
-from vcu_gateway.export.html_report import Overlay, write_report
+from vcu_gateway.export.html_report import write_report
+from vcu_gateway.export.report import Overlay
 from vcu_gateway.judge.result import DriveVerdict
 from vcu_gateway.recording.cause_spans import CauseSpan
 from vcu_gateway.replay.commands import CommandSeries
