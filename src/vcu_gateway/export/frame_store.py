@@ -118,16 +118,14 @@ class FrameStore:
     Attributes:
         rows: by message name, of every message of the protocol.
         summary: what became of the frames.
-        first_ns, last_ns: stamps of the first and the last frame of the recording; None without.
         channel: the first frame's.
     """
 
     def __init__(self, codec: Codec, window: Window) -> None:
         self.rows = {name: MessageRows(one) for name, one in codec.by_name.items()}
         self.summary = Summary()
-        self.first_ns: int | None = None
-        self.last_ns: int | None = None
         self.channel: str | None = None
+        self._begun = False
         self._codec = codec
         self._window = window
         self._pending: dict[bytes, _Entry] = {}
@@ -138,7 +136,7 @@ class FrameStore:
 
     def add(self, recorded: RecordedFrame) -> None:
         frame = recorded.frame
-        self._seen(frame.arrival_ns, recorded.channel)
+        self._begin(frame.arrival_ns, recorded.channel)
         found = self._codec.find(frame)
         if not self._window.holds(frame.arrival_ns):
             self.summary.passed_over += 1
@@ -153,11 +151,10 @@ class FrameStore:
         self.summary.decoded[rows.message.spec.name] += len(times_ns)
         rows.add(times_ns, payloads)
 
-    def _seen(self, stamp_ns: int, channel: str | None) -> None:
-        if self.first_ns is None:
-            self.first_ns, self.channel = stamp_ns, channel
+    def _begin(self, stamp_ns: int, channel: str | None) -> None:
+        if not self._begun:
+            self._begun, self.channel = True, channel
             self._window.bounds_ns(stamp_ns)
-        self.last_ns = stamp_ns
 
     def add_lines(self, text: bytes, first_line: int, problems: LineProblems) -> None:
         """Take in whole lines of candump text; `first_line` stand before them."""
@@ -173,8 +170,7 @@ class FrameStore:
 
     def _add_matches(self, found: list[tuple[bytes, ...]], factor: int) -> None:
         stamps = [int(match[0] + match[1]) * factor for match in found]
-        self._seen(stamps[0], found[0][2].decode("utf-8", "replace"))
-        self._seen(stamps[-1], None)
+        self._begin(stamps[0], found[0][2].decode("utf-8", "replace"))
         if not self._window.open:
             kept = [i for i, stamp in enumerate(stamps) if self._window.holds(stamp)]
             self.summary.passed_over += len(found) - len(kept)
