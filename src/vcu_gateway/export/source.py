@@ -80,13 +80,12 @@ class Source(NamedTuple):
     """A recording, read.
 
     Attributes:
-        name: as it was given; title: for people.
+        title: its name for people.
         description: drive.json; empty for a foreign log.
         attachments: files that belong to it, by name.
         unreadable: lines that could not be read.
     """
 
-    name: str
     title: str
     codec: Codec
     store: FrameStore
@@ -158,7 +157,7 @@ def _read_log(name: str, options: ReadOptions) -> Source:
         unreadable = recording.problems.unreadable
     decisions = Decisions(options.window)
     attached = {path.name: path.read_bytes()}
-    return Source(name, title(name), codec, store, decisions, {}, attached, unreadable)
+    return Source(title(name), codec, store, decisions, {}, attached, unreadable)
 
 
 def _read_drive(path: Path, options: ReadOptions) -> Source:
@@ -178,8 +177,8 @@ def _read_drive(path: Path, options: ReadOptions) -> Source:
     core = CoreLines(decisions, description, codec, folder / layout.DRIVE_FILE)
     reader = _DriveReader(store, core, options)
     reader.read(segments)
-    unreadable, name = reader.unreadable + core.unreadable, str(path)
-    return Source(name, title(name), codec, store, decisions, description, attached, unreadable)
+    unreadable = reader.unreadable + core.unreadable
+    return Source(title(str(path)), codec, store, decisions, description, attached, unreadable)
 
 
 def _attachments(folder: Path) -> dict[str, bytes]:
