@@ -79,15 +79,11 @@ class LineBuilder:
                 current = bucket
                 continue
             before, after = earlier[current], later[current]
-            if before <= after:
-                if code > after:
-                    later[current] = code
-                elif code < before:
-                    earlier[current], later[current] = after, code
-            elif code < after:
-                later[current] = code
-            elif code > before:
-                earlier[current], later[current] = after, code
+            if before <= code <= after or after <= code <= before:
+                continue
+            if (code < before) == (before < after):  # it takes the earlier one's place
+                earlier[current] = after
+            later[current] = code
         self._bucket = current
 
     def line(self, hold_buckets: int) -> CodeLine:
