@@ -125,15 +125,9 @@ def _plot(plot: Plot, layouts: Iterator[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _line(line: Line, layout: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "label": line.label,
-        "role": line.role.value,
-        "factor": line.factor,
-        "offset": line.offset,
-        "names": dict(line.names),
-        "steps": line.steps,
-        **layout,
-    }
+    told = {**line._asdict(), "role": line.role.value, "names": dict(line.names), **layout}
+    del told["codes"]
+    return told
 
 
 def _band(band: Band, start_ns: int) -> dict[str, Any]:
