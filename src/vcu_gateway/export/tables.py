@@ -163,7 +163,6 @@ def _texts(
 COMMAND = re.compile(r"VCU_(\w+)_Command")
 STATUS_OF_LIMIT = {"SpeedLimit": "MotorSpeed", "PowerLimit": "Power"}
 """Of Status2, what answers to a limit of the command."""
-_NAN = math.nan
 
 
 class LatestFrames:
@@ -178,18 +177,16 @@ class LatestFrames:
             for frame in zip(chunk.times_ns, chunk.frames(), strict=True)
         )
         self._next = next(self._frames, None)
-        self._payload: bytes | None = None
         self._stamp_ns = 0
         self._decoded: Decoded | None = None
 
     def at(self, moment_ns: int) -> Decoded | None:
-        moved = False
+        payload: bytes | None = None
         while self._next is not None and self._next[0] <= moment_ns:
-            self._stamp_ns, self._payload = self._next
+            self._stamp_ns, payload = self._next
             self._next = next(self._frames, None)
-            moved = True
-        if moved and self._payload is not None:
-            self._decoded = self._decode(self._payload)
+        if payload is not None:
+            self._decoded = self._decode(payload)
         return self._decoded if moment_ns - self._stamp_ns <= self._stale_ns else None
 
 
@@ -267,6 +264,6 @@ def _rows(command: MessageRows, pairs: list[_Pair]) -> Iterator[Chunk]:
         columns = []
         for pair in pairs:
             value = pair.value
-            found = [_NAN if one is None else value(one) for one in answers[pair.source]]
+            found = [math.nan if one is None else value(one) for one in answers[pair.source]]
             columns += [commanded[pair.place], found]
         yield Chunk(chunk.times_ns, tuple(columns))
