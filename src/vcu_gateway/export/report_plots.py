@@ -5,6 +5,7 @@ Lines of a recording's signals on the report's grid.
 
 import math
 import re
+from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -98,10 +99,8 @@ def product(first: SignalLine, second: SignalLine) -> CodeLine:
         value = _value(first.signal, one) * _value(second.signal, other)
         return round(min(max(value, -LARGEST_CODE), LARGEST_CODE))
 
-    return CodeLine(
-        type(first.codes.earlier)("i", map(times, first.codes.earlier, second.codes.earlier)),
-        type(first.codes.later)("i", map(times, first.codes.later, second.codes.later)),
-    )
+    pairs = zip(first.codes, second.codes, strict=True)
+    return CodeLine(*(array("i", map(times, one, other)) for one, other in pairs))
 
 
 def _value(signal: SignalSpec, code: int) -> float:
@@ -146,7 +145,7 @@ def _moves(plot: Plot) -> bool:
 
 
 def _text(signal: SignalSpec, code: int) -> str:
-    value = f"{round(code * signal.factor + signal.offset, 6):g} {signal.unit}".strip()
+    value = f"{round(_value(signal, code), 6):g} {signal.unit}".strip()
     return signal.names.get(code, value)
 
 
