@@ -235,22 +235,13 @@ class _Decoder:
         if kind is None or issubclass(kind, Enum):
             raise StateError(f"this version has no {name}")
         if issubclass(kind, tuple):
-            made = self._named_tuple(kind, content)
-        elif dataclasses.is_dataclass(kind) and name not in _DERIVED:
-            made = self._begun(place, kind)
-            self._fill(made, kind, content, None)
-        elif type(twin) is kind:
-            made = self._begun(place, kind)
-            self._fill(made, kind, content, twin)
-        else:
+            made = self._made[place] = self._named_tuple(kind, content)
+            return made
+        is_plain = dataclasses.is_dataclass(kind) and name not in _DERIVED
+        if not is_plain and type(twin) is not kind:
             raise StateError(f"{name} stands where this version has none")
-        self._made[place] = made
-        return made
-
-    def _begun(self, place: int, kind: type) -> Any:
-        """An object without attributes; what it holds may refer to it."""
-        made: Any = object.__new__(kind)
-        self._made[place] = made
+        made = self._made[place] = object.__new__(kind)  # what it holds may refer to it
+        self._fill(made, kind, content, None if is_plain else twin)
         return made
 
     def _named_tuple(self, kind: type, content: Any) -> Any:
@@ -262,7 +253,10 @@ class _Decoder:
 
     def _fill(self, made: Any, kind: type, content: Any, twin: Any) -> None:
         """Lay the attributes of a state over what the codec and the settings give."""
-        expected = _attributes(kind, twin) if twin is not None else _field_names(kind)
+        if twin is None:
+            expected = sorted(item.name for item in dataclasses.fields(kind))
+        else:
+            expected = _attributes(kind, twin)
         later = _LATER.get(kind.__name__, {})
         if sorted({*later, *content}) != expected:
             odd = ", ".join(sorted({*later, *content}.symmetric_difference(expected)))
@@ -277,10 +271,6 @@ class _Decoder:
         if made is not twin:
             for name in _DERIVED.get(kind.__name__, ()):
                 object.__setattr__(made, name, getattr(twin, name))
-
-
-def _field_names(kind: type) -> list[str]:
-    return sorted(item.name for item in dataclasses.fields(kind))
 
 
 _UNFINISHED = object()
