@@ -45,8 +45,7 @@ _TICK_PREFIX = _PREFIX.pack(TICK, FORMAT, 0)
 _FRAME = struct.Struct("<qIBB")
 CLASSIC = struct.Struct("<qIBB8s")
 """Record of a frame with eight bytes: arrival, identifier, echo, 8, payload."""
-_CLASSIC_BYTES = 8
-_EIGHT = bytes([_CLASSIC_BYTES])
+_EIGHT = b"\x08"
 _ECHO_AT, _LENGTH_AT = 12, 13
 _TRUTH = b"\0\1"
 _LONGEST_PAYLOAD_BYTES = 64
@@ -122,10 +121,7 @@ class TickParts(NamedTuple):
 
 def packed_frame(arrival_ns: int, can_id: int, own_echo: bool, data: bytes | bytearray) -> bytes:
     """One frame; `can_id` has Linux's flags."""
-    length = len(data)
-    if length == _CLASSIC_BYTES:
-        return CLASSIC.pack(arrival_ns, can_id, own_echo, length, data)
-    return _FRAME.pack(arrival_ns, can_id, own_echo, length) + data
+    return _FRAME.pack(arrival_ns, can_id, own_echo, len(data)) + data
 
 
 def packed_tick(header: TickHeader, frames: Iterable[bytes], lines: str) -> bytes:
