@@ -21,14 +21,13 @@ import os
 import re
 import shutil
 import stat
-import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from vcu_gateway.errors import DataError, GatewayError, MissingInputError, Problem
 from vcu_gateway.files import sync
-from vcu_gateway.units import NS_PER_S
+from vcu_gateway.text import utc
 
 FORMAT = 1
 DEFAULT_FOLDER = Path("/var/lib/vcu-gateway-recorder")
@@ -48,13 +47,12 @@ REASON_FILE = ".reason"
 REASON_MAX_LENGTH = 200
 MAX_SMALL_BYTES = 4 << 20
 """Of a file beside the members; a larger one is no recorder's."""
-FRAMES_SUFFIX = ".frames.log.gz"
-CORE_SUFFIX = ".core.jsonl.gz"
 
 _SEGMENT = re.compile(r"(\d{4,9})(?:\.frames\.log\.gz|\.core\.jsonl\.gz)", re.ASCII)
 _INCIDENT = re.compile(r"incident(?:-\d+)?\.json", re.ASCII)
 _TEXTS = {"config": CONFIG_FILE, "dbc": DBC_FILE}
 _PARTIAL = ".partial-"
+_STAMP = "%Y%m%dT%H%M%SZ"
 
 
 class SegmentFiles(NamedTuple):
@@ -70,22 +68,22 @@ class SegmentFiles(NamedTuple):
 
 
 def frames_name(number: int) -> str:
-    return f"{number:04d}{FRAMES_SUFFIX}"
+    return f"{number:04d}.frames.log.gz"
 
 
 def core_name(number: int) -> str:
     """File of everything else of a segment."""
-    return f"{number:04d}{CORE_SUFFIX}"
+    return f"{number:04d}.core.jsonl.gz"
 
 
 def drive_name(start_wall_ns: int, run: str) -> str:
     """Folder of a drive: when its gateway started, and the begin of its run id."""
-    return f"{_utc(start_wall_ns)}-{_plain(run)[:8]}"
+    return f"{utc(start_wall_ns, _STAMP)}-{_plain(run)[:8]}"
 
 
 def incident_name(wall_ns: int, reason: str) -> str:
     """Folder of an incident; another of the same second gets `-2`, `-3` behind it."""
-    return f"{_utc(wall_ns)}-{_plain(reason)}"
+    return f"{utc(wall_ns, _STAMP)}-{_plain(reason)}"
 
 
 def free_path(folder: Path, is_own: Callable[[Path], bool] = lambda _: False) -> Path:
@@ -95,10 +93,6 @@ def free_path(folder: Path, is_own: Callable[[Path], bool] = lambda _: False) ->
         count += 1
         path = folder.with_name(f"{folder.name}-{count}")
     return path
-
-
-def _utc(wall_ns: int) -> str:
-    return time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(wall_ns // NS_PER_S))
 
 
 def _plain(text: str) -> str:
