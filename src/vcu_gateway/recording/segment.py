@@ -184,14 +184,7 @@ class MemberFile:
 
     def append(self, data: bytes, wall_s: int, link: bytes | None = None) -> bytes:
         """Write whole lines as one member, and give its digest; OSError leaves none of it."""
-        member = members.packed(data, self.lines, wall_s, link)
-        self._write(member)
-        self.size += len(member)
-        self.lines += data.count(b"\n")
-        return members.digest_of(member)
-
-    def _write(self, member: bytes) -> None:
-        written = 0
+        member, written = members.packed(data, self.lines, wall_s, link), 0
         try:
             while written < len(member):
                 written += os.write(self._descriptor, memoryview(member)[written:])
@@ -199,6 +192,9 @@ class MemberFile:
             if written:  # a disk that is full takes a part
                 os.ftruncate(self._descriptor, self.size)
             raise
+        self.size += len(member)
+        self.lines += data.count(b"\n")
+        return members.digest_of(member)
 
     def sync(self) -> None:
         os.fdatasync(self._descriptor)
