@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway.recording import layout
-from vcu_gateway.recording.candump_lines import CandumpLines
+from vcu_gateway.recording.candump_lines import frame_line
 from vcu_gateway.recording.datagram import FrameRecord
 from vcu_gateway.recording.segment import SegmentWriter
 from vcu_gateway.recording.tap import TappedGateway, TapStream, recorded_frame
@@ -36,7 +36,7 @@ class DriveWriter:
         self.folder = folder
         self._hold = layout.hold(folder)
         self._distance_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
-        self._line = CandumpLines(hello["channel"]).line
+        self._channel = hello["channel"]
         self._gateway = gateway
         self._stream = TapStream(gateway)
         self._segment_ns = segment_ns
@@ -69,7 +69,7 @@ class DriveWriter:
 
     def _frame_line(self, frame: FrameRecord) -> str:
         wall_ns = frame.arrival_ns + self._distance_ns
-        return self._line(wall_ns, frame.can_id, frame.data, frame.own_echo)
+        return frame_line(self._channel, wall_ns, frame.can_id, frame.data, frame.own_echo)
 
     def _flush(self, now_ns: int) -> None:
         self._segment.flush((now_ns + self._distance_ns) // NS_PER_S)

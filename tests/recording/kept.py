@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway.recording import layout
-from vcu_gateway.recording.candump_lines import CandumpLines
+from vcu_gateway.recording.candump_lines import frame_line
 from vcu_gateway.recording.chain import file_digests
 from vcu_gateway.recording.datagram import EXTENDED
 from vcu_gateway.recording.members import NO_LINK
@@ -44,7 +44,6 @@ class WrittenDrive:
             layout.DBC_FILE: b"VERSION\n",
         }
         layout.create_folder(self.path, files)
-        self._lines = CandumpLines("can0")
         self._second = start_s
         self._number = self._handed_on = self._ticks = 0
         self._other = ""
@@ -109,7 +108,7 @@ class WrittenDrive:
         for frame in range(FRAMES_A_SECOND):
             wall_ns = self._second * NS_PER_S + frame * 50 * NS_PER_MS
             echo = self._command("echo", writer.frames)
-            line = self._lines.line(wall_ns, EXTENDED | COMMAND_ID, echo, True)
+            line = frame_line("can0", wall_ns, EXTENDED | COMMAND_ID, echo, True)
             sent = self._command("sent", writer.frames).hex()
             command = ["PCU1", f"{COMMAND_ID:08X}", sent]
             tick = {"f": writer.frames, "tick": wall_ns, "frames": [command], "ok": [True]}

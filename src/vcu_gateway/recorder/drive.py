@@ -14,7 +14,7 @@ from vcu_gateway import __version__
 from vcu_gateway.recorder.ring import Disk
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, layout
-from vcu_gateway.recording.candump_lines import CandumpLines
+from vcu_gateway.recording.candump_lines import tick_lines
 from vcu_gateway.recording.datagram import TickParts
 from vcu_gateway.recording.members import NO_LINK, whole_members
 from vcu_gateway.recording.recorder_status import RecorderTotals
@@ -86,7 +86,6 @@ class DriveRecorder:
         self._segment_ended = segment_ended
         self._signer = signer
         self._lost = Losses()
-        self._candump = CandumpLines(hello["channel"])
         self._clock_ns = hello["clock"]["wall_ns"] - hello["clock"]["monotonic_ns"]
         self._hold: int | None = None
         self._next_segment = 1
@@ -110,7 +109,7 @@ class DriveRecorder:
             return False
         else:
             lines = tick.lines
-        frame_text = self._candump.text(tick, self._clock_ns)
+        frame_text = tick_lines(self.hello["channel"], tick, self._clock_ns)
         if self.segment is not None:
             self.segment.add(lines.decode(errors="replace"), frame_text, tick.frame_count)
         self._waiting_ticks += ticks_of(lines)

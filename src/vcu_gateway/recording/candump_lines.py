@@ -6,6 +6,7 @@ R: received, T: the echo of an own frame. A remote frame is `#R`, an FD frame `#
 frame has bit 29 of the identifier set, as in `20000040#`.
 """
 
+import contextlib
 import struct
 from functools import lru_cache
 
@@ -14,71 +15,63 @@ from vcu_gateway.recording.datagram import CLASSIC, ERROR, EXTENDED, ID_MASK, RE
 from vcu_gateway.units import NS_PER_S
 
 _CLASSIC_BYTES = 8
-_KEPT_IDENTIFIERS = 4096
+_KEPT = 4096
+"""Texts by identifier, whatever a flood sends."""
 _STAMP_AND_KIND = struct.Struct("<q6s8x")
 _KIND = struct.Struct("<IBB")
 _PAYLOAD_AT = 2 * (CLASSIC.size - _CLASSIC_BYTES)
 _PAYLOAD_END = 2 * CLASSIC.size
 
 
-class CandumpLines:
-    """Lines of one channel; the texts around its payloads are kept."""
-
-    def __init__(self, channel: str) -> None:
-        self._channel = channel
-        self._kept_kinds: dict[bytes, tuple[str, str]] = {}
-
-    def line(self, wall_ns: int, can_id: int, data: bytes, own_echo: bool) -> str:
-        """One frame with its line end; `can_id` has Linux's flags, a remote frame no data."""
-        seconds, nanoseconds = divmod(wall_ns, NS_PER_S)
-        head = _head(self._channel, can_id)
-        payload, direction = data.hex().upper(), "T" if own_echo else "R"
-        if can_id & REMOTE:
-            payload = "R"
-        elif len(data) > _CLASSIC_BYTES:
-            payload = f"#0{payload}"
-        return f"({seconds}.{nanoseconds:09d}){head}{payload} {direction}\n"
-
-    def text(self, tick: TickParts, clock_ns: int) -> str:
-        """All frames of a tick; `clock_ns` is the wall clock less the gateway's monotonic one."""
-        if len(tick.frames) == tick.frame_count * CLASSIC.size and clock_ns >= NS_PER_S:
-            try:
-                return self._classic(tick.frames, clock_ns)
-            except KeyError:
-                self._keep_kinds(tick.frames)
-        return "".join(
-            self.line(arrival_ns + clock_ns, can_id, data, own_echo)
-            for arrival_ns, can_id, own_echo, data in datagram.frame_records(tick.frames)
-        )
-
-    def _classic(self, packed: bytes, clock_ns: int) -> str:
-        """Frames with eight bytes each; KeyError where one is of a kind that is not kept.
-
-        As quick as Python can: an identifier's text is made once, all payloads' together.
-        """
-        kinds, place, lines = self._kept_kinds, _PAYLOAD_AT, []
-        digits = packed.hex().upper()
-        for arrival_ns, kind in _STAMP_AND_KIND.iter_unpack(packed):
-            head, tail = kinds[kind]
-            stamp = str(arrival_ns + clock_ns)
-            payload = digits[place : place + 2 * _CLASSIC_BYTES]
-            lines.append(f"({stamp[:-9]}.{stamp[-9:]}){head}{payload}{tail}")
-            place += _PAYLOAD_END
-        return "".join(lines)
-
-    def _keep_kinds(self, packed: bytes) -> None:
-        """Keep the texts around the payloads of these frames, but of remote ones."""
-        for _, kind in _STAMP_AND_KIND.iter_unpack(packed):
-            can_id, own_echo, length = _KIND.unpack(kind)
-            is_classic = length == _CLASSIC_BYTES and not can_id & REMOTE
-            if is_classic and len(self._kept_kinds) < _KEPT_IDENTIFIERS:
-                head = _head(self._channel, can_id)
-                self._kept_kinds[kind] = head, " T\n" if own_echo else " R\n"
+def frame_line(channel: str, wall_ns: int, can_id: int, data: bytes, own_echo: bool) -> str:
+    """One frame with its line end; `can_id` has Linux's flags, a remote frame no data."""
+    seconds, nanoseconds = divmod(wall_ns, NS_PER_S)
+    payload, direction = data.hex().upper(), "T" if own_echo else "R"
+    if can_id & REMOTE:
+        payload = "R"
+    elif len(data) > _CLASSIC_BYTES:
+        payload = f"#0{payload}"
+    return f"({seconds}.{nanoseconds:09d}){_head(channel, can_id)}{payload} {direction}\n"
 
 
-@lru_cache(maxsize=_KEPT_IDENTIFIERS)
+def tick_lines(channel: str, tick: TickParts, clock_ns: int) -> str:
+    """All frames of a tick; `clock_ns` is the wall clock less the gateway's monotonic one."""
+    if len(tick.frames) == tick.frame_count * CLASSIC.size and clock_ns >= NS_PER_S:
+        with contextlib.suppress(ValueError):
+            return _classic(channel, tick.frames, clock_ns)
+    return "".join(
+        frame_line(channel, arrival_ns + clock_ns, can_id, data, own_echo)
+        for arrival_ns, can_id, own_echo, data in datagram.frame_records(tick.frames)
+    )
+
+
+def _classic(channel: str, packed: bytes, clock_ns: int) -> str:
+    """Frames with eight bytes each; ValueError where one is of another kind.
+
+    As quick as Python can: an identifier's text is made once, all payloads' together.
+    """
+    place, lines = _PAYLOAD_AT, []
+    digits = packed.hex().upper()
+    for arrival_ns, kind in _STAMP_AND_KIND.iter_unpack(packed):
+        head, tail = _around(channel, kind)
+        stamp = str(arrival_ns + clock_ns)
+        payload = digits[place : place + 2 * _CLASSIC_BYTES]
+        lines.append(f"({stamp[:-9]}.{stamp[-9:]}){head}{payload}{tail}")
+        place += _PAYLOAD_END
+    return "".join(lines)
+
+
+@lru_cache(_KEPT)
+def _around(channel: str, kind: bytes) -> tuple[str, str]:
+    """What stands around the payload; ValueError where that is not just eight bytes."""
+    can_id, own_echo, length = _KIND.unpack(kind)
+    if length != _CLASSIC_BYTES or can_id & REMOTE:
+        raise ValueError
+    return _head(channel, can_id), " T\n" if own_echo else " R\n"
+
+
+@lru_cache(_KEPT)
 def _head(channel: str, can_id: int) -> str:
-    """Channel and identifier; so many are kept, whatever a flood sends."""
     if can_id & ERROR:
         return f" {channel} {can_id & ID_MASK | ERROR:08X}#"
     digits = f"{can_id & ID_MASK:08X}" if can_id & EXTENDED else f"{can_id & 0x7FF:03X}"
