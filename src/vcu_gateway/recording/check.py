@@ -188,37 +188,31 @@ def check_recording(
     a fault of the result; NotPermittedError or MissingInputError where the folder cannot be read,
     UnavailableError where there are signatures and no ssh-keygen.
     """
-    with reading(recording.path):
-        return _checked(recording, progress, allowed_signers)
-
-
-def _checked(
-    recording: RecordingPath, progress: Callable[[int], object], allowed_signers: Path | None
-) -> CheckedRecording:
     folder, is_incident = recording.path, recording.kind == "incident"
-    is_written = layout.is_held(folder)
-    segments = layout.segments(folder)
-    found = CheckedRecording(recording.name, len(segments), is_written=is_written)
-    found.faults += _description_faults(recording)
-    # Before the members are read: of a drive that is being written, more come meanwhile.
-    found.is_chained, ends, breaks = follow(folder, segments, is_part=is_incident)
-    check = _SegmentCheck(found)
-    for segment in segments:
-        checked = check_segment(segment)
-        if is_written and segment is segments[-1]:
-            checked.faults.clear()
-        check.add(checked)
-        found.faults += _digest_faults(folder, checked)
-        progress(sum(path.lstat().st_size for path in segment.paths))
-    last = check.last
-    _add_breaks(found, breaks, last)
-    if not is_written:
-        check.end(is_drive=not is_incident)
-    if is_incident:
-        is_closed = last is not None and last.is_closed
-        found.faults += _incident_faults(folder, segments, is_closed, found.is_chained)
-    signer, faults = check.signer, found.faults
-    found.signatures = check_signatures(folder, ends, signer, allowed_signers, faults)
+    with reading(folder):
+        is_written = layout.is_held(folder)
+        segments = layout.segments(folder)
+        found = CheckedRecording(recording.name, len(segments), is_written=is_written)
+        found.faults += _description_faults(recording)
+        # Before the members are read: of a drive that is being written, more come meanwhile.
+        found.is_chained, ends, breaks = follow(folder, segments, is_part=is_incident)
+        check = _SegmentCheck(found)
+        for segment in segments:
+            checked = check_segment(segment)
+            if is_written and segment is segments[-1]:
+                checked.faults.clear()
+            check.add(checked)
+            found.faults += _digest_faults(folder, checked)
+            progress(sum(path.lstat().st_size for path in segment.paths))
+        last = check.last
+        _add_breaks(found, breaks, last)
+        if not is_written:
+            check.end(is_drive=not is_incident)
+        if is_incident:
+            is_closed = last is not None and last.is_closed
+            found.faults += _incident_faults(folder, segments, is_closed, found.is_chained)
+        signer, faults = check.signer, found.faults
+        found.signatures = check_signatures(folder, ends, signer, allowed_signers, faults)
     return found
 
 
