@@ -136,18 +136,15 @@ class Incidents:
 
     def keep_budget(self, newest: Path | None = None) -> None:
         """Remove incidents above the budget: of a kind that has several, not its first."""
-        folders = self._measure()
+        folders, staying = self._measure(), {newest, *(one.folder for one in self._open)}
         while self.size > self._options.incident_max_bytes:
-            removable = [one for one in folders if one != newest and not self._is_open(one)]
+            removable = [one for one in folders if one not in staying]
             chosen = _least_wanted(removable, folders)
             if chosen is None:
                 return
             shutil.rmtree(chosen, ignore_errors=True)
             self.removed += 1
             folders = self._measure()
-
-    def _is_open(self, folder: Path) -> bool:
-        return any(one.folder == folder for one in self._open)
 
     def _measure(self) -> list[Path]:
         """Incidents that nobody keeps, oldest first; counts them and their bytes."""
