@@ -167,8 +167,7 @@ class Recorder:
             if is_calm:
                 time.sleep(_GATHER_S)
 
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del frame
+    def _on_signal(self, number: int, _: FrameType | None) -> None:
         if number == signal.SIGUSR1:
             self._writer.request_incident()
         else:
