@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 FAULT_LATCHED = "fault_latched"
 EMERGENCY_STOP = "emergency_stop"
 RESTARTED_UNEXPECTEDLY = "restarted_unexpectedly"
-REQUESTED = "requested"
 
 _URGENT = (b'"events":', b'"mode":', b'"estop":', b'"restarted":')
 _BEFORE_THIS_START = "before this start: "
@@ -21,7 +20,7 @@ class Trigger(NamedTuple):
     """Reason of an incident.
 
     Attributes:
-        reason: one of the four words above.
+        reason: one of the three words above, or `layout.REQUESTED`.
         kind: word for like ones, plain and short: the cause of a latched fault, else the reason.
         what: sentence for people.
     """

@@ -263,7 +263,7 @@ class Writer:
         if self._requested:
             self._requested = False
             what = self._given_reason() or "somebody asked to keep this"
-            wanted = Trigger(triggers.REQUESTED, triggers.REQUESTED, what)
+            wanted = Trigger(layout.REQUESTED, layout.REQUESTED, what)
             self._pending += [(drive, wanted) for drive in self.drives.values()]
         while self._pending:
             self._keep_incident(*self._pending[0])
