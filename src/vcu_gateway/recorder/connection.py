@@ -55,8 +55,6 @@ def checked_hello(hello: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def check_lines(lines: bytes) -> None:
     """DatagramError where these core lines are not those of a gateway."""
-    if not lines:
-        return
     if len(lines) > MOST_LINES_BYTES:
         raise _lines(f"are {len(lines)} bytes, and {MOST_LINES_BYTES} are the most")
     if b"\r" in lines or lines.count(b"\n") > _MOST_LINES:
