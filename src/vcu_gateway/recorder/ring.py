@@ -186,8 +186,7 @@ class Ring:
 
     def before(self, folder: Path, since_wall_s: float) -> list[Path]:
         """Files of ended segments of this drive written since then, its last one in any case."""
-        own = [one for one in self._segments if one.folder == folder]
-        paths = [_paths(folder, one.number) for one in own]
+        paths = [_paths(folder, one.number) for one in self._segments if one.folder == folder]
         return [
             path
             for index, files in enumerate(paths)
