@@ -82,24 +82,19 @@ class Backlog:
         Where all of them go its gateway is to connect again: that begins a segment.
         """
         most = max(self._sizes, key=lambda one: self._sizes[one])
-        ticks = (
-            (item, item.tick)
+        ticks = [
+            (item, item.tick.begins_segment)
             for item in self._items
             if item.tick is not None and item.connection is most
-        )
-        oldest, _ = next(ticks, (None, None))
-        if oldest is None:
+        ]
+        if not ticks:
             return False
-        dropped = {id(oldest)}
-        for item, tick in ticks:
-            if tick.begins_segment:
-                break
-            dropped.add(id(item))
-        else:
-            oldest.connection.begin_again = True
-            oldest.connection.forget_hello()
-        for item in self._items:
-            if id(item) in dropped:
-                self._grow(item, -item.size)
+        end = next((place for place, (_, begins) in enumerate(ticks) if place and begins), None)
+        if end is None:
+            most.begin_again = True
+            most.forget_hello()
+        dropped = {id(item): item for item, _ in ticks[:end]}
+        for item in dropped.values():
+            self._grow(item, -item.size)
         self._items = deque(item for item in self._items if id(item) not in dropped)
         return True
