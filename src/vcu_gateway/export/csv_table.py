@@ -63,7 +63,8 @@ def write(source: Source, selection: Selection, out: TextIO) -> None:
     heads = [one.head for one in decided] + [one.head for one in signals]
     writer.writerow(["time", "seconds", *heads])
     before_ns = source.start_ns - 1
-    for moment_ns in _moments_ns(source):
+    every_ns = range(source.start_ns, source.end_ns + 1, PERIOD_MS * NS_PER_MS)
+    for moment_ns in source.decisions.tick_times_ns or every_ns:
         frames = {name: one.at(moment_ns) for name, one in latest.items()}
         row = [utc(moment_ns, _DATE_TIME_MS), f"{(moment_ns - source.start_ns) / NS_PER_S:.3f}"]
         row += [one.text(before_ns, moment_ns) for one in decided]
@@ -99,14 +100,6 @@ def _place(
     if answered in commanded:
         return node[1], commanded.index(answered), int(message != command)
     return node[1], len(commanded) + orders[message], index
-
-
-def _moments_ns(source: Source) -> Iterator[int]:
-    ticks = source.decisions.tick_times_ns
-    if ticks:
-        yield from ticks
-    else:
-        yield from range(source.start_ns, source.end_ns + 1, PERIOD_MS * NS_PER_MS)
 
 
 def _decision_columns(source: Source, selection: Selection) -> Iterator[_DecisionColumn]:
