@@ -71,11 +71,8 @@ def signal_lines(
             if selection.wants(spec.name, signal.name) and signal.length_bits <= _LARGEST_BITS
         ]
         if wanted and one.count:
-            lines = _lines(one, wanted, grid)
-            yield from (
-                SignalLine(spec.name, spec.signals[index], line)
-                for index, line in zip(wanted, lines, strict=True)
-            )
+            for index, line in zip(wanted, _lines(one, wanted, grid), strict=True):
+                yield SignalLine(spec.name, spec.signals[index], line)
 
 
 def _lines(rows: MessageRows, wanted: list[int], grid: Grid) -> list[CodeLine]:
