@@ -251,7 +251,7 @@ def recorded_frames(segment):
 
 
 def breaks(folder):
-    return [part for part in chain.walk(folder) if isinstance(part, Break)]
+    return [part for part in chain.walk(layout.segments(folder)) if isinstance(part, Break)]
 
 
 def account(folder):

@@ -99,7 +99,7 @@ def drive(tmp_path):
 
 
 def linked(folder):
-    return [part for part in chain.walk(folder) if isinstance(part, Linked)]
+    return [part for part in chain.walk(layout.segments(folder)) if isinstance(part, Linked)]
 
 
 def ends(folder):

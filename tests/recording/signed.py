@@ -3,7 +3,7 @@
 import subprocess
 from pathlib import Path
 
-from vcu_gateway.recording import chain, signature
+from vcu_gateway.recording import chain, layout, signature
 from vcu_gateway.recording.chain import Linked
 from vcu_gateway.recording.signature import link_name, link_text
 
@@ -19,7 +19,7 @@ def make_key(path: Path) -> Path:
 
 def sign(drive: Path, key: Path) -> None:
     """Sign the end of every segment."""
-    linked = (part for part in chain.walk(drive) if isinstance(part, Linked))
+    linked = (part for part in chain.walk(layout.segments(drive)) if isinstance(part, Linked))
     for segment, digest in {part.segment: part.member.digest for part in linked}.items():
         text = link_text(RUN, segment, digest or b"")
         (drive / link_name(segment)).write_bytes(text)

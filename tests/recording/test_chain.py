@@ -50,11 +50,11 @@ def drive(tmp_path):
 
 
 def breaks(folder):
-    return [part for part in chain.walk(folder) if isinstance(part, Break)]
+    return [part for part in chain.walk(layout.segments(folder)) if isinstance(part, Break)]
 
 
 def linked(folder):
-    return [part for part in chain.walk(folder) if isinstance(part, Linked)]
+    return [part for part in chain.walk(layout.segments(folder)) if isinstance(part, Linked)]
 
 
 def offsets(path):

@@ -81,7 +81,7 @@ class Break(NamedTuple):
 
 
 def follow(
-    folder: Path, segments: list[SegmentFiles], is_part: bool
+    segments: list[SegmentFiles], is_part: bool
 ) -> tuple[bool, dict[int, bytes], list[FileFault]]:
     """Whether every member has a link, the digest of each segment's last one, and the breaks.
 
@@ -90,7 +90,7 @@ def follow(
     """
     linked, ends, faults = list[bool](), dict[int, bytes](), list[FileFault]()
     with suppress(OSError):
-        for part in walk(folder, segments):
+        for part in walk(segments):
             if isinstance(part, Linked):
                 linked.append(part.member.link is not None)
                 if part.member.digest is not None:
@@ -100,22 +100,22 @@ def follow(
     return all(linked) and bool(linked), ends, faults
 
 
-def walk(folder: Path, segments: list[SegmentFiles] | None = None) -> Iterator[Linked | Break]:
-    """Every member of a drive or incident in the order of writing, and where that is broken.
+def walk(segments: list[SegmentFiles]) -> Iterator[Linked | Break]:
+    """Every member of these segments in the order of writing, and where that is broken.
 
-    Nothing is inflated: headers are read and bytes hashed. `segments`: those to walk; None: all
-    of the folder. Members without links come file by file. OSError where a file cannot be read;
-    FileNotFoundError also where the recorder removed it meanwhile.
+    Nothing is inflated: headers are read and bytes hashed. Members without links come file by
+    file. OSError where a file cannot be read; FileNotFoundError also where the recorder removed it
+    meanwhile.
     """
     walker = _Walker()
-    for files in layout.segments(folder) if segments is None else segments:
+    for files in segments:
         yield from walker.segment(files)
 
 
 def end(folder: Path) -> Linked | None:
     """The last member that was written: the next one names it; None where there is none."""
     for files in reversed(layout.segments(folder)):
-        linked = [part for part in walk(folder, [files]) if isinstance(part, Linked)]
+        linked = [part for part in walk([files]) if isinstance(part, Linked)]
         if linked:
             return linked[-1]
     return None

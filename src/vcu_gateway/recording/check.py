@@ -195,7 +195,7 @@ def check_recording(
         found = CheckedRecording(recording.name, len(segments), is_written=is_written)
         found.faults += _description_faults(recording)
         # Before the members are read: of a drive that is being written, more come meanwhile.
-        found.is_chained, ends, breaks = follow(folder, segments, is_part=is_incident)
+        found.is_chained, ends, breaks = follow(segments, is_part=is_incident)
         check = _SegmentCheck(found)
         for segment in segments:
             checked = check_segment(segment)
