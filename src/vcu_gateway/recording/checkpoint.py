@@ -108,11 +108,6 @@ def restore(state: Any, codec: Codec, settings: Settings) -> Gateway:
     return gateway
 
 
-def _core_class(kind: type) -> type:
-    """The core's class of an object, whatever shell class was made of it."""
-    return next((one for one in kind.__mro__ if one.__module__.startswith(core.__name__)), kind)
-
-
 def _attributes(kind: type, one: Any) -> list[str]:
     """Names of an object's attributes, in an order that is the same in every Python."""
     names: Iterable[str] = vars(one) if hasattr(one, "__dict__") else kind.__dict__["__slots__"]
@@ -154,7 +149,8 @@ class _Encoder:
             return {kind.__name__: [encoded(item) for item in sorted(one, key=_sort_key)]}
         if kind is deque:
             return {"deque": [one.maxlen, [encoded(item) for item in one]]}
-        kind = _core_class(kind)
+        # The core's class, whatever shell class was made of it.
+        kind = next((cls for cls in kind.__mro__ if cls.__module__.startswith(core.__name__)), kind)
         if kind.__name__ not in _CLASSES:
             raise TypeError(f"a checkpoint cannot hold {kind.__module__}.{kind.__name__}")
         if isinstance(one, tuple):
