@@ -36,17 +36,13 @@ class RowChunk(NamedTuple):
     payloads: bytes
 
     def frames(self) -> list[bytes]:
-        return [self.payloads[at : at + FRAME_LENGTH_BYTES] for at in self._places]
+        places = range(0, len(self.payloads), FRAME_LENGTH_BYTES)
+        return [self.payloads[at : at + FRAME_LENGTH_BYTES] for at in places]
 
     def decoded(self, message: MessageCodec, part: int) -> list[tuple[Any, ...]]:
         """Each frame's values (part 0) or raw codes (part 1), by signal."""
-        decode, length, payloads = message.decode, FRAME_LENGTH_BYTES, self.payloads
-        frames = [decode(payloads[at : at + length])[part] for at in self._places]
-        return list(zip(*frames, strict=True))
-
-    @property
-    def _places(self) -> range:
-        return range(0, len(self.payloads), FRAME_LENGTH_BYTES)
+        decode = message.decode
+        return list(zip(*[decode(frame)[part] for frame in self.frames()], strict=True))
 
 
 class MessageRows:
