@@ -138,13 +138,11 @@ class CoreLines:
 
     def _read(self, number: int, line: bytes, damaged: Damaged) -> None:
         try:
-            records = [placed.record for placed in self._parser.records(line)]
+            for placed in self._parser.records(line):
+                self._take(placed.record)
         except CoreLineError as error:
             self.unreadable += 1
             damaged(number, str(error))
-            return
-        for record in records:
-            self._take(record)
 
     def _take(self, record: CoreRecord) -> None:
         if isinstance(record, TickRecord):
