@@ -31,8 +31,7 @@ class CodeLine(NamedTuple):
     @property
     def constant(self) -> int | None:
         """The only code of the line; None where there are several, or none at all."""
-        codes = set(self.earlier) | set(self.later)
-        codes.discard(GAP)
+        codes = {*self.earlier, *self.later} - {GAP}
         return codes.pop() if len(codes) == 1 else None
 
     @property
