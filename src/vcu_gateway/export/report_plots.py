@@ -41,11 +41,6 @@ class Grid(NamedTuple):
         """Bucket of a moment, the last one for what comes later."""
         return min(max(0, (stamp_ns - self.start_ns) // self.bucket_ns), self.buckets - 1)
 
-    def hold_buckets(self, rows: MessageRows) -> int:
-        """How long a value of this message counts."""
-        stale_ns = deadlines(rows.message.spec, {}, {}).stale_after_ns
-        return min(self.buckets, stale_ns // self.bucket_ns + 1)
-
 
 class SignalLine(NamedTuple):
     """Line of one signal."""
@@ -77,14 +72,13 @@ def signal_lines(
 
 def _lines(rows: MessageRows, wanted: list[int], grid: Grid) -> list[CodeLine]:
     builders = [LineBuilder(grid.buckets) for _ in wanted]
-    start_ns, bucket_ns, last = grid.start_ns, grid.bucket_ns, grid.buckets - 1
     for chunk in rows.chunks():
         columns = chunk.decoded(rows.message, 1)
-        buckets = [min(max(0, (one - start_ns) // bucket_ns), last) for one in chunk.times_ns]
+        buckets = [grid.bucket(stamp) for stamp in chunk.times_ns]
         for builder, index in zip(builders, wanted, strict=True):
             builder.add(buckets, columns[index])
-    hold = grid.hold_buckets(rows)
-    return [builder.line(hold) for builder in builders]
+    stale_ns = deadlines(rows.message.spec, {}, {}).stale_after_ns
+    return [builder.line(stale_ns // grid.bucket_ns + 1) for builder in builders]
 
 
 def product(first: SignalLine, second: SignalLine) -> CodeLine:
@@ -235,8 +229,5 @@ def _common(names: Sequence[str]) -> str:
         while not name.startswith(start):
             start = start[:-1]
     spaced = start.rstrip("_0123456789")
-    return _words(spaced if len(spaced) > 3 else ", ".join(names))
-
-
-def _words(name: str) -> str:
+    name = spaced if len(spaced) > 3 else ", ".join(names)
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
