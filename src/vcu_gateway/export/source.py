@@ -55,9 +55,6 @@ _FRAMES_BETWEEN_LOOKS = 8192
 _SHORTEST_CORE_LINE, _SHORTEST_FRAME_LINE = len(b'{"f":0}'), len(b"(1.123456789) a 123#R R")
 _BLOCK_BYTES = 1 << 22
 
-Report = Callable[[Problem], None]
-Progress = Callable[[float | None, int], None]
-
 
 class ReadOptions(NamedTuple):
     """How a recording is read.
@@ -70,8 +67,8 @@ class ReadOptions(NamedTuple):
     """
 
     window: Window
-    report: Report
-    progress: Progress
+    report: Callable[[Problem], None]
+    progress: Callable[[float | None, int], None]
     dbc_path: Path | None = None
     aliased: bool = True
 
