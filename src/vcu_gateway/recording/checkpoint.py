@@ -278,21 +278,14 @@ _ITEMS: Mapping[str, Callable[[list[Any]], Any]] = {
 }
 
 
-def _core_classes() -> dict[str, type]:
-    """Every class of the core by its name; a name stands once."""
-    modules = [
-        importlib.import_module(f"{core.__name__}.{found.name}")
-        for found in pkgutil.iter_modules(core.__path__)
-    ]
-    return {
-        name: one
-        for module in modules
-        for name, one in vars(module).items()
-        if isinstance(one, type) and one.__module__ == module.__name__
-    }
-
-
-_CLASSES = _core_classes()
+_MODULES = [f"{core.__name__}.{found.name}" for found in pkgutil.iter_modules(core.__path__)]
+_CLASSES: Mapping[str, type] = {
+    name: one
+    for module in _MODULES
+    for name, one in vars(importlib.import_module(module)).items()
+    if isinstance(one, type) and one.__module__ == module
+}
+"""Every class of the core by its name; a name stands once."""
 
 
 def _enum(content: Any) -> Enum:
