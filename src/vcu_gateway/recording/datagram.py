@@ -184,15 +184,13 @@ def _end_of_frames(datagram: bytes, count: int) -> int:
     return place
 
 
-def frame_records(packed: bytes) -> list[FrameRecord]:
-    records: list[FrameRecord] = []
+def frame_records(packed: bytes) -> Iterator[FrameRecord]:
     place = 0
     while place < len(packed):
         arrival_ns, can_id, own_echo, length = _FRAME.unpack_from(packed, place)
         data_at = place + _FRAME.size
         place = data_at + length
-        records.append(FrameRecord(arrival_ns, can_id, own_echo != 0, packed[data_at:place]))
-    return records
+        yield FrameRecord(arrival_ns, can_id, own_echo != 0, packed[data_at:place])
 
 
 class HelloText:
