@@ -79,7 +79,8 @@ class Incidents:
         now_s = time.monotonic()
         for one in self._open:
             if one.drive == drive.folder and one.until_s > now_s:
-                _link(open_files(drive), one.folder)
+                layout.link_files(open_files(drive), one.folder)
+                sync(one.folder)
 
     def forget_ended(self) -> None:
         """Forget incidents that are over, and keep within the budget."""
@@ -92,7 +93,8 @@ class Incidents:
     def _lengthen(
         self, opened: OpenIncident, trigger: Trigger, drive: DriveRecorder, now_s: float
     ) -> None:
-        _link(open_files(drive), opened.folder)
+        layout.link_files(open_files(drive), opened.folder)
+        sync(opened.folder)
         reasons = opened.reasons
         if reasons < _MOST_REASONS:
             reasons += 1
@@ -164,13 +166,6 @@ def open_files(drive: DriveRecorder) -> list[Path]:
         return []
     number = drive.segment.number
     return [drive.folder / name(number) for name in (layout.frames_name, layout.core_name)]
-
-
-def _link(files: Iterable[Path], folder: Path) -> None:
-    for path in files:
-        with contextlib.suppress(FileExistsError):
-            os.link(path, folder / path.name)
-    sync(folder)
 
 
 def _copies(folder: Path) -> dict[str, bytes]:

@@ -4,7 +4,6 @@ Nothing waits for it: what cannot be signed is recorded all the same, said once 
 """
 
 import contextlib
-import os
 import queue
 import threading
 from collections.abc import Callable
@@ -81,7 +80,7 @@ class Signer:
         core = layout.core_name(number)
         for incident in layout.recorded_folders(self._incidents):
             if _is_same(incident / core, drive / core):
-                _link_signature(made, incident)
+                layout.link_files(made, incident)
 
     def _sign_incident(self, incident: Path, drive: Path) -> None:
         path = incident / layout.INCIDENT_FILE
@@ -89,13 +88,7 @@ class Signer:
         layout.write_new(Path(f"{path}{signature.SUFFIX}"), made)
         for segment in layout.segments(incident):
             with contextlib.suppress(FileNotFoundError):  # none yet, or none at all
-                _link_signature(signature.link_paths(drive, segment.number), incident)
-
-
-def _link_signature(signed: tuple[Path, Path], incident: Path) -> None:
-    for one in signed:
-        with contextlib.suppress(FileExistsError):
-            os.link(one, incident / one.name)
+                layout.link_files(signature.link_paths(drive, segment.number), incident)
 
 
 def _is_same(path: Path, other: Path) -> bool:

@@ -225,6 +225,13 @@ def write_new(path: Path, data: bytes) -> None:
         os.fsync(file.fileno())
 
 
+def link_files(paths: Iterable[Path], folder: Path) -> None:
+    """Make hard links in a folder, but of what it has already."""
+    for path in paths:
+        with contextlib.suppress(FileExistsError):
+            os.link(path, folder / path.name)
+
+
 def create_folder(folder: Path, files: Mapping[str, bytes], links: Iterable[Path] = ()) -> None:
     """Make a folder with files and hard links in it, all of it or nothing, on the disk.
 
