@@ -92,12 +92,6 @@ class Source(NamedTuple):
     unreadable: int
 
     @property
-    def is_empty(self) -> bool:
-        """True where no frame and no tick is exported."""
-        stamped = any(rows.first_ns is not None for rows in self.store.rows.values())
-        return not stamped and not self.decisions.tick_times_ns
-
-    @property
     def start_ns(self) -> int:
         """Stamp of the first frame or tick that is exported."""
         firsts = [rows.first_ns for rows in self.store.rows.values() if rows.first_ns is not None]
@@ -127,10 +121,11 @@ def read(name: str, options: ReadOptions) -> Source:
     """Read a recording once; MissingInputError, DataError where it cannot be."""
     path = recorded_path(name)
     source = _read_log(name, options) if path is None else _read_drive(path, options)
-    if not source.store.summary.frames and not source.decisions.tick_times_ns:
+    summary, ticks_ns = source.store.summary, source.decisions.tick_times_ns
+    if not summary.frames and not ticks_ns:
         remedy = "" if source.unreadable else "it is empty"
         raise DataError(Problem("holds no frame that can be read", name, remedy))
-    if not options.window.open and source.is_empty:
+    if not (options.window.open or summary.decoded or ticks_ns):
         raise DataError(Problem("has nothing of that time", name, "all times are UTC"))
     return source
 
