@@ -200,17 +200,12 @@ class _Pair(NamedTuple):
     value: Callable[[Decoded], float]
 
 
-def controllers(rows: Mapping[str, MessageRows]) -> list[str]:
-    """Names of the nodes that are commanded and answer."""
-    found = (COMMAND.fullmatch(name) for name in rows)
-    nodes = [match[1] for match in found if match]
-    return [node for node in nodes if {f"{node}_Status1", f"{node}_Status2"} <= rows.keys()]
-
-
 def controller_tables(rows: Mapping[str, MessageRows], selection: Selection) -> Iterator[Table]:
-    """A table for each controller, with a row for each command."""
-    for node in controllers(rows):
-        command = rows[f"VCU_{node}_Command"]
+    """A table for each node that is commanded and answers, with a row for each command."""
+    nodes = {match[1]: one for name, one in rows.items() if (match := COMMAND.fullmatch(name))}
+    for node, command in nodes.items():
+        if not {f"{node}_Status1", f"{node}_Status2"} <= rows.keys():
+            continue
         pairs = [pair for pair in _pairs(node, rows) if selection.wants(node, pair.signal.name)]
         if command.count and pairs:
             channels = tuple(channel for pair in pairs for channel in _channels(pair))
