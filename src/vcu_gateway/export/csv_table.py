@@ -3,6 +3,7 @@
 import csv
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from itertools import groupby
 from typing import NamedTuple, TextIO
 
@@ -29,20 +30,16 @@ class _SignalColumn:
         self.message = message
         self._index, self._signal = index, signal
         self._decimals = decimals(signal)
-        self._kept: dict[int, str] = {}
+        self._kept_text = lru_cache(_KEPT_CODES)(self._text)
 
     def text(self, decoded: Decoded | None) -> str:
-        """Name of the code, or the value with the decimals that the signal can have."""
         if decoded is None:
             return ""
-        raw = decoded.raws[self._index]
-        kept = self._kept.get(raw)
-        if kept is None:
-            value = round(decoded.values[self._index], self._decimals) + 0
-            if len(self._kept) >= _KEPT_CODES:
-                self._kept.clear()
-            kept = self._kept[raw] = self._signal.names.get(raw) or repr(value)
-        return kept
+        return self._kept_text(decoded.raws[self._index], decoded.values[self._index])
+
+    def _text(self, raw: int, value: float) -> str:
+        """Name of the code, or the value with the decimals that the signal can have."""
+        return self._signal.names.get(raw) or repr(round(value, self._decimals) + 0)
 
 
 class _DecisionColumn(NamedTuple):
