@@ -28,14 +28,10 @@ class TapListener:
 
     def __init__(self, path: Path, environment: Mapping[str, str], own_pid: int) -> None:
         """Take the socket that was handed over, else make one; UnavailableError if neither can."""
-        self._own_path: Path | None = None
-        if environment.get("LISTEN_PID") == str(own_pid) and environment.get("LISTEN_FDS"):
-            self.sock = socket.socket(fileno=_FIRST_PASSED)
-            self.name = "the socket of the service manager"
-        else:
-            self.sock = _bound(path)
-            self._own_path = path
-            self.name = str(path)
+        passed = environment.get("LISTEN_PID") == str(own_pid) and environment.get("LISTEN_FDS")
+        self._own_path = None if passed else path
+        self.name = "the socket of the service manager" if passed else str(path)
+        self.sock = socket.socket(fileno=_FIRST_PASSED) if passed else _bound(path)
         self.sock.setblocking(False)
 
     def close(self) -> None:
