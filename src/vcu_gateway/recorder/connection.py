@@ -106,22 +106,18 @@ def _is_text(value: Any, most_bytes: int) -> bool:
 
 def _left_of(value: Any, room: int, depth: int = 0) -> int:
     """How many values there is still room for; negative where one cannot be kept."""
-    if value is None or isinstance(value, bool):
-        return room - 1
-    if isinstance(value, int):
-        return room - 1 if abs(value) <= _LARGEST else -1
-    if isinstance(value, float):
-        return room - 1 if math.isfinite(value) else -1
-    if isinstance(value, str):
-        return room - 1 if _is_text(value, _MOST_WORD) else -1
-    if depth >= _MOST_DEPTH:
-        return -1
-    inner = [*value.keys(), *value.values()] if isinstance(value, dict) else value
-    for one in inner:
-        room = _left_of(one, room, depth + 1)
-        if room < 0:
-            return room
-    return room - 1
+    if isinstance(value, (dict, list)):
+        fits = depth < _MOST_DEPTH
+        inner = [*value.keys(), *value.values()] if isinstance(value, dict) else value
+        for one in inner if fits else ():
+            room = _left_of(one, room, depth + 1)
+            if room < 0:
+                return room
+    elif isinstance(value, (int, float)):
+        fits = math.isfinite(value) if isinstance(value, float) else abs(value) <= _LARGEST
+    else:
+        fits = value is None or _is_text(value, _MOST_WORD)
+    return room - 1 if fits else -1
 
 
 def _finite(digits: str) -> float:
