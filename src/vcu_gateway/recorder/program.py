@@ -50,7 +50,6 @@ class StatusFile:
                 self._room = room_bytes(options.folder)
         self._written.append((time.monotonic(), writer.totals.bytes))
         (then_s, before), (now_s, after) = self._written[0], self._written[-1]
-        signer = writer.signer
         return RecorderStatus(
             pid=os.getpid(),
             version=__version__,
@@ -74,7 +73,7 @@ class StatusFile:
             memory_bytes=options.memory_bytes,
             totals=replace(
                 writer.totals,
-                signing_failures=0 if signer is None else signer.failures,
+                signing_failures=0 if writer.signer is None else writer.signer.failures,
                 removed_segments=writer.ring.removed,
                 removed_incidents=writer.incidents.removed,
             ),
