@@ -76,7 +76,6 @@ def _samples(column: Column, kind: str) -> Any:
 
 
 def _signal(table: Table, channel: Channel, samples: Any, times_s: Any) -> Any:
-    text = channel.kind == "text"
     return Signal(
         samples=samples,
         timestamps=times_s,
@@ -85,7 +84,7 @@ def _signal(table: Table, channel: Channel, samples: Any, times_s: Any) -> Any:
         comment=channel.comment,
         conversion=_conversion(channel),
         display_names={f"{table.name}.{channel.name}": "display_name"},
-        encoding="utf-8" if text else None,
+        encoding="utf-8" if channel.kind == "text" else None,
     )
 
 
