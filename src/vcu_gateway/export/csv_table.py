@@ -5,7 +5,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import groupby
-from typing import NamedTuple, TextIO
+from typing import TextIO
 
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.spec import SignalSpec
@@ -42,11 +42,8 @@ class _SignalColumn:
         return self._signal.names.get(raw) or repr(round(value, self._decimals) + 0)
 
 
-class _DecisionColumn(NamedTuple):
-    """Column of what the gateway decided: its text between two rows."""
-
-    head: str
-    text: Callable[[int, int], str]
+_TextBetween = Callable[[int, int], str]
+"""Text of what the gateway decided, behind one row's moment up to the next one's."""
 
 
 def write(source: Source, selection: Selection, out: TextIO) -> None:
@@ -57,14 +54,14 @@ def write(source: Source, selection: Selection, out: TextIO) -> None:
         name: LatestFrames(source.store.rows[name]) for name in {one.message for one in signals}
     }
     writer = csv.writer(out, lineterminator="\n")
-    heads = [one.head for one in decided] + [one.head for one in signals]
+    heads = [head for head, _ in decided] + [one.head for one in signals]
     writer.writerow(["time", "seconds", *heads])
     before_ns = source.start_ns - 1
     every_ns = range(source.start_ns, source.end_ns + 1, PERIOD_MS * NS_PER_MS)
     for moment_ns in source.decisions.tick_times_ns or every_ns:
         frames = {name: one.at(moment_ns) for name, one in latest.items()}
         row = [utc(moment_ns, _DATE_TIME_MS), f"{(moment_ns - source.start_ns) / NS_PER_S:.3f}"]
-        row += [one.text(before_ns, moment_ns) for one in decided]
+        row += [text(before_ns, moment_ns) for _, text in decided]
         row += [one.text(frames[one.message]) for one in signals]
         writer.writerow(row)
         before_ns = moment_ns
@@ -99,23 +96,23 @@ def _place(
     return node[1], len(commanded) + orders[message], index
 
 
-def _decision_columns(source: Source, selection: Selection) -> Iterator[_DecisionColumn]:
+def _decision_columns(source: Source, selection: Selection) -> Iterator[tuple[str, _TextBetween]]:
     decisions = source.decisions
     if not decisions.tick_times_ns:
         return
     if selection.wants(GATEWAY, "Mode"):
         modes = dict(zip(decisions.tick_times_ns, decisions.tick_modes, strict=True))
-        yield _DecisionColumn(f"{GATEWAY}.Mode", lambda _, moment_ns: MODES[modes[moment_ns]])
+        yield f"{GATEWAY}.Mode", lambda _, moment_ns: MODES[modes[moment_ns]]
     if selection.wants(GATEWAY, "Causes"):
-        yield _DecisionColumn(f"{GATEWAY}.Causes", _causes_at(source))
+        yield f"{GATEWAY}.Causes", _causes_at(source)
     if selection.wants(f"{GATEWAY}_Events", "Event"):
         events = [(one.wall_ns, one.name) for one in decisions.events]
-        yield _DecisionColumn(f"{GATEWAY}.Events", _between(events))
+        yield f"{GATEWAY}.Events", _between(events)
     if selection.wants(f"{GATEWAY}_Why", "Sentence"):
-        yield _DecisionColumn(f"{GATEWAY}.Why", _latest_of(decisions.whys))
+        yield f"{GATEWAY}.Why", _latest_of(decisions.whys)
 
 
-def _causes_at(source: Source) -> Callable[[int, int], str]:
+def _causes_at(source: Source) -> _TextBetween:
     """Every cause that counts at a moment; made anew only where one begins or ends."""
     spans = source.decisions.causes
     edges = sorted({edge for span in spans for edge in (span.began_ns, span.ended_ns) if edge})
@@ -132,7 +129,7 @@ def _causes_at(source: Source) -> Callable[[int, int], str]:
     return _latest_of(list(zip(edges, texts, strict=True)))
 
 
-def _latest_of(texts: Sequence[tuple[int, str]]) -> Callable[[int, int], str]:
+def _latest_of(texts: Sequence[tuple[int, str]]) -> _TextBetween:
     stamps = [stamp for stamp, _ in texts]
 
     def text(_: int, moment_ns: int) -> str:
@@ -142,7 +139,7 @@ def _latest_of(texts: Sequence[tuple[int, str]]) -> Callable[[int, int], str]:
     return text
 
 
-def _between(names: Sequence[tuple[int, str]]) -> Callable[[int, int], str]:
+def _between(names: Sequence[tuple[int, str]]) -> _TextBetween:
     stamps = [stamp for stamp, _ in names]
 
     def text(before_ns: int, moment_ns: int) -> str:
