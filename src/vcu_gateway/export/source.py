@@ -136,9 +136,8 @@ def _read_log(name: str, options: ReadOptions) -> Source:
     codec = Codec(dbc.with_aliases(dbc.load(path), aliases))
     store = FrameStore(codec, options.window)
     with open_recording(name, options.report) as recording:
-        blocks = recording.blocks(_BLOCK_BYTES)
-        if blocks is not None:
-            for first_line, text in blocks:
+        if recording.is_candump:
+            for first_line, text in recording.blocks(_BLOCK_BYTES):
                 store.add_lines(text, first_line, recording.problems)
                 options.progress(recording.share_read(), store.summary.frames)
         else:

@@ -26,7 +26,7 @@ _CANDUMP = ".log"
 class Recording:
     """One recording, read once from beginning to end; live, while frames may still come.
 
-    Its size is as it is stored, and 0 where it is not known.
+    Its size is as it is stored, and 0 where it is not known. Of candump text it has blocks, too.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class Recording:
         self._plain = cast(IO[bytes], gzip.GzipFile(fileobj=stored)) if packed else stored
         self._suffix = suffix
         self._lines: LineReader | None = None
-        is_text = suffix == _CANDUMP
+        is_text = self.is_candump = suffix == _CANDUMP
         if not is_text:
             from vcu_gateway.recording import formats
 
@@ -60,7 +60,7 @@ class Recording:
 
     def __iter__(self) -> Iterator[RecordedFrame]:
         lines = self._lines
-        if lines is not None and self._suffix == _CANDUMP:
+        if lines is not None and self.is_candump:
             try:
                 yield from candump.frames(lines, self.problems)
             except (OSError, EOFError, zlib.error) as error:
@@ -77,15 +77,12 @@ class Recording:
             return self
         return progress.over(self, lambda count: progress.show_frames(self.share_read(), count))
 
-    def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]] | None:
-        """Whole lines of candump text, and how many stand before them; None for other formats.
+    def blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]]:
+        """Whole lines of candump text, and how many stand before them.
 
         Instead of iterating: either gives the recording once. A line that is longer than a block
         comes in pieces.
         """
-        return self._blocks(size_bytes) if self._suffix == _CANDUMP else None
-
-    def _blocks(self, size_bytes: int) -> Iterator[tuple[int, bytes]]:
         lines, rest = 0, b""
         while block := self._block(size_bytes, lines):
             text = rest + block
