@@ -60,6 +60,7 @@ def page(report: Report) -> str:
     bucket_ns, lines = _small_enough(report)
     scripts = [path.read_text(encoding="utf-8") for path in _SCRIPTS]
     style = "".join(path.read_text(encoding="utf-8") for path in _STYLES)
+    data = json.dumps(_data(report, bucket_ns, lines), separators=(",", ":"))
     policy = (
         f"default-src 'none'; script-src {' '.join(map(_hash, scripts))}; style-src {_hash(style)};"
         " base-uri 'none'; form-action 'none'"
@@ -69,7 +70,7 @@ def page(report: Report) -> str:
         title=html.escape(f"{report.title} · vcu-gateway"),
         style=style,
         body="\n".join(_body(report)),
-        data=_json(_data(report, bucket_ns, lines)),
+        data=data.replace("<", "\\u003c"),  # it cannot end the script element that holds it
         scripts="\n".join(f"<script>{script}</script>" for script in scripts),
     )
 
@@ -79,20 +80,13 @@ def _hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(digest).decode()}'"
 
 
-def _json(values: Any) -> str:
-    """JSON that cannot end the script element that holds it."""
-    return json.dumps(values, separators=(",", ":")).replace("<", "\\u003c")
-
-
 def _small_enough(report: Report) -> tuple[int, PackedLines]:
     """The lines packed, and the grid on which they fit; both halved until they do."""
     bucket_ns = report.bucket_ns
     lines: list[CodeLine] = [line.codes for plot in report.plots for line in plot.lines]
-    result = packed(lines)
-    while len(result.data) > MOST_DATA_BYTES:
+    while len((result := packed(lines)).data) > MOST_DATA_BYTES:
         bucket_ns *= 2
         lines = [line.halved() for line in lines]
-        result = packed(lines)
     return bucket_ns, result
 
 
