@@ -229,8 +229,7 @@ def _versions(description: Mapping[str, object]) -> Iterator[tuple[str, str]]:
     versions = description.get("versions")
     if isinstance(versions, dict):
         yield from ((str(name), str(version)) for name, version in versions.items())
-    digest = description.get("config_digest")
-    if digest:
+    if digest := description.get("config_digest"):
         yield "configuration", str(digest)[:12]
 
 
