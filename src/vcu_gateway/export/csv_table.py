@@ -83,17 +83,16 @@ def _place(
     source: Source, message: str, index: int, signal: str, orders: dict[str, int]
 ) -> tuple[str, int, int]:
     """Order of the columns: a controller's together, what is echoed behind what was commanded."""
-    command = message
-    if not COMMAND.fullmatch(message):
-        command = f"VCU_{message.partition('_')[0]}_Command"
-    node = COMMAND.fullmatch(command)
-    if node is None or command not in source.store.rows:
+    found = COMMAND.fullmatch(message)
+    node = found[1] if found else message.partition("_")[0]
+    command = f"VCU_{node}_Command"
+    if command not in source.store.rows:
         return "~", orders[message], index
     commanded = source.store.rows[command].message.spec.signal_names
     answered = {"MotorSpeed": "SpeedLimit"}.get(signal, signal)
     if answered in commanded:
-        return node[1], commanded.index(answered), int(message != command)
-    return node[1], len(commanded) + orders[message], index
+        return node, commanded.index(answered), int(message != command)
+    return node, len(commanded) + orders[message], index
 
 
 def _decision_columns(source: Source, selection: Selection) -> Iterator[tuple[str, _TextBetween]]:
