@@ -231,21 +231,18 @@ class _Decoder:
         if kind is None or issubclass(kind, Enum):
             raise StateError(f"this version has no {name}")
         if issubclass(kind, tuple):
-            made = self._made[place] = self._named_tuple(kind, content)
-            return made
+            items = [self.decoded(item, None) for item in content]
+            fields = getattr(kind, "_fields", items)
+            if len(fields) != len(items):
+                raise StateError(f"{kind.__name__} has {len(items)} fields, here {len(fields)}")
+            self._made[place] = tuple.__new__(kind, items)
+            return self._made[place]
         is_plain = dataclasses.is_dataclass(kind) and name not in _DERIVED
         if not is_plain and type(twin) is not kind:
             raise StateError(f"{name} stands where this version has none")
         made = self._made[place] = object.__new__(kind)  # what it holds may refer to it
         self._fill(made, kind, content, None if is_plain else twin)
         return made
-
-    def _named_tuple(self, kind: type, content: Any) -> Any:
-        items = [self.decoded(item, None) for item in content]
-        fields = getattr(kind, "_fields", items)
-        if len(fields) != len(items):
-            raise StateError(f"{kind.__name__} has {len(items)} fields, here {len(fields)}")
-        return tuple.__new__(kind, items)
 
     def _fill(self, made: Any, kind: type, content: Any, twin: Any) -> None:
         """Lay the attributes of a state over what the codec and the settings give."""
