@@ -197,7 +197,6 @@ class CoreLines:
             self._drive_mode(str(event.fields["mode"]))
 
     def _drive_mode(self, name: str) -> None:
-        """Drive mode that counts from here on."""
         known = self._decisions.drive_modes
         if not known or known[-1][1] != name:
             known.append((self._latest_ns, name))

@@ -184,8 +184,6 @@ def _attachments(folder: Path) -> dict[str, bytes]:
 
 
 class _DriveReader:
-    """Reader of a drive's segments, frames and core lines of each."""
-
     def __init__(self, store: FrameStore, core: CoreLines, options: ReadOptions) -> None:
         self._store, self._core, self._options = store, core, options
         self.unreadable = 0
