@@ -9,10 +9,9 @@ on the bus and at the controllers is no part of the answer: every state tells it
 """
 
 import asyncio
-import functools
 import json
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypedDict, TypeVar
 
@@ -20,7 +19,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from vcu_gateway.api.errors import Right
-from vcu_gateway.api.results import FaultClassName, Granted, ModeName, TuningNow
+from vcu_gateway.api.results import FaultClassName, Granted, ModeName
 from vcu_gateway.client import ApiError, AsyncClient, ClientError
 from vcu_gateway.web.access import Access, Visitor
 from vcu_gateway.web.gateway_link import GatewayLink, now_ms
@@ -76,41 +75,32 @@ class Answer(TypedDict):
     sentence: str
 
 
-CALLS: dict[str, Callable[[AsyncClient], Awaitable[Granted]]] = {
-    "disarm": AsyncClient.disarm,
-    "arm": AsyncClient.arm,
-    "reset driver": lambda client: client.reset("driver"),
-    "reset service": lambda client: client.reset("service"),
-}
-
-
 class Actions:
-    """Actions on the gateway, on connections of their own: a stop waits for nothing else."""
+    """Actions on the gateway, on connections of their own: a stop waits for nothing else.
+
+    Attributes:
+        tuning: gives drive mode and curves now, asked for once for all; ClientError where that
+            fails.
+    """
 
     def __init__(self, socket_path: Path) -> None:
         self._stopping = AsyncClient(socket_path, _TRY_TIMEOUT_S)
-        self._asking = AsyncClient(socket_path, _ASK_TIMEOUT_S)
-        self._merged_stop = MergedCall(self._ask_to_stop)
-        self._merged_disarm = MergedCall(functools.partial(self._ask, "disarm"))
-        self._merged_tuning = MergedCall(self._asking.tuning)
+        self._asking = asking = AsyncClient(socket_path, _ASK_TIMEOUT_S)
+        self.tuning = MergedCall(asking.tuning)
+        self._calls: Mapping[str, Callable[[], Awaitable[Answer]]] = {
+            "estop": MergedCall(self._ask_to_stop),
+            "disarm": MergedCall(lambda: _outcome(self._stopping.disarm())),
+            "arm": lambda: _outcome(asking.arm()),
+            "reset driver": lambda: _outcome(asking.reset("driver")),
+            "reset service": lambda: _outcome(asking.reset("service")),
+        }
 
     async def act(self, name: str) -> Answer:
-        """Carry out an action of `roles.ACTION_RIGHTS`."""
-        if name == "estop":
-            return await self._merged_stop()
-        return await (self._merged_disarm() if name == "disarm" else self._ask(name))
+        """Carry out an action of `users.ACTION_RIGHTS`."""
+        return await self._calls[name]()
 
     async def set_drive_mode(self, mode: str, level: FaultClassName) -> Answer:
-        """Ask for a drive mode."""
         return await _outcome(self._asking.set_drive_mode(mode, level))
-
-    async def tuning(self) -> TuningNow:
-        """Drive mode and curves now, asked for once for all; ClientError where that fails."""
-        return await self._merged_tuning()
-
-    async def _ask(self, name: str) -> Answer:
-        client = self._stopping if name == "disarm" else self._asking
-        return await _outcome(CALLS[name](client))
 
     async def _ask_to_stop(self) -> Answer:
         """Ask until it has answered, for 0.9 s; the browser asks again after that."""
