@@ -13,7 +13,7 @@ import json
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
-from typing import Any, Generic, TypedDict, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
@@ -61,7 +61,7 @@ _AGAIN_S = 0.05
 _ASK_TIMEOUT_S = 1.0
 
 
-class Answer(TypedDict):
+class Answer(NamedTuple):
     """The answer to an action.
 
     Attributes:
@@ -70,9 +70,9 @@ class Answer(TypedDict):
     """
 
     answered: bool
-    granted: bool
-    mode: ModeName | None
-    sentence: str
+    granted: bool = False
+    mode: ModeName | None = None
+    sentence: str = ""
 
 
 class Actions:
@@ -110,10 +110,10 @@ class Actions:
                 return _granted(await self._stopping.estop())
             except ApiError as error:
                 # The gateway stops also where a request is wrong in form, and says so.
-                return _answer(answered=True, granted=True, sentence=error.sentence)
+                return Answer(answered=True, granted=True, sentence=error.sentence)
             except ClientError as error:
                 if time.monotonic() >= end_s:
-                    return _answer(answered=False, sentence=str(error))
+                    return Answer(answered=False, sentence=str(error))
                 await asyncio.sleep(_AGAIN_S)
 
     async def close(self) -> None:
@@ -125,24 +125,18 @@ async def _outcome(asked: Awaitable[Granted]) -> Answer:
     try:
         return _granted(await asked)
     except ApiError as error:
-        return _answer(answered=True, sentence=error.sentence)
+        return Answer(answered=True, sentence=error.sentence)
     except ClientError as error:
-        return _answer(answered=False, sentence=str(error))
+        return Answer(answered=False, sentence=str(error))
 
 
 def _granted(granted: Any) -> Answer:
     """The answer for one that a gateway of any version granted."""
     mode = granted.get("mode") if isinstance(granted, dict) else None
-    return _answer(answered=True, granted=True, mode=mode)
+    return Answer(answered=True, granted=True, mode=mode)
 
 
-def _answer(
-    *, answered: bool, granted: bool = False, mode: ModeName | None = None, sentence: str = ""
-) -> Answer:
-    return {"answered": answered, "granted": granted, "mode": mode, "sentence": sentence}
-
-
-_MAY_NOT = _answer(answered=False, sentence="the role may not")
+_MAY_NOT = Answer(answered=False, sentence="the role may not")
 _BODY_WITHIN_S = 10.0
 _MOST_JSON_BYTES = 4096
 _POINTS = range(2, 4001)
@@ -261,16 +255,15 @@ class Routes:
 
     def _told(self, action: str, visitor: Visitor, done: Answer) -> Response:
         """The answer to an action, which is an event, too."""
-        granted = done["granted"]
         self._events.tell(
             "action_asked",
-            "info" if granted else "warning",
+            "info" if done.granted else "warning",
             action=action,
             **visitor.fields(),
-            granted=granted,
-            answer=done["sentence"],
+            granted=done.granted,
+            answer=done.sentence,
         )
-        return answer(done, 200 if granted else 409 if done["answered"] else 503)
+        return answer(done._asdict(), 200 if done.granted else 409 if done.answered else 503)
 
     async def history(self, request: Request, visitor: Visitor) -> Response:
         """Samples of signals over the last ten minutes, for the plots."""
