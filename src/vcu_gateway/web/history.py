@@ -65,15 +65,11 @@ class History:
         for column in self._columns.values():
             column[at] = _NAN
         for name, value in values:
-            self._column(name)[at] = value
+            if name not in self._columns:
+                self._columns[name] = array("f", [_NAN]) * CAPACITY
+            self._columns[name][at] = value
         self._times_ms[at] = time_ms
         self._count += 1
-
-    def _column(self, name: str) -> "array[float]":
-        column = self._columns.get(name)
-        if column is None:
-            column = self._columns[name] = array("f", [_NAN]) * CAPACITY
-        return column
 
     @property
     def names(self) -> list[str]:
@@ -113,11 +109,8 @@ class History:
 
     def _thinned(self, name: str, stretches: list[range]) -> list[float | None]:
         column = self._columns[name]
-        thinned: list[float | None] = []
-        for stretch in stretches:
-            values = [column[at % CAPACITY] for at in stretch]
-            thinned += _extremes(values)
-        return thinned
+        values = ([column[at % CAPACITY] for at in stretch] for stretch in stretches)
+        return [end for of_stretch in values for end in _extremes(of_stretch)]
 
 
 def _extremes(values: list[float]) -> list[float | None]:
@@ -186,15 +179,12 @@ class PreparedSamples:
             if kept is not None and self._now_s() - kept[0] < _KEPT_S:
                 return kept[1]
             encoded = await asyncio.to_thread(self._encode, names, points)
-            self._keep(question, encoded)
+            self._kept.pop(question, None)
+            self._kept[question] = (self._now_s(), encoded)
+            if len(self._kept) > _KEPT:
+                del self._kept[next(iter(self._kept))]
             return encoded
 
     def _encode(self, names: tuple[str, ...], points: int) -> EncodedBody:
         plain = json.dumps(self._read(names, points), separators=(",", ":")).encode()
         return EncodedBody.of("application/json", plain)
-
-    def _keep(self, question: Question, encoded: EncodedBody) -> None:
-        self._kept.pop(question, None)
-        self._kept[question] = (self._now_s(), encoded)
-        if len(self._kept) > _KEPT:
-            del self._kept[next(iter(self._kept))]
