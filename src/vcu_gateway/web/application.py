@@ -68,10 +68,8 @@ def ending_sentence(end: datetime, now: datetime) -> str | None:
     left = end - now
     if left > _ENDS_SOON:
         return None
-    when = f"{end:%Y-%m-%d %H:%M} UTC"
-    if left <= timedelta(0):
-        return f"The certificate ended on {when}: replace it."
-    return f"The certificate ends on {when}: replace it."
+    verb = "ends" if left > timedelta(0) else "ended"
+    return f"The certificate {verb} on {end:%Y-%m-%d %H:%M} UTC: replace it."
 
 
 def _not_after(der: bytes) -> datetime:
