@@ -81,7 +81,7 @@ class Sessions:
     def open(self, user: str, now_s: float) -> str:
         """A new session; the token is for the browser's cookie and kept nowhere."""
         token = secrets.token_urlsafe(_TOKEN_BYTES)
-        self._forget_ended(now_s)
+        self._sessions = {key: one for key, one in self._sessions.items() if one.may_stop(now_s)}
         self._make_room(user)
         self._sessions[_key(token)] = BrowserSession(user, now_s, now_s + self._lifetime_s)
         self._save()
@@ -102,10 +102,6 @@ class Sessions:
         own = [key for key, one in self._sessions.items() if one.user == user]
         for key in own[: max(0, len(own) + 1 - SESSIONS_PER_USER)]:
             del self._sessions[key]
-
-    def _forget_ended(self, now_s: float) -> None:
-        kept = {key: one for key, one in self._sessions.items() if one.may_stop(now_s)}
-        self._sessions = kept
 
     def _save(self) -> None:
         """Write a new file and rename it: a session is whole or not there."""
@@ -243,7 +239,7 @@ class Access:
         response.set_cookie(
             self.cookie,
             token,
-            max_age=int(self._settings.session_lifetime_s) + 24 * 3600,
+            max_age=int(self._settings.session_lifetime_s) + _STOPS_FOR_S,
             path="/",
             secure=self._settings.tls is not None,
             httponly=True,
