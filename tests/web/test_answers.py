@@ -12,7 +12,7 @@ from vcu_gateway.api import results
 from vcu_gateway.client import Client
 from vcu_gateway.web.gateway_link import AnswerSections
 from vcu_gateway.web.state_row import misfits
-from vcu_gateway.web.stream import Broadcast, SeenVersions
+from vcu_gateway.web.stream import Broadcast
 from vcu_gateway.web.users import WebEvents
 
 NAMES = ("state", "why", "health", "events", "protocol")
@@ -45,7 +45,7 @@ class Page:
     def __init__(self) -> None:
         self.lines: list[dict[str, Any]] = []
         self._broadcast = Broadcast()
-        self._seen = SeenVersions()
+        self._seen = {}
         events = WebEvents(lambda line: self.lines.append(json.loads(line)))
         self.now_ms = 0.0
         self.answers = AnswerSections(self._broadcast, events, lambda: self.now_ms)

@@ -18,7 +18,7 @@ from vcu_gateway.web.application import listening_socket
 from vcu_gateway.web.connections import LoginLimit
 from vcu_gateway.web.history import CAPACITY, History
 from vcu_gateway.web.settings import TlsFiles, WebSettings
-from vcu_gateway.web.stream import Broadcast, SeenVersions
+from vcu_gateway.web.stream import Broadcast
 from vcu_gateway.web.users import ACTION_RIGHTS, PasswordHash, User, UserRole
 
 HOUR_S = 3600.0
@@ -292,7 +292,7 @@ def test_ten_minutes_of_every_signal_take_less_than_three_megabytes():
 
 def test_a_slow_reader_gets_the_latest_of_each_section_and_no_more():
     async def read() -> tuple[bytes, bytes]:
-        broadcast, seen = Broadcast(), SeenVersions()
+        broadcast, seen = Broadcast(), {}
         for number in range(1000):
             broadcast.publish("state", number)
         broadcast.publish("why", "because")
@@ -307,7 +307,7 @@ def test_no_text_ends_a_section_early():
     async def read() -> bytes:
         broadcast = Broadcast()
         broadcast.publish("why", {"sentence": "a\n\nevent: state\ndata: 1\r\n\u2028"})
-        return broadcast.unseen(SeenVersions())
+        return broadcast.unseen({})
 
     lines = asyncio.run(read()).decode().split("\n")
     assert lines[2:] == ["", ""]

@@ -22,25 +22,17 @@ GZIP_HEAD = b"\x1f\x8b\x08\x00\x00\x00\x00\x00\x00\x03"
 """Begins the body of a browser that takes gzip (RFC 1952); packed sections follow."""
 
 
-class _Section:
-    def __init__(self, version: int, data: bytes) -> None:
-        self.version = version
-        self.data = data
-
+class _Section(bytes):
     @cached_property
     def packed(self) -> bytes:
         """Once for all browsers that take gzip."""
-        return packed(self.data)
+        return packed(self)
 
 
 def packed(data: bytes) -> bytes:
     """A part of a gzip body: it refers to nothing before it, so that any such parts follow."""
     deflate = zlib.compressobj(wbits=-zlib.MAX_WBITS)
     return deflate.compress(data) + deflate.flush(zlib.Z_SYNC_FLUSH)
-
-
-class SeenVersions(dict[str, int]):
-    """Versions of the sections that one browser has."""
 
 
 class Broadcast:
@@ -55,7 +47,7 @@ class Broadcast:
 
     def __init__(self) -> None:
         self._sections: dict[str, _Section] = {}
-        self._version = self._readers = 0
+        self._readers = 0
         self.is_read = asyncio.Event()
         self.next_change = asyncio.Event()
 
@@ -77,9 +69,7 @@ class Broadcast:
         ValueError for a number that JSON has not.
         """
         text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-        self._version += 1
-        data = f"event: {name}\ndata: {text}\n\n".encode()
-        self._sections[name] = _Section(self._version, data)
+        self._sections[name] = _Section(f"event: {name}\ndata: {text}\n\n".encode())
         if wake:
             self.next_change.set()
             self.next_change = asyncio.Event()
@@ -89,13 +79,11 @@ class Broadcast:
         for name in names:
             self._sections.pop(name, None)
 
-    def unseen(self, seen: SeenVersions, *, as_gzip: bool = False) -> bytes:
-        """Sections that have changed since this browser's last ones; it has them from now on."""
-        changed = [
-            (name, one) for name, one in self._sections.items() if seen.get(name) != one.version
-        ]
-        seen.update((name, one.version) for name, one in changed)
-        return b"".join(one.packed if as_gzip else one.data for _, one in changed)
+    def unseen(self, seen: dict[str, bytes], *, as_gzip: bool = False) -> bytes:
+        """Sections newer than those that this browser has seen; it has seen them from now on."""
+        changed = {name: one for name, one in self._sections.items() if seen.get(name) is not one}
+        seen.update(changed)
+        return b"".join(one.packed if as_gzip else one for one in changed.values())
 
 
 MOST_STREAMS = 128
@@ -138,7 +126,8 @@ class Streams:
 
         What its network has not delivered yet makes it miss the next ones.
         """
-        seen, look_again_s = SeenVersions(), time.monotonic() + _LOOK_AGAIN_S
+        look_again_s = time.monotonic() + _LOOK_AGAIN_S
+        seen: dict[str, bytes] = {}
         with counted(self._by_address, address), self._broadcast.read():
             yield GZIP_HEAD + packed(_RETRY) if as_gzip else _RETRY
             while True:
