@@ -4,7 +4,7 @@ import gzip
 import hashlib
 from collections.abc import Mapping
 from importlib import resources
-from importlib.resources.abc import Traversable
+from pathlib import PurePath
 from typing import NamedTuple, Self
 
 from starlette.requests import Request
@@ -54,22 +54,17 @@ class PageFile(NamedTuple):
 def page_files() -> dict[str, PageFile]:
     """Every file by its path on the server; / is the page."""
     package = resources.files("vcu_gateway")
-    files = {f"/{name}": read for name, read in _read(package / "web" / "page")}
+    files = {f"/{one.name}": one for one in (package / "web" / "page").iterdir()}
     # The one copy of uPlot and of how plots are drawn; the package they lie in is not imported.
     export = package / "export"
-    files |= {f"/uplot/{name}": read for name, read in _read(export / "uplot")}
-    files["/plots.js"] = dict(_read(export / "page"))["plots.js"]
+    files |= {f"/uplot/{one.name}": one for one in (export / "uplot").iterdir()}
+    files["/plots.js"] = export / "page" / "plots.js"
     files["/"] = files.pop("/index.html")
-    return files
-
-
-def _read(folder: Traversable) -> list[tuple[str, PageFile]]:
-    return [
-        (one.name, _page_file(one.read_bytes(), content_type))
-        for one in folder.iterdir()
-        for ending, content_type in _TYPES.items()
-        if one.name.endswith(ending)
-    ]
+    return {
+        path: _page_file(one.read_bytes(), _TYPES[ending])
+        for path, one in files.items()
+        if (ending := PurePath(one.name).suffix) in _TYPES
+    }
 
 
 def _page_file(plain: bytes, content_type: str) -> PageFile:
