@@ -26,6 +26,8 @@ from vcu_gateway.web.state_row import (
     definition,
     is_number,
     misfits,
+    object_at,
+    part_of,
     signal_order,
     state_row,
 )
@@ -69,7 +71,7 @@ class AnswerSections:
 
     @property
     def protocol_digest(self) -> object:
-        return self._protocol.get("digest") if isinstance(self._protocol, dict) else None
+        return part_of(self._protocol, "digest")
 
     @property
     def not_understood(self) -> list[str]:
@@ -97,8 +99,7 @@ class AnswerSections:
 
     def _define(self, state: Any) -> None:
         """Tell the names where the state has other messages than before."""
-        messages = state.get("messages")
-        names = list(messages) if isinstance(messages, dict) else []
+        names = list(object_at(state, "messages"))
         if not self._order or names != list(self._order):
             told = definition(self._protocol, names)
             self._order = signal_order(told, names)
@@ -123,15 +124,14 @@ class AnswerSections:
     def take_health(self, health: Any) -> None:
         """State of the gateway itself, and its version."""
         self._judge("health", health, Health)
-        versions = health.get("versions") if isinstance(health, dict) else None
-        version = versions.get("vcu_gateway") if isinstance(versions, dict) else None
+        version = object_at(health, "versions").get("vcu_gateway")
         self.gateway_version = version if isinstance(version, str) else None
         self._send("health", health)
 
     def take_events(self, events: Any) -> None:
         """The latest events, without the ages that make them differ each time."""
         self._judge("events", events, Events)
-        entries = events.get("events") if isinstance(events, dict) else None
+        entries = part_of(events, "events")
         dated = [_dated(one) for one in entries] if isinstance(entries, list) else []
         if dated != self._dated:
             self._dated = dated

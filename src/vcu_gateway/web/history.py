@@ -13,7 +13,7 @@ from typing import Any, TypedDict
 
 from vcu_gateway.units import NS_PER_MS
 from vcu_gateway.web.page_files import EncodedBody
-from vcu_gateway.web.state_row import is_number
+from vcu_gateway.web.state_row import is_number, object_at, part_of
 
 KEPT_S = 600
 RATE_HZ = 10
@@ -126,26 +126,17 @@ def _extremes(values: list[float]) -> list[float | None]:
 
 def _values(state: Any) -> Iterator[tuple[str, float]]:
     """Whatever is not as it should be is a gap."""
-    for message_name, message in _items(state, "messages"):
-        for name, signal in _items(message, "signals"):
-            yield f"{message_name}.{name}", _live(signal)
-    for controller, command in _items(state, "commands"):
+    for message_name, message in object_at(state, "messages").items():
+        for name, signal in object_at(message, "signals").items():
+            is_live = part_of(signal, "quality") in _LIVE
+            yield f"{message_name}.{name}", _float(signal, "value") if is_live else _NAN
+    for controller, command in object_at(state, "commands").items():
         for key in _COMMANDED:
             yield f"{controller}.commanded.{key}", _float(command, key)
 
 
-def _items(value: Any, key: str) -> Iterable[tuple[str, Any]]:
-    inner = value.get(key) if isinstance(value, dict) else None
-    return inner.items() if isinstance(inner, dict) else ()
-
-
-def _live(signal: Any) -> float:
-    is_live = isinstance(signal, dict) and signal.get("quality") in _LIVE
-    return _float(signal, "value") if is_live else _NAN
-
-
 def _float(value: Any, key: str) -> float:
-    inner = value.get(key) if isinstance(value, dict) else None
+    inner = part_of(value, key)
     return float(inner) if is_number(inner) else _NAN
 
 

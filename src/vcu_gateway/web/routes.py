@@ -25,6 +25,7 @@ from vcu_gateway.web.access import Access, Visitor
 from vcu_gateway.web.gateway_link import GatewayLink, now_ms
 from vcu_gateway.web.guard import NO_STORE, PageRequestError
 from vcu_gateway.web.history import MOST_SIGNALS, PreparedSamples
+from vcu_gateway.web.state_row import part_of
 from vcu_gateway.web.stream import Streams
 from vcu_gateway.web.users import ACTION_RIGHTS, WebEvents
 
@@ -132,8 +133,7 @@ async def _outcome(asked: Awaitable[Granted]) -> Answer:
 
 def _granted(granted: Any) -> Answer:
     """The answer for one that a gateway of any version granted."""
-    mode = granted.get("mode") if isinstance(granted, dict) else None
-    return Answer(answered=True, granted=True, mode=mode)
+    return Answer(answered=True, granted=True, mode=part_of(granted, "mode"))
 
 
 _MAY_NOT = Answer(answered=False, sentence="the role may not")

@@ -114,13 +114,12 @@ def state_row(
     state: Mapping[str, Any], order: SignalOrder, received_ms: float
 ) -> dict[str, object]:
     """One state, small; `received_ms` is when it got here, on the clock of `t`."""
-    messages = state.get("messages")
-    messages = messages if isinstance(messages, dict) else {}
+    messages = object_at(state, "messages").items()
     return {
         "t": state["monotonic_ns"] / NS_PER_MS,
         "received": received_ms,
         "mode": state.get("mode"),
-        "messages": {name: _row(one, order.get(name, ())) for name, one in messages.items()},
+        "messages": {name: _row(one, order.get(name, ())) for name, one in messages},
         "commands": state.get("commands"),
         "demanded": state.get("demanded"),
         "stop": state.get("stop"),
@@ -131,8 +130,7 @@ def _row(message: Any, names: Sequence[str]) -> Row | None:
     """None for a message that is none."""
     if not isinstance(message, dict):
         return None
-    signals = message.get("signals")
-    signals = signals if isinstance(signals, dict) else {}
+    signals = object_at(message, "signals")
     parts = [_signal(signals.get(name)) for name in names]
     return [
         _number(message.get("age_ms")),
@@ -145,11 +143,9 @@ def _row(message: Any, names: Sequence[str]) -> Row | None:
 
 
 def _signal(signal: Any) -> tuple[float | None, str]:
-    if not isinstance(signal, dict):
-        return None, _UNKNOWN_QUALITY
-    value, quality = _number(signal.get("value")), signal.get("quality")
+    quality = part_of(signal, "quality")
     letter = _QUALITY_LETTERS.get(quality) if isinstance(quality, str) else None
-    return value, letter or _UNKNOWN_QUALITY
+    return _number(part_of(signal, "value")), letter or _UNKNOWN_QUALITY
 
 
 def _number(value: object) -> float | None:
@@ -164,18 +160,25 @@ def is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def part_of(value: Any, key: str) -> Any:
+    """What an object has at this key; None where it is no object, too."""
+    return value.get(key) if isinstance(value, dict) else None
+
+
+def object_at(value: Any, key: str) -> dict[str, Any]:
+    """The same where it is an object; else an empty one."""
+    inner = part_of(value, key)
+    return inner if isinstance(inner, dict) else {}
+
+
 def definition(protocol: Any, received: Sequence[str]) -> dict[str, Any]:
     """What the page needs to name the numbers: messages in the state's order."""
-    listed = protocol.get("messages") if isinstance(protocol, dict) else None
-    known = {one["name"]: one for one in (listed or ()) if _has_name(one)}
+    listed = part_of(protocol, "messages") or ()
+    known = {one["name"]: one for one in listed if isinstance(part_of(one, "name"), str)}
     return {
-        "digest": protocol.get("digest") if isinstance(protocol, dict) else None,
+        "digest": part_of(protocol, "digest"),
         "messages": [_message(known[name]) for name in received if name in known],
     }
-
-
-def _has_name(message: Any) -> bool:
-    return isinstance(message, dict) and isinstance(message.get("name"), str)
 
 
 def _message(message: Any) -> dict[str, object]:
