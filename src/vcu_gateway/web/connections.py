@@ -265,8 +265,7 @@ class _PlacedSocket(socket.socket):
         registers: tuple[dict[Place, socket.socket], ...],
         place: Place,
     ) -> None:
-        family, kind, protocol = accepted.family, accepted.type, accepted.proto
-        super().__init__(family, kind, protocol, fileno=accepted.detach())
+        super().__init__(accepted.family, accepted.type, accepted.proto, accepted.detach())
         self._registers = registers
         self.place = place
 

@@ -25,7 +25,7 @@ from starlette.responses import Response, StreamingResponse
 
 from vcu_gateway.api.errors import Right
 from vcu_gateway.web.access import Visitor
-from vcu_gateway.web.guard import PageRequestError
+from vcu_gateway.web.guard import NO_STORE, PageRequestError
 from vcu_gateway.web.routes import answer, body
 from vcu_gateway.web.users import WebEvents
 
@@ -70,9 +70,8 @@ class RecorderFolder:
         arguments = ("recordings", "list", "--json", "--folder", str(self._folder))
         return await _alone(self._listing, *arguments)
 
-    async def replay(self, path: Path, config: Path | None = None) -> VerbResult:
-        """`replay` of a recording, or what another configuration would have done."""
-        options = ["--config", str(config)] if config is not None else []
+    async def replay(self, path: Path, *options: str) -> VerbResult:
+        """`replay` of a recording; with --config, what another configuration would have done."""
         return await _alone(self._computing, "replay", str(path), *options)
 
 
@@ -179,10 +178,7 @@ class RecordingRoutes:
         """The whole folder of one as a tar file."""
         _, path = self._find(request, visitor)
         self._tell("recording_downloaded", path, visitor)
-        headers = {
-            "content-disposition": f'attachment; filename="{path.name}.tar"',
-            "cache-control": "no-store",
-        }
+        headers = {"content-disposition": f'attachment; filename="{path.name}.tar"', **NO_STORE}
         return StreamingResponse(archive(path), media_type="application/x-tar", headers=headers)
 
     async def replay(self, request: Request, visitor: Visitor) -> Response:
@@ -198,7 +194,7 @@ class RecordingRoutes:
             with tempfile.TemporaryDirectory(prefix="vcu-web.") as temporary:
                 file = Path(temporary) / "gateway.yaml"
                 file.write_bytes(config)
-                return _said(await folder.replay(path, file), temporary + os.sep)
+                return _said(await folder.replay(path, "--config", str(file)), temporary + os.sep)
         except OSError as error:
             sentence = f"the configuration cannot be kept: {error.strerror}"
             raise PageRequestError(507, sentence) from error
@@ -231,13 +227,13 @@ def _listed(result: VerbResult) -> Response:
     return answer({"recordings": [], "sentence": _reason(result)})
 
 
-def _said(result: VerbResult, hide: str = "") -> Response:
+def _said(result: VerbResult, hide: str = "\0") -> Response:
     """The verdict and its lines; the sentence of the error where there is none."""
     if result.code is None:
         raise PageRequestError(504, "it took longer than two minutes and was ended")
-    lines = result.output.decode(errors="replace").replace(hide or "\0", "").splitlines()
+    lines = result.output.decode(errors="replace").replace(hide, "").splitlines()
     if result.code not in (_SAME, _DIFFERS) or not lines:
-        raise PageRequestError(422, _reason(result).replace(hide or "\0", ""))
+        raise PageRequestError(422, _reason(result).replace(hide, ""))
     return answer({"same": result.code == _SAME, "lines": lines})
 
 
