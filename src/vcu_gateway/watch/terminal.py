@@ -28,13 +28,10 @@ def is_full() -> bool:
     return terminals and os.environ.get("TERM", "dumb") not in ("", "dumb", "unknown")
 
 
-def has_gone() -> bool:
-    """True where the terminal was hung up: its window was closed, or ssh has died."""
-    return _attributes() is None
-
-
 class TerminalExit:
     """Exit request for the view; without an answer it ends the process after two seconds.
+
+    SIGTERM, SIGHUP and SIGINT are the request: it is made only in the main thread.
 
     Attributes:
         requested: True from the first signal on, or the end of the terminal.
@@ -45,9 +42,6 @@ class TerminalExit:
         self._attributes = _attributes()
         self._end = threading.Timer(_EXIT_TIMEOUT_S, self._enforce)
         self._end.daemon = True
-
-    def handle_signals(self) -> None:
-        """Take SIGTERM, SIGHUP and SIGINT as the request; only in the main thread."""
         for number in _EXIT_SIGNALS:
             signal.signal(number, lambda *_: self.request())
 
@@ -79,10 +73,9 @@ def watch(
     Only in the main thread, and where `is_full`. The process ends with 70 after a bug.
     """
     terminal_exit = TerminalExit()
-    terminal_exit.handle_signals()
 
     def done() -> bool:
-        if has_gone():
+        if _attributes() is None:  # its window was closed, or ssh has died
             terminal_exit.request()
         return terminal_exit.requested or finished()
 
