@@ -317,10 +317,10 @@ class LimitedProtocol(H11Protocol):
         # One that has just been given up has no place any more.
         place = accepted.place if accepted is not None else Place("", time.monotonic())
         self.app = _placed(self.app, transport, place)
-        self._seen_cycle = self.cycle
         self._watch(transport)
 
     def _watch(self, transport: asyncio.Transport) -> None:
+        self._seen_cycle = self.cycle
         loop = asyncio.get_running_loop()
         self._timer = loop.call_later(REQUEST_WITHIN_S, self._check, transport)
 
@@ -329,9 +329,8 @@ class LimitedProtocol(H11Protocol):
         waits = self.conn.their_state in (h11.IDLE, h11.SEND_BODY)
         if waits and self.cycle is self._seen_cycle:
             transport.abort()
-            return
-        self._seen_cycle = self.cycle
-        self._watch(transport)
+        else:
+            self._watch(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._timer is not None:

@@ -10,8 +10,7 @@ What is not understood is named, with the versions that meet, and costs what it 
 import asyncio
 import contextlib
 import time
-from collections.abc import Awaitable, Callable
-from itertools import islice
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -165,9 +164,9 @@ class AnswerSections:
             self._note(name, [*self._misfits.get(name, ()), f"{name}: {error!r}"])
 
     def _judge(self, name: str, value: object, kind: Any) -> None:
-        self._note(name, list(islice(dict.fromkeys(misfits(value, kind, name)), _MOST_NAMED)))
+        self._note(name, misfits(value, kind, name))
 
-    def _note(self, name: str, found: list[str]) -> None:
+    def _note(self, name: str, found: Iterable[str]) -> None:
         """Keep what is not understood of an answer, and tell what was not told before."""
         self._misfits[name] = list(dict.fromkeys(found))[:_MOST_NAMED]
         new = [one for one in self._misfits[name] if one not in self._told]

@@ -143,9 +143,6 @@ def _float(value: Any, key: str) -> float:
 _KEPT_S = 1.0
 _KEPT = 16
 
-Question = tuple[tuple[str, ...], int]
-"""Names of the signals, and the number of points."""
-
 
 class PreparedSamples:
     """Encoded samples, each a second old at most; one answer is put together at a time.
@@ -160,7 +157,7 @@ class PreparedSamples:
     ) -> None:
         self._read = read
         self._now_s = now_s
-        self._kept: dict[Question, tuple[float, EncodedBody]] = {}
+        self._kept: dict[tuple[tuple[str, ...], int], tuple[float, EncodedBody]] = {}
         self._one_at_a_time = asyncio.Lock()
 
     async def encoded(self, names: tuple[str, ...], points: int) -> EncodedBody:

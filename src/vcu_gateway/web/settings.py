@@ -66,7 +66,9 @@ class WebSettings(NamedTuple):
             raise ConfigError(*problems)
 
     def _network_problems(self) -> list[Problem]:
-        if not _is_address(self.address):
+        try:
+            address = ipaddress.ip_address(self.address)
+        except ValueError:
             return [Problem(f"{self.address!r} is no IP address", "--listen")]
         problems = []
         if not self.is_local and self.tls is None:
@@ -75,7 +77,7 @@ class WebSettings(NamedTuple):
         if not self.is_local and not self.users:
             what = f"{self.address} can be reached from a network, and there are no users"
             problems.append(Problem(what, "--listen", f"give --users FILE; {_DOCS}"))
-        if ipaddress.ip_address(self.address).is_unspecified and not self.host_names:
+        if address.is_unspecified and not self.host_names:
             what = f"{self.address} is no name that a browser uses"
             problems.append(Problem(what, "--listen", "give each one with --host-name NAME"))
         return problems
@@ -99,14 +101,6 @@ def without_port(host: str) -> str:
     name, colon, port = host.rpartition(":")
     has_port = colon and port.isascii() and port.isdecimal()
     return name if has_port and (":" not in name or name.endswith("]")) else host
-
-
-def _is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_readable(path: Path) -> bool:
