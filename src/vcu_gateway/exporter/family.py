@@ -132,6 +132,8 @@ Kind = Literal["counter", "gauge", "histogram"]
 Samples = Mapping[tuple[str, ...], float]
 """Values by the values of the labels; what is not known is not in it."""
 
+Read = Callable[[GatewayAnswers], Samples]
+
 
 class Family(NamedTuple):
     """One metric with all its label sets.
@@ -148,7 +150,7 @@ class Family(NamedTuple):
     kind: Kind
     help: str
     labels: tuple[str, ...]
-    read: Callable[[GatewayAnswers], Samples]
+    read: Read
 
     def samples(self, reading: GatewayAnswers) -> Samples:
         """The samples; none where the gateway is too old to report them."""
@@ -158,33 +160,31 @@ class Family(NamedTuple):
             return {}
 
 
-def counter(
-    name: str, text: str, read: Callable[[GatewayAnswers], Samples], *labels: str
-) -> Family:
+def counter(name: str, text: str, read: Read, *labels: str) -> Family:
     """A count since the start of the gateway."""
     return Family(f"{PREFIX}{name}_total", "counter", text, labels, read)
 
 
-def gauge(name: str, text: str, read: Callable[[GatewayAnswers], Samples], *labels: str) -> Family:
+def gauge(name: str, text: str, read: Read, *labels: str) -> Family:
     return Family(PREFIX + name, "gauge", text, labels, read)
 
 
-def of_health(read: Callable[[results.Health], Samples]) -> Callable[[GatewayAnswers], Samples]:
+def of_health(read: Callable[[results.Health], Samples]) -> Read:
     """Samples of `health`; none where the gateway does not answer."""
     return lambda reading: {} if reading.health is None else read(reading.health)
 
 
-def of_state(read: Callable[[results.State], Samples]) -> Callable[[GatewayAnswers], Samples]:
+def of_state(read: Callable[[results.State], Samples]) -> Read:
     """Samples of the state; none before the first tick."""
     return lambda reading: {} if reading.state is None else read(reading.state)
 
 
-def of_why(read: Callable[[results.Why], Samples]) -> Callable[[GatewayAnswers], Samples]:
+def of_why(read: Callable[[results.Why], Samples]) -> Read:
     """Samples of `why`; none before the first tick."""
     return lambda reading: {} if reading.why is None else read(reading.why)
 
 
-def of_tuning(read: Callable[[results.TuningNow], Samples]) -> Callable[[GatewayAnswers], Samples]:
+def of_tuning(read: Callable[[results.TuningNow], Samples]) -> Read:
     """Samples of the tuning; none where the gateway does not tell it."""
     return lambda reading: {} if reading.tuning is None else read(reading.tuning)
 

@@ -12,8 +12,8 @@ from vcu_gateway.exporter.family import (
     PREFIX,
     US_PER_S,
     Family,
-    GatewayAnswers,
     Kind,
+    Read,
     Samples,
     by,
     counter,
@@ -31,9 +31,7 @@ _ERRORS = tuple(code.name.lower() for code in ErrorCode)
 _LINK_STATES = get_args(results.LinkStateName)
 
 
-def _at(
-    section: str, key: str, by_label: bool = False, known: Iterable[str] = ()
-) -> Callable[[GatewayAnswers], Samples]:
+def _at(section: str, key: str, by_label: bool = False, known: Iterable[str] = ()) -> Read:
     """The number at a key of a section of `health`, or the numbers by the words of a label."""
 
     def samples(health: results.Health) -> Samples:
