@@ -253,4 +253,3 @@ FAMILIES: tuple[Family, ...] = (
     _process("open_fds", "Number of open file descriptors."),
     _process("max_fds", "Maximum number of open file descriptors."),
 )
-"""In the order of the text."""

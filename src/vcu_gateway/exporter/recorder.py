@@ -85,4 +85,3 @@ FAMILIES: tuple[Family, ...] = (
     _count("removed_segments", "Segments removed for want of room."),
     _count("removed_incidents", "Incidents removed for want of room."),
 )
-"""In the order of the text."""

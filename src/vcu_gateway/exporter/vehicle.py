@@ -27,7 +27,6 @@ _POWER_MODES = get_args(results.PowerModeName)
 
 
 def _causes(why: results.Why) -> list[results.Cause]:
-    """Every cause that counted."""
     return [*why["blocks"], *why["limits"], *why["alarms"]]
 
 
@@ -246,4 +245,3 @@ FAMILIES: tuple[Family, ...] = (
         "unit",
     ),
 )
-"""In the order of the text."""

@@ -89,8 +89,6 @@ def play(
 
 @dataclass(slots=True)
 class _Player:
-    """One bus with the nodes on it."""
-
     _bus: can.BusABC
     _nodes: Nodes
     _log: can.Listener | None

@@ -203,7 +203,6 @@ class Vehicle:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the start."""
         return (self._stepped_ns - self.start_ns) / NS_PER_S
 
     @property

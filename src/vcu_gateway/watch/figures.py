@@ -91,8 +91,6 @@ def rate_text(message: Message) -> str:
 
 
 TABLE_COLUMNS = 74
-"""Width of the table."""
-
 _LABEL_COLUMNS = 10
 _CELL_COLUMNS = 16
 _OLD_MS = 150.0

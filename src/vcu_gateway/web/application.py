@@ -135,7 +135,6 @@ def build(settings: WebSettings, events: WebEvents) -> ASGIApp:
 
 
 async def _refused(_: Request, refused: Any) -> Response:
-    """Answer that a handler's PageRequestError carries."""
     response: Response = refused.response
     return response
 
