@@ -153,10 +153,6 @@ ANSWER_DELAY_NS = 1_000_000
 _PHASE_NS = 1_000_000
 
 
-def _unsealed(data: bytes) -> bytes:
-    return data
-
-
 class NodeFrame(NamedTuple):
     """A frame to send.
 
@@ -164,14 +160,14 @@ class NodeFrame(NamedTuple):
         can_id: 29-bit identifier; data: eight bytes, unless a transform made it others.
         message: its name in the protocol.
         due_ns: when it leaves.
-        seal: what its node does last: a checksum, where the message has one.
+        seal: what its node does last: a checksum, where the message has one; `bytes` is nothing.
     """
 
     can_id: int
     data: bytes
     message: str
     due_ns: int
-    seal: Callable[[bytes], bytes] = _unsealed
+    seal: Callable[[bytes], bytes] = bytes
 
 
 Transform = Callable[[NodeFrame], Iterable[NodeFrame]]
@@ -201,7 +197,7 @@ class _Sender:
 
     codec: MessageCodec
     source: Source
-    seal: Callable[[bytes], bytes] = _unsealed
+    seal: Callable[[bytes], bytes] = bytes
     count: int = 0
 
     def frame(self, due_ns: int) -> NodeFrame:
@@ -233,7 +229,7 @@ class Nodes:
         self._codec = codec
         self.vehicle = vehicle
         self._faults = tuple(faults)
-        self._transforms = tuple(fault.transform for fault in faults)
+
         self._senders = _senders(codec, sources(vehicle, noise))
         if pedals is not None:
             foot = self._senders[pedals.message]
@@ -307,8 +303,8 @@ class Nodes:
 
     def _hand_over(self, frame: NodeFrame) -> None:
         frames: Iterable[NodeFrame] = (frame,)
-        for transform in self._transforms:
-            frames = [changed for each in frames for changed in transform(each)]
+        for fault in self._faults:
+            frames = [changed for each in frames for changed in fault.transform(each)]
         for each in frames:
             heapq.heappush(self._outgoing, (each.due_ns, next(self._sequence), each))
 
