@@ -18,7 +18,6 @@ NEVER_NS = 2**62
 """Later than anything happens."""
 
 _BYTE_BITS = 8
-_ALL_PCT = 100.0
 
 Change = Callable[[Vehicle, bool], None]
 """Breaks the vehicle on True, repairs it on False."""
@@ -103,10 +102,8 @@ def only(messages: Collection[str], transform: Transform) -> Transform:
 
 def sometimes(share_pct: float, seed: int, transform: Transform) -> Transform:
     """Transform of a share of the frames, always the same ones for the same seed."""
-    if share_pct >= _ALL_PCT:
-        return transform
     chance = random.Random(seed)  # noqa: S311 - chance that can be repeated, no secret
-    return lambda frame: transform(frame) if chance.random() * _ALL_PCT < share_pct else (frame,)
+    return lambda frame: transform(frame) if chance.random() * 100 < share_pct else (frame,)
 
 
 class ForeignNode(NamedTuple):

@@ -22,18 +22,17 @@ class Foot(NamedTuple):
 def _over_time(points: list[list[float]]) -> list[list[float]]:
     for index, point in enumerate(points):
         place = (index,)
-        if len(point) != _PAIR:
+        if len(point) != 2:
             raise refusal("must be [seconds, %]", "such as [4, 30]", place=place)
         if index and point[0] <= points[index - 1][0]:
             raise refusal("must be later than the point before", place=place)
-        if point[0] < 0 or not 0 <= point[1] <= _ALL_PCT:
+        if point[0] < 0 or not 0 <= point[1] <= 100:
             raise refusal("must be a time from 0 on and 0 to 100 %", place=place)
-    if len(points) < _PAIR:
+    if len(points) < 2:
         raise refusal("must have two points or more", "such as [[4, 0], [5, 30]]")
     return points
 
 
-_PAIR, _ALL_PCT = 2, 100
 _Travel = Annotated[list[list[float]], AfterValidator(_over_time)]
 
 
@@ -45,7 +44,6 @@ class FootSection(Section):
 
     @property
     def foot(self) -> Foot:
-        """The simulator's foot of it."""
         return Foot(_curve(self.throttle_pct), _curve(self.brake_pct))
 
 
@@ -63,14 +61,12 @@ class PedalNode:
     def values(self, at_s: float, count: int) -> dict[str, float]:
         """Values of the next frame, this long after the start, by signal; `count` were before."""
         pedals, foot = self._pedals, self._foot
-        travel_pct = foot.throttle_pct.at(at_s)
-        values = {
-            track.signal: _value(track, travel_pct)
-            for track in (pedals.throttle, pedals.throttle_track2)
-            if track is not None
-        }
-        if pedals.brake is not None:
-            values[pedals.brake.signal] = _value(pedals.brake, foot.brake_pct.at(at_s))
+        tracks = (
+            (pedals.throttle, foot.throttle_pct),
+            (pedals.throttle_track2, foot.throttle_pct),
+            (pedals.brake, foot.brake_pct),
+        )
+        values = {track.signal: _value(track, travel.at(at_s)) for track, travel in tracks if track}
         if pedals.counter is not None:
             counter = self._spec.signal(pedals.counter)
             codes = counter.raw_maximum - counter.raw_minimum + 1
