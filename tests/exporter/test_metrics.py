@@ -6,6 +6,7 @@ import platform
 import sys
 
 import pytest
+from prometheus_client import generate_latest
 
 from tests.core.simulated_drive import (
     COMMAND_IDS,
@@ -561,7 +562,7 @@ def test_memory_does_not_grow_over_200_scrapes():
 
     def blocks_after(scrapes: int) -> int:
         for _ in range(scrapes):
-            prometheus.text(lambda: reading)
+            generate_latest(prometheus.registry(lambda: reading))
         gc.collect()  # empties the interpreter's own stores as well
         return sys.getallocatedblocks()
 

@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from prometheus_client import Metric
+from prometheus_client import Metric, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.core.simulated_drive import COMMAND_IDS, Drive, active
@@ -129,7 +129,7 @@ class Program:
         return answered._replace(recorder=self.recorder, recorder_age_s=self.recorder_age_s)
 
     def scrape(self) -> Scrape:
-        return Scrape(prometheus.text(self.reading).decode())
+        return Scrape(generate_latest(prometheus.registry(self.reading)).decode())
 
 
 def driven() -> Program:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from prometheus_client import CollectorRegistry, generate_latest, start_http_server
+from prometheus_client import CollectorRegistry, start_http_server
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -30,7 +30,7 @@ class HttpServer:
     def __init__(self, read: Callable[[], GatewayAnswers], address: str, port: int) -> None:
         """Listen; UnavailableError, with what to do, where the port cannot be had."""
         try:
-            self._server, self._thread = start_http_server(port, address, _registry(read))
+            self._server, self._thread = start_http_server(port, address, registry(read))
         except OSError as error:
             what = f"cannot listen on {address} port {port}: {error.strerror}"
             remedy = f"choose another with --listen, or look who has it: ss -ltnp 'sport = :{port}'"
@@ -45,14 +45,10 @@ class HttpServer:
         self._thread.join()
 
 
-def text(read: Callable[[], GatewayAnswers]) -> bytes:
-    return generate_latest(_registry(read))
-
-
-def _registry(read: Callable[[], GatewayAnswers]) -> CollectorRegistry:
-    registry = CollectorRegistry()
-    registry.register(_Families(read))
-    return registry
+def registry(read: Callable[[], GatewayAnswers]) -> CollectorRegistry:
+    found = CollectorRegistry()
+    found.register(_Families(read))
+    return found
 
 
 class _Families(Collector):
