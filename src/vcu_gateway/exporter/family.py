@@ -76,8 +76,9 @@ class GatewayReader:
 
     def _read(self) -> GatewayAnswers:
         deadline_s = time.monotonic() + self._time_limit_s
+        self._client.timeout_s = self._time_limit_s
         try:
-            health = self._call(self._client.health, self._time_limit_s)
+            health = self._client.health()
         except ClientError as error:
             self._report_change(f"no metrics of the gateway: {error}")
             return GatewayAnswers()
@@ -107,14 +108,11 @@ class GatewayReader:
 
     def _call_if_answered(self, ask: Callable[[], ResultT], deadline_s: float) -> ResultT | None:
         """The result; None for an error: not ready, not known to an older gateway, too late."""
+        self._client.timeout_s = max(0.0, deadline_s - time.monotonic())
         try:
-            return self._call(ask, max(0.0, deadline_s - time.monotonic()))
+            return ask()
         except ClientError:
             return None
-
-    def _call(self, ask: Callable[[], ResultT], timeout_s: float) -> ResultT:
-        self._client.timeout_s = timeout_s
-        return ask()
 
     def _report_change(self, sentence: str) -> None:
         if sentence != self._reported:

@@ -13,10 +13,6 @@ def _told(reading: GatewayAnswers) -> bool:
     return reading.recorder_age_s is not None and reading.recorder_age_s <= STALE_S
 
 
-def _up(reading: GatewayAnswers) -> Samples:
-    return {} if reading.recorder is None else one(float(_told(reading)))
-
-
 def _of_recorder(read: Callable[[RecorderStatus], Samples]) -> Callable[[GatewayAnswers], Samples]:
     """Samples of the state; none where the recorder does not tell it."""
 
@@ -42,7 +38,7 @@ FAMILIES: tuple[Family, ...] = (
     gauge(
         "recorder_up",
         "1 where the recorder told its state in the last 10 s, else 0; absent where none has run.",
-        _up,
+        lambda reading: {} if reading.recorder is None else one(float(_told(reading))),
     ),
     gauge(
         "recorder_connections",
