@@ -29,10 +29,17 @@ _GRAVITY_M_S2 = 9.81
 # Standard deviations of the sensors' noise.
 _STEERING_NOISE_DEG = 0.02
 _WHEEL_SPEED_NOISE_SHARE = 0.001
-_ACCELERATION_NOISE_M_S2 = 0.03
-_ANGULAR_RATE_NOISE_DEG_S = 0.05
-_ATTITUDE_NOISE_DEG = 0.03
 _PACK_VOLTAGE_NOISE_V = 0.01
+
+# What the IMU measures along X, Y and Z, and the standard deviation of its noise: m/s², °/s and °.
+_INERTIAL: Mapping[str, tuple[Callable[[Vehicle], Sequence[float]], float]] = {
+    "Acceleration": (
+        lambda v: (v.acceleration_m_s2, v.lateral_acceleration_m_s2, _GRAVITY_M_S2),
+        0.03,
+    ),
+    "AngularRate": (lambda v: (v.roll_rate_deg_s, v.pitch_rate_deg_s, v.yaw_rate_deg_s), 0.05),
+    "Attitude": (lambda v: (v.roll_deg, v.pitch_deg, v.heading_deg), 0.03),
+}
 
 # The five packs: the middle one is the warmest.
 _PACK_OFFSETS_K = (-1.0, -0.3, 0.4, 0.0, -0.7)
@@ -44,10 +51,9 @@ def sources(vehicle: Vehicle, noise: random.Random) -> Mapping[str, Source]:
         "ARD2_SteeringWheel": partial(_steering_wheel, vehicle, noise),
         "BMS_Status": partial(_bms_status, vehicle, noise),
         "BMS_Temperatures": partial(_bms_temperatures, vehicle),
-        "IMU_Acceleration": partial(_acceleration, vehicle, noise),
-        "IMU_AngularRate": partial(_angular_rate, vehicle, noise),
-        "IMU_Attitude": partial(_attitude, vehicle, noise),
     }
+    for quantity in _INERTIAL:
+        sources[f"IMU_{quantity}"] = partial(_inertial, quantity, vehicle, noise)
     for controller in (LEFT, RIGHT):
         sources[f"{controller}_Status1"] = partial(_status1, vehicle, controller)
         sources[f"{controller}_Status2"] = partial(_status2, vehicle, controller)
@@ -94,25 +100,10 @@ def _bms_temperatures(vehicle: Vehicle, _: int) -> Values:
     }
 
 
-def _acceleration(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
-    m_s2 = vehicle.acceleration_m_s2, vehicle.lateral_acceleration_m_s2, _GRAVITY_M_S2
-    return _axes("Acceleration", m_s2, noise, _ACCELERATION_NOISE_M_S2)
-
-
-def _angular_rate(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
-    deg_s = vehicle.roll_rate_deg_s, vehicle.pitch_rate_deg_s, vehicle.yaw_rate_deg_s
-    return _axes("AngularRate", deg_s, noise, _ANGULAR_RATE_NOISE_DEG_S)
-
-
-def _attitude(vehicle: Vehicle, noise: random.Random, _: int) -> Values:
-    deg = vehicle.roll_deg, vehicle.pitch_deg, vehicle.heading_deg
-    return _axes("Attitude", deg, noise, _ATTITUDE_NOISE_DEG)
-
-
-def _axes(name: str, values: Sequence[float], noise: random.Random, deviation: float) -> Values:
-    """The signals of the axes X, Y and Z, each with noise of this standard deviation."""
-    axes = zip("XYZ", values, strict=True)
-    return {f"{name}{axis}": value + noise.gauss(0, deviation) for axis, value in axes}
+def _inertial(quantity: str, vehicle: Vehicle, noise: random.Random, _: int) -> Values:
+    measured, deviation = _INERTIAL[quantity]
+    axes = zip("XYZ", measured(vehicle), strict=True)
+    return {f"{quantity}{axis}": value + noise.gauss(0, deviation) for axis, value in axes}
 
 
 def _status1(vehicle: Vehicle, controller: str, _: int) -> Values:
