@@ -11,7 +11,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import IO, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from vcu_gateway import config as configuration
 from vcu_gateway.config import BenchDemandSection, BenchSection, Config
@@ -177,7 +177,9 @@ class DemoProcess(_Child):
         self.summary = ""
         wanted_json, pipe = json.dumps(wanted._asdict()), subprocess.PIPE
         super().__init__(_PROGRAM, wanted_json, stdin=pipe, stdout=pipe, text=True)
-        self._stdin, self._stdout = _pipes(self._process)
+        if self._process.stdin is None or self._process.stdout is None:
+            raise AssertionError("both are pipes")
+        self._stdin, self._stdout = self._process.stdin, self._process.stdout
         self._ended = threading.Event()
         self._reader = threading.Thread(target=self._read, name="demo", daemon=True)
         started = self._stdout.readline().strip() == READY
@@ -211,12 +213,6 @@ class DemoProcess(_Child):
         code = self._process.returncode
         failure.exit_code = code if code > 0 else os.EX_SOFTWARE
         return failure
-
-
-def _pipes(process: subprocess.Popen[str]) -> tuple[IO[str], IO[str]]:
-    if process.stdin is None or process.stdout is None:
-        raise AssertionError("both are pipes")
-    return process.stdin, process.stdout
 
 
 _THROTTLE_PCT = 30.0
