@@ -279,10 +279,9 @@ def panel_lines(health: Health | None, width: int) -> list[Text]:
     if health is None:
         return [cell("bus", _LABEL_COLUMNS, "dim")]
     frames, ticks, api = health["frames"], health["ticks"], health["api"]
-    link = health["link"]
-    bus = Text(f"{link['state']} for {narrow_duration(link['since_ms'])}", _link_style(health))
+    lost = health["link"]["lost"]
     rows = [
-        ("bus", bus if link["lost"] is None else Text(link["lost"], "red")),
+        ("bus", _link(health, " for ") if lost is None else Text(lost, "red")),
         ("received", Text(f"{frames['received']}, out of order {frames['out_of_order']}")),
         ("rejected", _counted(frames["rejected"])),
         ("dropped", _bad("by the kernel", frames["dropped"])),
@@ -313,13 +312,10 @@ def _row(label: str, figures: list[Text]) -> Text:
     return line(cell(label, _LABEL_COLUMNS, "dim"), *cells)
 
 
-def _link(health: Health) -> Text:
+def _link(health: Health, between: str = " ") -> Text:
     link = health["link"]
-    return Text(f"{link['state']} {narrow_duration(link['since_ms'])}", _link_style(health))
-
-
-def _link_style(health: Health) -> str:
-    return _LINK_STYLES.get(health["link"]["state"], "bold red")
+    style = _LINK_STYLES.get(link["state"], "bold red")
+    return Text(f"{link['state']}{between}{narrow_duration(link['since_ms'])}", style)
 
 
 def _count(word: str, count: int | None) -> Text:

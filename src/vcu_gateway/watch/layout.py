@@ -75,8 +75,7 @@ def mode_lines(view: ViewModel, width: int, max_lines: int, sentence: str = "") 
     first, *rest = wrapped(summary or sentence or own, width, max_lines, len(block) + 1)
     if summary and (left := max_lines - 1 - len(rest)) > 0:
         rest += wrapped(sentence or own, width, left)
-    lines = [line(Text(block, f"bold reverse {style}"), " ", first)]
-    return lines + [line(words) for words in rest]
+    return [line(Text(block, f"bold reverse {style}"), " ", first), *map(line, rest)]
 
 
 def stop_lines(view: ViewModel, width: int) -> list[Text]:
@@ -85,8 +84,7 @@ def stop_lines(view: ViewModel, width: int) -> list[Text]:
     if stop is None:
         return []
     style = _STOP_STYLES.get(stop["stage"], "bold yellow")
-    words = wrapped(stop["sentence"], width, _STOP_LINES)
-    return [line(Text(one, style)) for one in words]
+    return [line(Text(one, style)) for one in wrapped(stop["sentence"], width, _STOP_LINES)]
 
 
 def _mode_and_sentence(view: ViewModel) -> tuple[str, str, str]:
