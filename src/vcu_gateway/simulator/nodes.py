@@ -227,7 +227,7 @@ class Nodes:
             foot.source = lambda count: pedals.values(vehicle.elapsed_s, count)
             foot.seal = pedals.seal
         self._controllers = {message_name(name): name for name in vehicle.motors}
-        answers = {_answer(controller) for controller in vehicle.motors}
+        answers = {f"{controller}_Status2" for controller in vehicle.motors}
         self._grids = _grids(
             [sender for name, sender in self._senders.items() if name not in answers],
             vehicle.start_ns,
@@ -255,7 +255,7 @@ class Nodes:
         self._advance(now_ns)
         values = dict(zip(found.spec.signal_names, found.decode(data).values, strict=True))
         self.vehicle.command(controller, values, now_ns)
-        answer = self._senders[_answer(controller)]
+        answer = self._senders[f"{controller}_Status2"]
         self._answers.append((now_ns + ANSWER_DELAY_NS, answer))
         return found.spec.name
 
@@ -308,10 +308,6 @@ def _senders(codec: Codec, known: Mapping[str, Source]) -> dict[str, _Sender]:
     names = [m.name for m in codec.protocol.messages if m.sender != OWN_NODE]
     names.sort(key=lambda name: name not in known)
     return {name: _Sender(codec.by_name[name], known.get(name, lambda _: {})) for name in names}
-
-
-def _answer(controller: str) -> str:
-    return f"{controller}_Status2"
 
 
 def _grids(senders: Iterable[_Sender], start_ns: int) -> list[tuple[Schedule, _Sender]]:
