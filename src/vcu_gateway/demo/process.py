@@ -123,8 +123,6 @@ READY = "ready"
 NOTE = "scenario, "
 """Beginning of a line that says which step of the scenario begins or ends."""
 
-_PROGRAM = "vcu_gateway.demo.main"
-
 
 def default_socket() -> Path:
     """Where the API listens unless told otherwise: the same path every time, of this user."""
@@ -176,7 +174,7 @@ class DemoProcess(_Child):
         self.notes: list[str] = []
         self.summary = ""
         wanted_json, pipe = json.dumps(wanted._asdict()), subprocess.PIPE
-        super().__init__(_PROGRAM, wanted_json, stdin=pipe, stdout=pipe, text=True)
+        super().__init__("vcu_gateway.demo.main", wanted_json, stdin=pipe, stdout=pipe, text=True)
         if self._process.stdin is None or self._process.stdout is None:
             raise AssertionError("both are pipes")
         self._stdin, self._stdout = self._process.stdin, self._process.stdout

@@ -17,7 +17,6 @@ from typing_extensions import get_type_hints, is_typeddict
 from vcu_gateway.api.results import SignalDefinition
 from vcu_gateway.units import NS_PER_MS
 
-_NUMBERS = (int, float)
 _MOST_SHOWN = 40
 
 
@@ -80,7 +79,7 @@ def _is_of(value: object, kind: Any) -> bool:
         return True
     if isinstance(value, bool) or kind is bool:
         return type(value) is kind
-    return isinstance(value, _NUMBERS if kind is float else kind)
+    return isinstance(value, (int, float) if kind is float else kind)
 
 
 def _shown(value: object) -> str:
