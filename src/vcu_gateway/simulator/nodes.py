@@ -220,7 +220,7 @@ class Nodes:
         self._codec = codec
         self.vehicle = vehicle
         self._faults = tuple(faults)
-
+        self._transforms = tuple(fault.transform for fault in faults)
         self._senders = _senders(codec, sources(vehicle, noise))
         if pedals is not None:
             foot = self._senders[pedals.message]
@@ -294,8 +294,8 @@ class Nodes:
 
     def _hand_over(self, frame: NodeFrame) -> None:
         frames: Iterable[NodeFrame] = (frame,)
-        for fault in self._faults:
-            frames = [changed for each in frames for changed in fault.transform(each)]
+        for transform in self._transforms:
+            frames = [changed for each in frames for changed in transform(each)]
         for each in frames:
             heapq.heappush(self._outgoing, (each.due_ns, next(self._sequence), each))
 
