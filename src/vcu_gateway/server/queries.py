@@ -97,6 +97,38 @@ def started(config: Config) -> Event:
     return Event("started", Severity.INFO, fields)
 
 
+def health(
+    loop: TickLoop,
+    config: Config,
+    facts: RunFacts,
+    api: results.ApiCounts,
+    now_ns: int,
+) -> results.Health:
+    """Result of `health` at this instant; from any thread."""
+    return {
+        "pid": os.getpid(),
+        "uptime_ms": views.milliseconds(now_ns - facts.started_ns) or 0.0,
+        "start_time_s": facts.start_time_s,
+        "starts": facts.start and facts.start.number,
+        "unexpected_restarts": facts.start and facts.start.unexpected,
+        "config_file": config.source.file,
+        "config_digest": configuration.digest(config),
+        "protocol_digest": facts.protocol_digest,
+        "link": _link(loop, now_ns),
+        "ticks": _ticks(loop.schedule, loop.silent_ticks),
+        "frames": _frames(loop),
+        "api": api,
+        "recorder": _recorder(facts.tap),
+        "log_lines_dropped": facts.log_lines_dropped(),
+        "process": process_usage(),
+        "versions": _VERSIONS,
+    }
+
+
+def _recorder(tap: RecorderTap | None) -> results.RecorderCounts | None:
+    return None if tap is None else views.result_of(results.RecorderCounts, tap)
+
+
 def _link(loop: TickLoop, now_ns: int) -> results.Link:
     link, bus = loop.gateway.link, loop.connection.settings
     return {
@@ -187,26 +219,9 @@ def state(context: ServerContext, messages: list[str] | None) -> results.State:
 
 
 def _health(context: ServerContext, _: methods.Nothing) -> results.Health:
-    loop, config, facts = context.loop, context.reloader.config, context.facts
-    tap, api, now_ns = facts.tap, context.api_counts(), time.monotonic_ns()
-    return {
-        "pid": os.getpid(),
-        "uptime_ms": views.milliseconds(now_ns - facts.started_ns) or 0.0,
-        "start_time_s": facts.start_time_s,
-        "starts": facts.start and facts.start.number,
-        "unexpected_restarts": facts.start and facts.start.unexpected,
-        "config_file": config.source.file,
-        "config_digest": configuration.digest(config),
-        "protocol_digest": facts.protocol_digest,
-        "link": _link(loop, now_ns),
-        "ticks": _ticks(loop.schedule, loop.silent_ticks),
-        "frames": _frames(loop),
-        "api": api,
-        "recorder": None if tap is None else views.result_of(results.RecorderCounts, tap),
-        "log_lines_dropped": facts.log_lines_dropped(),
-        "process": process_usage(),
-        "versions": _VERSIONS,
-    }
+    config = context.reloader.config
+    api, now_ns = context.api_counts(), time.monotonic_ns()
+    return health(context.loop, config, context.facts, api, now_ns)
 
 
 def _config(context: ServerContext, _: methods.Nothing) -> results.ConfigInEffect:
