@@ -7,6 +7,7 @@ import itertools
 import statistics
 import sys
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 from tests.simulator.driving import drive, signals
@@ -52,12 +53,13 @@ def driven(
     throttle_pct: float = 100.0,
     patch: tuple[float, float, float] | None = None,
     power_return_w_per_s: float = SLOW_W_PER_S,
+    ramps: Mapping[str, float] = MappingProxyType({}),
     **start: float,
 ) -> Sequence[Sample]:
     """Nine seconds under throttle from standstill, tick by tick.
 
-    `patch`: from and until which second both wheels are on this friction instead. `start`: keys of
-    a scenario's start.
+    `patch`: from and until which second both wheels are on this friction instead. `ramps`: other
+    settings. `start`: keys of a scenario's start.
     """
     codec, seen = CODEC, []
 
@@ -74,7 +76,7 @@ def driven(
         seen.append(_seen(vehicle))
 
     scenario = Scenario(ScenarioStart(**start), ())
-    settings = {"tuning": tuning, "power_return_w_per_s": power_return_w_per_s}
+    settings = {"tuning": tuning, "power_return_w_per_s": power_return_w_per_s, **ramps}
     done = drive(codec, scenario, _END_S, asked, watch, **settings)
     samples = []
     for ticked, physical in zip(done.ticks, seen, strict=True):
@@ -160,8 +162,8 @@ class Sag(NamedTuple):
     """A pack under full throttle; changes are the largest of acceleration in a tick.
 
     Attributes:
-        bites_m_s2: until the second second, in which the throttle rises and the curve bites.
-        settled_m_s2, power_peak_to_peak_w: from the fourth second on, below the top speed.
+        bites_m_s2: until the fourth second, in which the throttle rises and the curve bites.
+        settled_m_s2, power_peak_to_peak_w: from then on, below the top speed.
     """
 
     bites_m_s2: float
@@ -175,7 +177,7 @@ def sag_of(samples: Sequence[Sample]) -> Sag:
     settled = [one for one in below_top if one.at_s >= _SETTLED_AFTER_S]
     powers_w = [one.power_limit_w for one in settled]
     return Sag(
-        _jerk_m_s2([one for one in samples if one.at_s < 2]),
+        _jerk_m_s2([one for one in samples if one.at_s < _SETTLED_AFTER_S]),
         _jerk_m_s2(settled),
         max(powers_w) - min(powers_w),
         min(one.voltage_v for one in samples),
@@ -199,18 +201,26 @@ def _spin_row(name: str, samples: Sequence[Sample]) -> str:
     )
 
 
-def _sag_row(ohm: float, soc_pct: float, w_per_v: float, return_w_per_s: float) -> str:
+def _sag_row(
+    ohm: float,
+    soc_pct: float,
+    w_per_v: float,
+    return_w_per_s: float,
+    ramps: Mapping[str, float] = MappingProxyType({}),
+) -> str:
     one = sag_of(
         driven(
             voltage([(60, 0), (60 + 12_000 / w_per_v, 12_000)]),
             _DRY,
             power_return_w_per_s=return_w_per_s,
+            ramps=ramps,
             soc_pct=soc_pct,
             battery_resistance_ohm=ohm,
         )
     )
+    other = "".join(f", `{name}: {value}`" for name, value in ramps.items())
     return (
-        f"| {ohm} Ω, {soc_pct} % | {w_per_v} W/V, {return_w_per_s / 1000:.0f} kW/s "
+        f"| {ohm} Ω, {soc_pct} % | {w_per_v} W/V, {return_w_per_s / 1000:.0f} kW/s{other} "
         f"| {one.bites_m_s2:.2f} m/s² | {one.settled_m_s2:.2f} m/s² "
         f"| ± {one.power_peak_to_peak_w / 2000:.1f} kW | {one.lowest_v:.0f} V |"
     )
@@ -257,6 +267,8 @@ def tables() -> Sequence[str]:
         for w_per_v in (2000, 2500, 4000, 12_000):
             lines.append(_sag_row(ohm, soc_pct, w_per_v, SLOW_W_PER_S))
     lines += [_sag_row(ohm, 30, 2000, QUICK_W_PER_S) for ohm in (0.02, 0.05)]
+    for ramps in ({"power_slew_w_per_s": 6000}, {"throttle_slew_pct_per_s": 20}):
+        lines.append(_sag_row(0.05, 30, 2500, SLOW_W_PER_S, ramps))
     return lines
 
 
