@@ -361,7 +361,7 @@ class KeptDriveMode:
         except FileNotFoundError:
             return
         except OSError as error:
-            self._fail("drive_mode_unread", error)
+            self._warn("drive_mode_unread", error)
             return
         self._written = name
         self._gateway.apply(BeginInMode(name))
@@ -378,7 +378,7 @@ class KeptDriveMode:
             else:
                 files.replace(self._path, f"{name}\n")
         except OSError as error:
-            self._fail("drive_mode_unwritten", error)
+            self._warn("drive_mode_unwritten", error)
 
     def _to_keep(self) -> str | None:
         """The mode in use, or the one that waits, where only the service level leaves it."""
@@ -388,6 +388,6 @@ class KeptDriveMode:
                 return name
         return None
 
-    def _fail(self, event: str, error: OSError) -> None:
+    def _warn(self, event: str, error: OSError) -> None:
         fields = {"file": str(self._path), "reason": error.strerror or str(error)}
         self._event_log.emit(Event(event, Severity.WARNING, fields))
