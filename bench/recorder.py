@@ -55,7 +55,7 @@ class Recorded(NamedTuple):
 def figures(options: Options) -> Iterator[Figure]:
     seconds = options.seconds(_FULL_S)
     for per_s in (NOMINAL_PER_S, SATURATED_PER_S):
-        found = [_run(per_s, seconds) for _ in range(options.turns(_TURNS))]
+        found = [run(per_s, seconds) for _ in range(options.turns(_TURNS))]
         shares = [one.share_pct for one in found]
         if counts_finely():
             name = f"recorder at {per_s} frames/s"
@@ -71,7 +71,7 @@ def figures(options: Options) -> Iterator[Figure]:
         yield alone(f"recorded at {per_s} frames/s", "MB an hour", written, target)
 
 
-def _run(per_s: int, seconds: float) -> Recorded:
+def run(per_s: int, seconds: float) -> Recorded:
     with (
         tempfile.TemporaryDirectory() as folder,
         recorder(Path(folder)) as pid,
@@ -166,7 +166,7 @@ class _Traffic:
         now_ns, life = time.monotonic_ns(), self._sequence & 0xF
         lines = self._offer(now_ns) + _TICK.format(frames=self._handed_on, now_ns=now_ns, life=life)
         if self._sequence == 1:
-            lines = '{"checkpoint":{"ticks":0},"f":0}\n' + lines
+            lines = '{"checkpoint":{"ticks":0,"frames":0},"f":0}\n' + lines
         header = TickHeader(self._sequence, self._handed_on, 0, 0)
         self._sock.send(datagram.packed_tick(header, packed, lines))
 

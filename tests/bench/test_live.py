@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from bench.live import PERIOD_NS, cadence, run
+from bench.recorder import run as run_recorder
 from bench.traffic import NOMINAL_PER_S
 from bench.under_test import (
     C_A_FRAME,
@@ -76,6 +77,11 @@ def test_the_c_programs_wake_once_a_tick_and_once_a_frame():
     by_tick, by_frame = (run(program, NOMINAL_PER_S, SECONDS) for program in (C_A_TICK, C_A_FRAME))
     assert by_tick.woken_per_s < 30
     assert by_frame.woken_per_s > 3 * by_tick.woken_per_s
+
+
+@pytest.mark.ci
+def test_the_recorder_keeps_what_the_benchmark_hands_on():
+    assert run_recorder(NOMINAL_PER_S, 1.1).mb_per_hour > 1
 
 
 def test_programs_under_test_find_their_byte_code_whatever_the_caller_wants(monkeypatch):
