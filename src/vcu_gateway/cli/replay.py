@@ -50,7 +50,7 @@ differs, 3 where nothing does and the recording is incomplete, 65 where it was c
     "assignments",
     metavar="KEY=VALUE",
     multiple=True,
-    help="What if: one key, such as limits.derated_power_w=8000; repeatable.",
+    help="What if: one key, such as limits.power_limit_max_w=8000; repeatable.",
 )
 @click.option("--closed-loop", is_flag=True, help="Let a simulated vehicle react.")
 @click.option("--from", "begin", metavar="TIME", help="Begin of the part: 90, 12:03:14.150.")

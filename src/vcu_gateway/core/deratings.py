@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, get_args
 
-from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps
+from vcu_gateway.core.caps import FULL_PCT, NO_CAPS, Caps, of_effects
 from vcu_gateway.core.causes import Effect, Finding
 from vcu_gateway.core.codec import Decoded
 from vcu_gateway.core.curve import Curve
@@ -221,9 +221,10 @@ class Deratings:
 
 def _fallback(limit: Limit, settings: Settings) -> float:
     """The limit where its input is not known."""
+    caps = of_effects({Effect.POWER_LIMIT, Effect.REGEN_LIMIT}, settings)
     if limit == "power_limit_w":
-        return settings.derated_power_w
-    return settings.regen_limit_pct if limit == "brake_pct" else _NO_LIMIT
+        return caps.power_w
+    return caps.brake_pct if limit == "brake_pct" else _NO_LIMIT
 
 
 def _return_per_s(limit: Limit, settings: Settings) -> float:

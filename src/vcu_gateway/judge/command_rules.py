@@ -49,9 +49,9 @@ class LimitRamps:
         power_w = min(limits.power_limit_max_w, caps.power_w)
         brake_pct = min(_FULL_PCT, caps.brake_pct)
         if POWER_LIMIT in effects:
-            power_w = min(limits.derated_power_w, power_w)
+            power_w = min(limits.derated["power_limit_w"], power_w)
         if REGEN_LIMIT in effects:
-            brake_pct = min(limits.regen_limit_pct, brake_pct)
+            brake_pct = min(limits.derated["brake_pct"], brake_pct)
         power_step_w = limits.power_slew_w_per_s * elapsed_s
         brake_step_pct = limits.regen_slew_pct_per_s * elapsed_s
         for name in CONTROLLERS:

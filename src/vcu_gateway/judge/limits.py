@@ -1,5 +1,6 @@
 """Configured values that a drive is held against; docs/safety.md says what they mean."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -163,6 +164,15 @@ class VerdictLimits:
     @cached_property
     def period_ns(self) -> int:
         return round(self.period_ms * MS)
+
+    @cached_property
+    def derated(self) -> Mapping[str, float]:
+        """Most of each field under its effect, or where the input of its curve is not known."""
+        return {
+            "power_limit_w": self.derated_power_w,
+            "brake_pct": self.regen_limit_pct,
+            "speed_limit_rpm": math.inf,
+        }
 
     @cached_property
     def curves(self) -> Mapping[str, Points]:

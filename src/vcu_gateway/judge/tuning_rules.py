@@ -145,25 +145,25 @@ class TuningRules:
     def _hold(self, tick: TuningTick) -> None:
         """What curves and drive modes hold; a drive mode's number is held as a curve's."""
         limits, arrivals = tick.limits, tick.arrivals
-        of_field = {
-            "power_limit_w": (limits.derated_power_w, limits.power_return_w_per_s),
-            "brake_pct": (limits.regen_limit_pct, limits.brake_return_pct_per_s),
-            "speed_limit_rpm": (math.inf, limits.speed_return_rpm_per_s),
+        rates = {
+            "power_limit_w": limits.power_return_w_per_s,
+            "brake_pct": limits.brake_return_pct_per_s,
+            "speed_limit_rpm": limits.speed_return_rpm_per_s,
         }
         for key, points in limits.curves.items():
             field, _, name = key.partition(".by_")
-            fallback, rate = of_field[field]
             if not self._complete and not all(map(arrivals.came, INPUTS[name].messages)):
                 continue  # it may have come before this recording
             values = _values(INPUTS[name], arrivals, tick.now_ns)
             if values is None:
-                self._held[key] = min(self._held.get(key, math.inf), fallback)
+                self._held[key] = min(self._held.get(key, math.inf), limits.derated[field])
             else:
                 # A curve goes one way only, so the worst value gives the lowest limit.
-                self._move(key, min(value_at(points, value) for value in values), rate, tick)
+                target = min(value_at(points, value) for value in values)
+                self._move(key, target, rates[field], tick)
         counting = (self.drive_mode, self.asked)
         modes = [keys for name, keys in limits.drive_modes.items() if name in counting]
-        for field, (_, rate) in of_field.items():
+        for field, rate in rates.items():
             target = min((_of_mode(mode, field, limits) for mode in modes), default=math.inf)
             self._move(f"{field}.mode", target, rate, tick)
 

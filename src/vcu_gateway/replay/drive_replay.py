@@ -1,7 +1,7 @@
 """Replay of a recorded drive: is it the same to the byte, does it hold, and what if?
 
 report = replay_drive(Path("drives/20261123T180412Z-1f3a9c2e"))
-report = replay_drive(path, Changes(assignments=("limits.derated_power_w=5000",)))
+report = replay_drive(path, Changes(assignments=("limits.power_limit_max_w=5000",)))
 report.lines, report.values, report.exit_code
 
 Work in a process beside this one, where the machine has a processor for it.
