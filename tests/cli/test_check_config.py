@@ -178,9 +178,9 @@ def test_a_derated_power_that_lowers_nothing_is_a_warning(ask, tmp_path, most_w,
     assert (len(checked.err.splitlines()), len(events)) == (told, told)
     if told:
         sentence = checked.err.removeprefix("warning: ").strip()
-        assert sentence.startswith(f"{path}:5: a cause that limits the power does not lower it: ")
-        assert sentence.endswith(
-            "; set limits.derated_power_w below it, as in derated_power_w: 2500"
+        assert sentence == (
+            f"{path}:5: limits.derated_power_w has no effect: it is 5000, limits.power_limit_max_w"
+            " is 5000; set it below that, as in derated_power_w: 2500"
         )
         assert (events[0].name, events[0].fields) == ("config_warning", {"problems": [sentence]})
 

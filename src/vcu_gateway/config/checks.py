@@ -12,6 +12,7 @@ from vcu_gateway.config.model import IDENTIFIER_KEYS, Config
 from vcu_gateway.config.tuning import without_effect
 from vcu_gateway.core import j1939
 from vcu_gateway.core.receive import OWN_NODE
+from vcu_gateway.core.settings import KEYS
 from vcu_gateway.core.spec import ProtocolSpec
 from vcu_gateway.core.state import deadlines
 from vcu_gateway.errors import ConfigError, DataError, Problem, did_you_mean
@@ -159,21 +160,24 @@ def check_effect(config: Config) -> list[Problem]:
     }
     hints = [*without_effect(core_settings(config).tuning, highest), *pedals.hints(config.pedals)]
     found = problems(hints, source.file, source.lines, IDENTIFIER_KEYS)
-    return [*_derating_without_effect(config), *found]
+    return [*_too_high(config), *found]
 
 
-def _derating_without_effect(config: Config) -> list[Problem]:
-    derated_w, most_w = config.limits.derated_power_w, config.limits.power_limit_max_w
-    if not 0 < most_w <= derated_w:
-        return []
-    given = "derated_power_w" in config.limits.model_fields_set
-    path = ("limits", "derated_power_w" if given else "power_limit_max_w")
-    what = (
-        f"a cause that limits the power does not lower it: limits.derated_power_w is {derated_w} W,"
-        f" limits.power_limit_max_w {most_w} W"
-    )
-    remedy = f"set limits.derated_power_w below it, as in derated_power_w: {most_w // 2}"
-    return [Problem(what, config.source.lines.where(config.source.file, path), remedy)]
+def _too_high(config: Config) -> Iterator[Problem]:
+    """Values that do not lie below the one that they are to lower."""
+    for name, key in KEYS.items():
+        if key.below is None:
+            continue
+        section = getattr(config, key.section)
+        value, most = getattr(section, name), getattr(section, key.below)
+        if 0 < most <= value:
+            path = (key.section, name if name in section.model_fields_set else key.below)
+            what = (
+                f"{key.section}.{name} has no effect: it is {value},"
+                f" {key.section}.{key.below} is {most}"
+            )
+            remedy = f"set it below that, as in {name}: {most // 2}"
+            yield Problem(what, config.source.lines.where(config.source.file, path), remedy)
 
 
 _MOST_PROBLEMS = 20

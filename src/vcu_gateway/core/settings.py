@@ -45,11 +45,13 @@ class Key:
         section: the section of the file that it stands in.
         reload: when a changed value is taken.
         text: what it means, for the schema and for config/gateway.yaml.
+        below: key of the same section at and above which it has no effect; None without one.
     """
 
     section: str
     reload: Reload
     text: str
+    below: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +121,7 @@ class Settings:
             Reload.SMALLER,
             "PowerLimit while a cause limits the power (the battery is low, a controller protects"
             " itself). It has an effect below limits.power_limit_max_w only.",
+            below="power_limit_max_w",
         ),
     ] = 10_000
     regen_limit_pct: Annotated[
