@@ -7,13 +7,13 @@ import subprocess
 
 import pytest
 
-from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import (
     MOST_LINES_BYTES,
     GatewayConnection,
     check_lines,
     checked_hello,
 )
+from vcu_gateway.recorder.receiver import Backlog, Received
 from vcu_gateway.recorder.senders import RunOwners, Sender
 from vcu_gateway.recording.datagram import DatagramError, TickHeader, packed_tick, tick_parts
 

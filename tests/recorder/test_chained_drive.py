@@ -20,9 +20,8 @@ from tests.recorder.gateway import (
     members,
     recorded_frames,
 )
-from vcu_gateway.recorder.backlog import Backlog
 from vcu_gateway.recorder.drive import DriveRecorder, ticks_of
-from vcu_gateway.recorder.receiver import DatagramReceiver
+from vcu_gateway.recorder.receiver import Backlog, DatagramReceiver
 from vcu_gateway.recorder.ring import Disk, Ring
 from vcu_gateway.recorder.senders import Refusals, TapListener
 from vcu_gateway.recorder.signing import Signer

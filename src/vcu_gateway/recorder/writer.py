@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from vcu_gateway.recorder import RecorderOptions, triggers
-from vcu_gateway.recorder.backlog import Backlog, Received
 from vcu_gateway.recorder.connection import GatewayConnection
 from vcu_gateway.recorder.drive import DriveRecorder
 from vcu_gateway.recorder.incidents import Incidents
+from vcu_gateway.recorder.receiver import Backlog, Received
 from vcu_gateway.recorder.ring import (
     KEPT_WITHOUT_ROOM,
     Disk,
