@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway.recording import layout
-from vcu_gateway.recording.candump_lines import frame_line
 from vcu_gateway.recording.datagram import FrameRecord
-from vcu_gateway.recording.segment import SegmentWriter
+from vcu_gateway.recording.segment import SegmentWriter, frame_line
 from vcu_gateway.recording.tap import TappedGateway, TapStream, recorded_frame
 from vcu_gateway.units import NS_PER_S
 

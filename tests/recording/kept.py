@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from vcu_gateway.recording import layout
-from vcu_gateway.recording.candump_lines import frame_line
 from vcu_gateway.recording.chain import file_digests
 from vcu_gateway.recording.datagram import EXTENDED
 from vcu_gateway.recording.members import NO_LINK
-from vcu_gateway.recording.segment import SegmentWriter
+from vcu_gateway.recording.segment import SegmentWriter, frame_line
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
 START_S = 1_763_920_000  # 2025-11-23T17:46:40Z

@@ -5,9 +5,9 @@ import random
 
 import can
 
-from vcu_gateway.recording import candump_lines, datagram
-from vcu_gateway.recording.candump_lines import frame_line, tick_lines
+from vcu_gateway.recording import datagram, segment
 from vcu_gateway.recording.datagram import TickHeader
+from vcu_gateway.recording.segment import frame_line, tick_lines
 
 CLOCK_NS = 1_763_000_000_000_000_000
 
@@ -43,7 +43,7 @@ def test_more_identifiers_than_are_kept_are_written_all_the_same():
     assert [int(line.split()[2].split("#")[0], 16) for line in text.splitlines()] == list(
         range(10_000)
     )
-    assert candump_lines._around.cache_info().currsize <= 4096
+    assert segment._around.cache_info().currsize <= 4096
 
 
 def test_a_clock_that_stands_in_1970_is_written_with_nine_digits():

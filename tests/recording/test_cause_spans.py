@@ -1,7 +1,7 @@
 """Spans of causes: what replay and export say of when a cause counted."""
 
 from vcu_gateway.core.causes import Effect, Finding, HeldCause
-from vcu_gateway.recording.cause_spans import CauseSpans
+from vcu_gateway.recording.reader import CauseSpans
 
 SUBJECT, EFFECT = "PCU1_Status1.Throttle", Effect.STOP
 

@@ -15,7 +15,6 @@ from vcu_gateway.core.causes import Event
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.errors import DataError, Problem
-from vcu_gateway.recording.cause_spans import CauseSpan, CauseSpans
 from vcu_gateway.recording.checkpoint import StateError, restore
 from vcu_gateway.recording.core_lines import (
     Checkpoint,
@@ -27,7 +26,7 @@ from vcu_gateway.recording.core_lines import (
     WhyRecord,
 )
 from vcu_gateway.recording.datagram import CoreLineError
-from vcu_gateway.recording.reader import clock_of
+from vcu_gateway.recording.reader import CauseSpan, CauseSpans, clock_of
 from vcu_gateway.time_window import Window
 
 MODES = tuple(mode.value for mode in Mode)

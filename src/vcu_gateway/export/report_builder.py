@@ -14,7 +14,7 @@ from vcu_gateway.export.report import GAP, Band, Overlay, Report, ReportEvent, S
 from vcu_gateway.export.report_plots import Grid, SignalLine, plots, signal_lines
 from vcu_gateway.export.source import Selection, Source
 from vcu_gateway.export.tables import GATEWAY
-from vcu_gateway.recording.cause_spans import CauseSpan
+from vcu_gateway.recording.reader import CauseSpan
 from vcu_gateway.text import TIME_OF_DAY_MS, duration, utc
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 

@@ -14,7 +14,6 @@ from vcu_gateway import __version__
 from vcu_gateway.recorder.ring import Disk
 from vcu_gateway.recorder.signing import Signer
 from vcu_gateway.recording import chain, layout
-from vcu_gateway.recording.candump_lines import tick_lines
 from vcu_gateway.recording.datagram import TickParts
 from vcu_gateway.recording.members import NO_LINK, whole_members
 from vcu_gateway.recording.recorder_status import RecorderTotals
@@ -26,6 +25,7 @@ from vcu_gateway.recording.segment import (
     SegmentWriter,
     gap_line,
     read_begin,
+    tick_lines,
 )
 from vcu_gateway.text import ISO_TIME, utc
 

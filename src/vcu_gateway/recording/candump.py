@@ -1,7 +1,7 @@
 """candump's log format, read: `(1700000000.123456) can0 040AD079#0011223344556677 R`.
 
 `frames` reads the text of any program and goes on behind a damaged line; `recorded_frames` and
-`recorded_frame` read what our recorder wrote (candump_lines), where a damaged line is an
+`recorded_frame` read what our recorder wrote (segment), where a damaged line is an
 error. `quick_lines` matches many lines at once.
 
 Here too is what every reader of a log gives and uses: recorded frames, problems that are reported

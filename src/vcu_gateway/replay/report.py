@@ -11,7 +11,7 @@ from vcu_gateway.export.formats import written_text
 from vcu_gateway.export.html_report import write_report
 from vcu_gateway.export.report import Overlay
 from vcu_gateway.judge.result import DriveVerdict
-from vcu_gateway.recording.cause_spans import CauseSpan
+from vcu_gateway.recording.reader import CauseSpan
 from vcu_gateway.replay.commands import CommandSeries
 from vcu_gateway.replay.curve_use import CurveUse
 from vcu_gateway.replay.equality import Equality, NotReplayed

@@ -19,8 +19,8 @@ from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.demand import RequestResult
 from vcu_gateway.core.gateway import Gateway, TickResult
 from vcu_gateway.core.supervisor import Mode
-from vcu_gateway.recording.cause_spans import CauseKey, CauseSpan, CauseSpans
 from vcu_gateway.recording.core_lines import TickRecord
+from vcu_gateway.recording.reader import CauseKey, CauseSpan, CauseSpans
 from vcu_gateway.replay.commands import CommandSeries, FieldChange, answer_text, field_changes
 from vcu_gateway.units import NS_PER_S
 
