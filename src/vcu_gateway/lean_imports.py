@@ -1,14 +1,17 @@
 """Imports without what the gateway does not use: it starts sooner and stays smaller.
 
-asyncio, hashlib and hmac, which libraries import, are imported here without OpenSSL: nothing in the
-program uses TLS, and Python has a SHA-256 of its own. pydantic looks for no plugins: it would read
-what every installed package says of itself, and run those. `run` imports this module first.
+hashlib and hmac, which libraries import, are imported here without OpenSSL: nothing in the program
+uses TLS, and Python has a SHA-256 of its own. pydantic looks for no plugins: it would read what
+every installed package says of itself, and run those. `run` imports this module first.
 """
 
 import contextlib
+import importlib
 import os
 import sys
 from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
 
 
 @contextlib.contextmanager
@@ -25,9 +28,35 @@ def hidden(*names: str) -> Iterator[None]:
             del sys.modules[name]
 
 
+@contextlib.contextmanager
+def put_off(name: str, **known: Any) -> Iterator[None]:
+    """Importing this module gives a stand-in with what is known; one imported before stays.
+
+    Asked for anything else, at any time, the stand-in imports the module and has it of that.
+    """
+    if name in sys.modules:
+        yield
+        return
+    stand_in = ModuleType(name)
+
+    def from_the_module(attribute: str) -> Any:
+        if attribute.startswith("__"):  # the import system asks whether there are some
+            raise AttributeError(attribute)
+        if sys.modules.get(name) is stand_in:
+            del sys.modules[name]
+        return getattr(importlib.import_module(name), attribute)
+
+    vars(stand_in).update(known, __getattr__=from_the_module)
+    sys.modules[name] = stand_in
+    try:
+        yield
+    finally:
+        if sys.modules.get(name) is stand_in:
+            del sys.modules[name]
+
+
 with hidden("ssl", "_hashlib"):
-    import asyncio  # noqa: F401 - each as the program gets it from here on
-    import hashlib  # noqa: F401
+    import hashlib  # noqa: F401 - each as the program gets it from here on
     import hmac  # noqa: F401
 
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")

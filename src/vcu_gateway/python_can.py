@@ -5,17 +5,40 @@ every process. Here asammdf cannot be found while `can` is imported; only `mf4_r
 """
 
 import importlib
+import sys
+from pathlib import Path
 
-from vcu_gateway.lean_imports import hidden
+from vcu_gateway.lean_imports import hidden, put_off
 
-__all__ = ["can", "mf4_reader"]
+__all__ = ["VERSION", "can", "mf4_reader"]
 
 
-# wrapt is for a kind of bus that is not used here.
-with hidden("asammdf", "wrapt"):
+def _version(distribution: str) -> str:
+    """As its folder of metadata says; ModuleNotFoundError where there is none."""
+    pattern = f"{distribution.replace('-', '_')}-*.dist-info"
+    for found in (one for folder in sys.path for one in Path(folder).glob(pattern)):
+        return found.stem.partition("-")[2]
+    raise ModuleNotFoundError(distribution)
+
+
+# wrapt is for a kind of bus that is not used here. asyncio is an annotation, for who gives the
+# Notifier such a loop. The metadata of packages say this version and which other packages have
+# kinds of bus, which are not used; reading them costs a tenth of a start and 2 MB.
+with (
+    hidden("asammdf", "wrapt"),
+    put_off("asyncio", AbstractEventLoop=object),
+    put_off(
+        "importlib.metadata",
+        PackageNotFoundError=ModuleNotFoundError,
+        entry_points=lambda **_: (),
+        version=_version,
+    ),
+):
     import can
     from can.io import mf4
     from can.io.generic import BinaryIOMessageReader
+
+VERSION: str = getattr(can, "__version__", "unknown")
 
 
 def mf4_reader() -> type[BinaryIOMessageReader]:

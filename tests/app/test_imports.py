@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ UNWANTED = {
     *("cantools", "bitstruct", "textparser", "rich", "pygments", "textual", "better_exceptions"),
     *("twisted", "greenlet", "asammdf", "numpy", "pandas", "wrapt", "msgpack", "prometheus_client"),
     *("ssl", "_ssl", "_hashlib", "argparse", "unittest", "difflib", "http", "xml"),
+    *("asyncio", "importlib.metadata", "email", "zipfile"),
     *(
         f"vcu_gateway.{name}"
         for name in (
@@ -49,7 +51,7 @@ def run(tmp_path, more: str = "", program: str = PROGRAM) -> Any:
 
 def test_a_running_gateway_has_imported_nothing_that_it_does_not_need(tmp_path):
     modules = set(run(tmp_path))
-    assert {"vcu_gateway.daemon.loop", "can", "structlog", "asyncio"} <= modules
+    assert {"vcu_gateway.daemon.loop", "can", "structlog", "pydantic"} <= modules
     assert modules & UNWANTED == set()
 
 
@@ -117,6 +119,27 @@ def test_what_was_hidden_can_be_imported_afterwards(name):
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_module_that_was_put_off_is_imported_where_something_of_it_is_asked():
+    program = (
+        "import vcu_gateway.daemon.log, sys; from vcu_gateway.python_can import can\n"
+        "assert 'asyncio' not in sys.modules\n"
+        "assert can.AsyncBufferedReader().buffer.empty()\n"
+        "import asyncio; assert can.listener.asyncio.Queue is asyncio.Queue\n"
+        "asyncio.run(asyncio.sleep(0))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_version_of_python_can_is_what_its_metadata_say():
+    program = (
+        "from vcu_gateway import python_can; import sys\n"
+        "assert 'importlib.metadata' not in sys.modules; print(python_can.VERSION)"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout
+    assert said.strip() == version("python-can")
 
 
 def test_a_module_that_was_imported_before_is_not_hidden():

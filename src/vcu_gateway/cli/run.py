@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports asyncio or hashlib
+from vcu_gateway import lean_imports  # noqa: F401 - before whatever imports hashlib
 
 # isort: split
 from vcu_gateway import config as configuration

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from typing import Any, Literal, TextIO
 
 from vcu_gateway.core.causes import Event
-from vcu_gateway.lean_imports import hidden
+from vcu_gateway.lean_imports import hidden, put_off
 
 # structlog imports these where they are installed, for tracebacks and threads that are not here.
-with hidden("rich", "better_exceptions", "twisted", "greenlet"):
+with hidden("rich", "better_exceptions", "twisted", "greenlet"), put_off("asyncio"):
     import structlog
 
 _QUEUE_LINES = 1000

@@ -1,7 +1,6 @@
 """Queries: what the API answers without asking the ticking thread, health among it."""
 
 import contextlib
-import importlib.metadata
 import os
 import platform
 import resource
@@ -22,6 +21,7 @@ from vcu_gateway.daemon.loop import LastTick, TickLoop
 from vcu_gateway.daemon.reload import Reloader
 from vcu_gateway.daemon.restart_state import CountedStart
 from vcu_gateway.daemon.tap_socket import RecorderTap
+from vcu_gateway.python_can import VERSION
 from vcu_gateway.server import views
 from vcu_gateway.units import NS_PER_MS, NS_PER_US
 
@@ -59,7 +59,7 @@ def _open_fds() -> int | None:
 _VERSIONS: results.Versions = {
     "vcu_gateway": __version__,
     "python": platform.python_version(),
-    "python_can": importlib.metadata.version("python-can"),
+    "python_can": VERSION,
     "kernel": f"{platform.system()} {platform.release()}",
 }
 

@@ -8,14 +8,19 @@ from collections.abc import Callable, Iterator, Mapping
 from types import UnionType
 from typing import Any, ClassVar, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from vcu_gateway.errors import did_you_mean, nearest
+from vcu_gateway.lean_imports import put_off
 from vcu_gateway.strict_yaml.file_text import FileProblem, shown
 from vcu_gateway.strict_yaml.file_text import KeyPath as Path
 from vcu_gateway.strict_yaml.parser import YamlDocument
+
+# pydantic looks for plugins in the metadata of packages when it makes its first model.
+with put_off("importlib.metadata", entry_points=lambda **_: ()):
+    create_model("First")
 
 REFUSED = "refused"
 """The error type of our own refusals; their context is what `refusal` was given."""
