@@ -61,7 +61,7 @@ def check_lines(lines: bytes) -> None:
         raise _lines(f"are more than {_MOST_LINES}, or not parted by line ends alone")
     try:
         for number, line in enumerate(lines.decode().split("\n")[:-1]):
-            _check(json.loads(line, parse_constant=_refuse, parse_float=_finite), number)
+            _check(_DECODER.decode(line), number)
     except DatagramError:
         raise
     except (ValueError, RecursionError) as error:
@@ -129,6 +129,10 @@ def _finite(digits: str) -> float:
 
 def _refuse(word: str) -> float:
     raise ValueError(f"{word} is no number of JSON")
+
+
+# Made once: json.loads would make one for every line.
+_DECODER = json.JSONDecoder(parse_constant=_refuse, parse_float=_finite)
 
 
 def _hello(what: str) -> DatagramError:
