@@ -156,8 +156,7 @@ class ApiRunner:
             protocol=definition(protocol, facts.protocol_digest),
             api_counts=lambda: self._server.counts(),  # noqa: PLW0108 - it is made below
         )
-        gaps = TickGaps(lambda: loop.schedule.next_deadline_ns, loop.schedule.period_ns)
-        self._server = Server(server_settings(config), Dispatcher(context), gaps)
+        self._server = Server(server_settings(config), Dispatcher(context), TickGaps(loop))
         self._failure_reported = False
 
     def __enter__(self) -> None:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -162,6 +163,12 @@ class Client:
         self.sock.close()
 
 
+class NeverTicking:
+    """A loop whose next tick is due for ever."""
+
+    schedule = SimpleNamespace(period_ns=50 * MS, next_deadline_ns=0)
+
+
 class Api:
     """A server with its program, its socket and those who talk to it."""
 
@@ -174,7 +181,7 @@ class Api:
     def make(self, limits=SessionLimits(), policy=EVERYONE, gaps=None, **settings) -> Server:  # noqa: B008
         """A server that is not open yet."""
         wanted = ServerSettings(self.path, policy, limits=limits, **{"mode": 0o666, **settings})
-        gaps = gaps or TickGaps(lambda: 0, 50 * MS, GapShare(share=1.0))
+        gaps = gaps or TickGaps(NeverTicking(), GapShare(share=1.0))
         self.server = Server(wanted, self.service, gaps)
         return self.server
 

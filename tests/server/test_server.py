@@ -8,6 +8,7 @@ import resource
 import socket
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -903,11 +904,17 @@ def test_the_api_works_in_the_gaps_between_the_ticks(idle_api):
     """Updates that are due with every tick are made after it: the state is made when it is sent."""
     origin_ns, period_ns = time.monotonic_ns(), 50 * MS
 
-    def next_deadline_ns() -> int:
-        """Of a ticking thread that takes each tick at once."""
-        return origin_ns + ((time.monotonic_ns() - origin_ns) // period_ns + 1) * period_ns
+    class Loop:
+        """Its thread takes each tick at once."""
 
-    idle_api.start(gaps=TickGaps(next_deadline_ns, period_ns))
+        @property
+        def schedule(self):
+            ticks = (time.monotonic_ns() - origin_ns) // period_ns + 1
+            return SimpleNamespace(
+                period_ns=period_ns, next_deadline_ns=origin_ns + ticks * period_ns
+            )
+
+    idle_api.start(gaps=TickGaps(Loop()))
     client = idle_api.connect()
     client.ask("state.subscribe", rate_hz=20)
     origin_ns = client.line()["params"]["state"]["monotonic_ns"]

@@ -14,20 +14,19 @@ class Machine:
 
     Attributes:
         ticks_ns: when each tick was taken.
-        deadline_ns: of the next tick.
+        next_deadline_ns: of the next tick.
     """
 
     def __init__(self, lateness_ns=60_000, ticks=True) -> None:
-        self.now_ns = 7 * MS
+        self.now_ns, self.period_ns = 7 * MS, PERIOD
         self.worked_ns = 123 * MS
-        self.deadline_ns = PERIOD
+        self.next_deadline_ns = PERIOD
         self.lateness_ns = lateness_ns
         self.ticks = ticks
         self.ticks_ns: list[int] = []
         self.sleeps = 0
         self.gaps = TickGaps(
-            lambda: self.deadline_ns,
-            PERIOD,
+            self,
             DEFAULT_SHARE,
             lambda: self.now_ns,
             lambda: self.worked_ns,
@@ -35,10 +34,14 @@ class Machine:
         )
         self.gaps.wait()
 
+    @property
+    def schedule(self):
+        return self
+
     def pass_to(self, now_ns: int) -> None:
-        while self.ticks and now_ns >= self.deadline_ns + self.lateness_ns:
-            self.ticks_ns.append(self.deadline_ns + self.lateness_ns)
-            self.deadline_ns += PERIOD
+        while self.ticks and now_ns >= self.next_deadline_ns + self.lateness_ns:
+            self.ticks_ns.append(self.next_deadline_ns + self.lateness_ns)
+            self.next_deadline_ns += PERIOD
         self.now_ns = now_ns
 
     def sleep(self, duration_s: float) -> None:
@@ -121,7 +124,7 @@ def test_a_schedule_that_begins_again_is_followed():
     """The daemon replaces its schedule when it starts."""
     machine = Machine(ticks=False)
     assert machine.waited_from(5000 * MS) == 0
-    machine.deadline_ns, machine.ticks = 5010 * MS, True
+    machine.next_deadline_ns, machine.ticks = 5010 * MS, True
     assert machine.waited_from(5008 * MS) <= 4 * MS
     assert machine.ticks_ns[0] < machine.now_ns
 

@@ -98,16 +98,13 @@ class Schedule:
         self.origin_ns = origin_ns
         self.period_ns = period_ns
         self.next_index = 0
+        self.next_deadline_ns = origin_ns
         self.ticks = 0
         self.skipped = 0
         self.lateness_counts = [0] * (len(LATENESS_BOUNDS_NS) + 1)
         self.recent_lateness_ns: deque[int] = deque(maxlen=_RECENT_TICKS)
         self._pending_skips = 0
         self._earliest_ns = origin_ns
-
-    @property
-    def next_deadline_ns(self) -> int:
-        return self.origin_ns + self.next_index * self.period_ns
 
     def due(self, now_ns: int) -> Tick | None:
         """The tick to do now, or None; a missed one is counted and passed over."""
@@ -132,6 +129,7 @@ class Schedule:
 
     def _skip(self, points: int) -> None:
         self.next_index += points
+        self.next_deadline_ns += points * self.period_ns
         self.skipped += points
         self._pending_skips += points
 
@@ -139,6 +137,7 @@ class Schedule:
         deadline_ns = self.next_deadline_ns
         tick = Tick(self.next_index, deadline_ns, now_ns - deadline_ns, self._pending_skips)
         self.next_index += 1
+        self.next_deadline_ns += self.period_ns
         self.ticks += 1
         self._pending_skips = 0
         self.lateness_counts[lateness_bin(tick.lateness_ns)] += 1

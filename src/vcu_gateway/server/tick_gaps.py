@@ -6,7 +6,7 @@ the tick. So the API works between the ticks, and only for a share of the time.
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from vcu_gateway.units import NS_PER_S
 
@@ -33,28 +33,41 @@ class GapShare(NamedTuple):
 DEFAULT_SHARE = GapShare()
 
 
+class Grid(Protocol):
+    """Ticks to come; `next_deadline_ns` moves on when one is taken."""
+
+    period_ns: int
+    next_deadline_ns: int
+
+
+class Ticking(Protocol):
+    """The ticking thread's loop: it begins a new grid with its first tick."""
+
+    @property
+    def schedule(self) -> Grid: ...
+
+
 class TickGaps:
     """Gate that one thread passes before each unit of work; see `wait`."""
 
     def __init__(
         self,
-        next_deadline_ns: Callable[[], int],
-        period_ns: int,
+        loop: Ticking,
         gap: GapShare = DEFAULT_SHARE,
         now_ns: Callable[[], int] = time.monotonic_ns,
         worked_ns: Callable[[], int] = time.thread_time_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`next_deadline_ns` advances when a tick is taken; `worked_ns` is the thread's CPU time.
+        """`worked_ns` is the thread's processor time; `sleep` takes seconds.
 
-        `period_ns` and everything else counts in nanoseconds of `now_ns`; `sleep` takes seconds.
+        Everything else counts in nanoseconds of `now_ns`.
         """
-        self._next_deadline_ns = next_deadline_ns
-        self._period_ns = period_ns
+        self._loop = loop
+        self._period_ns = period_ns = loop.schedule.period_ns
         self._gap = gap
         self._share_ns = int(period_ns * gap.share)
         self._now_ns, self._worked_ns, self._sleep = now_ns, worked_ns, sleep
-        self._deadline_ns = next_deadline_ns()
+        self._deadline_ns = loop.schedule.next_deadline_ns
         self._updated_ns = now_ns()
         self._open_ns = self._updated_ns
         # Begun at the first update: that is on the thread whose time counts.
@@ -91,7 +104,7 @@ class TickGaps:
 
     def _update(self, now_ns: int) -> None:
         """Note a tick that was taken, and begin a new share then or after a period without one."""
-        deadline_ns = self._next_deadline_ns()
+        deadline_ns = self._loop.schedule.next_deadline_ns
         if deadline_ns != self._deadline_ns:
             was_late = self._updated_ns >= self._deadline_ns
             taken_ns = now_ns if was_late else deadline_ns - self._period_ns
