@@ -384,25 +384,25 @@ class Gateway:
             refusal = requests.against_arming(now_ns)
         elif mode is Mode.FAULT:
             refusal = requests.against_resetting(FaultClass.SERVICE, now_ns)
-        demand, fresh = requests.arbiter.current, requests.arbiter.fresh(now_ns)
+        demand, demanded = requests.arbiter.current, requests.demanded(now_ns)
         source = None if demand is None else demand.source
         ttl_ms = None if demand is None else demand.ttl_ms
-        waits, held = tuple(self._waits(now_ns)), self.causes.held
+        waits, held, fresh = tuple(self._waits(demanded)), self.causes.held, demanded is not None
         return Reasons(mode, self.supervisor.latch, held, waits, source, ttl_ms, fresh, refusal)
 
     def _power_mode_waits(self, demanded: ControllerDemands | None) -> Iterable[str]:
         """What a PowerMode in ACTIVE waits for; without throttle it rises in the next tick."""
-        released = self.transmitter.history.released
-        if demanded is None or self.supervisor.mode is not Mode.ACTIVE or released:
+        if demanded is None or self.supervisor.mode is not Mode.ACTIVE:
+            return ()
+        if self.transmitter.history.released:
             return ()
         waiting = self._commander.waiting_modes(demanded, self.causes.effects(), self.settings)
         return why.power_mode_waits(waiting)
 
-    def _waits(self, now_ns: int) -> list[str]:
+    def _waits(self, demanded: ControllerDemands | None) -> list[str]:
         if not self._listening.over:
             return [LISTENING]
         if self.supervisor.mode in (Mode.STANDBY, Mode.ACTIVE):
-            demanded = self.requests.demanded(now_ns)
             waits = why.waits(self._commander, demanded, self._speeds.highest_rpm, self.settings)
             waits += self._power_mode_waits(demanded)
             current, requested = self.drive_modes
