@@ -122,7 +122,7 @@ class CommandHandlers:
         self._context.loop.refresh_why()
         if answer.refusal is not None:
             raise _refused(answer.refusal, answer.sentence)
-        return {"granted": True, "mode": self._gateway.mode.value}
+        return {"granted": True, "mode": self._gateway.supervisor.mode.value}
 
     def events(self, params: methods.EventsParams, _: Caller) -> results.Events:
         now_ns, event_log = time.monotonic_ns(), self._context.loop.event_log

@@ -235,7 +235,8 @@ class EventLoop:
         self._close(session, EVICTED)
 
     def _send_replies(self) -> None:
-        for queued in self._replies.take():
+        while self._replies.queued:
+            queued = self._replies.queued.popleft()
             for session in self._sessions.values():
                 if session.caller.connection == queued.connection:
                     self._handler.reply(session, queued.number, queued.reply, self._now_ns())
@@ -243,7 +244,7 @@ class EventLoop:
     def _serve_stops(self, session: Session, most_lines: int = _LOOKED_AT_PER_TURN) -> None:
         """Carry out the stops that it has sent; so many lines that may name one are looked at."""
         for _ in range(most_lines):
-            line = session.lines.next_marked() if session.may_stop else None
+            line = session.next_marked()
             if line is None:
                 return
             self._handler.handle_marked(session, line, self._now_ns())
@@ -261,17 +262,21 @@ class EventLoop:
             self._receive(session, self._now_ns())  # epoll reports nothing more of it
         if session.has_request and session.rate.taken(now_ns := self._now_ns()):
             self._handler.handle_next(session, now_ns)
-            self._handler.check_line_length(session, now_ns)
+            self._check_line_length(session, now_ns)
             self._send_replies()
 
     def _receive(self, session: Session, now_ns: int) -> bool:
         """Read one chunk where it may be; True where more may have come."""
-        if not session.wants_input:
-            return False
         has_more = session.receive(now_ns)
         self._end_demands_if_ended(session)
-        self._handler.check_line_length(session, now_ns)
+        self._check_line_length(session, now_ns)
         return has_more
+
+    def _check_line_length(self, session: Session, now_ns: int) -> None:
+        """Refuse a line that exceeds the length before it has ended, and close the session."""
+        if session.lines.is_too_long and not session.is_ending:
+            self._handler.refuse_line(session, now_ns)
+            session.is_ending = True
 
     def _send_updates(self) -> None:
         """Send some of the updates that are due, the longest due first."""
@@ -297,12 +302,12 @@ class EventLoop:
     def _check_session(self, session: Session, now_ns: int) -> int | None:
         """Time of the next check of this session; None where only events matter."""
         self._end_demands_if_ended(session)
-        reason = session.close_reason(now_ns)
-        if reason is not None:
-            self._close(session, reason)
+        due = session.due(now_ns)
+        if due.close_reason is not None:
+            self._close(session, due.close_reason)
             return None
-        self._watch(session.sock.fileno(), session.events)
-        return session.next_check_ns(now_ns)
+        self._watch(session.sock.fileno(), due.events)
+        return due.next_check_ns
 
     def _watch(self, fd: int, events: int) -> None:
         """Register these events of a descriptor with epoll, where they have changed."""

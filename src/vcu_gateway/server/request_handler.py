@@ -36,19 +36,14 @@ class RequestHandler:
         self._reply = reply
         self._numbers = itertools.count(1)
 
-    def check_line_length(self, session: Session, now_ns: int) -> None:
-        """Refuse a line that exceeds the length before it has ended, and close the session."""
-        if session.lines.is_too_long and not session.is_ending:
-            error = RequestError(
-                ErrorCode.PARSE_ERROR, f"a line has at most {MAX_LINE_BYTES} bytes"
-            )
-            self._send(session, None, error, now_ns)
-            session.is_ending = True
+    def refuse_line(self, session: Session, now_ns: int) -> None:
+        """Answer a line that exceeds the length."""
+        what = f"a line has at most {MAX_LINE_BYTES} bytes"
+        self._send(session, None, RequestError(ErrorCode.PARSE_ERROR, what), now_ns)
 
     def handle_next(self, session: Session, now_ns: int) -> None:
-        is_overtaken = session.lines.is_overtaken
-        request = jsonrpc.parse(session.take_line(now_ns))
-        self._handle(session, request, now_ns, is_overtaken=is_overtaken)
+        line, is_overtaken = session.take_line(now_ns)
+        self._handle(session, jsonrpc.parse(line), now_ns, is_overtaken=is_overtaken)
 
     def handle_marked(self, session: Session, line: bytes, now_ns: int) -> None:
         """Handle this line before all others where it is a stop; else it waits for its turn."""

@@ -3,7 +3,7 @@
 import os
 import weakref
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -126,10 +126,13 @@ class ReplyQueue:
     """Queue with a descriptor that becomes readable; `put` costs one system call at most.
 
     The ticking thread puts replies in, so there is no lock that it could wait for.
+
+    Attributes:
+        queued: the oldest first; the API's thread takes them out.
     """
 
     def __init__(self) -> None:
-        self._replies: deque[QueuedReply] = deque()
+        self.queued: deque[QueuedReply] = deque()
         self._is_woken = False
         self._is_closed = False
         self.fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -139,7 +142,7 @@ class ReplyQueue:
     def put(self, connection: int, number: int, reply: Reply) -> None:
         """Append a reply and wake the API's thread; from any thread, at any time."""
         if not self._is_closed:
-            self._replies.append(QueuedReply(connection, number, reply))
+            self.queued.append(QueuedReply(connection, number, reply))
             self.wake()
 
     def wake(self) -> None:
@@ -148,16 +151,11 @@ class ReplyQueue:
             os.eventfd_write(self.fd, 1)
 
     def clear_wakeup(self) -> None:
-        """Reset the descriptor, before `take`: a reply put later makes it readable again."""
+        """Reset the descriptor, before taking them: a reply put later makes it readable again."""
         os.eventfd_read(self.fd)
         self._is_woken = False
-
-    def take(self) -> Iterator[QueuedReply]:
-        """All queued replies, the oldest first; on the API's thread only."""
-        while self._replies:
-            yield self._replies.popleft()
 
     def close(self) -> None:
         """Drop the queued replies and all that are put later."""
         self._is_closed = True
-        self._replies.clear()
+        self.queued.clear()

@@ -25,9 +25,14 @@ class LineBuffer:
     """Received bytes, cut into lines of bounded length, from which a stop is taken first.
 
     A stop leaves the lines that wait then, or wait unread in the socket, overtaken.
+
+    Attributes:
+        has_line: a whole line of permitted length can be taken.
+        is_too_long: the next line exceeds the length; it stays so.
     """
 
     def __init__(self) -> None:
+        self.has_line = self.is_too_long = False
         self._buffer = bytearray()
         self._searched_bytes = 0
         self._newline_at = -1
@@ -40,20 +45,9 @@ class LineBuffer:
         return len(self._buffer)
 
     @property
-    def has_line(self) -> bool:
-        """True while a whole line of permitted length can be taken."""
-        return 0 <= self._newline_at <= MAX_LINE_BYTES
-
-    @property
     def is_partial(self) -> bool:
         """True while a line has begun and not ended."""
         return self._newline_at < 0 and bool(self._buffer)
-
-    @property
-    def is_too_long(self) -> bool:
-        """True from the moment the next line exceeds the length; it stays so."""
-        end = self._newline_at if self._newline_at >= 0 else len(self._buffer)
-        return end > MAX_LINE_BYTES
 
     @property
     def is_overtaken(self) -> bool:
@@ -111,6 +105,9 @@ class LineBuffer:
         if self._newline_at < 0:
             self._newline_at = self._buffer.find(b"\n", self._searched_bytes)
             self._searched_bytes = len(self._buffer)
+        end = self._newline_at if self._newline_at >= 0 else len(self._buffer)
+        self.is_too_long = end > MAX_LINE_BYTES
+        self.has_line = self._newline_at >= 0 and not self.is_too_long
 
 
 MAX_WAITING_BYTES = 262_144
@@ -163,6 +160,20 @@ class SubscriptionState:
         return points
 
 
+class SessionDue(NamedTuple):
+    """What is due of a session.
+
+    Attributes:
+        close_reason: why to close it now, empty for an ordinary end; None where it goes on.
+        events: to wait for, as epoll has them.
+        next_check_ns: time of the next check without an event; None where only events matter.
+    """
+
+    close_reason: str | None
+    events: int = 0
+    next_check_ns: int | None = None
+
+
 class Session:
     """Non-blocking stream socket with its buffers; requests are the `RequestHandler`'s.
 
@@ -211,15 +222,10 @@ class Session:
         return self.lines.has_line and self._takes_requests
 
     @property
-    def wants_input(self) -> bool:
+    def _wants_input(self) -> bool:
         """True where more is to be read: also behind what waits, for a stop may be there."""
         is_full = len(self.lines) >= (MAX_WAITING_BYTES if self.is_seated else _UNSEATED_BYTES)
         return not (self._is_read_to_end or self.is_ending or is_full)
-
-    @property
-    def may_stop(self) -> bool:
-        """True where a stop may pass over what waits; one that comes too often does not."""
-        return not self.is_ending and len(self.pending) < 2 * self._limits.pending_requests
 
     @property
     def _takes_requests(self) -> bool:
@@ -227,18 +233,20 @@ class Session:
         return has_capacity and not self._output and not self.is_ending
 
     @property
-    def events(self) -> int:
+    def _events(self) -> int:
         """Events to wait for, as epoll has them; none of a peer that is lost."""
         if self.peer_is_lost:
             return 0
         events = select.EPOLLOUT if self._output else 0
         if not self.peer_ended:
             # The end of the peer is seen even while nothing is read: a demand must not outlive it.
-            events |= select.EPOLLRDHUP | (select.EPOLLIN if self.wants_input else 0)
+            events |= select.EPOLLRDHUP | (select.EPOLLIN if self._wants_input else 0)
         return events
 
     def receive(self, now_ns: int) -> bool:
-        """Read one chunk, or the end of the stream; True where more may have come."""
+        """Read one chunk, or the end of the stream, where it may be; True: more may have come."""
+        if not self._wants_input:
+            return False
         if not self.lines.is_partial:
             self._waits_since_ns = now_ns
         chunk = self._receive_chunk()
@@ -263,11 +271,18 @@ class Session:
             self.mark_lost()
             return b""
 
-    def take_line(self, now_ns: int) -> bytes:
-        """Next line; the timeout of the one behind it begins now."""
+    def next_marked(self) -> bytes | None:
+        """As the line buffer's; None where a stop may not pass over what waits: it came often."""
+        if self.is_ending or len(self.pending) >= 2 * self._limits.pending_requests:
+            return None
+        return self.lines.next_marked()
+
+    def take_line(self, now_ns: int) -> tuple[bytes, bool]:
+        """Next line, and whether it is overtaken; the timeout of the one behind it begins now."""
         self.active_ns = now_ns
         self._waits_since_ns = now_ns
-        return self.lines.take()
+        is_overtaken = self.lines.is_overtaken
+        return self.lines.take(), is_overtaken
 
     def take_pending(self, number: int, now_ns: int) -> ReplyTo | None:
         """Remove a pending request; None for a notification or an unknown number."""
@@ -302,7 +317,14 @@ class Session:
         self.peer_ended = self.peer_is_lost = True
         self._output.clear()
 
-    def close_reason(self, now_ns: int) -> str | None:
+    def due(self, now_ns: int) -> "SessionDue":
+        """What the loop has to do with it, and when to ask again."""
+        reason = self._close_reason(now_ns)
+        if reason is not None:
+            return SessionDue(reason)
+        return SessionDue(None, self._events, self._next_check_ns(now_ns))
+
+    def _close_reason(self, now_ns: int) -> str | None:
         """Reason to close it now, empty for an ordinary end; None where it goes on."""
         if self._output:
             return self._output_close_reason(now_ns)
@@ -312,10 +334,10 @@ class Session:
             return LINE_LATE
         return "" if self._is_done(now_ns) else None
 
-    def next_check_ns(self, now_ns: int) -> int | None:
+    def _next_check_ns(self, now_ns: int) -> int | None:
         """Time of the next check without an event; None where only events matter."""
         times_ns = [subscription.due_ns for subscription in self.live_subscriptions]
-        if self.peer_ended and self.wants_input:
+        if self.peer_ended and self._wants_input:
             times_ns.append(now_ns)  # epoll reports nothing more of it
         if self._output:
             times_ns.append(self._progress_ns + self._limits.timeout_ns)
