@@ -33,7 +33,7 @@ class GapShare(NamedTuple):
 DEFAULT_SHARE = GapShare()
 
 
-class Grid(Protocol):
+class TickGrid(Protocol):
     """Ticks to come; `next_deadline_ns` moves on when one is taken."""
 
     period_ns: int
@@ -44,7 +44,7 @@ class Ticking(Protocol):
     """The ticking thread's loop: it begins a new grid with its first tick."""
 
     @property
-    def schedule(self) -> Grid: ...
+    def schedule(self) -> TickGrid: ...
 
 
 class TickGaps:
