@@ -127,8 +127,11 @@ class Program:
         return noted
 
     def ticks(self) -> dict[str, Any]:
+        """Counts, and what was said of the latest that were skipped."""
         with self.driven.client() as client:
-            return dict(client.health()["ticks"])
+            events = client.events()["events"]
+            said = [one["fields"] for one in events if one["name"] == "ticks_skipped"]
+            return {**client.health()["ticks"], "said": said[:1]}
 
     def _unless_silenced(self, frame: NodeFrame) -> tuple[NodeFrame, ...]:
         return () if frame.message in self.silenced else (frame,)
