@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from click import Context
 from click.testing import CliRunner
 
 from vcu_gateway import __version__
@@ -17,11 +18,7 @@ from vcu_gateway.cli import group
 from vcu_gateway.config import digest, load
 
 ROOT = Path(__file__).parents[2]
-VERBS = [
-    *("run", "status", "why", "watch", "demand", "arm", "disarm", "reset", "estop", "events"),
-    *("reload", "simulate", "demo", "decode", "check-config", "schema", "dbc", "completion"),
-    *("replay", "doctor", "version", "drive-mode", "tuning"),
-]
+VERBS = group.list_commands(Context(group))
 
 
 def vcu(*arguments: str, timeout_s: float = 90) -> subprocess.CompletedProcess[str]:

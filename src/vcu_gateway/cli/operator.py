@@ -1,4 +1,4 @@
-"""Verbs of an operator: status, why, events, arm, disarm, reset, reload, tuning, estop."""
+"""Verbs of an operator: what the running gateway is asked, and told."""
 
 import contextlib
 import json
