@@ -4,9 +4,11 @@ from collections.abc import Callable
 
 import pytest
 
+from tests.core.pedal_node import MS
 from tests.replay.test_pedals import CONFIG, EXAMPLES, PedalDrive
 from vcu_gateway.config import core_settings, parse
 from vcu_gateway.core.j1939 import Frame
+from vcu_gateway.core.settings import REQUIRED_MESSAGES, Settings
 from vcu_gateway.core.supervisor import Mode
 from vcu_gateway.judge.result import DriveVerdict
 from vcu_gateway.protocol import dbc
@@ -34,8 +36,8 @@ def records(tmp_path_factory) -> list:
     return list(open_drive(drive.end()).runs())
 
 
-def verdict(records: list) -> DriveVerdict:
-    judge = JudgedRecords(SETTINGS, {}, PROTOCOL)
+def verdict(records: list, settings: Settings = SETTINGS) -> DriveVerdict:
+    judge = JudgedRecords(settings, {}, PROTOCOL)
     for record in records:
         judge.note(record)
     return judge.verdict()
@@ -75,6 +77,31 @@ def test_a_drive_with_pedals_holds(records):
     found = verdict(records)
     assert found.violations == ()
     assert found.with_torque > 30
+
+
+def test_a_required_message_that_the_judge_has_no_table_of_is_judged_by_its_period(tmp_path):
+    """Pedals_Position comes every 20 ms: it is missing after ten of them."""
+    required = [*REQUIRED_MESSAGES, "Pedals_Position"]
+    config = f"{CONFIG}safety: {{required_messages: {required}}}\n"
+    settings = core_settings(parse(config, "f"))
+    drive = PedalDrive(tmp_path / "drive", config=config)
+    drive.begin()
+    drive.press(60).run(1.0)
+    records = list(open_drive(drive.end()).runs())
+    whole = verdict(records, settings)
+    assert whole.violations == ()
+    assert whole.with_torque > 10
+    last_ns = max(one.now_ns for one in records if isinstance(one, TickRecord))
+
+    def stopped(silent_ms: int) -> bool:
+        begin_ns = last_ns - silent_ms * MS
+        silent = without(records, lambda one: one.can_id == PEDALS_ID and one.arrival_ns > begin_ns)
+        return any(
+            "Pedals_Position stale" in one.sentence for one in verdict(silent, settings).violations
+        )
+
+    assert not stopped(150)
+    assert stopped(300)
 
 
 def add_throttle(data: bytearray) -> None:

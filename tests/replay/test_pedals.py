@@ -31,8 +31,8 @@ pedals:
 class PedalDrive(SimulatedDrive):
     """A recorded drive with a pedal node, whose frames come each 20 ms."""
 
-    def __init__(self, folder: Path, segment_s: float = 60.0) -> None:
-        super().__init__(folder, CONFIG, segment_s, dbc_path=EXAMPLES / "pedals.dbc")
+    def __init__(self, folder: Path, segment_s: float = 60.0, config: str = CONFIG) -> None:
+        super().__init__(folder, config, segment_s, dbc_path=EXAMPLES / "pedals.dbc")
         self.demanded = None
         self.silent = {"Pedals_Position"}  # of the simulated nodes
         self.feet = pressed(0)

@@ -22,6 +22,13 @@ STALE_AFTER_MS: Mapping[str, int] = {
 }
 """Ages of docs/safety.md, Causes; a configuration may say otherwise."""
 BATTERY_LATE_AFTER_MS = 1100
+_STALE_PERIODS = ((500, 3.2), (100, 3), (50, 4), (0, 10))
+
+
+def stale_after_ms(period_ms: int) -> int:
+    """The same age of a message that another DBC has, by its period."""
+    periods = next(periods for least_ms, periods in _STALE_PERIODS if period_ms >= least_ms)
+    return int(period_ms * periods)
 
 
 class JudgedDemand(NamedTuple):

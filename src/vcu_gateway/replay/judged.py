@@ -20,11 +20,13 @@ from vcu_gateway.judge.command_rules import SentFrame
 from vcu_gateway.judge.demands import GrantedDemand
 from vcu_gateway.judge.judge import Judge
 from vcu_gateway.judge.limits import (
+    STALE_AFTER_MS,
     JudgedDemand,
     JudgedPedals,
     JudgedSignal,
     JudgedTrack,
     VerdictLimits,
+    stale_after_ms,
 )
 from vcu_gateway.judge.result import DriveVerdict, Findings
 from vcu_gateway.recording.call_text import settings_json
@@ -42,11 +44,16 @@ _NOT_JUDGED = (
     "causes that only raise an alarm are judged by what they must not do",
 )
 
+_NEVER_MS = 1 << 40
+
 
 def limits_of(
     settings: Settings, aliases: Mapping[int, str], protocol: ProtocolSpec | None = None
 ) -> VerdictLimits:
-    """Limits of the verdict; pedals on CAN need the DBC's layout of their message."""
+    """Limits of the verdict.
+
+    The DBC gives the layout of pedals on CAN, and which of its own messages are required.
+    """
     names = {one.name for one in dataclasses.fields(VerdictLimits)}
     names &= {one.name for one in dataclasses.fields(settings)} - {"pedals"}
     values: dict[str, Any] = {name: getattr(settings, name) for name in names}
@@ -56,6 +63,11 @@ def limits_of(
     if settings.pedals is not None and protocol is not None:
         message = protocol.message(settings.pedals.message)
         values["pedals"] = _pedals_of(settings.pedals, message, settings.priorities)
+    for message in () if protocol is None else protocol.messages:
+        if message.name in settings.required_messages and message.name not in STALE_AFTER_MS:
+            aliases = {**aliases, message.can_id: message.name}
+            age_ms = _NEVER_MS if message.period_ms is None else stale_after_ms(message.period_ms)
+            values["stale_after_ms"] = {message.name: age_ms, **values["stale_after_ms"]}
     return VerdictLimits(**values, period_ms=settings.period_ns / 1e6, aliases=aliases)
 
 
