@@ -15,7 +15,7 @@ UNWANTED = {
     *("cantools", "bitstruct", "textparser", "rich", "pygments", "textual", "better_exceptions"),
     *("twisted", "greenlet", "asammdf", "numpy", "pandas", "wrapt", "msgpack", "prometheus_client"),
     *("ssl", "_ssl", "_hashlib", "argparse", "unittest", "difflib", "http", "xml"),
-    *("asyncio", "importlib.metadata", "email", "zipfile"),
+    *("asyncio", "importlib.metadata", "email", "zipfile", "yaml._yaml"),
     *(
         f"vcu_gateway.{name}"
         for name in (

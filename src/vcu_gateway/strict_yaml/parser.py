@@ -10,7 +10,11 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-import yaml
+from vcu_gateway.lean_imports import hidden
+
+# Its parser in C is not used here, and takes 0.8 MB.
+with hidden("yaml._yaml"):
+    import yaml
 
 from vcu_gateway.strict_yaml.file_text import FileProblem, LineMap, shown
 from vcu_gateway.strict_yaml.file_text import KeyPath as Path
