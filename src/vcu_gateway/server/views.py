@@ -45,10 +45,10 @@ def state(
     """
     snapshot = gateway.snapshot(now_ns)
     demand = gateway.requests.arbiter.current
-    fresh_demand = demand if latest.why.demand_fresh else None
+    fresh_demand = demand if latest.reasons.demand_fresh else None
     return {
         "monotonic_ns": snapshot.now_ns,
-        "mode": latest.why.mode.value,
+        "mode": latest.reasons.mode.value,
         "messages": messages(snapshot, names),
         "commands": _commands(gateway, latest, now_ns),
         "demanded": {} if fresh_demand is None else _demanded(fresh_demand),
