@@ -16,9 +16,10 @@ __all__ = ["VERSION", "can", "mf4_reader"]
 def _version(distribution: str) -> str:
     """As its folder of metadata says; ModuleNotFoundError where there is none."""
     pattern = f"{distribution.replace('-', '_')}-*.dist-info"
-    for found in (one for folder in sys.path for one in Path(folder).glob(pattern)):
-        return found.stem.partition("-")[2]
-    raise ModuleNotFoundError(distribution)
+    found = next((one for folder in sys.path for one in Path(folder).glob(pattern)), None)
+    if found is None:
+        raise ModuleNotFoundError(distribution)
+    return found.stem.partition("-")[2]
 
 
 # wrapt is for a kind of bus that is not used here. asyncio is an annotation, for who gives the

@@ -109,6 +109,12 @@ def test_other_verbs_collect_garbage():
     assert done.stdout.splitlines()[-1] == "True", done.stderr
 
 
+def said_by(program: str) -> str:
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
 @pytest.mark.parametrize("name", ["ssl", "_hashlib", "rich", "wrapt"])
 def test_what_was_hidden_can_be_imported_afterwards(name):
     program = (
@@ -117,8 +123,7 @@ def test_what_was_hidden_can_be_imported_afterwards(name):
         f"assert {name!r} not in sys.modules; importlib.util.find_spec({name!r}) is None"
         f" or importlib.import_module({name!r})"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    said_by(program)
 
 
 def test_a_module_that_was_put_off_is_imported_where_something_of_it_is_asked():
@@ -129,8 +134,7 @@ def test_a_module_that_was_put_off_is_imported_where_something_of_it_is_asked():
         "import asyncio; assert can.listener.asyncio.Queue is asyncio.Queue\n"
         "asyncio.run(asyncio.sleep(0))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    said_by(program)
 
 
 def test_the_version_of_python_can_is_what_its_metadata_say():
@@ -138,8 +142,7 @@ def test_the_version_of_python_can_is_what_its_metadata_say():
         "from vcu_gateway import python_can; import sys\n"
         "assert 'importlib.metadata' not in sys.modules; print(python_can.VERSION)"
     )
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout
-    assert said.strip() == version("python-can")
+    assert said_by(program) == version("python-can")
 
 
 def test_a_module_that_was_imported_before_is_not_hidden():
@@ -148,5 +151,4 @@ def test_a_module_that_was_imported_before_is_not_hidden():
         "with hidden('ssl', 'absent'): import ssl as again\n"
         "assert again is ssl is sys.modules['ssl'] and 'absent' not in sys.modules"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    said_by(program)

@@ -317,7 +317,7 @@ class Session:
         self.peer_ended = self.peer_is_lost = True
         self._output.clear()
 
-    def due(self, now_ns: int) -> "SessionDue":
+    def due(self, now_ns: int) -> SessionDue:
         """What the loop has to do with it, and when to ask again."""
         reason = self._close_reason(now_ns)
         if reason is not None:
