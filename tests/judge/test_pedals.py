@@ -14,7 +14,7 @@ from vcu_gateway.judge.result import DriveVerdict
 from vcu_gateway.protocol import dbc
 from vcu_gateway.recording.core_lines import FrameRun, TickRecord
 from vcu_gateway.recording.reader import open_drive
-from vcu_gateway.replay.judged import JudgedRecords
+from vcu_gateway.replay.judged import JudgedRecords, limits_of
 
 PEDALS_ID = 0x0810D021
 SETTINGS = core_settings(parse(CONFIG, "f"))
@@ -102,6 +102,15 @@ def test_a_required_message_that_the_judge_has_no_table_of_is_judged_by_its_peri
 
     assert not stopped(150)
     assert stopped(300)
+
+
+def test_what_the_configuration_says_of_the_age_of_such_a_message_wins():
+    required = [*REQUIRED_MESSAGES, "Pedals_Position"]
+    ages = "freshness: {stale_after_ms: {Pedals_Position: 350}}\n"
+    settings = core_settings(
+        parse(f"{CONFIG}safety: {{required_messages: {required}}}\n{ages}", "f")
+    )
+    assert limits_of(settings, {}, PROTOCOL).stale_after_ms == {"Pedals_Position": 350}
 
 
 def add_throttle(data: bytearray) -> None:
