@@ -141,6 +141,19 @@ def test_as_many_timed_steps_as_processors_run_at_once_and_the_others_give_way(
     assert niceness == [str(os.nice(0)), str(min(19, os.nice(0) + 10))]
 
 
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no groups by session here")
+def test_the_session_of_a_timed_step_is_before_the_others_as_far_as_this_user_may(
+    folder: Path,
+) -> None:
+    rank, tell = "echo -10 >/proc/self/autogroup", "@sleep 0.5; cat /proc/self/autogroup"
+    may = subprocess.run(["sh", "-c", rank], start_new_session=True, capture_output=True)
+    replace_step(folder, "test-clock", f"{tell} >timed")
+    replace_step(folder, "test-shell", f"{tell} >gives-way")
+    assert suite(folder).returncode == 0
+    ranks = [(folder / name).read_text().split()[-1] for name in ("timed", "gives-way")]
+    assert ranks == ["0" if may.returncode else "-10", "19"]
+
+
 NIGHTLY = re.findall(
     r'"([a-z-]+)"', SCRIPT.read_text().partition('"nightly": Plan(')[2].partition('"nightly",')[0]
 )
