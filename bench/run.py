@@ -153,8 +153,8 @@ it again rather than edit it. Lower is better everywhere.
 
 Absolute figures belong to the machine. Ratios are of one run, in which all programs ran in turns \
 (A B C, C B A, …); beside a program that is woken for every frame they also depend on what a \
-wake-up costs: **whole program** at 358 frames/s was 0.49 to 0.9 of **naive** on the machines \
-seen, the less the dearer a wake-up. **ours** and **peer** are medians of the turns, **ratio** is \
+wake-up costs: **whole program** at 358 frames/s has been half of **naive** on one machine and as \
+much on another. **ours** and **peer** are medians of the turns, **ratio** is \
 the median of ours / peer within each turn, and **spread** the quartiles of the turns, of ours \
 where there is no peer. p99 and max, and their ratios, are of all turns together. Target and \
 stretch are limits for the ratio, or for our own figure where there is nothing to divide by.
