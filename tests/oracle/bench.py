@@ -107,20 +107,16 @@ class Bench(Rig):
 
     def broken_rules(self) -> list[str]:
         """What the frames since the last question broke; also those that were left out."""
-        missing, ours = self.leaves_out(), self._left_out()
-        slow = bool(ours) and self.speed.is_slow()
-        broken = list(self.rules.violations)
-        self.void(slow=slow)
-        if missing and not slow:
+        missing = self.leaves_out()
+        broken, ours = list(self.rules.violations), self._left_out()
+        self.void()
+        if missing and not self.speed.is_slow():
             broken += [*ours, self._health()]
         return broken
 
-    def void(self, *, slow: bool) -> None:
+    def void(self) -> None:
         """Forget what broke a rule; what was left out is counted, and told at the end."""
-        if slow:
-            self.left_out_slow += len(self._left_out())
-        else:
-            self.left_out += len(self._left_out())
+        self.left_out += len(self._left_out())
         self.rules.violations.clear()
         self.rules.left_out.clear()
 

@@ -57,7 +57,6 @@ def the_bench(a_real_vcan0, tmp_path_factory, request):
     counts = (
         f"trials repeated, the machine was slow: {bench.repeated}",
         f"tests taken again, the machine was not seen to be slow: {bench.unexplained}",
-        f"frames left out, the machine was slow: {bench.left_out_slow}",
         f"frames left out, the machine was not seen to be slow: {bench.left_out}",
     )
     lines += counts
@@ -104,9 +103,7 @@ def pytest_pyfunc_call(pyfuncitem):
         else:
             if not (left and bench and bench.leaves_out()) or bench.rules.violations:
                 return True
-        slow = bench.machine_was_slow(began)
-        bench.unexplained += not slow
-        bench.void(slow=slow)
+        bench.unexplained += not bench.machine_was_slow(began)
         _begin_again(bench, pyfuncitem.funcargs, _sections(pyfuncitem))
     raise AssertionError("unreachable")
 
@@ -114,6 +111,7 @@ def pytest_pyfunc_call(pyfuncitem):
 def _begin_again(bench, fixtures, sections):
     bench.repeated += 1
     bench.speed.wait_for_quiet()
+    bench.void()
     if "own_bench" in fixtures:
         bench.end()
         bench.vehicle.heal()

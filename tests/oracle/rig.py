@@ -30,7 +30,7 @@ class Rig:
         self.vehicle = Vehicle()
         self.rules = Invariants()
         self.started = 0
-        self.left_out = self.left_out_slow = self.repeated = self.unexplained = 0
+        self.left_out = self.repeated = self.unexplained = 0
         self.speed = MachineSpeed()
         self.gateway: Gateway | None = None
         self.client: Client | None = None
