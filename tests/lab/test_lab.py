@@ -69,9 +69,9 @@ class NeverBegunError(Exception):
 
 
 @contextlib.contextmanager
-def started(script, timeout_s=PATIENCE_S):
+def started(script, timeout_s=PATIENCE_S, first=()):
     """A lab whose command has said that it is started, with its processes and directories."""
-    argv = [LAB, "run", "--timeout", str(timeout_s), "--", "sh", "-c", script]
+    argv = [*first, LAB, "run", "--timeout", str(timeout_s), "--", "sh", "-c", script]
     with subprocess.Popen(
         argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
@@ -180,6 +180,21 @@ def test_nothing_outlives_a_killed_lab():
         process.kill()
         process.wait()
         assert_gone(pids, directories)
+
+
+# A kernel without groups of sessions has no such rank to ask for.
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no groups by session here")
+@pytest.mark.parametrize(("first", "rank"), [((), "-10"), (("nice", "-n", "5"), "0")])
+def test_its_session_goes_before_others_as_root_unless_its_caller_gives_way(first, rank):
+    raised = ["sh", "-c", "echo -10 >/proc/self/autogroup"]
+    may = subprocess.run(raised, start_new_session=True, capture_output=True).returncode == 0
+    with started("echo started; while :; do :; done", first=first) as (process, pids, directories):
+        leaders = [pid for pid in alive(pids) if os.getsid(pid) == pid]
+        ranks = [Path(f"/proc/{pid}/autogroup").read_text().split()[-1] for pid in leaders]
+        process.kill()
+        process.wait()
+        assert_gone(pids, directories)
+    assert sorted(ranks) == sorted([rank if may else "0", "0"]), "the session, and its undertaker's"
 
 
 def test_two_labs_at_once_have_a_vcan0_each():

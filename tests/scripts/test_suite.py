@@ -141,6 +141,7 @@ def test_as_many_timed_steps_as_processors_run_at_once_and_the_others_give_way(
     assert niceness == [str(os.nice(0)), str(min(19, os.nice(0) + 10))]
 
 
+# A kernel without groups of sessions has no such rank to ask for.
 @pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no groups by session here")
 def test_the_session_of_a_timed_step_is_before_the_others_as_far_as_this_user_may(
     folder: Path,
