@@ -147,8 +147,8 @@ def test_what_fills_the_queue_of_the_ticking_thread_leaves_room_for_a_stop(fresh
     work_queue.post(hold)
     assert begun.wait(30)
     with fresh.client() as client:
-        while not work_queue.full:
-            work_queue.post(lambda: None)
+        while work_queue.offer(lambda: None):
+            pass
         with pytest.raises(ApiError, match="too many requests wait"):
             client.arm()
         threading.Timer(0.05, held.set).start()

@@ -47,13 +47,16 @@ def test_work_that_work_posts_waits_for_the_next_time():
     assert done == []
 
 
-def test_it_is_full_where_256_wait():
-    queue = WorkQueue()
+def test_where_256_wait_only_what_may_be_refused_is_refused():
+    queue, done = WorkQueue(), []
     for _ in range(255):
         queue.post(lambda: None)
-    assert not queue.full
-    queue.post(lambda: None)
-    assert queue.full
+    assert queue.offer(lambda: done.append("offered"))
+    assert not queue.offer(lambda: done.append("refused"))
+    queue.post(lambda: done.append("posted"))
+    for _ in range(9):
+        queue.run_waiting()
+    assert done == ["offered", "posted"]
 
 
 def test_work_that_comes_in_meanwhile_is_done_at_once():

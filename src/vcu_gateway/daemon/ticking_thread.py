@@ -183,15 +183,17 @@ class WorkQueue:
         self._waiting: deque[Callable[[], None]] = deque()
         self._wakeup = _Semaphore()
 
-    @property
-    def full(self) -> bool:
-        """True from 256 waiting items on: a caller that can be refused is to be refused."""
-        return len(self._waiting) >= _MUCH
-
     def post(self, work: Callable[[], None]) -> None:
         """Queue work, run in the order of posting."""
         self._waiting.append(work)
         self._wakeup.post()
+
+    def offer(self, work: Callable[[], None]) -> bool:
+        """Queue work that may be refused; False where 256 items wait, and nothing is queued."""
+        if len(self._waiting) >= _MUCH:
+            return False
+        self.post(work)
+        return True
 
     def run_waiting(self) -> None:
         """Run what waits, at most 32 items: the tick that follows must not be late."""

@@ -252,10 +252,10 @@ class Dispatcher:
             elif method in STOPS:
                 self._stops[method].ask(caller, reply)
             else:
-                self._check_capacity()
+                self._context.latest()
+                self._queue(lambda: reply(self._commands.execute(method, params, caller)))
                 if method == "demand.set":
                     self._drivers.add(caller.connection)
-                self._work_queue.post(lambda: reply(self._commands.execute(method, params, caller)))
         except RequestError as failure:
             reply(failure)
 
@@ -265,9 +265,9 @@ class Dispatcher:
             self._work_queue.post,
         )
 
-    def _check_capacity(self) -> None:
-        self._context.latest()
-        if self._work_queue.full:
+    def _queue(self, work: Callable[[], None]) -> None:
+        """Have the ticking thread do it; RequestError where too much waits."""
+        if not self._work_queue.offer(work):
             raise RequestError(
                 ErrorCode.NOT_READY, "too many requests wait for the next tick; try again"
             )
