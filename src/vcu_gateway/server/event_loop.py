@@ -260,8 +260,7 @@ class EventLoop:
         """Serve one request of this session, if it may have one now."""
         if session.peer_ended:
             self._receive(session, self._now_ns())  # epoll reports nothing more of it
-        if session.has_request and session.rate.taken(now_ns := self._now_ns()):
-            self._handler.handle_next(session, now_ns)
+        if session.lines.has_line and self._handler.handle_next(session, now_ns := self._now_ns()):
             self._check_line_length(session, now_ns)
             self._send_replies()
 

@@ -41,9 +41,14 @@ class RequestHandler:
         what = f"a line has at most {MAX_LINE_BYTES} bytes"
         self._send(session, None, RequestError(ErrorCode.PARSE_ERROR, what), now_ns)
 
-    def handle_next(self, session: Session, now_ns: int) -> None:
-        line, is_overtaken = session.take_line(now_ns)
+    def handle_next(self, session: Session, now_ns: int) -> bool:
+        """Handle the line that waits; False where the session may have none handled now."""
+        taken = session.take_line(now_ns)
+        if taken is None:
+            return False
+        line, is_overtaken = taken
         self._handle(session, jsonrpc.parse(line), now_ns, is_overtaken=is_overtaken)
+        return True
 
     def handle_marked(self, session: Session, line: bytes, now_ns: int) -> None:
         """Handle this line before all others where it is a stop; else it waits for its turn."""

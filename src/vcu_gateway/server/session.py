@@ -217,11 +217,6 @@ class Session:
         return [] if self.is_ending or self.peer_ended else [*self.subscriptions.values()]
 
     @property
-    def has_request(self) -> bool:
-        """True where a line waits and the limits on replies allow to handle it."""
-        return self.lines.has_line and self._takes_requests
-
-    @property
     def _wants_input(self) -> bool:
         """True where more is to be read: also behind what waits, for a stop may be there."""
         is_full = len(self.lines) >= (MAX_WAITING_BYTES if self.is_seated else _UNSEATED_BYTES)
@@ -277,8 +272,13 @@ class Session:
             return None
         return self.lines.next_marked()
 
-    def take_line(self, now_ns: int) -> tuple[bytes, bool]:
-        """Next line, and whether it is overtaken; the timeout of the one behind it begins now."""
+    def take_line(self, now_ns: int) -> tuple[bytes, bool] | None:
+        """Next line, and whether it is overtaken; None where the limits allow none now.
+
+        Only while a line waits; the timeout of the one behind it begins now.
+        """
+        if not (self._takes_requests and self.rate.taken(now_ns)):
+            return None
         self.active_ns = now_ns
         self._waits_since_ns = now_ns
         is_overtaken = self.lines.is_overtaken
@@ -341,7 +341,7 @@ class Session:
             times_ns.append(now_ns)  # epoll reports nothing more of it
         if self._output:
             times_ns.append(self._progress_ns + self._limits.timeout_ns)
-        elif self.has_request:
+        elif self.lines.has_line and self._takes_requests:
             times_ns.append(self.rate.ready_ns)
         elif self._awaits_input:
             times_ns.append(self._waits_since_ns + self._limits.timeout_ns)
