@@ -4,12 +4,13 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from scripts.documents import api_page
 
 from vcu_gateway.api import errors, openrpc
-from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
+from vcu_gateway.api.methods import LEVEL_RIGHTS, METHODS, ResetParams
 from vcu_gateway.core.demand import Refusal
 
 ROOT = Path(__file__).parents[2]
@@ -63,9 +64,11 @@ def test_the_page_is_current(document):
     assert api_page.within(text, document) == text, "run `python -m scripts.documents`"
 
 
-def test_a_reset_needs_the_right_of_its_level():
-    assert right_needed("reset", ResetParams(level="driver")) is errors.Right.OPERATE
-    assert right_needed("reset", ResetParams(level="service")) is errors.Right.SERVICE
+def test_a_request_with_a_level_needs_the_right_of_its_level():
+    with_level = [one for one in METHODS.values() if issubclass(one.params, ResetParams)]
+    assert {one.right for one in with_level} == {LEVEL_RIGHTS["driver"]}
+    assert get_args(ResetParams.model_fields["level"].annotation) == tuple(LEVEL_RIGHTS)
+    assert LEVEL_RIGHTS == {"driver": errors.Right.OPERATE, "service": errors.Right.SERVICE}
 
 
 PEER = errors.Peer(pid=1, uid=1000, groups=frozenset({1000, 44}))

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.docs.pages import ROOT, directives
-from vcu_gateway.api.methods import METHODS, ResetParams, right_needed
+from vcu_gateway.api.methods import LEVEL_RIGHTS, METHODS
 from vcu_gateway.errors import ConfigError, UnavailableError
 from vcu_gateway.units import NS_PER_S
 from vcu_gateway.web.access import Sessions
@@ -30,8 +30,7 @@ HOUR_S = 3600.0
 def test_actions_need_the_rights_that_the_gateway_wants():
     for name, right in ACTION_RIGHTS.items():
         method, _, level = name.partition(" ")
-        params = ResetParams.model_validate({"level": level}) if level else METHODS[method].params()
-        assert right_needed(method, params) is right
+        assert (LEVEL_RIGHTS[level] if level else METHODS[method].right) is right
 
 
 def test_each_role_has_what_the_one_before_has_and_more():

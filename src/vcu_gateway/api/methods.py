@@ -220,9 +220,5 @@ METHODS: Mapping[str, Method] = {
     "protocol.get": Method(Nothing, results.Protocol, Right.READ, "Messages and signals."),
 }
 
-
-def right_needed(name: str, params: Params) -> Right:
-    """Right that this request needs; one at service level needs SERVICE."""
-    if isinstance(params, ResetParams) and params.level == "service":
-        return Right.SERVICE
-    return METHODS[name].right
+LEVEL_RIGHTS: Mapping[str, Right] = {"driver": Right.OPERATE, "service": Right.SERVICE}
+"""Right that a request with a level needs, by that level."""

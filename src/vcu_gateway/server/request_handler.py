@@ -6,12 +6,13 @@ from collections.abc import Callable
 
 from vcu_gateway.api.errors import ErrorCode, RequestError
 from vcu_gateway.api.methods import (
+    LEVEL_RIGHTS,
+    METHODS,
     Nothing,
     Params,
     ResetParams,
     SubscribeParams,
     UnsubscribeParams,
-    right_needed,
 )
 from vcu_gateway.api.results import Subscribed, Update
 from vcu_gateway.core.demand import Refusal
@@ -153,12 +154,12 @@ class RequestHandler:
             raise RequestError(ErrorCode.REFUSED, what, Refusal.NOT_ALLOWED_NOW.value)
 
     def _check_right(self, caller: Caller, request: jsonrpc.Request) -> None:
-        needed = right_needed(request.method, request.params)
+        needed, level = METHODS[request.method].right, ""
+        if isinstance(request.params, ResetParams):
+            level = f" at {request.params.level} level"
+            needed = LEVEL_RIGHTS[request.params.level]
         if needed in caller.rights:
             return
-        level = (
-            f" at {request.params.level} level" if isinstance(request.params, ResetParams) else ""
-        )
         sentence = (
             f"{request.method}{level} needs the right {needed.value!r}, which user"
             f" {caller.peer.uid} and its groups do not have"
