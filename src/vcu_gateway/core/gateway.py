@@ -40,7 +40,14 @@ from vcu_gateway.core import plausibility, rules, state, why
 from vcu_gateway.core.causes import Event, Finding, Severity
 from vcu_gateway.core.codec import Codec
 from vcu_gateway.core.commands import NOT_CAPPED, Command, Commander
-from vcu_gateway.core.demand import GRANTED, ControllerDemands, Refusal, RequestResult, refused
+from vcu_gateway.core.demand import (
+    GRANTED,
+    ControllerDemands,
+    PowerMode,
+    Refusal,
+    RequestResult,
+    refused,
+)
 from vcu_gateway.core.deratings import CurveState
 from vcu_gateway.core.j1939 import Frame
 from vcu_gateway.core.law_inputs import LawInputs
@@ -390,6 +397,24 @@ class Gateway:
         waits, held, fresh = tuple(self._waits(demanded)), self.causes.held, demanded is not None
         return Reasons(mode, self.supervisor.latch, held, waits, source, ttl_ms, fresh, refusal)
 
+    def _throttle_waits(self, demanded: ControllerDemands | None) -> list[str]:
+        """Reasons for a throttle of 0 against the demand."""
+        found = []
+        if latched := self._commander.pedals.latched:
+            found.append(why.release_wait(latched))
+        if demanded is None:
+            return found
+        if self._commander.reverse_pending(demanded):
+            rpm, limit_rpm = self._speeds.highest_rpm, self.settings.direction_change_rpm
+            found.append(why.direction_wait(demanded, rpm, limit_rpm))
+        safety = []
+        for name, one in demanded.items():  # in every tick: a comprehension is a call more
+            if one.power_mode is PowerMode.SAFETY:
+                safety.append(name)
+        if safety:
+            found.append(why.safety_mode_wait(safety))
+        return found
+
     def _power_mode_waits(self, demanded: ControllerDemands | None) -> Iterable[str]:
         """What a PowerMode in ACTIVE waits for; without throttle it rises in the next tick."""
         if demanded is None or self.supervisor.mode is not Mode.ACTIVE:
@@ -403,7 +428,7 @@ class Gateway:
         if not self._listening.over:
             return [LISTENING]
         if self.supervisor.mode in (Mode.STANDBY, Mode.ACTIVE):
-            waits = why.waits(self._commander, demanded, self._speeds.highest_rpm, self.settings)
+            waits = self._throttle_waits(demanded)
             waits += self._power_mode_waits(demanded)
             current, requested = self.drive_modes
             if current != requested:

@@ -1,13 +1,11 @@
 """Explanation of the gateway's state, as a value and as one line."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import NamedTuple
 
 from vcu_gateway.core.causes import BLOCKING, LIMITING, Effect, HeldCause
-from vcu_gateway.core.commands import Commander
 from vcu_gateway.core.demand import ControllerDemands, PowerMode
 from vcu_gateway.core.pedals import ThrottleHold
-from vcu_gateway.core.settings import Settings
 from vcu_gateway.core.supervisor import FaultClass, LatchedFault, Mode
 from vcu_gateway.units import NS_PER_MS, NS_PER_S
 
@@ -225,28 +223,15 @@ def next_step(mode: Mode, latch: LatchedFault | None, refusal: str) -> str:
     return _NEXT_STEPS[mode]
 
 
-def waits(
-    commander: Commander,
-    demanded: ControllerDemands | None,
-    speeds_rpm: tuple[float | None, ...],
-    settings: Settings,
-) -> list[str]:
-    """Reasons for a throttle of 0 against the demand; `demanded` is None without a fresh one."""
-    found = []
-    if latched := commander.pedals.latched:
-        reasons = ", ".join(hold.value for hold in ThrottleHold if hold in latched)
-        found.append(f"throttle 0 until released below 5 %: {reasons}")
-    if demanded is None:
-        return found
-    if commander.reverse_pending(demanded):
-        found.append(_turning(demanded, speeds_rpm, settings.direction_change_rpm))
-    safety = []
-    for name, one in demanded.items():  # in every tick: a comprehension is a call more
-        if one.power_mode is PowerMode.SAFETY:
-            safety.append(name)
-    if safety:
-        found.append(f"throttle 0 in power mode safety ({' and '.join(safety)})")
-    return found
+def release_wait(latched: Set[ThrottleHold]) -> str:
+    """What a throttle that these hold at 0 waits for."""
+    reasons = ", ".join(hold.value for hold in ThrottleHold if hold in latched)
+    return f"throttle 0 until released below 5 %: {reasons}"
+
+
+def safety_mode_wait(controllers: list[str]) -> str:
+    """Why these have no throttle: their power mode demands none."""
+    return f"throttle 0 in power mode safety ({' and '.join(controllers)})"
 
 
 def power_mode_waits(waiting: Mapping[str, PowerMode]) -> list[str]:
@@ -260,7 +245,7 @@ def power_mode_waits(waiting: Mapping[str, PowerMode]) -> list[str]:
     ]
 
 
-def _turning(
+def direction_wait(
     demanded: ControllerDemands, speeds_rpm: tuple[float | None, ...], limit_rpm: float
 ) -> str:
     """What a change of direction waits for; after it nothing but the next tick is missing."""
