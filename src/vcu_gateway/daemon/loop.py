@@ -55,8 +55,10 @@ class LastTick(NamedTuple):
             signature = before.why_signature
         else:
             signature = reasons.signature()
-        age_ns = gateway.requests.arbiter.age_ns(now_ns)
-        return cls(result, reasons, signature, now_ns, age_ns, gateway.stop(now_ns))
+        ages = reasons.demand_ttl_ms is not None
+        age_ns = gateway.requests.arbiter.age_ns(now_ns) if ages else None
+        stop = None if reasons.latch is None else gateway.stop(now_ns)
+        return cls(result, reasons, signature, now_ns, age_ns, stop)
 
     @property
     def why(self) -> Explanation:
