@@ -33,7 +33,7 @@ def the_only(application: Application, name: str) -> Event:
 
 def test_before_the_first_tick_whoever_asks_is_told_to_try_again(application, tmp_path):
     with application.api, Client(tmp_path / "control.sock") as client:
-        for ask in (client.why, client.state):
+        for ask in (client.why, client.state, client.arm):
             with pytest.raises(ApiError, match="the gateway has not ticked yet; try again"):
                 ask()
         assert client.config()["digest"], "what no tick is needed for is answered"

@@ -256,6 +256,12 @@ def test_a_group_may_be_given_the_right_to_operate(idle_api):
     operator.request("arm")
     eventually(lambda: idle_api.service.begun)
     assert "right 'service'" in operator.ask("config.reload")["message"]
+    for request in ("reset", "drive_mode.set"):
+        params = {"level": "service"} | ({} if request == "reset" else {"mode": "eco"})
+        message = operator.ask(request, **params)["message"]
+        assert f"{request} at service level needs the right 'service'" in message
+    operator.request("reset", level="driver")
+    eventually(lambda: len(idle_api.service.begun) == 2)
 
 
 # The end of a connection.
