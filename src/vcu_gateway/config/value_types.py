@@ -87,13 +87,13 @@ class SettingsSection(Section):
 
 
 _Made = TypeVar("_Made", bound=SettingsSection)
+_HINTS = get_type_hints(Settings, include_extras=True)
 
 
 def with_settings(section: str) -> Callable[[type[_Made]], type[_Made]]:
     """Class decorator: add every key that `core.settings` has for this section, after its own."""
-    hints = get_type_hints(Settings, include_extras=True)
     added: dict[str, Any] = {
-        item.name: (_annotation(hints[item.name], KEYS[item.name].text), _default(item))
+        item.name: (_annotation(_HINTS[item.name], KEYS[item.name].text), _default(item))
         for item in dataclasses.fields(Settings)
         if item.name in KEYS and KEYS[item.name].section == section
     }
