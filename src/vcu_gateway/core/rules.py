@@ -353,6 +353,8 @@ _OF_MESSAGES: tuple[Rule, ...] = (
     stale,
     out_of_range,
 )
+"""Asked in every tick: the place of a rule that fits neither tuple below."""
+
 _OF_DEVIATIONS: tuple[Rule, ...] = (
     throttle_echo,
     echo_below,
@@ -360,6 +362,8 @@ _OF_DEVIATIONS: tuple[Rule, ...] = (
     speed_steps,
     wheel_speeds,
 )
+"""Asked where something deviates (`RuleInputs.observed`)."""
+
 _OF_THE_GATEWAY: tuple[Rule, ...] = (
     unconfirmed,
     link_down,
@@ -370,6 +374,7 @@ _OF_THE_GATEWAY: tuple[Rule, ...] = (
     restart_state,
     pedals,
 )
+"""Asked where `_is_odd` says so, which has to know what each of them is about."""
 
 RULES: tuple[Rule, ...] = (*_OF_MESSAGES, *_OF_DEVIATIONS, *_OF_THE_GATEWAY)
 
