@@ -148,7 +148,8 @@ def test_the_last_ten_minutes_of_any_signals_are_kept_here(web):
     assert history["values"]["PCU1.commanded.throttle_pct"][-1] == 0
 
 
-def test_samples_and_stream_are_packed_for_who_takes_gzip(web):
+def test_samples_and_stream_are_packed_for_who_takes_gzip(gateway, web):
+    wait_until(lambda: gateway.ask("mode") == "standby", "standby")
     wanted = {"Accept-Encoding": "gzip"}
     path = "/api/history?signals=PCU1_Status2.MotorSpeed"
     wait_until(lambda: len(web.request("GET", path).json.get("times_ms", ())) > 50, "samples")
@@ -157,7 +158,7 @@ def test_samples_and_stream_are_packed_for_who_takes_gzip(web):
     assert len(json.loads(gzip.decompress(answer.body))["times_ms"]) > 50
     with web.stream(wanted) as stream:
         begin = stream.until("state")
-        stream.until("state", lambda one: one["t"] > begin["t"] and one["mode"] == "standby")
+        assert stream.until("state", lambda one: one["t"] > begin["t"])["mode"] == "standby"
         assert stream.until("health")["ticks"]["period_ms"] == 50
         assert stream.wire_bytes < 0.6 * stream.bytes
 
