@@ -252,7 +252,6 @@ class Dispatcher:
             elif method in STOPS:
                 self._stops[method].ask(caller, reply)
             else:
-                self._context.latest()
                 self._queue(lambda: reply(self._commands.execute(method, params, caller)))
                 if method == "demand.set":
                     self._drivers.add(caller.connection)
@@ -266,7 +265,8 @@ class Dispatcher:
         )
 
     def _queue(self, work: Callable[[], None]) -> None:
-        """Have the ticking thread do it; RequestError where too much waits."""
+        """Have the ticking thread do it; RequestError before its first tick or where much waits."""
+        self._context.latest()
         if not self._work_queue.offer(work):
             raise RequestError(
                 ErrorCode.NOT_READY, "too many requests wait for the next tick; try again"
