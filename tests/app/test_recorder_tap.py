@@ -1,6 +1,8 @@
 """The tap of a running gateway: everything the recorder gets is the same in another core."""
 
+import contextlib
 import itertools
+import socket
 import time
 
 import can
@@ -82,6 +84,37 @@ def test_every_tick_of_a_running_gateway_is_replayed_to_the_byte(tmp_path, path,
     assert "mode_changed" not in replay.events, "it stands with its tick"
     assert replay.frames == one.loop.connection.counters.received
     assert replay.last.header.frames == replay.frames
+
+
+def test_the_recorders_wait_is_ended_after_what_may_be_urgent_and_only_then(tmp_path, path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
+        listening.bind(str(path))
+        listening.listen(64)
+        listening.settimeout(10)
+        with driven(tmp_path, always=with_tap(path)) as one:
+            recorded_connection, _ = listening.accept()
+            one.until_ready()
+            time.sleep(0.5)
+        others = connections_without_datagrams(listening)
+        with recorded_connection:
+            received = list(iter(lambda: recorded_connection.recv(1 << 20), b""))
+        ticks = [one for one in received if one[0] == datagram.TICK]
+    urgent = sum(datagram.may_be_urgent(one) for one in ticks)
+    assert others == urgent
+    assert 3 <= urgent < len(ticks) - 5
+
+
+def connections_without_datagrams(listening: socket.socket) -> int:
+    """How many wait to be accepted; each is closed and brought nothing."""
+    listening.setblocking(False)
+    count = 0
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            connection, _ = listening.accept()
+            with connection:
+                assert connection.recv(1) == b""
+            count += 1
+    return count
 
 
 def test_the_hello_holds_what_a_replay_needs(tmp_path, path, listener):

@@ -48,13 +48,15 @@ class TapListener:
         with contextlib.suppress(OSError):
             while True:
                 self._socket, _ = self._listening.accept()
-                self.connections.append([])
                 self._read(self._socket)
 
     def _read(self, connection: socket.socket) -> None:
+        datagrams: list[bytes] = []
         with contextlib.suppress(OSError):
             while self.reading.wait() and (received := connection.recv(_LONGEST_BYTES)):
-                self.connections[-1].append(received)
+                if not datagrams:  # one that brings nothing only ends a wait
+                    self.connections.append(datagrams)
+                datagrams.append(received)
         connection.close()
 
     def close_connection(self) -> None:

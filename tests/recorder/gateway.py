@@ -109,7 +109,17 @@ class Gateway:
         except OSError:
             self.close()
             return False
+        if datagram.may_be_urgent(data):
+            self._end_recorders_wait()
         return True
+
+    def _end_recorders_wait(self):
+        with (
+            contextlib.suppress(OSError),
+            socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as sock,
+        ):
+            sock.setblocking(False)
+            sock.connect(self.path)
 
     def _frame(self):
         which = self._random.randrange(len(IDS))

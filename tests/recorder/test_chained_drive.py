@@ -251,7 +251,7 @@ def test_the_recorder_knows_who_ended_a_connection(ended_by, tmp_path):
     receiver = DatagramReceiver(listener, wake_up, backlog, lambda: None, {os.geteuid()}, refusals)
     gateway = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     gateway.connect(str(tmp_path / "tap.sock"))
-    receiver.look()
+    receiver.gather(0.0)
     (connection,) = receiver.connections
     if ended_by == "gateway":
         gateway.close()
@@ -260,7 +260,7 @@ def test_the_recorder_knows_who_ended_a_connection(ended_by, tmp_path):
         gateway.close()
     else:
         gateway.send(b"\x07 is no datagram of a gateway")
-    receiver.look()
+    receiver.gather(0.0)
     assert receiver.connections == []
     assert connection.ended_by_gateway is (ended_by == "gateway")
     receiver.close()

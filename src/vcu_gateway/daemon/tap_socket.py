@@ -5,6 +5,7 @@ One that does not keep up loses datagrams, which are counted; as soon as the soc
 checkpoint tells where the recording goes on.
 """
 
+import contextlib
 import errno
 import os
 import select
@@ -122,6 +123,8 @@ class RecorderTap:
         try:
             if self._socket is not None:
                 self._socket.send(packed)
+                if datagram.may_be_urgent(packed):
+                    self._end_recorders_wait()
             self.datagrams += 1
         except OSError as error:
             self._count_lost(len(frames))
@@ -133,6 +136,15 @@ class RecorderTap:
                 self._connect_ns = now_ns + _CONNECT_EVERY_NS
                 fields = {"reason": error.strerror or str(error)}
                 self._event_log.emit(Event("recorder_lost", Severity.INFO, fields))
+
+    def _end_recorders_wait(self) -> None:
+        """Have it take what has gathered: by a connection without a datagram."""
+        with (
+            contextlib.suppress(OSError),
+            socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection,
+        ):
+            connection.setblocking(False)
+            connection.connect(self._path)
 
     def _count_lost(self, frames: int) -> None:
         """A datagram that is not sent; the next one that is tells of it."""

@@ -97,10 +97,10 @@ def _connection(connection: GatewayConnection, writer: Writer) -> RecordedConnec
     )
 
 
-_STATUS_S = 1.0
-_GATHER_S = 0.12
-"""Between two looks, while nothing is urgent: three ticks cost little more than one, and what is
-urgent waits no longer than this before it is written."""
+_STATUS_S = 0.95
+_GATHER_S = 0.48
+"""While nothing is urgent: ten ticks cost little more than one. A gateway ends it after what is
+urgent, by a connection that is empty."""
 _CALM_S = 3.0
 _LAST_DATAGRAMS_S = 1.0
 _LAST_WRITES_S = 3.5
@@ -160,11 +160,10 @@ class Recorder:
             is_calm = now_s - receiver.urgent_s > _CALM_S
             # A gateway that wakes nobody hands its datagrams over sooner.
             if is_calm and receiver.connections:
-                receiver.look()
+                receiver.gather(_GATHER_S)
             else:
                 receiver.receive(max(0.0, status_s - now_s))
-            if is_calm:
-                time.sleep(_GATHER_S)
+            self._writer.write_if_due()
 
     def _on_signal(self, number: int, _: FrameType | None) -> None:
         if number == signal.SIGUSR1:

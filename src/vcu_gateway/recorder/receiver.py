@@ -12,10 +12,9 @@ from collections.abc import Callable, Container, Sequence
 from typing import NamedTuple
 
 from vcu_gateway.rate_limit import TokenBucket
-from vcu_gateway.recorder import triggers
 from vcu_gateway.recorder.connection import BUFFER_BYTES, GatewayConnection
 from vcu_gateway.recorder.senders import Refusals, RunOwners, Sender, TapListener, sender_of
-from vcu_gateway.recording.datagram import DatagramError, TickParts
+from vcu_gateway.recording.datagram import DatagramError, TickParts, may_be_urgent
 from vcu_gateway.units import NS_PER_S
 
 _ITEM_BYTES = 400
@@ -155,8 +154,10 @@ class DatagramReceiver:
         self._runs: dict[Sender, tuple[set[str], TokenBucket]] = {}
         self._buffer = bytearray(BUFFER_BYTES)
         self._selector = selectors.DefaultSelector()
-        self._selector.register(listener.sock, selectors.EVENT_READ)
-        self._selector.register(wake_up, selectors.EVENT_READ)
+        self._newcomers = selectors.DefaultSelector()
+        for selector in (self._selector, self._newcomers):
+            selector.register(listener.sock, selectors.EVENT_READ)
+            selector.register(wake_up, selectors.EVENT_READ)
 
     def receive(self, timeout_s: float) -> None:
         """Wait for something, for at most this time, and take all that has come."""
@@ -185,8 +186,9 @@ class DatagramReceiver:
                 late = DatagramError(f"no whole HELLO within {_HELLO_S:.0f} s", "hello_late")
                 self._refuse(connection, late)
 
-    def look(self) -> None:
-        """Take what has come, without waiting; connections are not asked whether something has."""
+    def gather(self, limit_s: float) -> None:
+        """Take what has come when this time is over, somebody connects, or a signal comes."""
+        self._newcomers.select(limit_s)
         for connection in list(self.connections):
             self._read(connection)
         self._take(self._selector.select(0.0))
@@ -280,7 +282,7 @@ class DatagramReceiver:
             known.add(run)
 
     def _put(self, connection: GatewayConnection, tick: TickParts) -> None:
-        is_urgent = triggers.may_be_urgent(tick.lines)
+        is_urgent = may_be_urgent(tick.lines)
         self._backlog.put(received(connection, tick, is_urgent))
         connection.handed_on = True
         if is_urgent:
@@ -306,3 +308,4 @@ class DatagramReceiver:
         for connection in list(self.connections):
             self._end(connection)
         self._selector.close()
+        self._newcomers.close()

@@ -5,11 +5,12 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from vcu_gateway.recording.datagram import may_be_urgent
+
 FAULT_LATCHED = "fault_latched"
 EMERGENCY_STOP = "emergency_stop"
 RESTARTED_UNEXPECTEDLY = "restarted_unexpectedly"
 
-_URGENT = (b'"events":', b'"mode":', b'"estop":', b'"restarted":')
 _BEFORE_THIS_START = "before this start: "
 """Begin of the reason of a fault that the gateway before had latched (daemon.restart_state)."""
 _LONGEST_KIND = 40
@@ -28,11 +29,6 @@ class Trigger(NamedTuple):
     reason: str
     kind: str
     what: str
-
-
-def may_be_urgent(lines: bytes) -> bool:
-    """False where none of them needs to be on the disk at once; quick, and seldom wrong."""
-    return any(word in lines for word in _URGENT)
 
 
 class Noticed(NamedTuple):

@@ -29,8 +29,8 @@ from vcu_gateway.recording import layout
 from vcu_gateway.recording.datagram import DatagramError
 from vcu_gateway.recording.recorder_status import RecorderTotals
 
-_MEMBER_S = 0.84
-"""With what is still being gathered, a second at most is lost where the recorder is killed."""
+_MEMBER_S = 0.94
+"""A member is due then, once all that waits was taken: a killed recorder loses a second at most."""
 _SYNC_S = 5.0
 _SYNC_AFTER_LATCH_S = 0.1
 _AFTER_LATCH_S = 2.0
@@ -45,7 +45,7 @@ _ROOM_BYTES = 1 << 20
 
 
 class Writer:
-    """Writes every drive; `wake`, `request_incident` and `stop` are for other threads.
+    """Writes every drive; `wake`, `write_if_due`, `request_incident` and `stop` are for others.
 
     Attributes:
         wake: set where something is urgent.
@@ -74,6 +74,11 @@ class Writer:
         self._member_s = self._sync_s = self._latched_until_s = 0.0
         self.thread = threading.Thread(target=self._run, name="writer", daemon=True)
 
+    def write_if_due(self) -> None:
+        """Write the member that is due; for the receiver, when it has taken all that waits."""
+        if time.monotonic() >= self._member_s:
+            self.wake.set()
+
     def request_incident(self) -> None:
         self._requested = True
         self.wake.set()
@@ -95,7 +100,7 @@ class Writer:
             self.disk.busy(False)
             if stopping:
                 return
-            due_s = min(self._member_s, self._sync_s) - time.monotonic()
+            due_s = self._sync_s - time.monotonic()
             self.wake.wait(max(self.disk.pause_s, due_s, 0.01))
             self.wake.clear()
 

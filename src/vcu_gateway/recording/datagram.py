@@ -14,6 +14,8 @@ parts, and goes on with ticks:
            identifier with Linux's flags        32 bits
            1: echo of an own frame; length      2 bytes
 
+After a tick that may be urgent comes a connection that is empty: the recorder waits no longer.
+
 `sequence` numbers the ticks' datagrams of a gateway from 1, lost ones counted; `frames` is how many
 frames it handed on up to the end of this datagram, `frames lost` how many of them in lost ones.
 """
@@ -50,6 +52,7 @@ _ECHO_AT, _LENGTH_AT = 12, 13
 _TRUTH = b"\0\1"
 _LONGEST_PAYLOAD_BYTES = 64
 _CHECKPOINT = b'{"checkpoint":'
+_URGENT = (b'"events":', b'"mode":', b'"estop":', b'"restarted":')
 
 
 class CoreLineError(ValueError):
@@ -191,6 +194,11 @@ def frame_records(packed: bytes) -> Iterator[FrameRecord]:
         data_at = place + _FRAME.size
         place = data_at + length
         yield FrameRecord(arrival_ns, can_id, own_echo != 0, packed[data_at:place])
+
+
+def may_be_urgent(lines: bytes) -> bool:
+    """False where no core line in these bytes needs to be on the disk at once; seldom wrong."""
+    return any(word in lines for word in _URGENT)
 
 
 class HelloText:
