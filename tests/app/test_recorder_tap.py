@@ -94,7 +94,7 @@ def test_the_recorders_wait_is_ended_after_what_may_be_urgent_and_only_then(tmp_
         with driven(tmp_path, always=with_tap(path)) as one:
             recorded_connection, _ = listening.accept()
             one.until_ready()
-            time.sleep(0.5)
+            time.sleep(0.5)  # ten ticks in which nothing happens
         others = connections_without_datagrams(listening)
         with recorded_connection:
             received = list(iter(lambda: recorded_connection.recv(1 << 20), b""))

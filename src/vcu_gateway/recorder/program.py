@@ -97,7 +97,7 @@ def _connection(connection: GatewayConnection, writer: Writer) -> RecordedConnec
     )
 
 
-_STATUS_S = 0.95
+_STATUS_S = 0.95  # a little less than two waits for datagrams
 _GATHER_S = 0.48
 """While nothing is urgent: ten ticks cost little more than one. A gateway ends it after what is
 urgent, by a connection that is empty."""

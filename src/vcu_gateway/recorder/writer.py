@@ -48,7 +48,7 @@ class Writer:
     """Writes every drive; `wake`, `write_if_due`, `request_incident` and `stop` are for others.
 
     Attributes:
-        wake: set where something is urgent.
+        wake: set where something is urgent, or due.
         thread: started by whoever made this; ended before `stop` by a bug alone.
     """
 
