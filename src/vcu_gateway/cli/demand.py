@@ -3,7 +3,6 @@
 import getpass
 import json
 import signal
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,10 @@ import click
 
 from vcu_gateway.api import results
 from vcu_gateway.cli.operator import api_options, connected
+from vcu_gateway.cli.options import stopped_by_signals
 from vcu_gateway.demand_ranges import span
 
-_SET_PERIOD_S = 0.1
-_PRINT_PERIOD_S = 0.5
+_SET_PERIOD_S, _PRINT_PERIOD_S = 0.1, 0.5
 
 
 @click.command("demand")
@@ -65,11 +64,12 @@ def demand(
     The demand ends with this program, also when it is killed: the gateway ends it with its
     connection, at the latest after its time to live. Mode and reasons are printed as they change.
     """
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda _number, _frame: stop.set())
     name = source or getpass.getuser()
-    with connected(socket_path) as client, client.demand(name, ttl_ms=ttl_ms) as owner:
+    with (
+        stopped_by_signals(signal.SIGHUP) as stop,
+        connected(socket_path) as client,
+        client.demand(name, ttl_ms=ttl_ms) as owner,
+    ):
         if arming:
             client.arm()
         begun_s = next_print_s = time.monotonic()

@@ -50,8 +50,7 @@ def watch(socket_path: Path | None) -> None:
         terminal.watch(source, "vcu-gateway")
 
 
-_PLAIN_EVERY_S = 2.0
-_LOOK_EVERY_S = 0.2
+_PLAIN_EVERY_S, _LOOK_EVERY_S = 2.0, 0.2
 _PAGE = ("127.0.0.1", 9465)
 _NAME = "vcu-gateway"
 _TITLE = f"{_NAME} demo"

@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import threading
+from _thread import start_new_thread
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -113,10 +114,11 @@ def _listen_address(context: click.Context, parameter: click.Parameter, text: st
 
 
 @contextlib.contextmanager
-def stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set; the old handlers come back afterwards."""
-    stop, numbers = threading.Event(), (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
+def stopped_by_signals(*also: signal.Signals) -> Iterator[threading.Event]:
+    """An event that SIGINT, SIGTERM and `also` set; the old handlers come back afterwards."""
+    stop, numbers = threading.Event(), (signal.SIGINT, signal.SIGTERM, *also)
+    # In another thread: the one that is interrupted may hold the event's lock.
+    before = {one: signal.signal(one, lambda *_: start_new_thread(stop.set, ())) for one in numbers}
     try:
         yield stop
     finally:

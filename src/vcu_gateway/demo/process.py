@@ -27,8 +27,7 @@ from vcu_gateway.simulator import scenario
 from vcu_gateway.simulator.pedals import Foot
 from vcu_gateway.simulator.scenario import Scenario, ScenarioStart
 
-_PATIENCE_S = 10.0
-_LOOK_EVERY_S = 0.02
+_PATIENCE_S, _LOOK_EVERY_S = 10.0, 0.02
 
 
 class _Child:
