@@ -75,13 +75,12 @@ class Writer:
         self.thread = threading.Thread(target=self._run, name="writer", daemon=True)
 
     def write_if_due(self) -> None:
-        """Write the member that is due; for the receiver, when it has taken all that waits."""
-        if time.monotonic() >= self._member_s:
+        """Write what is due or asked for; for the receiver, when it has taken all that waits."""
+        if self._requested or time.monotonic() >= self._member_s:
             self.wake.set()
 
     def request_incident(self) -> None:
-        self._requested = True
-        self.wake.set()
+        self._requested = True  # no more: a signal's handler must not wait for the event's lock
 
     def stop(self, timeout_s: float) -> bool:
         """Write what is there and end; False where the disk does not let it in that time."""
