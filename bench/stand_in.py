@@ -48,5 +48,5 @@ def _with_own_frames(names: dict[str, Any]) -> None:
 
     Here the wire sends it back one byte too long, and the kernel's "cut off" flag stands in.
     """
-    names["_FD_FRAME_BYTES"] = 16
+    names.update(_FD_FRAME_BYTES=16, _MSG_CONFIRM=int(socket.MSG_TRUNC))
     vars(socket).update(MSG_CONFIRM=socket.MSG_TRUNC)
