@@ -45,10 +45,12 @@ _MSG_CONFIRM = int(socket.MSG_CONFIRM)  # plain: `&` with an enumeration is Pyth
 _head = struct.Struct("=IB3x")
 _frame = struct.Struct("=IB3x8s")
 _meminfo = struct.Struct("@9I")
-# struct mmsghdr, struct iovec, and a control message with a struct timespec.
+# struct mmsghdr, struct iovec, a control message with a struct timespec; what is read of them.
 _header = struct.Struct("@PIPNPNi0PI0P")
 _vector = struct.Struct("@PN")
 _control = struct.Struct("@Niiqq")
+_outcome = struct.Struct(f"@{struct.calcsize('@PIPNP')}xNi0PI0P")
+_stamp = struct.Struct(f"@{struct.calcsize('@Nii0q')}xqq")
 
 Received = tuple[bytearray, int | None, int]
 """Bytes of a frame, its arrival in ns of the wall clock (None without a stamp), its flags."""
@@ -78,8 +80,7 @@ class BatchReceiver:
                 self._headers, index * _header.size, 0, 0, vector, 1, control, _control.size, 0, 0
             )
         self._fresh_headers = bytes(self._headers)
-        recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
-        self._recvmmsg = recvmmsg
+        self._recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
         self._address = ctypes.c_void_p(_address(self._headers))
 
     def receive(self) -> list[Received]:
@@ -96,13 +97,12 @@ class BatchReceiver:
 
     def _taken(self, count: int) -> list[Received]:
         taken: list[Received] = []
-        headers = islice(_header.iter_unpack(self._headers), count)
-        controls = _control.iter_unpack(self._controls)
-        begin = 0
-        for header, (_, _, _, seconds, nanoseconds) in zip(headers, controls, strict=False):
-            control_bytes, flags, length = header[5:]
+        begin, outcomes = 0, islice(_outcome.iter_unpack(self._headers), count)
+        for (control_bytes, flags, length), (seconds, nanoseconds) in zip(
+            outcomes, _stamp.iter_unpack(self._controls), strict=False
+        ):
             stamp_ns = seconds * NS_PER_S + nanoseconds if control_bytes else None
-            taken += ((self._raw[begin : begin + length], stamp_ns, flags),)
+            taken.append((self._raw[begin : begin + length], stamp_ns, flags))
             begin += self._frame_bytes
         # The kernel has written into the headers that it used.
         used = count * _header.size
