@@ -49,9 +49,17 @@ class PedalDrive(Drive):
         arm_when_granted(self)
 
     def until_driving(self) -> None:
-        self.until_armed()
-        self.press(PRESSED)
-        wait_until(lambda: self.last_throttle() == ASKED_RAW, "throttle on the bus")
+        """Armed and pressed, again where a stall of the node ended the drive."""
+
+        def drives() -> bool:
+            with self.client as client:
+                active = client.why()["mode"] == "active"
+            if not active:
+                self.until_armed()
+                self.press(PRESSED)
+            return active and self.last_throttle() == ASKED_RAW
+
+        wait_until(drives, "throttle on the bus")
 
     def pedal_frames(self) -> list[Recorded]:
         return [frame for frame in self.recording.frames() if frame.can_id == PEDALS_ID]
