@@ -136,8 +136,7 @@ def test_a_modes_speed_limit_comes_down_slowly_under_throttle_and_is_at_least_50
     must_ramp(bench, time.monotonic(), "speed_limit", tuned.RPM_MAX, RETURN["speed_limit"])
     must_ramp(bench, ask(bench, "pit"), "speed_limit", 500, SPEED_FALL)
     bench.client.call("estop")  # in other modes it is that of the safe frames
-    bench.ticks(time.monotonic() + GRACE_S, 2)
-    assert {f.data for f in bench.last_pair()} == {wire.safe_frame(tuned.RPM_MAX, cut=1)}
+    bench.must_be_safe_after(time.monotonic(), wire.safe_frame(tuned.RPM_MAX, cut=1))
 
 
 def test_a_speed_limit_over_charge_comes_down_and_stays_where_the_charge_is_unknown(bench):

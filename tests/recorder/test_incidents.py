@@ -129,7 +129,7 @@ def test_somebody_may_ask_to_keep_this_moment(recorder, gateway, tmp_path):
     process.process.send_signal(signal.SIGUSR1)
     (incident,) = wait_for_incidents(tmp_path, 1)
     assert incident.name.endswith("-requested")
-    for _ in range(3000):  # some come while another is being answered
+    for _ in range(10_000):  # some come while another is being answered
         process.process.send_signal(signal.SIGUSR1)
     vehicle.drive(0.2)
     assert process.stop() == 0

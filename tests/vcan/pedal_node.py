@@ -24,6 +24,7 @@ SLACK_MS = 5  # from reading the pedals in a tick to the second frame of it on t
 PEDALS_ID = 0x0810D021
 EFF = 0x8000_0000
 PERIOD_S = 0.020
+SILENT_MS = 60  # without a frame of the pedals a drive ends
 RELEASED, PRESSED = 0.0, 43.0  # travel, %
 ASKED_RAW = 109  # what PRESSED asks for between the dead zones, 42.55 %
 
@@ -49,17 +50,22 @@ class PedalDrive(Drive):
         arm_when_granted(self)
 
     def until_driving(self) -> None:
-        """Armed and pressed, again where a stall of the node ended the drive."""
+        """Armed and pressed; once more where the node stood still so long that the drive ended."""
+        self.until_armed()
+        since_ns = self.pedal_frames()[-1].stamp_ns
+        self.press(PRESSED)
+        wait_until(
+            lambda: self.last_throttle() == ASKED_RAW or self._stood_still(since_ns),
+            "throttle on the bus",
+        )
+        if self.last_throttle() != ASKED_RAW:
+            self.until_driving()
 
-        def drives() -> bool:
-            with self.client as client:
-                active = client.why()["mode"] == "active"
-            if not active:
-                self.until_armed()
-                self.press(PRESSED)
-            return active and self.last_throttle() == ASKED_RAW
-
-        wait_until(drives, "throttle on the bus")
+    def _stood_still(self, since_ns: int) -> bool:
+        stamps_ns = [f.stamp_ns for f in self.pedal_frames() if f.stamp_ns >= since_ns]
+        gaps_ns = [after - before for before, after in itertools.pairwise(stamps_ns)]
+        with self.client as client:
+            return max(gaps_ns, default=0) > SILENT_MS * MS and client.why()["mode"] == "standby"
 
     def pedal_frames(self) -> list[Recorded]:
         return [frame for frame in self.recording.frames() if frame.can_id == PEDALS_ID]
