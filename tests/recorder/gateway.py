@@ -208,6 +208,12 @@ class RecorderProcess:
     def status(self):
         return json.loads(self.status_path.read_text())
 
+    @property
+    def waited_s(self):
+        """How long its threads were ready and another program had their processor."""
+        threads = Path(f"/proc/{self.process.pid}/task").iterdir()
+        return sum(int((one / "schedstat").read_text().split()[1]) for one in threads) / 1e9
+
     def wait_for(self, condition, timeout_s=10.0):
         """The status, once it fulfils the condition."""
         end_s = time.monotonic() + timeout_s
