@@ -1,8 +1,21 @@
 """A recorder and gateways that hand over to it."""
 
+import tempfile
+
 import pytest
 
 from tests.recorder.gateway import Gateway, RecorderProcess
+
+
+@pytest.fixture
+def recordings_in_memory(tmp_path):
+    """Recordings where the machine's disk, which may stand still for seconds, is not judged.
+
+    What a process wrote before it was killed is in memory on either.
+    """
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        (tmp_path / "recordings").symlink_to(folder)
+        yield
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ class FaultyDisk:
         self.becomes("ok")
         self.environment = {
             "LD_PRELOAD": str(library),
-            "DISK_FAULTS_FOLDER": str(disk),
+            "DISK_FAULTS_FOLDER": str(Path(disk).resolve()),
             "DISK_FAULTS_MODE": str(self._mode),
             "DISK_FAULTS_LOG": str(self._log),
         }

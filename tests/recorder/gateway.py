@@ -186,7 +186,7 @@ class RecorderProcess:
     """`vcu-gateway recorder` as a process of its own."""
 
     def __init__(self, folder, *options, environment=None, before=(), pass_fds=()):
-        self.folder = Path(folder) / "recordings"
+        self.folder = (Path(folder) / "recordings").resolve()
         self.socket = Path(folder) / "tap.sock"
         self.status_path = Path(folder) / "status.json"
         self._errors = (Path(folder) / "stderr.txt").open("ab")

@@ -3,7 +3,6 @@
 import itertools
 import os
 import random
-import tempfile
 import time
 
 import pytest
@@ -22,14 +21,6 @@ CALM_S = 3.5
 def one_processor():
     """What is started runs where this program does, which knows how long that one stood still."""
     with started_on({max(os.sched_getaffinity(0))}):
-        yield
-
-
-@pytest.fixture
-def recordings_in_memory(tmp_path):
-    """A killed program's pages stay as they are: how long a disk makes others wait is not judged."""
-    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
-        (tmp_path / "recordings").symlink_to(folder)
         yield
 
 

@@ -13,7 +13,7 @@ from vcu_gateway.recording import layout
 
 
 @pytest.fixture
-def disk(tmp_path):
+def disk(recordings_in_memory, tmp_path):
     return FaultyDisk(tmp_path, tmp_path / "recordings")
 
 
