@@ -55,8 +55,7 @@ class LastTick(NamedTuple):
             signature = before.why_signature
         else:
             signature = reasons.signature()
-        ages = reasons.demand_ttl_ms is not None
-        age_ns = gateway.requests.arbiter.age_ns(now_ns) if ages else None
+        age_ns = gateway.requests.arbiter.age_ns(now_ns)
         stop = None if reasons.latch is None else gateway.stop(now_ns)
         return cls(result, reasons, signature, now_ns, age_ns, stop)
 
