@@ -746,6 +746,19 @@ def test_a_fault_gives_safe_frames_until_the_reset_whatever_is_asked():
         assert [frame.data for frame in drive.tick().frames] == [ZERO_TORQUE] * 2
 
 
+def test_between_an_emergency_stop_and_its_tick_nothing_is_granted():
+    drive = in_mode(Mode.STANDBY)
+    drive.gateway.requests.emergency_stop()
+    assert drive.arm().sentence == "an emergency stop was requested"
+    drive.tick()
+    while drive.gateway.requests.against_resetting(SERVICE, drive.now_ns):
+        drive.tick()
+    drive.gateway.requests.emergency_stop()
+    assert drive.reset(SERVICE).sentence == "an emergency stop was requested"
+    drive.tick()
+    assert (drive.mode, drive.commands) == (Mode.FAULT, [POWER_CUT] * 2)
+
+
 def test_an_emergency_stop_counts_as_seen_in_one_tick_and_is_held_like_any_cause():
     drive = active()
     drive.gateway.requests.emergency_stop()

@@ -50,6 +50,7 @@ def inputs(*stimuli: Stimulus, found: Causes | None = None, **changes: Any) -> R
     healthy = RequestInputs(
         supervisor=supervisor(*stimuli),
         causes=found or causes(),
+        emergency_stop=False,
         demanded=NOTHING_DEMANDED,
         zero_for_ns=200 * MS,
         reverse_pending=False,
@@ -181,6 +182,12 @@ def test_a_reset_is_refused_while_the_cause_stands_or_was_seen_in_the_hold(absen
     found = causes(Effect.STOP, absent_ms=absent_ms)
     sentence = reset_refusal(inputs(*STOPPED, found=found), DRIVER)
     assert sentence == ("" if granted else "BMS_Status.X 2: stop stands or stood a moment ago")
+
+
+def test_an_emergency_stop_stands_from_its_request_on():
+    sentence = "an emergency stop was requested"
+    assert arming_refusal(inputs(*STANDBY, emergency_stop=True)) == sentence
+    assert reset_refusal(inputs(*CUT, emergency_stop=True), SERVICE) == sentence
 
 
 def test_of_several_causes_a_refusal_names_the_one_that_came_first():

@@ -226,6 +226,20 @@ def reset_in_standby(records: Records) -> None:
     records.insert(place, InputRecord(reset, None))
 
 
+def stopped_before(kind: type) -> Callable[[Records], None]:
+    """An emergency stop is asked for right before that request is granted."""
+
+    def mutate(records: Records) -> None:
+        place = next(
+            place
+            for place, record in enumerate(records)
+            if isinstance(record, InputRecord) and isinstance(record.input, kind)
+        )
+        records.insert(place, InputRecord(EmergencyStop(), None))
+
+    return mutate
+
+
 def with_demands(**changes: Any) -> Callable[[Records], None]:
     """Every demand asks for something else than the gateway was asked."""
 
@@ -287,6 +301,8 @@ SEEDED: dict[str, tuple[str, str, Callable[[Records], None]]] = {
     "restart state": ("ordinary", "arming", armed_without_restart_state),
     "arm with throttle": ("ordinary", "arming", with_demands(throttle_pct=5.0)),
     "arm with another direction": ("ordinary", "arming", with_demands(motor_reverse=True)),
+    "arm after an emergency stop": ("ordinary", "arming", stopped_before(Arm)),
+    "reset after an emergency stop": ("stops", "reset", stopped_before(Reset)),
     "reset with throttle": ("stops", "reset", with_demands(throttle_pct=5.0)),
     "reset in STANDBY": ("ordinary", "reset", reset_in_standby),
     "no arm": ("ordinary", "I2 ACTIVE by arm alone", without(Arm)),

@@ -41,6 +41,7 @@ class RequestInputs(NamedTuple):
     """Conditions that arming and resetting are judged by, at one instant.
 
     Attributes:
+        emergency_stop: requested since the last tick.
         zero_for_ns: how long every demand had a throttle of 0; None where the last has not.
         reverse_pending: the demanded direction is not the applied one.
         independent_directions: the controllers may have two directions.
@@ -52,6 +53,7 @@ class RequestInputs(NamedTuple):
 
     supervisor: Supervisor
     causes: Causes
+    emergency_stop: bool
     demanded: ControllerDemands | None
     zero_for_ns: int | None
     reverse_pending: bool
@@ -209,6 +211,7 @@ class OperatorRequests:
         return RequestInputs(
             supervisor=self._modes.supervisor,
             causes=self._modes.causes,
+            emergency_stop=self.emergency_stop_requested,
             demanded=demanded,
             zero_for_ns=self._commander.pedals.zero_for_ns(now_ns),
             reverse_pending=demanded is not None and self._commander.reverse_pending(demanded),
@@ -247,7 +250,7 @@ def arming_refusal(inputs: RequestInputs) -> str:
         return f"arming needs standby, the mode is {inputs.supervisor.mode.value}"
     if inputs.restart_state_failure is not None:
         return f"the restart state cannot be kept: {inputs.restart_state_failure}"
-    return _blocking_cause(inputs.causes) or _against_demand(inputs)
+    return _blocking_cause(inputs) or _against_demand(inputs)
 
 
 def _against_demand(inputs: RequestInputs) -> str:
@@ -275,7 +278,7 @@ def reset_refusal(inputs: RequestInputs, level: FaultClass) -> str:
         return "nothing is latched"
     if latch.fault_class is FaultClass.SERVICE and level is not FaultClass.SERVICE:
         return f"{latch.reason} needs a reset at service level"
-    if reason := _blocking_cause(inputs.causes):
+    if reason := _blocking_cause(inputs):
         return reason
     if _throttle_demanded(inputs.demanded):
         return "the demanded throttle is not 0"
@@ -291,8 +294,10 @@ def reload_refusal(before: Settings, after: Settings, mode: Mode) -> str:
     return ""
 
 
-def _blocking_cause(causes: Causes) -> str:
-    blocking = causes.having(BLOCKING)
+def _blocking_cause(inputs: RequestInputs) -> str:
+    if inputs.emergency_stop:
+        return "an emergency stop was requested"
+    blocking = inputs.causes.having(BLOCKING)
     return f"{blocking[0].finding} stands or stood a moment ago" if blocking else ""
 
 

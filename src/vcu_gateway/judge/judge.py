@@ -122,7 +122,7 @@ class Judge:
     def armed(self, now_ns: int) -> None:
         demands, reason = self._demands, ""
         released_ns = demands.released_for_ns(now_ns)
-        if self._held.blocking:
+        if self._held.blocking or self._emergency:
             reason = "a violation stands"
         elif not self._restart_state_kept:
             reason = "the restart state was not kept"
@@ -147,7 +147,7 @@ class Judge:
         self._restart_state_kept = kept
 
     def reset(self, now_ns: int, *, service: bool) -> None:
-        against = "a cause stands" if self._held.blocking else ""
+        against = "a cause stands" if self._held.blocking or self._emergency else ""
         if self._demands.asks_throttle(now_ns):
             against = "the demanded throttle is not 0"
         self.requests.reset(self._tick, now_ns, against, service=service)
