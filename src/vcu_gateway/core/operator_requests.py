@@ -278,11 +278,8 @@ def reset_refusal(inputs: RequestInputs, level: FaultClass) -> str:
         return "nothing is latched"
     if latch.fault_class is FaultClass.SERVICE and level is not FaultClass.SERVICE:
         return f"{latch.reason} needs a reset at service level"
-    if reason := _blocking_cause(inputs):
-        return reason
-    if _throttle_demanded(inputs.demanded):
-        return "the demanded throttle is not 0"
-    return ""
+    throttle = "the demanded throttle is not 0" if _throttle_demanded(inputs.demanded) else ""
+    return _blocking_cause(inputs) or throttle
 
 
 def reload_refusal(before: Settings, after: Settings, mode: Mode) -> str:
