@@ -61,8 +61,10 @@ class CanPedals:
     checksum: PedalChecksum | None = None
     coast_brake: Curve | None = None
 
-    def asked_pct(self, travel_pct: float) -> float:
-        """What a travel asks for: 0 and 100 % within the dead zones, linear between."""
+    def asked_pct(self, travel_pct: float | None) -> float:
+        """What a travel asks for: 0 and 100 % within the dead zones, linear between; of None 0."""
+        if travel_pct is None:
+            return 0.0
         zone_pct = self.dead_zone_pct
         share = (travel_pct - zone_pct) / (100.0 - 2 * zone_pct)
         return 100.0 * min(1.0, max(0.0, share))
@@ -94,12 +96,12 @@ class PedalReader:
     """
 
     def __init__(self, pedals: CanPedals, codec: MessageCodec) -> None:
-        self._pedals = pedals
+        self.pedals = pedals
         self.decode = codec.decode
         self._indexes = {name: i for i, name in enumerate(codec.spec.signal_names)}
-        self._checksum_byte: int | None = None
-        if pedals.checksum is not None:
-            self._checksum_byte = codec.spec.signal(pedals.checksum.signal).start_bit // 8
+        self._checksum: tuple[int, ChecksumKind] | None = None
+        if one := pedals.checksum:
+            self._checksum = codec.spec.signal(one.signal).start_bit // 8, one.kind
         self._counter = None if pedals.counter is None else codec.spec.signal(pedals.counter)
 
     def counter(self, decoded: Decoded) -> int | None:
@@ -114,24 +116,23 @@ class PedalReader:
         return counter == (self._counter.raw_minimum if wraps else before + 1)
 
     def checksum_holds(self, data: bytes | bytearray) -> bool:
-        byte, checksum = self._checksum_byte, self._pedals.checksum
-        if byte is None or checksum is None:
+        if self._checksum is None:
             return True
-        return data[byte] == checksum_of(data[:byte] + data[byte + 1 :], checksum.kind)
+        byte, kind = self._checksum
+        return data[byte] == checksum_of(data[:byte] + data[byte + 1 :], kind)
 
     def read(self, decoded: Decoded) -> PedalReading:
         """What a frame says by itself."""
-        pedals = self._pedals
+        pedals, curve = self.pedals, self.pedals.coast_brake
         doubts: dict[str, str] = {}
         first = self._travel_pct(pedals.throttle, decoded, doubts)
         second = self._travel_pct(pedals.throttle_track2, decoded, doubts)
         brake = self._travel_pct(pedals.brake, decoded, doubts)
-        asked_pct, curve = pedals.asked_pct, pedals.coast_brake
         travels = [one for one in (first, second) if one is not None]
         return PedalReading(
-            throttle_pct=0.0 if first is None else asked_pct(first),
-            track2_pct=None if pedals.throttle_track2 is None else asked_pct(second or 0.0),
-            brake_pct=0.0 if brake is None else asked_pct(brake),
+            throttle_pct=pedals.asked_pct(first),
+            track2_pct=None if pedals.throttle_track2 is None else pedals.asked_pct(second),
+            brake_pct=pedals.asked_pct(brake),
             coast_pct=curve.at(max(travels)) if curve is not None and travels else 0.0,
             reverse=self._reverse(decoded, doubts),
             doubts=doubts,
@@ -148,14 +149,13 @@ class PedalReader:
             doubts[track.signal] = "not known"
             return None
         travel_pct = track.travel_pct(decoded.values[index])
-        beyond_pct = max(-travel_pct, travel_pct - 100.0)
-        if beyond_pct > _BEYOND_MAX_PCT + _ROUNDING_PCT:
+        if max(-travel_pct, travel_pct - 100.0) > _BEYOND_MAX_PCT + _ROUNDING_PCT:
             doubts[track.signal] = f"at {travel_pct:.0f} % of its travel"
             return None
         return travel_pct
 
     def _reverse(self, decoded: Decoded, doubts: dict[str, str]) -> bool | None:
-        name = self._pedals.reverse
+        name = self.pedals.reverse
         if name is None:
             return False
         index = self._indexes[name]

@@ -147,7 +147,6 @@ class PedalFrames:
     """
 
     def __init__(self, pedals: CanPedals | None, codec: Codec) -> None:
-        self._pedals = pedals
         self._reader: PedalReader | None = None
         self._expiry_ns = 0
         self._memory = PedalMemory()
@@ -165,7 +164,7 @@ class PedalFrames:
     @property
     def rejected(self) -> Mapping[PedalFault, int]:
         """Frames that were no demand, by reason; empty without pedals."""
-        return {} if self._pedals is None else self._memory.rejected
+        return {} if self._reader is None else self._memory.rejected
 
     def ttl_ms(self, period_ns: int) -> int:
         """How long a demand counts: a tick's period more, what came meanwhile is not read yet."""
@@ -178,8 +177,8 @@ class PedalFrames:
 
     def demand_of(self, frame: Frame, now_ns: int) -> PedalDemand | None:
         """Demand of the next frame; None where it is none. `now_ns` is that of the tick."""
-        pedals, reader, memory = self._pedals, self._reader, self._memory
-        if pedals is None or reader is None:
+        reader, memory = self._reader, self._memory
+        if reader is None:
             return None
         arrival_ns = min(frame.arrival_ns, now_ns)
         decoded = reader.decode(frame.data)
@@ -198,7 +197,7 @@ class PedalFrames:
         if reading.reverse is not None:
             memory.reverse = reading.reverse
         known = self._believed(reading, arrival_ns)
-        one = _demand(pedals, reading, known=known, reverse=memory.reverse)
+        one = _demand(reader.pedals, reading, known=known, reverse=memory.reverse)
         both = dict.fromkeys(CONTROLLERS, one)
         return PedalDemand(both, memory.sequence, arrival_ns, known, resumed)
 
@@ -244,7 +243,7 @@ class PedalFrames:
 
     def observe(self, now_ns: int) -> PedalObservation | None:
         """What there is to tell in this tick, once a tick; None where all is well."""
-        pedals, memory = self._pedals, self._memory
+        memory = self._memory
         self._latch(now_ns)
         run, memory.worst_run = memory.worst_run, memory.run
         doubts: dict[str, str] = {}
@@ -254,20 +253,21 @@ class PedalFrames:
             doubts.update(memory.doubts)
         doubts.update(memory.told)
         memory.told = {}
-        if pedals is None or not (run or doubts):
+        if self._reader is None or not (run or doubts):
             return None
         bad = "" if memory.fault is None else _FAULT_TEXTS[memory.fault]
-        return PedalObservation(pedals.message, run, bad, doubts)
+        return PedalObservation(self._reader.pedals.message, run, bad, doubts)
 
     def now(self, now_ns: int, period_ns: int) -> PedalState | None:
         """What the pedals say; None without pedals. From any thread, and changes nothing.
 
         Between two ticks, so that what came since the last one is not read yet.
         """
-        pedals, reader, memory = self._pedals, self._reader, self._memory
-        if pedals is None or reader is None:
+        reader, memory = self._reader, self._memory
+        if reader is None:
             return None
-        doubts, last = [], None if self.silent(now_ns - period_ns) else self._last
+        pedals, doubts = reader.pedals, []
+        last = None if self.silent(now_ns - period_ns) else self._last
         if memory.run and memory.fault is not None:
             doubts.append(_FAULT_TEXTS[memory.fault])
         if last is None:
@@ -294,12 +294,11 @@ def _demand(
 ) -> ControllerDemand:
     """Demand of each controller; without throttle where the frame is not believed."""
     coasting = known and reading.coast_pct > reading.brake_pct
-    track2_pct = reading.track2_pct
     return ControllerDemand(
         throttle_pct=reading.throttle_pct if known else 0.0,
         brake_pct=reading.coast_pct if coasting else reading.brake_pct,
         power_mode=pedals.power_mode,
         motor_reverse=reverse,
         regen_brake=pedals.regen_brake or coasting,
-        throttle_track2_pct=track2_pct if known or track2_pct is None else 0.0,
+        throttle_track2_pct=reading.track2_pct if known or reading.track2_pct is None else 0.0,
     )

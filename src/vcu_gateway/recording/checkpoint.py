@@ -47,7 +47,7 @@ _DERIVED: Mapping[str, frozenset[str]] = {
     for name, attributes in {
         "Gateway": "settings _stop_watch",
         "Receiver": "_codec _controller_of _pedals_message command_groups echoes",
-        "PedalFrames": "_expiry_ns _pedals _reader _last",
+        "PedalFrames": "_expiry_ns _reader _last",
         "Store": "_specs _stale_after_ns _pickers _indexes",
         # What arrived before the last tick is looked at in that tick alone.
         "Snapshot": "_specs _indexes _pickers _arrived",
