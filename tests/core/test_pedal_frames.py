@@ -150,6 +150,13 @@ def test_the_last_frames_of_the_pedals_that_are_no_demand_are_told_and_a_silent_
     assert silent.sentence() == "checksum wrong; no frame that is a demand"
 
 
+def test_bad_frames_are_told_until_a_demand_came(node):
+    node.sends(flip=1)
+    node.sends(counter=5)
+    node.sends()
+    assert node.frames.now(node.now_ns, 50 * MS).doubts == ()
+
+
 def test_what_the_message_does_not_have_is_not_said():
     one = Node(CanPedals(message="Pedals_Position", throttle=PEDALS.throttle))
     one.sends()
@@ -216,6 +223,27 @@ def test_a_switch_of_another_code_is_not_known_and_the_direction_stays(node, bef
     assert not demand.known
     assert demand.controllers["PCU2"].motor_reverse is bool(before)
     assert node.doubts() == {"ReverseSwitch": f"code {code} is neither forwards nor reverse"}
+
+
+@pytest.mark.parametrize(("code", "reverse"), [(0, None), (1, True)])
+def test_a_switch_of_a_code_outside_its_own_range_is_not_known(code, reverse):
+    signals = tuple(
+        replace(one, minimum=1, maximum=1) if one.name == "ReverseSwitch" else one
+        for one in POSITION.signals
+    )
+    reader = PedalReader(PEDALS, compile_message(replace(POSITION, signals=signals)))
+    reading = reader.read(reader.decode(frame_data(1, ReverseSwitch=code)))
+    assert (reading.reverse, "ReverseSwitch" in reading.doubts) == (reverse, reverse is None)
+
+
+def test_what_is_not_known_of_a_frame_is_0():
+    pedals = replace(COAST, dead_zone_pct=0)
+    reader = PedalReader(pedals, compile_message(POSITION))
+    unknown = frame_data(1, Throttle1=4095, Throttle2=4095, BrakePressure=1023)
+    reading = reader.read(reader.decode(unknown))
+    assert (reading.throttle_pct, reading.track2_pct) == (0, 0)
+    assert (reading.brake_pct, reading.coast_pct) == (0, 0)
+    assert list(reading.doubts) == ["Throttle1", "Throttle2", "BrakePressure"]
 
 
 def test_every_doubt_since_the_last_tick_is_told_once(node):
@@ -370,6 +398,22 @@ def test_a_frame_whose_checksum_has_a_wrong_bit_is_no_demand(node, bit):
 def test_the_checksums_are_those_of_the_books(kind, checksum):
     assert checksum_of(b"123456789", kind) == checksum
     assert checksum_of(b"", "sae_j1850") == 0
+
+
+@pytest.mark.parametrize(
+    ("data", "checksum"),
+    [
+        ("00000000", 0x59),
+        ("f20183", 0x37),
+        ("0faa0055", 0x79),
+        ("00ff5511", 0xB8),
+        ("332255aabbccddeeff", 0xCB),
+        ("926b55", 0x8C),
+        ("ffffffff", 0x74),
+    ],
+)
+def test_sae_j1850_gives_what_autosar_prints(data, checksum):
+    assert checksum_of(bytes.fromhex(data), "sae_j1850") == checksum
 
 
 @pytest.mark.parametrize("own", [0, 3, 7])

@@ -38,6 +38,8 @@ TESTS = {
     "pedals": ["pedals", "pedal_frames"],
     "supervisor": ["supervisor"],
     "demand": ["demand", "pedal_frames"],
+    "pedal_frames": ["pedal_frames"],
+    "can_pedals": ["pedal_frames"],
     "link": ["link"],
     "mode_manager": ["lifecycle", "gateway"],
     "operator_requests": ["operator_requests", "gateway", "pedal_frames"],
