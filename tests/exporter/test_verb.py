@@ -54,6 +54,10 @@ class Exporter:
     def end(self, number: int = signal.SIGTERM) -> int:
         """The exit code."""
         self.process.send_signal(number)
+        return self.ended()
+
+    def ended(self) -> int:
+        """The exit code, once it has ended and all that it said is here."""
         code = self.process.wait(PATIENCE_S)
         self._reader.join()
         return code
@@ -163,7 +167,7 @@ def test_a_port_that_somebody_else_has_is_named_with_a_remedy(tmp_path):
         other.listen()
         port = other.getsockname()[1]
         with exporting(tmp_path / "nobody.sock", f"127.0.0.1:{port}") as one:
-            assert one.process.wait(PATIENCE_S) == os.EX_UNAVAILABLE
+            assert one.ended() == os.EX_UNAVAILABLE
     assert one.said[0].startswith(f"error: cannot listen on 127.0.0.1 port {port}: ")
     assert "ss -ltnp" in one.said[0]
 
@@ -171,7 +175,7 @@ def test_a_port_that_somebody_else_has_is_named_with_a_remedy(tmp_path):
 @pytest.mark.parametrize("listen", ["9464", ":9464", "127.0.0.1:", "127.0.0.1:65536", "::1:x"])
 def test_an_address_that_is_none_is_a_wrong_command_line(tmp_path, listen):
     with exporting(tmp_path / "nobody.sock", listen) as one:
-        assert one.process.wait(PATIENCE_S) == 2
+        assert one.ended() == 2
     assert "is not ADDRESS:PORT" in "".join(one.said)
 
 
