@@ -41,5 +41,5 @@ def test_what_waits_of_ten_thousand_hostile_datagrams_is_bounded(recorder, gatew
     runs = {
         layout.read_description(one / layout.DRIVE_FILE)["run"]: one for one in drives(tmp_path)
     }
-    assert account(runs[honest.run]) == (honest.frames, 0)
+    assert account(runs[honest.run]) == (honest.frames, 0), process.errors[:3000]
     assert not breaks(runs[honest.run])
