@@ -51,9 +51,12 @@ class Driven:
         self._stop = threading.Event()
         self._threads = [
             threading.Thread(
-                target=play, args=(self._vehicle_bus, self.nodes), kwargs={"stop": self._stop}
+                name="vehicle",
+                target=play,
+                args=(self._vehicle_bus, self.nodes),
+                kwargs={"stop": self._stop},
             ),
-            threading.Thread(target=application.run),
+            threading.Thread(name="gateway", target=application.run),
         ]
 
     def configure(self, config: str) -> None:
@@ -78,7 +81,12 @@ class Driven:
         return Client(self.socket_path)
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
-        wait_until(condition, f"{what}; {self.loop.gateway.why(time.monotonic_ns()).sentence()}")
+        wait_until(condition, what, now=self._now)
+
+    def _now(self) -> str:
+        """What it says, and which of its threads have ended."""
+        ended = [one.name for one in self._threads if not one.is_alive()]
+        return f"; {self.loop.gateway.why(time.monotonic_ns()).sentence()}; ended: {ended}"
 
     def until_mode(self, mode: str) -> None:
         self.until(lambda: self.mode == mode, f"mode {mode}")
@@ -127,9 +135,14 @@ def driven(folder: Path, config: str = "", always: str = "") -> Iterator[Driven]
         one.end()
 
 
-def wait_until(condition: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
-    """Poll until true; the test fails, saying what was waited for, after patience_s."""
+def wait_until(
+    condition: Callable[[], bool],
+    what: str,
+    patience_s: float = PATIENCE_S,
+    now: Callable[[], str] = str,
+) -> None:
+    """Poll until true; after patience_s the test fails with what was waited for, and how it is."""
     deadline = time.monotonic() + patience_s
     while not condition():
-        assert time.monotonic() < deadline, f"waited {patience_s} s in vain for {what}"
+        assert time.monotonic() < deadline, f"waited {patience_s} s in vain for {what}{now()}"
         time.sleep(0.01)
