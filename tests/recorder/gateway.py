@@ -210,9 +210,13 @@ class RecorderProcess:
 
     @property
     def waited_s(self):
-        """How long its threads were ready and another program had their processor."""
+        """How long its two threads were ready and another program had their processor, at least.
+
+        One waits for the other no longer than that one runs: so long may be the recorder's own.
+        """
         threads = Path(f"/proc/{self.process.pid}/task").iterdir()
-        return sum(int((one / "schedstat").read_text().split()[1]) for one in threads) / 1e9
+        counts = [(one / "schedstat").read_text().split() for one in threads]
+        return sum(int(waited) - int(ran) for ran, waited, _ in counts) / 1e9
 
     def wait_for(self, condition, timeout_s=10.0):
         """The status, once it fulfils the condition."""
